@@ -1,0 +1,39 @@
+# drivecal: `make help` lists what can be made. Everything runs in .venv, which is installed on first use.
+.DEFAULT_GOAL := help
+.PHONY: help demo test check bench format lock networks clean
+BIN := .venv/bin
+INSTALLED := .venv/.installed
+
+help: ## list the targets
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 14
+
+$(INSTALLED): pyproject.toml deploy/requirements.lock deploy/install.sh
+	@deploy/install.sh
+
+demo: $(INSTALLED) ## calibrate the highway planner in S1..S6 through the REST API, then again with other weights (minutes)
+	@$(BIN)/drivecal demo
+
+test: $(INSTALLED) ## run the whole test suite: real SUMO, Ray, HTTP, SQLite and PostgreSQL
+	@$(BIN)/pytest
+
+check: $(INSTALLED) ## lint, formatting, types and import rules
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
+	@$(BIN)/mypy
+	@$(BIN)/lint-imports
+
+bench: $(INSTALLED) ## run the benchmarks; tables on the screen, figures in .drivecal/bench/*.json
+	@$(BIN)/python tests/benchmarks/run.py
+
+format: $(INSTALLED) ## format the code and mend what the linter can
+	@$(BIN)/ruff check --fix-only .
+	@$(BIN)/ruff format .
+
+lock: $(INSTALLED) ## write deploy/requirements.lock anew from pyproject.toml (needs uv)
+	@deploy/lock.sh --upgrade
+
+networks: $(INSTALLED) ## rebuild the scenarios' SUMO networks with netconvert
+	@$(BIN)/python -m drivecal.scenarios.build
+
+clean: ## remove the environment, caches and the results of demo and bench
+	rm -rf .venv .drivecal .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -1,0 +1,182 @@
+"""What the service answers about campaigns."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict
+
+
+class Answer(BaseModel):
+    """The base of all answers: immutable; a client of an older version ignores what it does not know."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+
+class Progress(Answer):
+    """Cells of the running stage: `done` of `total`; `eta_seconds` null until it can be estimated."""
+
+    done: int = 0
+    total: int = 0
+    eta_seconds: float | None = None
+
+
+class CellCounts(Answer):
+    """The calibration stage's cells: proposed = carried_over + pending + requested, and
+    requested = repeated + reused + certified + simulated + failed at every moment; `audited` are among `simulated`."""
+
+    proposed: int = 0
+    carried_over: int = 0
+    pending: int = 0
+    requested: int = 0
+    repeated: int = 0
+    reused: int = 0
+    certified: int = 0
+    simulated: int = 0
+    failed: int = 0
+    audited: int = 0
+
+
+class SensitivityCellCounts(Answer):
+    """The sensitivity stage's cells."""
+
+    requested: int = 0
+    repeated: int = 0
+    certified: int = 0
+    simulated: int = 0
+    failed: int = 0
+
+
+class ErrorRate(Answer):
+    """What the self-check found in one scenario: `different`: any change; `wrong`: |dF| > 1 (Eq. 8); `upper_95`: the upper end of
+    the 95 % Clopper-Pearson interval of wrong / audited, null before the first audit."""
+
+    audited: int = 0
+    different: int = 0
+    wrong: int = 0
+    upper_95: float | None = None
+    stopped: bool = False
+
+
+class Best(Answer):
+    """The best parameter set so far. `alternatives` counts all sets whose objective is equal within 1e-9, this one included."""
+
+    objective: float
+    parameters: dict[str, float]
+    scores: dict[str, int]
+    alternatives: int
+
+
+class Baseline(Answer):
+    """The parameter set that the user gave to compare with; null scores are still missing."""
+
+    objective: float | None
+    parameters: dict[str, float]
+    scores: dict[str, int | None]
+
+
+class Seconds(Answer):
+    """`wall`: since the campaign started; `simulating`: CPU time of the workers."""
+
+    wall: float = 0.0
+    simulating: float = 0.0
+
+
+class Campaign(Answer):
+    """A campaign as `GET /campaigns/{id}` shows it."""
+
+    id: str
+    name: str
+    state: str
+    degraded: str | None = None
+    stage: str | None = None
+    iteration: int | None = None
+    progress: Progress = Progress()
+    cells: CellCounts = CellCounts()
+    sensitivity_cells: SensitivityCellCounts = SensitivityCellCounts()
+    error_rate: dict[str, ErrorRate] = {}
+    best: Best | None = None
+    baseline: Baseline | None = None
+    seconds: Seconds = Seconds()
+    error: str | None = None
+    notes: list[str] = []
+    """What a reader should know: scenarios left out by weight 0, reuse that was stopped."""
+    rerun_of: str | None = None
+    created_at: datetime | None = None
+    started_at: datetime | None = None
+    ended_at: datetime | None = None
+    spec: dict[str, Any] = {}
+    links: dict[str, str] = {}
+
+
+class CampaignPage(Answer):
+    """A page of campaigns, newest first; `next_cursor` null on the last."""
+
+    items: list[Campaign]
+    next_cursor: str | None = None
+
+
+class Generation(Answer):
+    """One iteration of the calibration stage."""
+
+    iteration: int
+    proposed: int
+    carried_over: int
+    requested: int
+    repeated: int
+    reused: int
+    certified: int
+    simulated: int
+    failed: int
+    audited: int
+    best: float | None
+    mean: float | None
+    minimum: float | None
+    alternatives: int
+    """Distinct parameter sets seen so far whose objective equals the best so far."""
+
+
+class Solution(Answer):
+    """One evaluated parameter set; `rank` counts from 1, equal objectives are ordered by `rating`, then by discovery."""
+
+    rank: int
+    objective: float
+    rating: float
+    parameters: dict[str, float]
+    scores: dict[str, int]
+    iteration: int
+    individual: int
+
+
+class EvaluationRow(Answer):
+    """One requested cell."""
+
+    id: int
+    stage: str
+    iteration: int
+    individual: int
+    scenario: str
+    parameters: dict[str, float]
+    outcome: str | None
+    """Null while the answer is pending."""
+    score: int | None
+    rating: float | None
+    reference: int | None
+    """The id of the evaluation that answered it, or that was audited."""
+    audited: bool
+    agrees: bool | None
+    failure: str | None
+    milliseconds: float | None
+    worker: str | None
+
+
+class ExpectedRuns(Answer):
+    """What a campaign will cost at most: cells proposed by stage, and simulations if nothing could be answered otherwise."""
+
+    sensitivity: int
+    calibration_proposed: int
+    calibration_at_most: int
+    robustness: int
+    validation: int
+    notes: list[str] = []

@@ -1,0 +1,141 @@
+"""The campaign file: what a user submits, as YAML, JSON or REST body. Bounds on everything; unknown fields are refused.
+
+These models check each field by itself. What needs the installed plug-ins (does the scenario exist, is the value on the grid) is
+checked by `drivecal.campaigns.problem`, which both `POST /campaigns` and `drivecal submit --dry-run` go through.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, field_validator
+
+LARGEST_POPULATION = 100_000
+LARGEST_ITERATIONS = 10_000
+
+Name = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]+$")]
+Identifier = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[A-Za-z][A-Za-z0-9_.-]*$")]
+Number = Annotated[float, Field(ge=-1e6, le=1e6)]
+
+
+class Model(BaseModel):
+    """The base of all that comes from outside: strict, closed, finite."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+
+
+class ParameterSpecification(Model):
+    """A parameter of the user's own space."""
+
+    name: Identifier
+    lower: Number
+    upper: Number
+    step: Annotated[float, Field(ge=0, le=1e6)]
+    unit: Annotated[str, StringConstraints(max_length=32)] = "1"
+
+
+class VehicleSpecification(Model):
+    """A vehicle model and the parameters that differ from its nominal values, by name."""
+
+    model: Identifier = "single_track"
+    parameters: Annotated[dict[Identifier, Annotated[float, Field(gt=0, le=1e9)]], Field(max_length=64)] = {}
+
+
+class MapReference(Model):
+    """Takes an influence map that is stored already instead of computing one."""
+
+    map: Annotated[str, StringConstraints(min_length=1, max_length=64)]
+
+
+class OptimizerSpecification(BaseModel):
+    """What every optimizer has; the rest is the chosen optimizer's own and checked by its plug-in."""
+
+    model_config = ConfigDict(extra="allow", strict=True, frozen=True, allow_inf_nan=False)
+
+    kind: Identifier = "genetic"
+    population: Annotated[int, Field(ge=2, le=LARGEST_POPULATION)] = 1000
+    iterations: Annotated[int, Field(ge=1, le=LARGEST_ITERATIONS)] = 20
+    start: Literal["lhs", "halton"] = "lhs"
+    seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 1
+
+
+class ReductionSpecification(Model):
+    """Which cells may be answered without a simulation.
+
+    `off`: none but in-population duplicates' own repeats is ever copied; `exact`: equal parameter sets; `influence`: Figure 6.
+    """
+
+    mode: Literal["off", "exact", "influence"] = "influence"
+    audit: Annotated[float, Field(ge=0, le=1)] = 0.02
+    max_error: Annotated[float, Field(gt=0, le=1)] = 0.02
+    certified: Literal[False] = False
+    """Certified reuse is not there yet, so only false is accepted."""
+
+
+class CampaignSpecification(Model):
+    """A whole campaign. Everything has a default, so that `{}` is the paper's problem without its sensitivity analysis."""
+
+    name: Name = "campaign"
+    catalogue: Identifier | Annotated[list[Identifier], Field(min_length=1, max_length=1000)] = "highway"
+    parameters: Identifier | Annotated[list[ParameterSpecification], Field(min_length=1, max_length=200)] = "highway"
+    fixed: Annotated[dict[Identifier, Number], Field(max_length=200)] = {}
+    baseline: Annotated[dict[Identifier, Number], Field(max_length=200)] | None = None
+    weights: Annotated[dict[Identifier, Annotated[float, Field(ge=0, le=1e6)]], Field(max_length=1000)] = {}
+    driving_function: Identifier = "frenet"
+    vehicle: VehicleSpecification = VehicleSpecification()
+    evaluator: Identifier = "reference"
+    sensitivity: MapReference | None = None
+    optimizer: OptimizerSpecification = OptimizerSpecification()
+    reduction: ReductionSpecification = ReductionSpecification()
+    robustness: None = None
+    """The robustness stage is not there yet, so only null is accepted."""
+    validation: None = None
+    """The validation stage is not there yet, so only null is accepted."""
+
+    @field_validator("catalogue")
+    @classmethod
+    def _no_scenario_twice(cls, value: str | list[str]) -> str | list[str]:
+        if isinstance(value, list) and len(set(value)) != len(value):
+            raise ValueError("a scenario is listed twice; list each once")
+        return value
+
+
+class RerunSpecification(Model):
+    """What a rerun changes; everything else, the references and the influence map included, is taken from the first campaign."""
+
+    weights: Annotated[dict[Identifier, Annotated[float, Field(ge=0, le=1e6)]], Field(max_length=1000)]
+    name: Name | None = None
+    optimizer: OptimizerSpecification | None = None
+    reduction: ReductionSpecification | None = None
+
+
+class InfluenceSpecification(Model):
+    """Expert knowledge of one parameter in one scenario: inclusive influential bounds in parameter units; null is the space's own."""
+
+    influential: bool = True
+    lower: Number | None = None
+    upper: Number | None = None
+
+
+class InfluenceMapSpecification(Model):
+    """An influence map as a user posts it, checked against the grid of `parameters`. What is not listed counts as influential."""
+
+    name: Name = "influence map"
+    catalogue: Identifier | Annotated[list[Identifier], Field(min_length=1, max_length=1000)] = "highway"
+    parameters: Identifier | Annotated[list[ParameterSpecification], Field(min_length=1, max_length=200)] = "highway"
+    driving_function: Identifier = "frenet"
+    scenarios: Annotated[
+        dict[Identifier, Annotated[dict[Identifier, InfluenceSpecification], Field(max_length=200)]],
+        Field(min_length=1, max_length=1000),
+    ]
+
+
+class EvaluationSpecification(Model):
+    """One parameter set in one scenario, or in all of the catalogue."""
+
+    parameters: Annotated[dict[Identifier, Number], Field(min_length=1, max_length=200)]
+    scenario: Identifier | None = None
+    catalogue: Identifier = "highway"
+    driving_function: Identifier = "frenet"
+    vehicle: VehicleSpecification = VehicleSpecification()
+    evaluator: Identifier = "reference"

@@ -1,0 +1,59 @@
+"""What the dispatcher and the workers say to each other: plain, picklable data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class SetupRequest:
+    """Names what to run; the worker rebuilds the setup from its own installation and compares the fingerprints."""
+
+    catalogue: str
+    scenario: str
+    driving_function: str
+    vehicle: str
+    vehicle_parameters: Mapping[str, float]
+    """Every parameter of the vehicle model."""
+    evaluator: str
+    run_fingerprint: str
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """One parameter set to simulate: `parameters` by name; `id` is the dispatcher's own."""
+
+    id: int
+    parameters: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """Cells of one setup, sized so that they take 50 to 500 ms."""
+
+    setup: SetupRequest
+    cells: tuple[Cell, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class CellResult:
+    """What became of one cell: a rated run (`breakdown` None) or no result (`breakdown` says why, `detail` in words)."""
+
+    id: int
+    rating: float | None
+    score: int | None
+    metrics: Mapping[str, float]
+    failure: str | None
+    milliseconds: float
+    """CPU time of the worker."""
+    breakdown: str | None = None
+    detail: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class BatchResult:
+    """The results of a batch, in its order, and the worker that gave them."""
+
+    worker: str
+    results: tuple[CellResult, ...]

@@ -1,0 +1,1 @@
+"""What drivecal talks about: pure, frozen values without I/O, on the standard library and numpy alone."""

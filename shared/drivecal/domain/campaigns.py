@@ -1,0 +1,31 @@
+"""The life of a campaign."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+
+class CampaignState(StrEnum):
+    """Where a campaign is in its life."""
+
+    QUEUED = "queued"
+    RUNNING = "running"
+    PAUSED = "paused"
+    CANCELLING = "cancelling"
+    CANCELLED = "cancelled"
+    SUCCEEDED = "succeeded"
+    FAILED = "failed"
+
+    @property
+    def ended(self) -> bool:
+        """True where nothing will change any more."""
+        return self in {CampaignState.CANCELLED, CampaignState.SUCCEEDED, CampaignState.FAILED}
+
+
+class Stage(StrEnum):
+    """The stages of a campaign, in the order in which they run."""
+
+    SENSITIVITY = "sensitivity"
+    CALIBRATION = "calibration"
+    ROBUSTNESS = "robustness"
+    VALIDATION = "validation"

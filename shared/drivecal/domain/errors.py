@@ -1,0 +1,64 @@
+"""The tree of errors that drivecal raises on purpose.
+
+Every error says in one sentence what is wrong and, where a remedy exists, what would be right. They carry plain strings only, so
+that they survive pickling between processes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+class DrivecalError(Exception):
+    """The root: catch this to catch everything drivecal raises on purpose."""
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """One thing that is wrong with an input.
+
+    `field` is the path of the field, dotted (`optimizer.population`); `message` says what is wrong; `remedy` what would be right.
+    """
+
+    field: str
+    message: str
+    remedy: str = ""
+
+    def __str__(self) -> str:
+        text = f"{self.field}: {self.message}" if self.field else self.message
+        return f"{text}; {self.remedy}" if self.remedy else text
+
+
+class InvalidInputError(DrivecalError):
+    """The input cannot be used. `problems` names each field, what is wrong with it and what would be right."""
+
+    def __init__(self, *problems: Problem) -> None:
+        super().__init__(*problems)
+        self.problems = problems
+
+    def __str__(self) -> str:
+        return "\n".join(str(problem) for problem in self.problems)
+
+
+class NotFoundError(DrivecalError):
+    """No such campaign, evaluation, map: `kind` and `identifier` say what was asked for."""
+
+    def __init__(self, kind: str, identifier: str) -> None:
+        super().__init__(kind, identifier)
+        self.kind = kind
+        self.identifier = identifier
+
+    def __str__(self) -> str:
+        return f"there is no {self.kind} {self.identifier!r}"
+
+
+class ConflictError(DrivecalError):
+    """The request does not fit the state of what it is about, or contradicts an earlier request."""
+
+
+class UnavailableError(DrivecalError):
+    """Something drivecal depends on (database, server, Ray) does not answer; trying again later may work."""
+
+
+class DatabaseError(DrivecalError):
+    """The database cannot be used as it is: no database, another program's, another version's, or held by another server."""

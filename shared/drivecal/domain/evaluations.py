@@ -1,0 +1,57 @@
+"""How a cell, one (parameter set, scenario) pair, gets its answer, and what an answer is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class Outcome(StrEnum):
+    """What answered a requested cell. Order of trying: repeated, reused, certified, simulated."""
+
+    REPEATED = "repeated"
+    """Same setup, same parameter set: its own stored result."""
+    REUSED = "reused"
+    """A reference that differs only inside non-influential regions (Figure 6 of the paper)."""
+    CERTIFIED = "certified"
+    """A stored run that is proved to be bit-identical to what the simulation would have given."""
+    SIMULATED = "simulated"
+    """A run that gave a result, a failure with score 0 included."""
+    FAILED = "failed"
+    """No result after all attempts: score null, ranked last, never a reference."""
+
+
+class Failure(StrEnum):
+    """Why a simulated run scores 0."""
+
+    COLLISION = "collision"
+    OFF_ROAD = "off_road"
+    TASK_MISSED = "task_missed"
+    UNSTABLE = "unstable"
+
+
+class Breakdown(StrEnum):
+    """Why a cell has no result at all after all attempts."""
+
+    CRASH = "crash"
+    HANG = "hang"
+    MEMORY = "memory"
+    ERROR = "error"
+
+
+@dataclass(frozen=True, slots=True)
+class Rating:
+    """Comfort on the paper's scale: `rating` continuous in 0..7, `score` its rounding, 7 is best."""
+
+    rating: float
+    score: int
+
+
+@dataclass(frozen=True, slots=True)
+class RunResult:
+    """What one simulation gave: the measured metrics (names carry units), why it failed if it did, and its rating."""
+
+    rating: Rating
+    metrics: Mapping[str, float]
+    failure: Failure | None = None

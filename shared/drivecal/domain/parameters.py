@@ -1,0 +1,239 @@
+"""Calibration parameters on integer grids.
+
+A value is an exact decimal with at most nine decimals. Inside drivecal it travels as a grid index (relative to one campaign's
+bounds) or as an integer number of billionths (absolute); both are exact, floats appear only where the driving function computes.
+What identifies a stored parameter set is therefore independent of bounds and steps, and narrower bounds find old results.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from decimal import Decimal
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from drivecal.domain.errors import InvalidInputError, Problem
+
+BILLION = 1_000_000_000
+LARGEST_VALUE = Decimal(1_000_000)
+"""Bounds beyond this are refused: billionths of it are exact in a float64, which keeps the JSON form of a value exact too."""
+
+Indices = npt.NDArray[np.int64]
+
+
+def decimal(value: float | str | Decimal) -> Decimal:
+    """The exact decimal a user typed: 0.1 means 1/10, not the nearest binary fraction."""
+    return value if isinstance(value, Decimal) else Decimal(str(value))
+
+
+def billionths(value: Decimal) -> int:
+    """`value` as an integer number of billionths. Raises ValueError where it has more than nine decimals."""
+    scaled = value * BILLION
+    if scaled != scaled.to_integral_value():
+        raise ValueError(f"{value} has more than nine decimals")
+    return int(scaled)
+
+
+def from_billionths(value: int) -> Decimal:
+    """The inverse of `billionths`, in lowest terms (0.5, not 0.500000000)."""
+    return Decimal(value).scaleb(-9).normalize() + Decimal(0)
+
+
+def text(value: Decimal) -> str:
+    """The one way a value is written: no exponent, no trailing zeros, no negative zero."""
+    return format(from_billionths(billionths(value)), "f")
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One calibration parameter: `n_values` equally spaced values from `lower` to `upper`, both included, in `unit`."""
+
+    name: str
+    lower: Decimal
+    upper: Decimal
+    n_values: int
+    unit: str = "1"
+    description: str = ""
+
+    @classmethod
+    def from_step(
+        cls, name: str, lower: Decimal, upper: Decimal, step: Decimal, unit: str = "1", description: str = ""
+    ) -> Parameter:
+        """The grid lower, lower + step, ... upper. Raises InvalidInputError naming the field that does not fit."""
+
+        def refuse(attribute: str, message: str, remedy: str) -> InvalidInputError:
+            return InvalidInputError(Problem(f"{name}.{attribute}", message, remedy))
+
+        for attribute, value in (("lower", lower), ("upper", upper), ("step", step)):
+            if not value.is_finite() or abs(value) > LARGEST_VALUE:
+                raise refuse(attribute, f"{value} is not a usable number", f"give a number within ±{LARGEST_VALUE}")
+            if (value * BILLION) % 1 != 0:
+                raise refuse(attribute, f"{value} has more than nine decimals", "round it")
+        if step == 0:
+            raise refuse("step", "continuous parameters are not supported yet", "give the step of the grid, e.g. 0.01")
+        if step < 0:
+            raise refuse("step", f"{step} is negative", "give a positive step")
+        if upper <= lower:
+            raise refuse(
+                "upper",
+                f"the grid is empty: upper {upper} is not above lower {lower}",
+                "to hold a parameter, name it in `fixed`",
+            )
+        if (upper - lower) % step != 0:
+            below = lower + (upper - lower) // step * step
+            remedy = f"give e.g. upper {text(below)} or {text(below + step)}"
+            raise refuse("step", f"upper {upper} is not lower {lower} plus a multiple of step {step}", remedy)
+        n_values = int((upper - lower) / step) + 1
+        if n_values > 1_000_000:
+            raise refuse("step", f"{n_values} values are too many", "give a step that makes at most 1,000,000")
+        return cls(name, lower, upper, n_values, unit, description)
+
+    @classmethod
+    def from_bits(
+        cls, name: str, lower: Decimal, upper: Decimal, bits: int, unit: str = "1", description: str = ""
+    ) -> Parameter:
+        """The paper's lattice (Section II-B): the range split into 2**bits values, rounded to nine decimals."""
+        return cls(name, lower, upper, 2**bits, unit, description)
+
+    def billionths(self, index: int) -> int:
+        """The value at a grid index, in billionths."""
+        low, high = billionths(self.lower), billionths(self.upper)
+        numerator = (high - low) * int(index)
+        denominator = self.n_values - 1
+        return low + (2 * numerator + denominator) // (2 * denominator)
+
+    @property
+    def all_billionths(self) -> npt.NDArray[np.int64]:
+        """Every value of the grid in billionths, shape (n_values,)."""
+        return np.array([self.billionths(index) for index in range(self.n_values)], dtype=np.int64)
+
+    def value(self, index: int) -> Decimal:
+        """The value at a grid index."""
+        return from_billionths(self.billionths(index))
+
+    def index(self, value: Decimal, field_name: str | None = None) -> int:
+        """The grid index of a value. Raises InvalidInputError naming the nearest values where it is off the grid."""
+        where = field_name or self.name
+        if not value.is_finite() or not self.lower <= value <= self.upper:
+            remedy = f"give a value from {text(self.lower)} to {text(self.upper)}"
+            raise InvalidInputError(Problem(where, f"{value} lies outside the range", remedy))
+        position = (value - self.lower) / (self.upper - self.lower) * (self.n_values - 1)
+        index = int(position.to_integral_value())
+        if self.value(index) != value:
+            below = max(0, min(int(position), self.n_values - 2))
+            neighbours = f"{text(self.value(below))} or {text(self.value(below + 1))}"
+            raise InvalidInputError(Problem(where, f"{value} is not on the grid", f"the nearest values are {neighbours}"))
+        return index
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterSet:
+    """One value per parameter, in billionths, ordered by name as the driving function orders them."""
+
+    names: tuple[str, ...]
+    billionths: tuple[int, ...]
+
+    @classmethod
+    def of(cls, values: Mapping[str, Decimal]) -> ParameterSet:
+        """From exact decimals by name."""
+        return cls(tuple(values), tuple(billionths(value) for value in values.values()))
+
+    @classmethod
+    def from_json(cls, document: str) -> ParameterSet:
+        """The inverse of `to_json`."""
+        values: dict[str, Decimal] = json.loads(document, parse_float=Decimal, parse_int=Decimal)
+        return cls.of(values)
+
+    @property
+    def values(self) -> dict[str, Decimal]:
+        """The exact decimals by name."""
+        return {name: from_billionths(value) for name, value in zip(self.names, self.billionths, strict=True)}
+
+    @property
+    def floats(self) -> dict[str, float]:
+        """The nearest floats by name: what the driving function computes with and what JSON and tables show."""
+        return {name: float(value) for name, value in self.values.items()}
+
+    def to_json(self) -> str:
+        """Exact and readable: `{"P1": 0.5, ...}`."""
+        return "{" + ", ".join(f'"{name}": {text(value)}' for name, value in self.values.items()) + "}"
+
+    @property
+    def key(self) -> bytes:
+        """16 bytes that identify the set, whatever bounds, steps and order of names it came from."""
+        canonical = ";".join(f"{name}={value}" for name, value in sorted(zip(self.names, self.billionths, strict=True)))
+        return hashlib.blake2b(canonical.encode(), digest_size=16).digest()
+
+
+@dataclass(frozen=True)
+class ParameterSpace:
+    """The search space of a campaign: `parameters` on their grids, of which those in `fixed` are held and not searched.
+
+    Populations are integer arrays of shape (n, n_searched) in the order of `searched`.
+    """
+
+    parameters: tuple[Parameter, ...]
+    fixed: Mapping[str, Decimal] = field(default_factory=dict)
+
+    @cached_property
+    def searched(self) -> tuple[Parameter, ...]:
+        """The parameters that the optimizer may change."""
+        return tuple(parameter for parameter in self.parameters if parameter.name not in self.fixed)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """All names, searched and fixed, in order."""
+        return tuple(parameter.name for parameter in self.parameters)
+
+    @cached_property
+    def n_values(self) -> Indices:
+        """Grid sizes of the searched parameters, shape (n_searched,)."""
+        return np.array([parameter.n_values for parameter in self.searched], dtype=np.int64)
+
+    @cached_property
+    def _tables(self) -> dict[str, list[int]]:
+        return {parameter.name: parameter.all_billionths.tolist() for parameter in self.searched}
+
+    def parameter_set(self, indices: Iterable[int]) -> ParameterSet:
+        """The parameter set at one row of grid indices, shape (n_searched,)."""
+        found = {
+            parameter.name: self._tables[parameter.name][index] for parameter, index in zip(self.searched, indices, strict=True)
+        }
+        held = {name: billionths(value) for name, value in self.fixed.items()}
+        return ParameterSet(self.names, tuple(found[name] if name in found else held[name] for name in self.names))
+
+    def parameter_sets(self, population: Indices) -> list[ParameterSet]:
+        """The parameter sets of a population, shape (n, n_searched)."""
+        return [self.parameter_set(row) for row in population.tolist()]
+
+    def indices(self, values: Mapping[str, Decimal], field_name: str = "parameters") -> Indices:
+        """Grid indices of the searched parameters, shape (n_searched,). Raises InvalidInputError for each value off the grid."""
+        problems: list[Problem] = []
+        found: list[int] = []
+        for name in values:
+            if name not in self.names:
+                problems.append(
+                    Problem(f"{field_name}.{name}", "there is no such parameter", f"one of {', '.join(self.names)}")
+                )
+        for parameter in self.searched:
+            where = f"{field_name}.{parameter.name}"
+            if parameter.name not in values:
+                problems.append(Problem(where, "the value is missing", "give one value per parameter"))
+                continue
+            try:
+                found.append(parameter.index(values[parameter.name], where))
+            except InvalidInputError as error:
+                problems.extend(error.problems)
+        for name, held in self.fixed.items():
+            if name in values and values[name] != held:
+                problems.append(
+                    Problem(f"{field_name}.{name}", f"{values[name]} differs from the fixed value", f"give {text(held)}")
+                )
+        if problems:
+            raise InvalidInputError(*problems)
+        return np.array(found, dtype=np.int64)

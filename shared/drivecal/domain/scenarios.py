@@ -1,0 +1,119 @@
+"""Scenarios: a road, the traffic on it, and what the ego vehicle has to do. Pure data; SI units throughout.
+
+Positions are Frenet coordinates on the road's reference line, the centre line of the rightmost lane: s along it, d to its left,
+both in metres. Lane i (0 = rightmost) has its centre at d = i * lane width.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+
+from drivecal.domain.setups import canonical_json, digest
+
+
+class Manoeuvre(StrEnum):
+    """The classes for which comfort is rated (Section IV-A of the paper)."""
+
+    LANE_CHANGE = "lane_change"
+    LANE_KEEPING = "lane_keeping"
+    SPEED_CHANGE = "speed_change"
+
+
+@dataclass(frozen=True, slots=True)
+class CurvatureKnot:
+    """The reference line's curvature (1/m, positive to the left) at arc length s; linear between knots: clothoids and arcs."""
+
+    s: float
+    curvature: float
+
+
+@dataclass(frozen=True, slots=True)
+class Road:
+    """A motorway carriageway: `lanes` lanes of `lane_width` metres along a reference line given by its curvature."""
+
+    length: float
+    lanes: int
+    lane_width: float
+    knots: tuple[CurvatureKnot, ...]
+
+    @property
+    def right_edge(self) -> float:
+        """Offset d of the right boundary."""
+        return -0.5 * self.lane_width
+
+    @property
+    def left_edge(self) -> float:
+        """Offset d of the left boundary."""
+        return (self.lanes - 0.5) * self.lane_width
+
+
+@dataclass(frozen=True, slots=True)
+class EgoStart:
+    """Where the ego vehicle starts: s, d (m), speed (m/s) and heading relative to the road (rad)."""
+
+    s: float
+    d: float
+    speed: float
+    heading: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedKnot:
+    """The desired speed (m/s) from arc length s on, until the next knot."""
+
+    s: float
+    speed: float
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """What the ego vehicle has to do: be in the target lane and drive the desired speed."""
+
+    start_lane: int
+    target_lane: int
+    speeds: tuple[SpeedKnot, ...]
+    lane_change_after: float = 0.0
+    """Time (s) from which the target lane is wanted."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrafficVehicle:
+    """Another vehicle: where it starts, how fast it wants to drive, how it reacts (a SUMO car-following type), how it drifts."""
+
+    id: str
+    lane: int
+    s: float
+    speed: float
+    desired_speed: float
+    length: float = 4.6
+    width: float = 1.9
+    acceleration: float = 1.5
+    deceleration: float = 3.0
+    time_headway: float = 1.2
+    drift: tuple[tuple[float, float], ...] = ()
+    """Lateral movement inside its lane: (time in s, offset from the lane centre in m), linear between."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """One manoeuvre of the catalogue."""
+
+    id: str
+    title: str
+    manoeuvre: Manoeuvre
+    duration: float
+    step: float
+    road: Road
+    network: bytes
+    """The content of the SUMO network file built from `road`."""
+    ego: EgoStart
+    task: Task
+    traffic: tuple[TrafficVehicle, ...] = ()
+    seed: int = 1
+
+    @property
+    def digest(self) -> str:
+        """Content hash of the whole definition, the network's bytes included."""
+        document = asdict(self) | {"network": digest(self.network)}
+        return digest(canonical_json(document).encode())

@@ -1,0 +1,70 @@
+"""Setups: everything besides the parameter set that decides a run, and the fingerprints that name it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+
+def canonical_json(document: object) -> str:
+    """One text per document: sorted keys, no white space, shortest floats, no NaN."""
+    return json.dumps(document, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+
+
+def digest(content: bytes) -> str:
+    """The content hash used throughout: BLAKE2b, 128 bits, hexadecimal."""
+    return hashlib.blake2b(content, digest_size=16).hexdigest()
+
+
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """One scenario driven by one driving function in one vehicle in one simulator.
+
+    Weights and bounds are not in it, so reweighted reruns and narrowed ranges find everything.
+    """
+
+    scenario: str
+    scenario_digest: str
+    """Of the scenario's definition and its network's bytes."""
+    driving_function: str
+    driving_function_version: str
+    vehicle: str
+    vehicle_version: str
+    vehicle_parameters: Mapping[str, float]
+    simulator: str
+    """Name and version, e.g. `libsumo 1.28.0`."""
+    step_seconds: float
+    seed: int
+
+    @property
+    def document(self) -> dict[str, object]:
+        """All that is fingerprinted, as plain data."""
+        return {
+            "scenario": self.scenario,
+            "scenario_digest": self.scenario_digest,
+            "driving_function": self.driving_function,
+            "driving_function_version": self.driving_function_version,
+            "vehicle": self.vehicle,
+            "vehicle_version": self.vehicle_version,
+            "vehicle_parameters": dict(self.vehicle_parameters),
+            "simulator": self.simulator,
+            "step_seconds": self.step_seconds,
+            "seed": self.seed,
+        }
+
+    @property
+    def fingerprint(self) -> str:
+        """The run fingerprint."""
+        return digest(canonical_json(self.document).encode())
+
+    @classmethod
+    def from_document(cls, document: Mapping[str, object]) -> Setup:
+        """The inverse of `document`."""
+        return cls(**document)  # type: ignore[arg-type]  # the fields are those written by `document`
+
+
+def rating_fingerprint(run_fingerprint: str, evaluator: str, evaluator_version: str) -> str:
+    """Names a rating: the run with the evaluator that rated it."""
+    return digest(f"{run_fingerprint}:{evaluator}:{evaluator_version}".encode())

@@ -1,0 +1,17 @@
+"""What identifies a vehicle model: its parameters with the bounds within which robustness is examined."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleParameter:
+    """One physical parameter of a vehicle model in `unit`, with its nominal value and the bounds of Table 8."""
+
+    name: str
+    unit: str
+    nominal: float
+    minimum: float
+    maximum: float
+    description: str = ""

@@ -1,0 +1,155 @@
+"""The ports of drivecal: what a driving function, vehicle, evaluator, optimizer or scenario catalogue must offer.
+
+A plug-in is an object behind a Python entry point (`drivecal.driving_functions`, `.vehicles`, `.evaluators`, `.optimizers`,
+`.scenarios`). The object itself is a light description that the coordinator loads; the machinery behind `create` (numba kernels, model
+arrays) is imported by workers only, inside `create`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import BaseModel
+
+from drivecal.domain.evaluations import Rating
+from drivecal.domain.parameters import Indices, Parameter
+from drivecal.domain.scenarios import Manoeuvre, Scenario
+from drivecal.domain.vehicles import VehicleParameter
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(slots=True)
+class Observation:
+    """What the driving function sees at one planning instant.
+
+    `ego`: (s, s', s'', d, d', d''), derivatives with respect to time, SI units, shape (6,).
+    `neighbours`: one row per other vehicle in the order of the scenario's traffic: (s, d, s', d', length, width), shape (n, 6).
+    """
+
+    time: float
+    ego: Floats
+    neighbours: Floats
+
+
+class Planner(Protocol):
+    """A driving function at work in one scenario. Deterministic: its answers depend on what it was given since `reset` only."""
+
+    period: float
+    """Time between two plans, s; a multiple of the scenario's step."""
+
+    def reset(self, parameters: Sequence[float]) -> None:
+        """Starts a new run with these parameter values, in the order of the driving function's parameters."""
+
+    def plan(self, observation: Observation) -> Floats:
+        """The trajectory to follow from now on, shape (n, 7): rows every scenario step, columns
+        (t from now, x, y, heading, curvature, speed, acceleration); at least `period` plus one second long."""
+
+
+class DrivingFunction(Protocol):
+    """A driving function whose parameters are calibrated."""
+
+    name: str
+    version: str
+    """Changes whenever any result may change by a bit."""
+    spaces: Mapping[str, tuple[Parameter, ...]]
+    """Built-in search spaces by name, each with all parameters in the order that `Planner.reset` expects."""
+    limits: Mapping[str, tuple[float | None, float | None]]
+    """Smallest and largest value that a user's own space may contain, by parameter; None is unlimited."""
+    certifiable: bool
+    """True where it decides by the lowest cost, linear in weights that depend on parameters, over features that do not."""
+
+    def create(self, scenario: Scenario) -> Planner:
+        """The planner for one scenario."""
+
+
+class VehicleModel(Protocol):
+    """A vehicle at work. The sample time of `dynamics` is 0.01 s."""
+
+    def start(self, x: float, y: float, heading: float, speed: float) -> None:
+        """Starts a new run."""
+
+    @property
+    def pose(self) -> Floats:
+        """(x, y, heading, speed, side slip angle, yaw rate, longitudinal acceleration, lateral acceleration), shape (8,), SI."""
+
+    def follow(self, trajectory: Floats, since: float, duration: float, dynamics: Floats) -> bool:
+        """Tracks `trajectory` (as from `Planner.plan`) from `since` seconds after its start for `duration` seconds.
+
+        Writes one row per 0.01 s to `dynamics`, shape (duration / 0.01, 5): speed, longitudinal acceleration, lateral
+        acceleration, yaw rate, steering angle. False where the vehicle went unstable (spin, non-finite state).
+        """
+
+
+class Vehicle(Protocol):
+    """A vehicle model that can be chosen in a campaign."""
+
+    name: str
+    version: str
+    parameters: tuple[VehicleParameter, ...]
+
+    def create(self, parameters: Mapping[str, float]) -> VehicleModel:
+        """The model with these values, one for each of `parameters`."""
+
+
+class Evaluator(Protocol):
+    """Rates the comfort of a run from its measured metrics."""
+
+    name: str
+    version: str
+
+    def rate(self, manoeuvre: Manoeuvre, metrics: Mapping[str, float]) -> Rating:
+        """The rating of a run that did not fail."""
+
+
+class Catalogue(Protocol):
+    """A catalogue of scenarios."""
+
+    name: str
+    scenarios: Mapping[str, Scenario]
+    """By id, in the order of the catalogue."""
+
+
+@dataclass(frozen=True, slots=True)
+class Proposal:
+    """One iteration's population.
+
+    `population`: grid indices, shape (n, n_searched). `changed`: shape (n,), False for individuals that the optimizer left as they
+    were in the last iteration: they are carried over, not requested again.
+    """
+
+    population: Indices
+    changed: npt.NDArray[np.bool_]
+
+
+class Optimizer(Protocol):
+    """Pure ask/tell over grid indices. Serialisable at any moment: a restored optimizer goes on exactly as the original."""
+
+    def ask(self) -> Proposal:
+        """The next population. To be followed by `tell`."""
+
+    def tell(self, objectives: Floats, tie_breakers: Floats) -> None:
+        """The objectives of the asked population, shape (n,), higher is better, NaN for individuals without a result (ranked last);
+        `tie_breakers` rank equal objectives (the weighted continuous rating)."""
+
+    def state(self) -> dict[str, Any]:
+        """All of it, as JSON-ready plain data."""
+
+
+class OptimizerPlugin(Protocol):
+    """An optimizer that can be chosen in a campaign by its `name` (`optimizer.kind`)."""
+
+    name: str
+    settings: type[BaseModel]
+    """Validates the campaign's `optimizer` section; has at least `kind`, `population`, `iterations`, `seed`."""
+
+    def create(self, settings: BaseModel, n_values: Indices, start: Indices | None = None) -> Optimizer:
+        """A fresh optimizer for grids of sizes `n_values`, shape (n_searched,); `start`, shape (k, n_searched), k <= population, are
+        parameter sets that must be in the start population."""
+
+    def restore(self, settings: BaseModel, n_values: Indices, state: Mapping[str, Any]) -> Optimizer:
+        """An optimizer that goes on from `state`."""
