@@ -147,6 +147,9 @@ class OptimizerPlugin(Protocol):
     settings: type[BaseModel]
     """Validates the campaign's `optimizer` section; has at least `kind`, `population`, `iterations`, `seed`."""
 
+    def requested_individuals(self, settings: BaseModel) -> int:
+        """How many individuals are requested at most over all iterations; the others are carried over."""
+
     def create(self, settings: BaseModel, n_values: Indices, start: Indices | None = None) -> Optimizer:
         """A fresh optimizer for grids of sizes `n_values`, shape (n_searched,); `start`, shape (k, n_searched), k <= population, are
         parameter sets that must be in the start population."""

@@ -1,0 +1,357 @@
+"""Resolves what a user submitted against what is installed: the one place that decides whether a campaign can run.
+
+`POST /campaigns`, `?validate_only=true`, `submit --dry-run` and the dispatcher all go through here. Everything wrong with a
+specification is reported at once, each with its field and what would be right.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from decimal import Decimal
+from functools import cached_property
+from typing import TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from drivecal.contracts.campaign import ExpectedRuns
+from drivecal.contracts.specification import (
+    CampaignSpecification,
+    EvaluationSpecification,
+    OptimizerSpecification,
+    ParameterSpecification,
+    VehicleSpecification,
+)
+from drivecal.contracts.work import SetupRequest
+from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.domain.parameters import Parameter, ParameterSet, ParameterSpace, billionths, decimal, text
+from drivecal.domain.scenarios import Scenario
+from drivecal.domain.setups import Setup
+from drivecal.plugins import registry
+from drivecal.plugins.ports import DrivingFunction, Evaluator, OptimizerPlugin, Vehicle
+from drivecal.plugins.setups import setup_of
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Everything besides the parameter set: which scenarios are driven by what, in which vehicle, rated by whom."""
+
+    scenarios: Mapping[str, tuple[str, Scenario]]
+    """By scenario id, in the catalogue's order: (catalogue's name, scenario)."""
+    driving_function: DrivingFunction
+    vehicle: Vehicle
+    vehicle_parameters: Mapping[str, float]
+    evaluator: Evaluator
+
+    @cached_property
+    def setups(self) -> dict[str, Setup]:
+        """The setup of each scenario."""
+        return {
+            name: setup_of(scenario, self.driving_function, self.vehicle, self.vehicle_parameters)
+            for name, (_, scenario) in self.scenarios.items()
+        }
+
+    @cached_property
+    def requests(self) -> dict[str, SetupRequest]:
+        """What a worker is asked to run, by scenario."""
+        return {
+            name: SetupRequest(
+                catalogue=catalogue,
+                scenario=name,
+                driving_function=self.driving_function.name,
+                vehicle=self.vehicle.name,
+                vehicle_parameters=self.setups[name].vehicle_parameters,
+                evaluator=self.evaluator.name,
+                run_fingerprint=self.setups[name].fingerprint,
+            )
+            for name, (catalogue, _) in self.scenarios.items()
+        }
+
+    @property
+    def evaluator_id(self) -> str:
+        """Name and version of the evaluator: with the run fingerprint it names a rating."""
+        return f"{self.evaluator.name} {self.evaluator.version}"
+
+
+@dataclass(frozen=True)
+class CalibrationProblem:
+    """A campaign that can run."""
+
+    specification: CampaignSpecification
+    bench: Bench
+    space: ParameterSpace
+    weights: Mapping[str, float]
+    """Normalised to a sum of 1, by scenario; scenarios of weight 0 are left out (Eq. 6)."""
+    optimizer: OptimizerPlugin
+    optimizer_settings: BaseModel
+    baseline: ParameterSet | None
+    notes: tuple[str, ...]
+
+    @property
+    def scenarios(self) -> tuple[str, ...]:
+        """The ids of the scenarios that are simulated, in the catalogue's order."""
+        return tuple(self.weights)
+
+    def expected_runs(self) -> ExpectedRuns:
+        """What the campaign costs if no cell could be answered without a simulation."""
+        optimizer = self.specification.optimizer
+        proposed = optimizer.population * optimizer.iterations * len(self.scenarios)
+        requested = self.optimizer.requested_individuals(self.optimizer_settings) * len(self.scenarios)
+        return ExpectedRuns(
+            sensitivity=0,
+            calibration_proposed=proposed,
+            calibration_at_most=requested,
+            robustness=0,
+            validation=0,
+            notes=list(self.notes),
+        )
+
+
+@dataclass(frozen=True)
+class EvaluationProblem:
+    """One parameter set to be driven in one or more scenarios."""
+
+    bench: Bench
+    parameter_set: ParameterSet
+
+
+class _Findings:
+    """Collects problems, so that a user sees all of them at once."""
+
+    def __init__(self) -> None:
+        self.problems: list[Problem] = []
+
+    def add(self, field: str, message: str, remedy: str = "") -> None:
+        self.problems.append(Problem(field, message, remedy))
+
+    def raise_if_any(self) -> None:
+        if self.problems:
+            raise InvalidInputError(*self.problems)
+
+
+def resolve(specification: CampaignSpecification) -> CalibrationProblem:
+    """The problem that a specification describes. Raises InvalidInputError with everything that is wrong."""
+    findings = _Findings()
+    scenarios = _scenarios(specification.catalogue, findings)
+    function = _load(findings, registry.driving_function, specification.driving_function)
+    vehicle, vehicle_parameters = _vehicle(specification.vehicle, findings)
+    evaluator = _load(findings, registry.evaluator, specification.evaluator)
+    optimizer, settings = _optimizer(specification.optimizer, findings)
+    weights, notes = _weights(specification.weights, list(scenarios), findings)
+    space = None if function is None else _space(specification, function, findings)
+    baseline = _baseline(specification.baseline, space, findings)
+    findings.raise_if_any()
+    if function is None or vehicle is None or evaluator is None or optimizer is None or settings is None or space is None:
+        raise AssertionError("a part is missing without a finding")
+    bench = Bench({name: scenarios[name] for name in weights}, function, vehicle, vehicle_parameters, evaluator)
+    return CalibrationProblem(specification, bench, space, weights, optimizer, settings, baseline, notes)
+
+
+def resolve_evaluation(specification: EvaluationSpecification) -> EvaluationProblem:
+    """The cells that a single evaluation asks for. Values need not lie on a grid, only within the driving function's limits."""
+    findings = _Findings()
+    scenarios = _scenarios(specification.catalogue, findings)
+    if specification.scenario is not None:
+        if specification.scenario in scenarios:
+            scenarios = {specification.scenario: scenarios[specification.scenario]}
+        elif scenarios:
+            findings.add("scenario", f"there is no scenario {specification.scenario!r}", f"one of {', '.join(scenarios)}")
+    function = _load(findings, registry.driving_function, specification.driving_function)
+    vehicle, vehicle_parameters = _vehicle(specification.vehicle, findings)
+    evaluator = _load(findings, registry.evaluator, specification.evaluator)
+    values = {} if function is None else _free_values(specification.parameters, function, findings)
+    findings.raise_if_any()
+    if function is None or vehicle is None or evaluator is None:
+        raise AssertionError("a part is missing without a finding")
+    bench = Bench(scenarios, function, vehicle, vehicle_parameters, evaluator)
+    return EvaluationProblem(bench, ParameterSet.of(values))
+
+
+def search_parameters(
+    parameters: str | Sequence[ParameterSpecification], function: DrivingFunction, field: str = "parameters"
+) -> tuple[Parameter, ...]:
+    """The grid of each listed parameter. Raises InvalidInputError for unknown spaces and names, empty grids, forbidden values."""
+    if isinstance(parameters, str):
+        if parameters not in function.spaces:
+            remedy = f"one of {', '.join(function.spaces)}, or a list of parameters"
+            raise InvalidInputError(Problem(field, f"{function.name} has no parameter space {parameters!r}", remedy))
+        return function.spaces[parameters]
+    findings = _Findings()
+    found: list[Parameter] = []
+    known = function_names(function)
+    for index, listed in enumerate(parameters):
+        where = f"{field}[{index}]"
+        if listed.name not in known:
+            findings.add(f"{where}.name", f"{function.name} has no parameter {listed.name!r}", f"one of {', '.join(known)}")
+            continue
+        if any(listed.name == other.name for other in found):
+            findings.add(f"{where}.name", f"{listed.name} is listed twice", "list each parameter once")
+            continue
+        try:
+            parameter = Parameter.from_step(
+                listed.name, decimal(listed.lower), decimal(listed.upper), decimal(listed.step), listed.unit
+            )
+        except InvalidInputError as error:
+            for problem in error.problems:
+                attribute = problem.field.removeprefix(f"{listed.name}.")
+                findings.add(f"{where}.{attribute}", problem.message, problem.remedy)
+            continue
+        _within_limits(function, listed.name, parameter.lower, f"{where}.lower", findings)
+        _within_limits(function, listed.name, parameter.upper, f"{where}.upper", findings)
+        found.append(parameter)
+    findings.raise_if_any()
+    return tuple(sorted(found, key=lambda parameter: known.index(parameter.name)))
+
+
+def function_names(function: DrivingFunction) -> tuple[str, ...]:
+    """The names of all parameters of a driving function, in its order."""
+    return tuple(parameter.name for parameter in next(iter(function.spaces.values())))
+
+
+def _load(findings: _Findings, find: Callable[[str], T], name: str) -> T | None:
+    try:
+        return find(name)
+    except InvalidInputError as error:
+        findings.problems.extend(error.problems)
+        return None
+
+
+def _scenarios(catalogue: str | list[str], findings: _Findings) -> dict[str, tuple[str, Scenario]]:
+    if isinstance(catalogue, str):
+        try:
+            found = registry.catalogue(catalogue)
+        except InvalidInputError as error:
+            findings.problems.extend(error.problems)
+            return {}
+        return {name: (found.name, scenario) for name, scenario in found.scenarios.items()}
+    every = {name: (one.name, scenario) for one in registry.catalogues() for name, scenario in one.scenarios.items()}
+    for index, name in enumerate(catalogue):
+        if name not in every:
+            findings.add(f"catalogue[{index}]", f"there is no scenario {name!r}", f"installed: {', '.join(every)}")
+    return {name: entry for name, entry in every.items() if name in catalogue}
+
+
+def _vehicle(specification: VehicleSpecification, findings: _Findings) -> tuple[Vehicle | None, dict[str, float]]:
+    vehicle = _load(findings, registry.vehicle, specification.model)
+    if vehicle is None:
+        return None, {}
+    known = {parameter.name: parameter for parameter in vehicle.parameters}
+    for name in specification.parameters:
+        if name not in known:
+            findings.add(f"vehicle.parameters.{name}", f"{vehicle.name} has no such parameter", f"one of {', '.join(known)}")
+    return vehicle, {name: parameter.nominal for name, parameter in known.items()} | specification.parameters
+
+
+def _optimizer(specification: OptimizerSpecification, findings: _Findings) -> tuple[OptimizerPlugin | None, BaseModel | None]:
+    optimizer = _load(findings, registry.optimizer, specification.kind)
+    if optimizer is None:
+        return None, None
+    try:
+        return optimizer, optimizer.settings.model_validate(specification.model_dump())
+    except ValidationError as error:
+        for detail in error.errors(include_url=False):
+            field = ".".join(["optimizer", *(str(part) for part in detail["loc"])])
+            if detail["type"] == "extra_forbidden":
+                known = ", ".join(optimizer.settings.model_fields)
+                findings.add(field, f"{optimizer.name} has no such setting", f"one of {known}")
+            else:
+                findings.add(field, detail["msg"])
+        return optimizer, None
+
+
+def _weights(
+    given: Mapping[str, float], scenarios: Sequence[str], findings: _Findings
+) -> tuple[dict[str, float], tuple[str, ...]]:
+    for name in given:
+        if scenarios and name not in scenarios:
+            findings.add(f"weights.{name}", f"there is no scenario {name!r} in the catalogue", f"one of {', '.join(scenarios)}")
+    weights = {name: float(given.get(name, 1.0)) for name in scenarios}
+    total = sum(weights.values())
+    if scenarios and total == 0:
+        findings.add(
+            "weights", "all weights are 0, so nothing would be simulated", "give at least one scenario a positive weight"
+        )
+        return {}, ()
+    left_out = [name for name, weight in weights.items() if weight == 0]
+    notes = (f"not simulated because their weight is 0: {', '.join(left_out)}",) if left_out else ()
+    return {name: weight / total for name, weight in weights.items() if weight > 0}, notes
+
+
+def _space(specification: CampaignSpecification, function: DrivingFunction, findings: _Findings) -> ParameterSpace | None:
+    try:
+        listed = search_parameters(specification.parameters, function)
+    except InvalidInputError as error:
+        findings.problems.extend(error.problems)
+        return None
+    by_name = {parameter.name: parameter for parameter in listed}
+    fixed: dict[str, Decimal] = {}
+    names = function_names(function)
+    for name, given in specification.fixed.items():
+        where = f"fixed.{name}"
+        value = decimal(given)
+        if name not in names:
+            findings.add(where, f"{function.name} has no parameter {name!r}", f"one of {', '.join(names)}")
+        elif name in by_name:
+            try:
+                by_name[name].index(value, where)
+            except InvalidInputError as error:
+                findings.problems.extend(error.problems)
+        else:
+            _exact(value, where, findings)
+            _within_limits(function, name, value, where, findings)
+        fixed[name] = value
+    for name in names:
+        if name not in by_name and name not in fixed:
+            findings.add(
+                f"fixed.{name}", f"{function.name} needs a value of {name}", "list it in `parameters` or hold it in `fixed`"
+            )
+    if by_name and set(by_name) <= set(fixed):
+        findings.add("fixed", "every parameter is held, so there is nothing to search", "leave at least one parameter free")
+    if findings.problems:
+        return None
+    defaults = {parameter.name: parameter for parameter in next(iter(function.spaces.values()))}
+    return ParameterSpace(tuple(by_name.get(name, defaults[name]) for name in names), fixed)
+
+
+def _baseline(given: Mapping[str, float] | None, space: ParameterSpace | None, findings: _Findings) -> ParameterSet | None:
+    if given is None or space is None:
+        return None
+    try:
+        return space.parameter_set(space.indices({name: decimal(value) for name, value in given.items()}, "baseline").tolist())
+    except InvalidInputError as error:
+        findings.problems.extend(error.problems)
+        return None
+
+
+def _free_values(given: Mapping[str, float], function: DrivingFunction, findings: _Findings) -> dict[str, Decimal]:
+    names = function_names(function)
+    for name in given:
+        if name not in names:
+            findings.add(f"parameters.{name}", f"{function.name} has no parameter {name!r}", f"one of {', '.join(names)}")
+    values: dict[str, Decimal] = {}
+    for name in names:
+        where = f"parameters.{name}"
+        if name not in given:
+            findings.add(where, "the value is missing", "give one value per parameter")
+            continue
+        values[name] = decimal(given[name])
+        _exact(values[name], where, findings)
+        _within_limits(function, name, values[name], where, findings)
+    return values
+
+
+def _exact(value: Decimal, field: str, findings: _Findings) -> None:
+    try:
+        billionths(value)
+    except ValueError as error:
+        findings.add(field, str(error), "round it")
+
+
+def _within_limits(function: DrivingFunction, name: str, value: Decimal, field: str, findings: _Findings) -> None:
+    smallest, largest = function.limits.get(name, (None, None))
+    if smallest is not None and value < decimal(smallest):
+        findings.add(field, f"{value} is too small for {name}", f"give at least {text(decimal(smallest))}")
+    if largest is not None and value > decimal(largest):
+        findings.add(field, f"{value} is too large for {name}", f"give at most {text(decimal(largest))}")

@@ -1,0 +1,1 @@
+"""Scenario simulation reduction (Section III of the paper): which stored result may answer a cell. Pure."""

@@ -1,0 +1,107 @@
+"""Decides for every requested cell of a population what answers it, before anything is simulated.
+
+Order of answers: repeated, reused, (certified,) simulated. The decision depends on the population, on what was stored and on the seed
+alone, never on the workers' timing, so that it can be committed, resumed and repeated.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from drivecal.domain.evaluations import Outcome
+
+
+@dataclass(frozen=True, slots=True)
+class RequestedCell:
+    """A cell that the optimizer asks for. `reference_key` is None where no influence map is used."""
+
+    individual: int
+    scenario: str
+    parameter_key: bytes
+    reference_key: bytes | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Donor:
+    """A stored, simulated result: the evaluation that simulated it and what it gave."""
+
+    evaluation: int
+    run: int
+    score: int
+    rating: float
+    failure: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class Assignment:
+    """What answers a cell.
+
+    `donor`: the stored result that is copied (repeated, reused) or that an audit does not trust (`audited`). `leader`: the position of
+    the cell of the same population whose simulation answers this one, or that an audit does not trust.
+    """
+
+    plan: Outcome
+    donor: Donor | None = None
+    leader: int | None = None
+    audited: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Policy:
+    """Which answers are allowed. `audit`: share of reused cells that are simulated all the same; `stopped`: scenarios in which the
+    self-check found too many wrong answers, so that nothing is reused there any more."""
+
+    mode: Literal["off", "exact", "influence"]
+    audit: float = 0.0
+    seed: int = 0
+    stopped: Collection[str] = ()
+
+
+Donors = Mapping[tuple[str, bytes], Donor]
+
+
+def assign(cells: Sequence[RequestedCell], policy: Policy, exact: Donors, references: Donors) -> list[Assignment]:
+    """One assignment per cell, in order.
+
+    `exact` holds stored results by (scenario, parameter key), `references` by (scenario, reference key).
+    """
+    if policy.mode == "off":
+        return [Assignment(Outcome.SIMULATED) for _ in cells]
+    same_set: dict[tuple[str, bytes], int] = {}
+    same_class: dict[tuple[str, bytes], int] = {}
+    assignments: list[Assignment] = []
+    for position, cell in enumerate(cells):
+        identity = (cell.scenario, cell.parameter_key)
+        if identity in exact:
+            assignments.append(Assignment(Outcome.REPEATED, donor=exact[identity]))
+            continue
+        if identity in same_set:
+            assignments.append(Assignment(Outcome.REPEATED, leader=same_set[identity]))
+            continue
+        donor = leader = None
+        reusable = policy.mode == "influence" and cell.reference_key is not None and cell.scenario not in policy.stopped
+        if reusable and cell.reference_key is not None:
+            kind = (cell.scenario, cell.reference_key)
+            donor = references.get(kind)
+            leader = same_class.get(kind) if donor is None else None
+            if donor is None and leader is None:
+                same_class[kind] = position
+        if donor is None and leader is None:
+            same_set[identity] = position
+            assignments.append(Assignment(Outcome.SIMULATED))
+        elif is_audited(cell, policy):
+            same_set[identity] = position
+            assignments.append(Assignment(Outcome.SIMULATED, donor=donor, leader=leader, audited=True))
+        else:
+            assignments.append(Assignment(Outcome.REUSED, donor=donor, leader=leader))
+    return assignments
+
+
+def is_audited(cell: RequestedCell, policy: Policy) -> bool:
+    """Whether this cell is simulated although it could be reused: by a hash of seed, scenario and parameter set."""
+    content = f"{policy.seed}:{cell.scenario}:".encode() + cell.parameter_key
+    draw = int.from_bytes(hashlib.blake2b(content, digest_size=8).digest(), "big")
+    return draw < policy.audit * 2**64

@@ -1,0 +1,60 @@
+"""Reference keys: Figure 6 of the paper as an equality, so that it needs no scan of the table.
+
+A stored set is a valid reference for a new set in a scenario when for every parameter P_sens = 0, or the values are equal, or both lie
+below PB_sens lower, or both above PB_sens upper. That is an equivalence relation; its classes are named by a key that holds the
+value where it is influential, `below` or `above` where it is not, and `any` where the parameter has no influence.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from drivecal.domain.influence import InfluenceMap
+from drivecal.domain.parameters import ParameterSet, billionths
+
+BELOW, ANY, ABOVE = np.iinfo(np.int64).min, np.iinfo(np.int64).min + 1, np.iinfo(np.int64).max
+"""Codes that no value in billionths can take, values being bounded by `domain.parameters.LARGEST_VALUE`."""
+
+
+class ReferenceKeys:
+    """Computes keys for one influence map and scenario, for sets of the parameters `names`."""
+
+    def __init__(self, influence_map: InfluenceMap, scenario: str, names: Sequence[str]) -> None:
+        self._order = np.argsort(np.array(names))
+        ordered = [names[position] for position in self._order]
+        influences = [influence_map.influence(scenario, name) for name in ordered]
+        self._header = "\0".join([scenario, *ordered]).encode()
+        self._matters = np.array([influence.influential for influence in influences])
+        self._lower = np.array([BELOW if one.lower is None else billionths(one.lower) for one in influences], dtype=np.int64)
+        self._upper = np.array([ABOVE if one.upper is None else billionths(one.upper) for one in influences], dtype=np.int64)
+
+    def codes(self, values: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+        """The class of every value, shape (n, n_p), for `values` in billionths in the order of `names`, shape (n, n_p).
+
+        Columns of the result are sorted by parameter name.
+        """
+        ordered = values[:, self._order]
+        codes = np.where(ordered < self._lower, BELOW, np.where(ordered > self._upper, ABOVE, ordered))
+        return np.where(self._matters, codes, ANY)
+
+    def keys(self, values: npt.NDArray[np.int64]) -> list[bytes]:
+        """One key of 16 bytes per row of `values`, shape (n, n_p), in billionths in the order of `names`."""
+        start = hashlib.blake2b(self._header, digest_size=16)
+        rows = np.ascontiguousarray(self.codes(values), dtype="<i8")
+        width = rows.shape[1] * 8
+        data = rows.tobytes()
+        keys: list[bytes] = []
+        for offset in range(0, len(data), width):
+            one = start.copy()
+            one.update(data[offset : offset + width])
+            keys.append(one.digest())
+        return keys
+
+
+def billionths_matrix(parameter_sets: Sequence[ParameterSet]) -> npt.NDArray[np.int64]:
+    """The values of parameter sets with the same names, shape (n, n_p)."""
+    return np.array([one.billionths for one in parameter_sets], dtype=np.int64).reshape(len(parameter_sets), -1)
