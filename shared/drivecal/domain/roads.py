@@ -96,8 +96,8 @@ def to_cartesian(line: Floats, s: float, d: float) -> tuple[float, float, float]
 
 def _foot(line: Floats, x: float, y: float, near: float) -> tuple[float, float, float, float, float]:
     """s, d and the line's heading, curvature and change of curvature at the foot point of (x, y): see `project`."""
-    s = near if isfinite(x + y + near) else 0.0
-    for _ in range(PROJECTION_STEPS):
+    s = near
+    for _ in range(PROJECTION_STEPS if isfinite(x + y + near) else 0):
         foot_x, foot_y, heading, curvature, bend = pose_on(line, s)
         dx, dy = x - foot_x, y - foot_y
         forward, left = cos(heading), sin(heading)

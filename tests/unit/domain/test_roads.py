@@ -23,7 +23,7 @@ def road(*knots: tuple[float, float], length: float = 600.0) -> Road:
 CURVY = road((100.0, 0.0), (180.3, 1 / 250), (260.1, 1 / 250), (333.3, -1 / 180), (600.0, -1 / 180))
 
 
-def test_a_straight_road_is_straight():
+def test_a_straight_road_is_straight() -> None:
     line = reference_line(road((0.0, 0.0), length=100.2), 0.5)
     assert line.shape == (202, 5)
     assert line[-1].tolist() == [100.5, pytest.approx(100.5, abs=1e-12), 0.0, 0.0, 0.0]
@@ -31,7 +31,7 @@ def test_a_straight_road_is_straight():
 
 
 @pytest.mark.parametrize("radius", [60.0, -60.0, 400.0])
-def test_constant_curvature_is_an_arc(radius: float):
+def test_constant_curvature_is_an_arc(radius: float) -> None:
     s, x, y, heading, curvature = reference_line(road((0.0, 1 / radius))).T
     np.testing.assert_allclose(x, radius * np.sin(s / radius), atol=1e-10)
     np.testing.assert_allclose(y, radius * (1 - np.cos(s / radius)), atol=1e-10)
@@ -39,7 +39,7 @@ def test_constant_curvature_is_an_arc(radius: float):
     np.testing.assert_allclose(curvature, 1 / radius)
 
 
-def test_linear_curvature_is_a_clothoid():
+def test_linear_curvature_is_a_clothoid() -> None:
     parameter = 150.0
     s, x, y, heading, _ = reference_line(road((0.0, 0.0), (600.0, 600.0 / parameter**2))).T
     scale = parameter * sqrt(pi)
@@ -49,7 +49,7 @@ def test_linear_curvature_is_a_clothoid():
     np.testing.assert_allclose(heading, s**2 / (2 * parameter**2), rtol=1e-12, atol=1e-15)
 
 
-def test_knots_between_the_rows_cost_no_accuracy():
+def test_knots_between_the_rows_cost_no_accuracy() -> None:
     fine, coarse = reference_line(CURVY, 0.125), reference_line(CURVY, 2.0)
     np.testing.assert_allclose(coarse[:, :4], fine[::16, :4], atol=1e-9)
 
@@ -57,13 +57,13 @@ def test_knots_between_the_rows_cost_no_accuracy():
 @pytest.mark.parametrize(
     "wrong", [road(), road((10.0, 0.0), (10.0, 0.1)), road((0.0, 0.0), length=0.0), road((0.0, 0.0), length=float("nan"))]
 )
-def test_a_road_that_makes_no_line_is_refused(wrong: Road):
+def test_a_road_that_makes_no_line_is_refused(wrong: Road) -> None:
     with pytest.raises(InvalidInputError, match="road"):
         reference_line(wrong)
 
 
 @given(st.floats(0.0, 600.0))
-def test_the_line_between_its_rows_follows_the_finer_line(s: float):
+def test_the_line_between_its_rows_follows_the_finer_line(s: float) -> None:
     coarse, fine = reference_line(CURVY, 0.5), reference_line(CURVY, 0.01)
     x, y, heading, curvature, _ = pose_on(coarse, s)
     row = round(s / 0.01)
@@ -78,7 +78,7 @@ LINE = reference_line(CURVY)
 
 
 @given(st.floats(-20.0, 620.0), st.floats(-6.0, 12.0), st.floats(-15.0, 15.0))
-def test_projection_undoes_to_cartesian(s: float, d: float, guess_error: float):
+def test_projection_undoes_to_cartesian(s: float, d: float, guess_error: float) -> None:
     x, y, _ = to_cartesian(LINE, s, d)
     found_s, found_d = project(LINE, x, y, s + guess_error)
     # The line's own second derivative jumps by some 1e-8 between rows: the foot point is that sharp.
@@ -87,12 +87,12 @@ def test_projection_undoes_to_cartesian(s: float, d: float, guess_error: float):
 
 
 @pytest.mark.parametrize(("x", "near"), [(float("nan"), 10.0), (10.0, float("inf")), (900.0, 10.0)])
-def test_a_point_without_a_foot_point_nearby_is_refused(x: float, near: float):
+def test_a_point_without_a_foot_point_nearby_is_refused(x: float, near: float) -> None:
     with pytest.raises(ValueError, match="closer"):
         project(LINE, x, 0.0, near)
 
 
-def test_motion_matches_differences_of_the_cartesian_path():
+def test_motion_matches_differences_of_the_cartesian_path() -> None:
     s0, d0, step = 220.0, 2.0, 1e-3
 
     def point(t: float) -> npt.NDArray[np.float64]:
