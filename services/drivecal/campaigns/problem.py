@@ -205,6 +205,14 @@ def search_parameters(
     return tuple(sorted(found, key=lambda parameter: known.index(parameter.name)))
 
 
+def catalogue_scenarios(catalogue: str | list[str]) -> dict[str, tuple[str, Scenario]]:
+    """The scenarios of a catalogue, or those listed: id to (catalogue's name, scenario). Raises InvalidInputError."""
+    findings = _Findings()
+    found = _scenarios(catalogue, findings)
+    findings.raise_if_any()
+    return found
+
+
 def function_names(function: DrivingFunction) -> tuple[str, ...]:
     """The names of all parameters of a driving function, in its order."""
     return tuple(parameter.name for parameter in next(iter(function.spaces.values())))

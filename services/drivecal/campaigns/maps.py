@@ -1,0 +1,94 @@
+"""Influence maps from expert knowledge: checked against the grid of the parameters they speak of, and written back for storage."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from decimal import Decimal
+from typing import Any
+
+from drivecal.campaigns.problem import catalogue_scenarios, search_parameters
+from drivecal.contracts.specification import InfluenceMapSpecification, InfluenceSpecification
+from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.domain.influence import Influence, InfluenceMap
+from drivecal.domain.parameters import Parameter, decimal, text
+from drivecal.plugins import registry
+
+
+def resolve_map(specification: InfluenceMapSpecification) -> InfluenceMap:
+    """The map that a user posted. Raises InvalidInputError naming every scenario, parameter and bound that does not fit."""
+    function = registry.driving_function(specification.driving_function)
+    scenarios = catalogue_scenarios(specification.catalogue)
+    parameters = {parameter.name: parameter for parameter in search_parameters(specification.parameters, function)}
+    problems: list[Problem] = []
+    found: dict[str, dict[str, Influence]] = {}
+    for scenario, listed in specification.scenarios.items():
+        if scenario not in scenarios:
+            problems.append(Problem(f"scenarios.{scenario}", "there is no such scenario", f"one of {', '.join(scenarios)}"))
+            continue
+        found[scenario] = {}
+        for name, given in listed.items():
+            where = f"scenarios.{scenario}.{name}"
+            if name not in parameters:
+                problems.append(Problem(where, "there is no such parameter", f"one of {', '.join(parameters)}"))
+                continue
+            try:
+                found[scenario][name] = _influence(given, parameters[name], where)
+            except InvalidInputError as error:
+                problems.extend(error.problems)
+    if problems:
+        raise InvalidInputError(*problems)
+    return InfluenceMap(found)
+
+
+def _influence(given: InfluenceSpecification, parameter: Parameter, where: str) -> Influence:
+    if not given.influential:
+        if given.lower is not None or given.upper is not None:
+            raise InvalidInputError(
+                Problem(where, "bounds make no sense where nothing is influential", "leave lower and upper out")
+            )
+        return Influence(influential=False)
+    lower = None if given.lower is None else decimal(given.lower)
+    upper = None if given.upper is None else decimal(given.upper)
+    problems: list[Problem] = []
+    for attribute, value in (("lower", lower), ("upper", upper)):
+        if value is not None:
+            try:
+                parameter.index(value, f"{where}.{attribute}")
+            except InvalidInputError as error:
+                problems.extend(error.problems)
+    if not problems and lower is not None and upper is not None and lower > upper:
+        problems.append(Problem(f"{where}.lower", f"{text(lower)} lies above upper {text(upper)}", "exchange them"))
+    if problems:
+        raise InvalidInputError(*problems)
+    return Influence(influential=True, lower=lower, upper=upper)
+
+
+def map_to_document(influence_map: InfluenceMap) -> dict[str, Any]:
+    """JSON-ready and exact: bounds as decimal texts."""
+    return {
+        scenario: {
+            name: {
+                "influential": influence.influential,
+                "lower": None if influence.lower is None else text(influence.lower),
+                "upper": None if influence.upper is None else text(influence.upper),
+            }
+            for name, influence in listed.items()
+        }
+        for scenario, listed in influence_map.scenarios.items()
+    }
+
+
+def map_from_document(document: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> InfluenceMap:
+    """The inverse of `map_to_document`."""
+
+    def bound(value: str | None) -> Decimal | None:
+        return None if value is None else Decimal(value)
+
+    return InfluenceMap(
+        {
+            scenario: {
+                name: Influence(one["influential"], bound(one["lower"]), bound(one["upper"])) for name, one in listed.items()
+            }
+            for scenario, listed in document.items()
+        }
+    )
