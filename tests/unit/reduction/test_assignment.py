@@ -1,0 +1,97 @@
+"""What answers a cell is decided in the order repeated, reused, simulated."""
+
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivecal.domain.evaluations import Outcome
+from drivecal.reduction.assignment import Assignment, Donor, Policy, RequestedCell, assign, is_audited
+
+DONOR = Donor(evaluation=7, run=3, score=5, rating=5.2, failure=None)
+
+
+def _cell(individual: int, parameter_key: str, reference_key: str | None = None, scenario: str = "S1") -> RequestedCell:
+    return RequestedCell(
+        individual, scenario, parameter_key.encode(), None if reference_key is None else reference_key.encode()
+    )
+
+
+def test_a_stored_set_is_repeated_even_where_a_reference_exists_too() -> None:
+    found = assign([_cell(0, "a", "k")], Policy("influence"), {("S1", b"a"): DONOR}, {("S1", b"k"): DONOR})
+    assert found == [Assignment(Outcome.REPEATED, donor=DONOR)]
+
+
+def test_a_stored_reference_is_reused() -> None:
+    found = assign([_cell(0, "a", "k")], Policy("influence"), {}, {("S1", b"k"): DONOR})
+    assert found == [Assignment(Outcome.REUSED, donor=DONOR)]
+
+
+def test_cells_of_one_population_that_share_a_key_are_simulated_once() -> None:
+    cells = [_cell(0, "a", "k"), _cell(1, "b", "k"), _cell(2, "a", "k"), _cell(3, "c", "other")]
+    assert assign(cells, Policy("influence"), {}, {}) == [
+        Assignment(Outcome.SIMULATED),
+        Assignment(Outcome.REUSED, leader=0),
+        Assignment(Outcome.REPEATED, leader=0),
+        Assignment(Outcome.SIMULATED),
+    ]
+
+
+def test_exact_mode_copies_nothing_but_equal_sets() -> None:
+    cells = [_cell(0, "a", "k"), _cell(1, "b", "k"), _cell(2, "b", "k")]
+    found = assign(cells, Policy("exact"), {}, {("S1", b"k"): DONOR})
+    assert [one.plan for one in found] == [Outcome.SIMULATED, Outcome.SIMULATED, Outcome.REPEATED]
+
+
+def test_off_simulates_everything() -> None:
+    cells = [_cell(0, "a", "k"), _cell(1, "a", "k")]
+    assert assign(cells, Policy("off"), {("S1", b"a"): DONOR}, {("S1", b"k"): DONOR}) == [Assignment(Outcome.SIMULATED)] * 2
+
+
+def test_scenarios_answer_only_themselves() -> None:
+    found = assign([_cell(0, "a", "k", "S2")], Policy("influence"), {("S1", b"a"): DONOR}, {("S1", b"k"): DONOR})
+    assert found == [Assignment(Outcome.SIMULATED)]
+
+
+def test_where_reuse_was_stopped_only_equal_sets_are_copied() -> None:
+    cells = [_cell(0, "a", "k"), _cell(1, "b", "k"), _cell(2, "b", "k")]
+    found = assign(cells, Policy("influence", stopped={"S1"}), {}, {("S1", b"k"): DONOR})
+    assert [one.plan for one in found] == [Outcome.SIMULATED, Outcome.SIMULATED, Outcome.REPEATED]
+
+
+def test_an_audited_cell_is_simulated_and_remembers_the_donor_that_was_not_trusted() -> None:
+    cells = [_cell(0, "a", "k"), _cell(1, "a", "k")]
+    found = assign(cells, Policy("influence", audit=1.0), {}, {("S1", b"k"): DONOR})
+    assert found == [Assignment(Outcome.SIMULATED, donor=DONOR, audited=True), Assignment(Outcome.REPEATED, leader=0)]
+
+
+@given(st.integers(0, 2**63 - 1))
+def test_the_audited_share_is_close_to_what_was_asked(seed: int) -> None:
+    cells = [_cell(i, f"set {i}") for i in range(2_000)]
+    audited = sum(is_audited(cell, Policy("influence", audit=0.2, seed=seed)) for cell in cells)
+    assert 280 < audited < 520
+
+
+_keys = st.sampled_from("abcdef")
+_cells = st.lists(st.tuples(st.integers(0, 20), _keys, _keys, st.sampled_from(["S1", "S2"])), max_size=40)
+
+
+@given(_cells, st.sampled_from(["off", "exact", "influence"]), st.floats(0, 1), st.integers(0, 99))
+def test_every_leader_stands_earlier_and_is_simulated(
+    raw: list[tuple[int, str, str, str]], mode: str, audit: float, seed: int
+) -> None:
+    # the class of a set is a function of the set: equal sets share their reference key
+    cells = [_cell(individual, key + reference, reference, scenario) for individual, key, reference, scenario in raw]
+    policy = Policy(mode, audit, seed)  # type: ignore[arg-type]  # sampled from the literal's values
+    found = assign(cells, policy, {}, {})
+    for position, one in enumerate(found):
+        assert one.donor is None
+        if one.leader is not None:
+            assert one.leader < position
+            assert found[one.leader].plan is Outcome.SIMULATED
+            assert cells[one.leader].scenario == cells[position].scenario
+        if one.plan in {Outcome.REPEATED, Outcome.REUSED} or one.audited:
+            assert one.leader is not None
+        if one.plan is Outcome.REPEATED:
+            assert one.leader is not None
+            assert cells[one.leader].parameter_key == cells[position].parameter_key
