@@ -29,6 +29,14 @@ class CurvatureKnot:
 
 
 @dataclass(frozen=True, slots=True)
+class SpeedKnot:
+    """A speed (m/s) that holds from arc length s on, until the next knot."""
+
+    s: float
+    speed: float
+
+
+@dataclass(frozen=True, slots=True)
 class Road:
     """A motorway carriageway: `lanes` lanes of `lane_width` metres along a reference line given by its curvature."""
 
@@ -36,6 +44,8 @@ class Road:
     lanes: int
     lane_width: float
     knots: tuple[CurvatureKnot, ...]
+    limits: tuple[SpeedKnot, ...] = (SpeedKnot(0.0, 130.0 / 3.6),)
+    """The speed limits, the first at s = 0. The other vehicles keep to them; each is an edge of the network."""
 
     @property
     def right_edge(self) -> float:
@@ -50,36 +60,41 @@ class Road:
 
 @dataclass(frozen=True, slots=True)
 class EgoStart:
-    """Where the ego vehicle starts: s, d (m), speed (m/s) and heading relative to the road (rad)."""
+    """Where the ego vehicle starts: s, d (m), speed (m/s) and heading relative to the road (rad), and its outline.
+
+    The ego vehicle's position is its centre of mass, taken to be the centre of the outline of `length` times `width` metres.
+    """
 
     s: float
     d: float
     speed: float
     heading: float = 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class SpeedKnot:
-    """The desired speed (m/s) from arc length s on, until the next knot."""
-
-    s: float
-    speed: float
+    length: float = 4.9
+    width: float = 1.9
 
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """What the ego vehicle has to do: be in the target lane and drive the desired speed."""
+    """What the ego vehicle has to do: be in the target lane and drive the desired speed.
+
+    The task is missed unless, over the last `hold` seconds, the ego vehicle stays within `lane_tolerance` metres of the target lane's
+    centre and within `speed_tolerance` m/s of the desired speed.
+    """
 
     start_lane: int
     target_lane: int
     speeds: tuple[SpeedKnot, ...]
+    """The desired speed along the road; between knots it holds until the next."""
     lane_change_after: float = 0.0
     """Time (s) from which the target lane is wanted."""
+    hold: float = 1.0
+    lane_tolerance: float = 0.8
+    speed_tolerance: float = 2.0
 
 
 @dataclass(frozen=True, slots=True)
 class TrafficVehicle:
-    """Another vehicle: where it starts, how fast it wants to drive, how it reacts (a SUMO car-following type), how it drifts."""
+    """Another vehicle: where its centre starts, how fast it wants to drive, how it reacts (SUMO's IDM), how it drifts."""
 
     id: str
     lane: int

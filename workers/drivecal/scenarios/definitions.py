@@ -1,0 +1,181 @@
+"""S1..S6 of the paper's Section IV-A on a three-lane German motorway, as data. The networks are added by `plugin`.
+
+Roads follow the usual design: 3.75 m lanes, clothoids between straights and arcs. Every scenario has traffic that matters and an
+excitation, so that the parameters of a planner show in how it drives: a planner that has nothing to do drives well with any of them.
+"""
+
+from __future__ import annotations
+
+from drivecal.domain.scenarios import (
+    CurvatureKnot,
+    EgoStart,
+    Manoeuvre,
+    Road,
+    Scenario,
+    SpeedKnot,
+    Task,
+    TrafficVehicle,
+)
+
+STEP = 0.1
+LANE_WIDTH = 3.75
+UNBUILT = b""
+"""The network of a scenario whose road has not been built yet."""
+
+
+def kmh(speed: float) -> float:
+    """km/h to m/s."""
+    return speed / 3.6
+
+
+def straight(length: float, *limits: tuple[float, float]) -> Road:
+    """A straight road; `limits` are (s, km/h)."""
+    return road(length, (CurvatureKnot(0.0, 0.0), CurvatureKnot(length, 0.0)), *limits)
+
+
+def road(length: float, knots: tuple[CurvatureKnot, ...], *limits: tuple[float, float]) -> Road:
+    """A three-lane road; `limits` are (s, km/h)."""
+    return Road(length, 3, LANE_WIDTH, knots, tuple(SpeedKnot(s, kmh(speed)) for s, speed in limits))
+
+
+def bends(length: float, *arcs: tuple[float, float, float, float]) -> tuple[CurvatureKnot, ...]:
+    """Curvature knots of a road of straights, clothoids and arcs.
+
+    Each arc is (where its first clothoid begins, length of either clothoid, length of the arc between them, radius); positive radii
+    bend to the left.
+    """
+    knots = [CurvatureKnot(0.0, 0.0)]
+    for begin, clothoid, arc, radius in arcs:
+        knots.append(CurvatureKnot(begin, 0.0))
+        knots.append(CurvatureKnot(begin + clothoid, 1.0 / radius))
+        knots.append(CurvatureKnot(begin + clothoid + arc, 1.0 / radius))
+        knots.append(CurvatureKnot(begin + 2.0 * clothoid + arc, 0.0))
+    knots.append(CurvatureKnot(length, 0.0))
+    return tuple(knots)
+
+
+def truck(name: str, lane: int, s: float, speed: float, drift: tuple[tuple[float, float], ...] = ()) -> TrafficVehicle:
+    """A lorry: long, wide, slow to change its speed."""
+    return TrafficVehicle(
+        name, lane, s, speed, speed, length=12.0, width=2.5, acceleration=0.8, deceleration=2.0, time_headway=1.8, drift=drift
+    )
+
+
+S1 = Scenario(
+    id="S1",
+    title="Change lane on a straight road to overtake a slower vehicle",
+    manoeuvre=Manoeuvre.LANE_CHANGE,
+    duration=16.0,
+    step=STEP,
+    road=straight(1100.0, (0.0, 130.0)),
+    network=UNBUILT,
+    ego=EgoStart(s=150.0, d=0.0, speed=30.0),
+    task=Task(start_lane=0, target_lane=1, speeds=(SpeedKnot(0.0, 30.0),), lane_change_after=1.0),
+    traffic=(
+        truck("slower", lane=0, s=250.0, speed=23.0),
+        TrafficVehicle("follower", lane=1, s=110.0, speed=33.0, desired_speed=34.0),
+        TrafficVehicle("leader", lane=1, s=225.0, speed=31.0, desired_speed=31.0),
+        TrafficVehicle("beside", lane=2, s=130.0, speed=35.0, desired_speed=36.0),
+    ),
+)
+
+S2 = Scenario(
+    id="S2",
+    title="Change lane on a curved road to overtake a slower vehicle",
+    manoeuvre=Manoeuvre.LANE_CHANGE,
+    duration=16.0,
+    step=STEP,
+    road=road(1100.0, bends(1100.0, (180.0, 120.0, 500.0, 1200.0)), (0.0, 120.0)),
+    network=UNBUILT,
+    ego=EgoStart(s=150.0, d=0.0, speed=28.0),
+    task=Task(start_lane=0, target_lane=1, speeds=(SpeedKnot(0.0, 29.0),), lane_change_after=1.5),
+    traffic=(
+        truck("slower", lane=0, s=245.0, speed=22.0),
+        TrafficVehicle("follower", lane=1, s=105.0, speed=31.5, desired_speed=33.0),
+        TrafficVehicle("leader", lane=1, s=235.0, speed=29.0, desired_speed=29.0),
+    ),
+)
+
+S3 = Scenario(
+    id="S3",
+    title="Keep the lane on a straight road between a lorry and a drifting car",
+    manoeuvre=Manoeuvre.LANE_KEEPING,
+    duration=16.0,
+    step=STEP,
+    road=straight(1100.0, (0.0, 130.0)),
+    network=UNBUILT,
+    ego=EgoStart(s=150.0, d=LANE_WIDTH + 0.6, speed=31.0, heading=0.008),
+    task=Task(start_lane=1, target_lane=1, speeds=(SpeedKnot(0.0, 31.0),)),
+    traffic=(
+        truck("lorry", lane=0, s=230.0, speed=24.0, drift=((0.0, 0.0), (6.0, 0.0), (9.0, 0.45), (16.0, 0.45))),
+        TrafficVehicle(
+            "drifting",
+            lane=2,
+            s=190.0,
+            speed=29.5,
+            desired_speed=29.5,
+            drift=((0.0, 0.0), (2.5, 0.0), (5.0, -0.7), (7.5, -0.7), (10.5, 0.0)),
+        ),
+        TrafficVehicle("leader", lane=1, s=215.0, speed=31.0, desired_speed=31.0),
+    ),
+)
+
+S4 = Scenario(
+    id="S4",
+    title="Keep the lane on a curved road beside a drifting car",
+    manoeuvre=Manoeuvre.LANE_KEEPING,
+    duration=18.0,
+    step=STEP,
+    road=road(1200.0, bends(1200.0, (200.0, 110.0, 120.0, 900.0), (560.0, 110.0, 120.0, -900.0)), (0.0, 120.0)),
+    network=UNBUILT,
+    ego=EgoStart(s=150.0, d=LANE_WIDTH - 0.4, speed=29.0),
+    task=Task(start_lane=1, target_lane=1, speeds=(SpeedKnot(0.0, 29.0),)),
+    traffic=(
+        TrafficVehicle(
+            "drifting",
+            lane=0,
+            s=200.0,
+            speed=26.0,
+            desired_speed=26.0,
+            drift=((0.0, 0.0), (7.0, 0.0), (10.0, 0.6), (13.0, 0.6), (16.0, 0.0)),
+        ),
+        TrafficVehicle("passing", lane=2, s=105.0, speed=33.0, desired_speed=33.0),
+        TrafficVehicle("leader", lane=1, s=205.0, speed=28.5, desired_speed=28.5),
+    ),
+)
+
+S5 = Scenario(
+    id="S5",
+    title="Accelerate after a traffic sign behind a slower accelerating car",
+    manoeuvre=Manoeuvre.SPEED_CHANGE,
+    duration=20.0,
+    step=STEP,
+    road=straight(1200.0, (0.0, 80.0), (250.0, 120.0)),
+    network=UNBUILT,
+    ego=EgoStart(s=150.0, d=0.0, speed=kmh(80.0)),
+    task=Task(start_lane=0, target_lane=0, speeds=(SpeedKnot(0.0, kmh(80.0)), SpeedKnot(250.0, 30.0))),
+    traffic=(
+        TrafficVehicle("leader", lane=0, s=200.0, speed=22.2, desired_speed=30.5, acceleration=1.6),
+        TrafficVehicle("second", lane=1, s=180.0, speed=22.2, desired_speed=32.0, acceleration=1.8),
+        truck("lorry", lane=0, s=420.0, speed=22.2),
+    ),
+)
+
+S6 = Scenario(
+    id="S6",
+    title="Decelerate for a curve behind a braking car",
+    manoeuvre=Manoeuvre.SPEED_CHANGE,
+    duration=18.0,
+    step=STEP,
+    road=road(1000.0, bends(1000.0, (380.0, 80.0, 300.0, 450.0)), (0.0, 130.0), (400.0, 85.0)),
+    network=UNBUILT,
+    ego=EgoStart(s=150.0, d=0.0, speed=32.0),
+    task=Task(start_lane=0, target_lane=0, speeds=(SpeedKnot(0.0, 32.0), SpeedKnot(400.0, 23.5))),
+    traffic=(
+        TrafficVehicle("leader", lane=0, s=205.0, speed=31.0, desired_speed=31.0, deceleration=2.0),
+        TrafficVehicle("follower", lane=0, s=90.0, speed=32.0, desired_speed=33.0),
+        TrafficVehicle("beside", lane=1, s=160.0, speed=32.0, desired_speed=33.0),
+    ),
+)
+
+DEFINITIONS: tuple[Scenario, ...] = (S1, S2, S3, S4, S5, S6)
