@@ -1,0 +1,159 @@
+"""Turns what pydantic found into drivecal's problems: the field as the user wrote it, what is wrong, what would be right."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from difflib import get_close_matches
+from typing import Any, TypeVar, get_args
+
+from pydantic import BaseModel, ValidationError
+
+from drivecal.contracts.strict_json import shown
+from drivecal.domain.errors import InvalidInputError, Problem
+
+Specification = TypeVar("Specification", bound=BaseModel)
+Detail = Mapping[str, Any]
+"""One entry of `ValidationError.errors()`."""
+
+_WANTED = {
+    "string_type": "text",
+    "string_unicode": "valid Unicode text",
+    "int_type": "a whole number",
+    "int_parsing": "a whole number",
+    "int_parsing_size": "a smaller whole number",
+    "int_from_float": "a whole number",
+    "float_type": "a number",
+    "float_parsing": "a number",
+    "finite_number": "a finite number",
+    "bool_type": "true or false",
+    "bool_parsing": "true or false",
+    "list_type": "a list",
+    "dict_type": "an object",
+    "model_type": "an object",
+    "model_attributes_type": "an object",
+    "none_required": "null, or leave it out: there is nothing to choose yet",
+}
+
+_BOUNDS: dict[str, tuple[str, str]] = {
+    "greater_than_equal": ("is too small", "give at least {ge}"),
+    "greater_than": ("is too small", "give more than {gt}"),
+    "less_than_equal": ("is too large", "give at most {le}"),
+    "less_than": ("is too large", "give less than {lt}"),
+    "string_too_short": ("is too short", "give at least {min_length} characters"),
+    "string_too_long": ("is too long", "give at most {max_length} characters"),
+    "too_short": ("has too few entries", "give at least {min_length}"),
+    "too_long": ("has too many entries", "give at most {max_length}"),
+}
+
+_PATTERNS = {
+    r"^[A-Za-z][A-Za-z0-9_.-]*$": "start with a letter; go on with letters, digits, `_`, `.` or `-`",
+    r"^[^\x00-\x1f\x7f]+$": "leave out control characters",
+}
+
+
+def validated(model: type[Specification], document: object) -> Specification:
+    """`document` as a `model`. Raises InvalidInputError with every field that does not fit."""
+    try:
+        return model.model_validate(document)
+    except ValidationError as error:
+        raise InvalidInputError(*problems(error.errors(include_url=False), model, document)) from error
+
+
+def problems(details: Sequence[Any], model: type[BaseModel], document: object) -> list[Problem]:
+    """One problem per field and finding. `details` as from `ValidationError.errors()`, of `model` read from `document`."""
+    located = [(_path(detail, document), detail) for detail in details]
+    return list(dict.fromkeys(_merged(located, model)))
+
+
+def _path(detail: Detail, document: object) -> tuple[int | str, ...]:
+    """The location without the names of union members, which pydantic inserts and no user knows."""
+    path: list[int | str] = []
+    value = document
+    for part in detail["loc"]:
+        here = isinstance(value, dict) and part in value
+        here = here or (isinstance(value, list) and isinstance(part, int) and part < len(value))
+        if here:
+            value = value[part]  # type: ignore[index]  # `here` says that it can be indexed by it
+            path.append(part)
+    if detail["type"] == "missing":
+        path.append(detail["loc"][-1])
+    return tuple(path)
+
+
+def _merged(located: Sequence[tuple[tuple[int | str, ...], Detail]], model: type[BaseModel]) -> list[Problem]:
+    """Where a union's members disagree, what the fitting member says counts; where none fits, what any of them would take."""
+    merged: list[Problem] = []
+    for path, detail in located:
+        if not _is_type(detail):
+            merged.append(_problem(path, detail, model))
+            continue
+        others = [(other, found) for other, found in located if found is not detail and other[: len(path)] == path]
+        if any(len(other) > len(path) or not _is_type(found) for other, found in others):
+            continue
+        wanted = [_WANTED[detail["type"]], *(_WANTED[found["type"]] for _, found in others)]
+        remedy = f"give {' or '.join(sorted(set(wanted), reverse=True))}"
+        merged.append(Problem(field_name(path), f"{shown(detail['input'])} does not fit", remedy))
+    return merged
+
+
+def _is_type(detail: Detail) -> bool:
+    return detail["type"] in _WANTED
+
+
+def _problem(path: tuple[int | str, ...], detail: Detail, model: type[BaseModel]) -> Problem:
+    kind, context, given = detail["type"], detail.get("ctx", {}), shown(detail.get("input"))
+    field = field_name(path)
+    if kind == "missing":
+        return Problem(field, "the value is missing", "give it")
+    if kind == "extra_forbidden":
+        return Problem(field, "there is no such field", _nearest(str(path[-1]), _known(model, path[:-1])))
+    if kind in _BOUNDS:
+        message, remedy = _BOUNDS[kind]
+        return Problem(field, f"{given} {message}", remedy.format(**{key: _number(value) for key, value in context.items()}))
+    if kind == "string_pattern_mismatch":
+        remedy = _PATTERNS.get(context["pattern"], f"it must match {context['pattern']}")
+        return Problem(field, f"'{given}' is no valid name", remedy)
+    if kind in {"literal_error", "enum"}:
+        return Problem(field, f"{given} is not one of the choices", f"give {_choices(context['expected'])}")
+    if kind == "value_error":
+        message, _, remedy = str(context["error"]).partition("; ")
+        return Problem(field, message, remedy)
+    return Problem(field, f"{given} does not fit", detail["msg"])
+
+
+def field_name(path: Sequence[int | str]) -> str:
+    """`optimizer.population`, `parameters[0].lower`."""
+    name = ""
+    for part in path:
+        name += f"[{part}]" if isinstance(part, int) else f".{shown(part)}" if name else shown(part)
+    return name
+
+
+def _known(model: type[BaseModel], path: Sequence[int | str]) -> list[str]:
+    current = model
+    for part in path:
+        if isinstance(part, str) and part in current.model_fields:
+            current = _inner_model(current.model_fields[part].annotation) or current
+    return list(current.model_fields)
+
+
+def _inner_model(annotation: Any) -> type[BaseModel] | None:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    inner: Callable[[Any], type[BaseModel] | None] = _inner_model
+    return next((found for found in map(inner, get_args(annotation)) if found is not None), None)
+
+
+def _nearest(name: str, known: Sequence[str]) -> str:
+    close = get_close_matches(name, known, n=1)
+    return f"did you mean {close[0]}?" if close else f"known are {', '.join(known)}"
+
+
+def _number(value: object) -> str:
+    return (
+        f"{value:,}" if isinstance(value, int) and value < 10**12 else f"{value:g}" if isinstance(value, float) else str(value)
+    )
+
+
+def _choices(expected: str) -> str:
+    return expected.replace("'", "").replace("False", "false").replace("True", "true")

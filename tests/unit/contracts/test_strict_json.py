@@ -1,0 +1,72 @@
+"""Reading JSON from outside."""
+
+from __future__ import annotations
+
+import json
+from contextlib import suppress
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivecal.contracts.strict_json import DEEPEST, loads, shown
+from drivecal.domain.errors import InvalidInputError
+
+plain = st.recursive(
+    st.none() | st.booleans() | st.integers(-(10**30), 10**30) | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
+    lambda children: st.lists(children) | st.dictionaries(st.text(), children),
+    max_leaves=20,
+)
+
+
+@given(plain)
+def test_what_is_plain_json_is_read_as_python_reads_it(document: object) -> None:
+    content = json.dumps(document).encode()
+    assert loads(content) == json.loads(content)
+
+
+@given(st.binary(max_size=200))
+def test_any_bytes_are_either_read_or_refused(content: bytes) -> None:
+    with suppress(InvalidInputError):
+        loads(content)
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b'{"weights": {"S1": NaN}}', "NaN is no JSON number"),
+        (b"[Infinity]", "Infinity is no JSON number"),
+        (b"[-Infinity]", "-Infinity is no JSON number"),
+        (b"[1e999]", "1e999 is too large"),
+        (b"[" + b"9" * 5000 + b"]", "an integer of 5000 digits"),
+        (b'{"a": 1, "a": 2}', "a: the key is there twice"),
+        (b'{"a": {"b": 1, "b": 2}}', "b: the key is there twice"),
+        (rb'["\ud800"]', "half of a surrogate pair"),
+        (rb'{"\udfff": 1}', "half of a surrogate pair"),
+        (b'"\xff"', "byte 1 is no valid UTF-8"),
+        (b"", "the document is empty"),
+        (b" \n", "the document is empty"),
+        (b'{"a": \n  }', "line 2, column 3"),
+        (b"[" * 100_000, "deeper than 32 levels"),
+        (b"[" * (DEEPEST + 1) + b"]" * (DEEPEST + 1), "deeper than 32 levels"),
+        (b'{"a":' * 40 + b"1" + b"}" * 40, "deeper than 32 levels"),
+    ],
+)
+def test_surprises_are_refused_with_what_is_wrong(content: bytes, said: str) -> None:
+    with pytest.raises(InvalidInputError, match=said):
+        loads(content)
+
+
+def test_the_deepest_nesting_allowed_is_read() -> None:
+    assert loads(b"[" * DEEPEST + b"]" * DEEPEST)
+
+
+def test_a_byte_order_mark_and_whole_surrogate_pairs_are_read() -> None:
+    assert loads(b"\xef\xbb\xbf" + rb'"\ud83d\ude97"') == "\N{AUTOMOBILE}"
+
+
+@given(st.text() | st.floats() | st.integers() | st.none() | st.booleans() | st.lists(st.integers()))
+def test_a_value_in_a_message_is_short_and_on_one_line(value: object) -> None:
+    text = shown(value)
+    assert len(text) <= 60
+    assert text.isprintable()

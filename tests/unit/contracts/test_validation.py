@@ -1,0 +1,86 @@
+"""What a user reads when a specification does not fit."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import BaseModel
+
+from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, InfluenceMapSpecification
+from drivecal.contracts.validation import validated
+from drivecal.domain.errors import InvalidInputError
+
+
+def complaints(document: object, model: type[BaseModel] = CampaignSpecification) -> list[str]:
+    with pytest.raises(InvalidInputError) as caught:
+        validated(model, document)
+    return [str(problem) for problem in caught.value.problems]
+
+
+@pytest.mark.parametrize(
+    ("document", "said"),
+    [
+        ({"wieghts": {}}, "wieghts: there is no such field; did you mean weights?"),
+        ({"optimizer": {"population": 1e30}}, "optimizer.population: 1e+30 does not fit; give a whole number"),
+        ({"optimizer": {"population": 10**30}}, f"optimizer.population: {10**30} is too large; give at most 100,000"),
+        ({"optimizer": {"population": 1}}, "optimizer.population: 1 is too small; give at least 2"),
+        ({"weights": {"S1": -1}}, "weights.S1: -1 is too small; give at least 0"),
+        ({"weights": {"S1": float("nan")}}, "weights.S1: nan does not fit; give a finite number"),
+        ({"weights": {"S1": "2"}}, "weights.S1: 2 does not fit; give a number"),
+        ({"weights": [1, 2]}, "weights: a list does not fit; give an object"),
+        ({"catalogue": 5}, "catalogue: 5 does not fit; give text or a list"),
+        ({"catalogue": {"S1": 1}}, "catalogue: an object does not fit; give text or a list"),
+        ({"catalogue": ["S1", 5]}, "catalogue[1]: 5 does not fit; give text"),
+        ({"catalogue": []}, "catalogue: a list has too few entries; give at least 1"),
+        ({"catalogue": ["S1", "S1"]}, "catalogue: a scenario is listed twice; list each once"),
+        ({"reduction": {"mode": "x"}}, "reduction.mode: x is not one of the choices; give off, exact or influence"),
+        ({"reduction": {"audt": 1}}, "reduction.audt: there is no such field; did you mean audit?"),
+        ({"name": "a\0"}, "name: 'a\\x00' is no valid name; leave out control characters"),
+        ({"sensitivity": {}}, "sensitivity.map: the value is missing; give it"),
+        ([], "a list does not fit; give an object"),
+    ],
+)
+def test_each_finding_names_field_fault_and_remedy(document: object, said: str) -> None:
+    assert complaints(document) == [said]
+
+
+def test_everything_wrong_is_said_at_once() -> None:
+    found = complaints({"parameters": [{"name": "P1", "step": "1"}], "name": "", "evaluator": None})
+    assert found == [
+        "name: '' is too short; give at least 1 characters",
+        "parameters[0].lower: the value is missing; give it",
+        "parameters[0].upper: the value is missing; give it",
+        "parameters[0].step: 1 does not fit; give a number",
+        "evaluator: null does not fit; give text",
+    ]
+
+
+def test_a_slip_deep_in_an_influence_map_is_named_where_it_is() -> None:
+    found = complaints({"scenarios": {"S1": {"P1": {"lowr": 1}, "P2": 5}}}, InfluenceMapSpecification)
+    assert found == [
+        "scenarios.S1.P1.lowr: there is no such field; did you mean lower?",
+        "scenarios.S1.P2: 5 does not fit; give an object",
+    ]
+
+
+anything: st.SearchStrategy[Any] = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda children: st.lists(children, max_size=3) | st.dictionaries(st.text(max_size=5), children, max_size=3),
+    max_leaves=6,
+)
+fields = [*CampaignSpecification.model_fields, "scenarios", "scenario", "map"]
+
+
+@given(st.dictionaries(st.sampled_from(fields), anything), st.sampled_from([CampaignSpecification, EvaluationSpecification]))
+def test_any_document_is_either_accepted_or_refused_with_reasons(document: object, model: type[BaseModel]) -> None:
+    try:
+        validated(model, document)
+    except InvalidInputError as error:
+        said = [problem.message for problem in error.problems]
+    else:
+        said = ["accepted"]
+    assert said
+    assert all(said)
