@@ -1,0 +1,117 @@
+"""The settings of server and command line: flags, then `DRIVECAL_*` environment variables, then a config file, then defaults.
+
+The config file is `drivecal.toml` in the working directory or `config.toml` in the home folder; what the first one says wins.
+Environment variables beginning with `DRIVECAL_` that are no setting are left alone: container platforms invent some from the names of
+services. An unknown key in a config file is refused, for there it can only be a mistake.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field, StringConstraints, ValidationError, field_validator, model_validator
+from pydantic_settings import BaseSettings, InitSettingsSource, PydanticBaseSettingsSource, SettingsConfigDict
+
+from drivecal.domain.errors import InvalidInputError, Problem
+
+PREFIX = "DRIVECAL_"
+CONFIG_FILE = Path("drivecal.toml")
+MOST_WORKERS = 10_000
+
+Line = Annotated[str, StringConstraints(min_length=1, max_length=4096, pattern=r"^[^\x00-\x1f\x7f]+$")]
+
+
+class Settings(BaseSettings):
+    """What can be set from outside. `load_settings` makes it."""
+
+    model_config = SettingsConfigDict(env_prefix=PREFIX, env_ignore_empty=True, extra="forbid", frozen=True)
+
+    home: Path = Path(".drivecal")
+    """Where drivecal keeps its files: the SQLite database, the config file, the demo's results. Absolute once loaded."""
+    database_url: Line = ""
+    """SQLAlchemy URL; the default is the SQLite file `drivecal.db` in `home`."""
+    url: Line = "http://127.0.0.1:8000"
+    """Where clients find the server."""
+    token: Line | None = Field(default=None, repr=False)
+    """What clients show to the server."""
+    ray_address: Line | None = None
+    """Of a running Ray cluster; none: the dispatcher starts a local one."""
+    workers: Annotated[int, Field(ge=1, le=MOST_WORKERS)] | None = None
+    """Simulations at a time; none: one per CPU."""
+
+    @field_validator("home")
+    @classmethod
+    def _absolute(cls, value: Path) -> Path:
+        return value.expanduser().absolute()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _database_in_home(cls, values: dict[str, Any]) -> dict[str, Any]:
+        if values.get("database_url"):
+            return values
+        home = Path(str(values.get("home") or cls.model_fields["home"].default))
+        return {**values, "database_url": f"sqlite:///{home.expanduser().absolute() / 'drivecal.db'}"}
+
+    @field_validator("url")
+    @classmethod
+    def _web_address(cls, value: str) -> str:
+        if not value.startswith(("http://", "https://")):
+            raise ValueError("it is no web address; give e.g. http://127.0.0.1:8000")
+        return value
+
+    @classmethod
+    def settings_customise_sources(
+        cls,
+        settings_cls: type[BaseSettings],
+        init_settings: PydanticBaseSettingsSource,
+        env_settings: PydanticBaseSettingsSource,
+        dotenv_settings: PydanticBaseSettingsSource,
+        file_secret_settings: PydanticBaseSettingsSource,
+    ) -> tuple[PydanticBaseSettingsSource, ...]:
+        """Flags, environment, config file; secrets and dotenv files are not read."""
+        del dotenv_settings, file_secret_settings
+        here = _read(CONFIG_FILE)
+        home = Path(str(init_settings().get("home") or env_settings().get("home") or here.get("home") or ".drivecal"))
+        at_home = _read(home.expanduser() / "config.toml")
+        if "home" in at_home:
+            raise InvalidInputError(
+                Problem(
+                    "home", f"{home / 'config.toml'} lies in the home folder and cannot move it", "set DRIVECAL_HOME instead"
+                )
+            )
+        return init_settings, env_settings, InitSettingsSource(settings_cls, at_home | here)
+
+    @property
+    def environment(self) -> dict[str, str]:
+        """The same settings as environment variables, for child processes."""
+        values = self.model_dump(mode="json", exclude_none=True)
+        return {f"{PREFIX}{name.upper()}": str(value) for name, value in values.items()}
+
+
+def load_settings(**flags: Any) -> Settings:
+    """The settings in force; `flags` that are None were not given. Raises InvalidInputError naming each setting that is wrong."""
+    try:
+        return Settings(**{name: value for name, value in flags.items() if value is not None})
+    except ValidationError as error:
+        raise InvalidInputError(*(_explain(dict(problem)) for problem in error.errors(include_url=False))) from None
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (FileNotFoundError, NotADirectoryError):
+        return {}
+    except (OSError, ValueError) as error:  # TOMLDecodeError and UnicodeDecodeError are ValueErrors
+        problem = Problem(str(path), f"the config file cannot be read: {error}", "mend or remove it")
+        raise InvalidInputError(problem) from None
+
+
+def _explain(error: dict[str, Any]) -> Problem:
+    name = ".".join(str(part) for part in error["loc"])
+    if error["type"] == "extra_forbidden":
+        return Problem(name, "there is no such setting", f"one of {', '.join(sorted(Settings.model_fields))}")
+    given = "the value" if name == "token" else repr(error["input"])  # a secret never goes into a message
+    reason = error["msg"].removeprefix("Value error, ").lower()
+    return Problem(name, f"{given} does not fit: {reason}", f"it is set by flag, {PREFIX}{name.upper()} or config file")

@@ -1,0 +1,96 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from drivecal.campaigns.settings import Settings, load_settings
+from drivecal.domain.errors import InvalidInputError
+
+
+@pytest.fixture(autouse=True)
+def _empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in Settings.model_fields:
+        monkeypatch.delenv(f"DRIVECAL_{name.upper()}", raising=False)
+
+
+def test_the_database_lies_in_the_home_folder_unless_it_is_named(tmp_path: Path) -> None:
+    assert load_settings().database_url == f"sqlite:///{tmp_path}/.drivecal/drivecal.db"
+    assert load_settings(home="elsewhere").database_url == f"sqlite:///{tmp_path}/elsewhere/drivecal.db"
+    assert load_settings(home="elsewhere", database_url="sqlite:///a.db").database_url == "sqlite:///a.db"
+
+
+def test_flags_win_over_environment_over_the_file_here_over_the_file_at_home(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    home = tmp_path / "home"
+    home.mkdir()
+    monkeypatch.setenv("DRIVECAL_HOME", str(home))
+    (home / "config.toml").write_text("workers = 1\nray_address = 'at-home'\n")
+    assert (load_settings().workers, load_settings().ray_address) == (1, "at-home")
+    Path("drivecal.toml").write_text("workers = 2\n")
+    assert (load_settings().workers, load_settings().ray_address) == (2, "at-home")
+    monkeypatch.setenv("DRIVECAL_WORKERS", "3")
+    assert load_settings().workers == 3
+    assert load_settings(workers=4).workers == 4
+    assert load_settings(workers=None).workers == 3
+
+
+def test_the_file_here_may_move_the_home_folder_but_the_file_at_home_may_not(tmp_path: Path) -> None:
+    Path("drivecal.toml").write_text("home = 'there'\n")
+    (tmp_path / "there").mkdir()
+    (tmp_path / "there" / "config.toml").write_text("workers = 5\n")
+    assert load_settings().workers == 5
+    (tmp_path / "there" / "config.toml").write_text("home = 'nowhere'\n")
+    with pytest.raises(InvalidInputError, match="DRIVECAL_HOME"):
+        load_settings()
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"workers = ", "drivecal.toml: the config file cannot be read"),
+        (b"\xff\xfe", "drivecal.toml: the config file cannot be read"),
+        (b"worker = 2", "worker: there is no such setting; one of database_url, home"),
+        (b"workers = 0", "workers: 0 does not fit.*greater than or equal to 1.*DRIVECAL_WORKERS"),
+        (b"workers = 1e30", "workers: "),
+        (b"url = 'localhost:8000'", "url: 'localhost:8000' does not fit: it is no web address"),
+        (b'ray_address = "a\\nb"', "ray_address: "),
+        (b"home = 3", "home: "),
+    ],
+)
+def test_a_config_file_that_is_wrong_is_refused_with_the_setting(content: bytes, message: str) -> None:
+    Path("drivecal.toml").write_bytes(content)
+    with pytest.raises(InvalidInputError, match=message):
+        load_settings()
+
+
+def test_a_config_file_that_is_a_folder_is_refused() -> None:
+    Path("drivecal.toml").mkdir()
+    with pytest.raises(InvalidInputError, match="cannot be read"):
+        load_settings()
+
+
+def test_an_environment_variable_that_is_wrong_is_refused_and_an_empty_one_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DRIVECAL_WORKERS", "many")
+    with pytest.raises(InvalidInputError, match="DRIVECAL_WORKERS"):
+        load_settings()
+    monkeypatch.setenv("DRIVECAL_WORKERS", "")
+    assert load_settings().workers is None
+
+
+def test_the_token_shows_up_in_no_message(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert "secret" not in repr(load_settings(token="secret"))
+    monkeypatch.setenv("DRIVECAL_TOKEN", "secret\n\n")
+    with pytest.raises(InvalidInputError, match="token: the value does not fit") as caught:
+        load_settings()
+    assert "secret" not in str(caught.value)
+
+
+def test_a_child_process_reads_the_same_settings_from_its_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    settings = load_settings(home="somewhere", workers=3, token="t", url="https://example.org")
+    for name, value in settings.environment.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.chdir("/")
+    assert load_settings() == settings
