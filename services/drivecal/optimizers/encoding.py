@@ -1,0 +1,69 @@
+"""Grid indices as bit strings, the genetic algorithm's chromosomes (Section II-B of the paper).
+
+A parameter with n values gets the fewest bits k with 2**k >= n; its bit pattern b, most significant bit first, means the grid index
+round(b (n - 1) / (2**k - 1)). That quotient never ends in exactly one half, 2**k - 1 being odd, so its rounding needs no rule. Every
+index has at least one pattern; where 2**k > n some have two.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.domain.parameters import Indices
+
+Bits = npt.NDArray[np.bool_]
+
+
+class BitEncoding:
+    """The chromosomes of one search space: the patterns of all parameters, one after the other."""
+
+    def __init__(self, n_values: Indices) -> None:
+        """`n_values`: grid sizes, shape (n_searched,). Raises InvalidInputError where there is nothing to search."""
+        if n_values.size == 0:
+            raise InvalidInputError(Problem("fixed", "every parameter is fixed", "leave at least one to be searched"))
+        if n_values.min() < 2:
+            raise InvalidInputError(
+                Problem("parameters", "a searched parameter has fewer than two values", "name it in `fixed`")
+            )
+        self.n_values = n_values.astype(np.int64)
+        self.bits: Indices = np.array([(n - 1).bit_length() for n in n_values.tolist()], dtype=np.int64)
+        """Bits per parameter, k, shape (n_searched,)."""
+
+    @property
+    def n_bits(self) -> int:
+        """The length of a chromosome."""
+        return int(self.bits.sum())
+
+    @cached_property
+    def _largest(self) -> Indices:
+        return np.array([2**k - 1 for k in self.bits.tolist()], dtype=np.int64)
+
+    @cached_property
+    def _starts(self) -> Indices:
+        return np.cumsum(self.bits) - self.bits
+
+    @cached_property
+    def _shifts(self) -> Indices:
+        return np.concatenate([np.arange(k - 1, -1, -1) for k in self.bits.tolist()])
+
+    def indices(self, patterns: Indices) -> Indices:
+        """The grid indices that bit patterns mean; both of shape (n, n_searched)."""
+        return (2 * patterns * (self.n_values - 1) + self._largest) // (2 * self._largest)
+
+    def patterns(self, indices: Indices) -> Indices:
+        """One bit pattern for each grid index, the one in the middle of those that mean it; both of shape (n, n_searched)."""
+        return (2 * indices * self._largest + (self.n_values - 1)) // (2 * (self.n_values - 1))
+
+    def chromosomes(self, patterns: Indices) -> Bits:
+        """The bits of `patterns`, shape (n, n_searched), as one array per individual, shape (n, n_bits)."""
+        return (np.repeat(patterns, self.bits, axis=1) >> self._shifts & 1).astype(np.bool_)
+
+    def from_chromosomes(self, chromosomes: Bits) -> Indices:
+        """The inverse of `chromosomes`: patterns, shape (n, n_searched)."""
+        place_values = chromosomes.astype(np.int64) << self._shifts
+        patterns: Indices = np.add.reduceat(place_values, self._starts, axis=1)
+        return patterns
