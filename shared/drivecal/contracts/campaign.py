@@ -180,3 +180,10 @@ class ExpectedRuns(Answer):
     robustness: int
     validation: int
     notes: list[str] = []
+
+
+class SolutionPage(Answer):
+    """A page of solutions, best first; `next_cursor` null on the last."""
+
+    items: list[Solution]
+    next_cursor: str | None = None

@@ -85,7 +85,11 @@ def _merged(located: Sequence[tuple[tuple[int | str, ...], Detail]], model: type
     merged: list[Problem] = []
     for path, detail in located:
         if not _is_type(detail):
-            merged.append(_problem(path, detail, model))
+            if detail["type"] == "extra_forbidden":
+                remedy = _nearest(str(path[-1]), _known(model, path[:-1]))
+                merged.append(Problem(field_name(path), "there is no such field", remedy))
+            else:
+                merged.append(problem(field_name(path), detail))
             continue
         others = [(other, found) for other, found in located if found is not detail and other[: len(path)] == path]
         if any(len(other) > len(path) or not _is_type(found) for other, found in others):
@@ -100,13 +104,15 @@ def _is_type(detail: Detail) -> bool:
     return detail["type"] in _WANTED
 
 
-def _problem(path: tuple[int | str, ...], detail: Detail, model: type[BaseModel]) -> Problem:
+def problem(field: str, detail: Detail) -> Problem:
+    """What one finding of pydantic means for the user."""
     kind, context, given = detail["type"], detail.get("ctx", {}), shown(detail.get("input"))
-    field = field_name(path)
     if kind == "missing":
         return Problem(field, "the value is missing", "give it")
     if kind == "extra_forbidden":
-        return Problem(field, "there is no such field", _nearest(str(path[-1]), _known(model, path[:-1])))
+        return Problem(field, "there is no such field", "leave it out")
+    if kind in _WANTED:
+        return Problem(field, f"{given} does not fit", f"give {_WANTED[kind]}")
     if kind in _BOUNDS:
         message, remedy = _BOUNDS[kind]
         return Problem(field, f"{given} {message}", remedy.format(**{key: _number(value) for key, value in context.items()}))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,6 +18,8 @@ class SetupRequest:
     """Every parameter of the vehicle model."""
     evaluator: str
     run_fingerprint: str
+    document: Mapping[str, object] = field(default_factory=dict)
+    """What the coordinator fingerprinted (`Setup.document`), so that a worker can name what differs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,3 +59,5 @@ class BatchResult:
 
     worker: str
     results: tuple[CellResult, ...]
+    seconds: float
+    """Wall-clock time on the worker, loading the setup included: what batches are sized by."""

@@ -1,0 +1,62 @@
+"""Turns HTTP answers that are not what was asked for into drivecal's own errors."""
+
+from __future__ import annotations
+
+from http import HTTPStatus
+
+import httpx
+
+from drivecal.domain.errors import ConflictError, DrivecalError, InvalidInputError, NotFoundError, Problem, UnavailableError
+
+GATEWAY = {HTTPStatus.BAD_GATEWAY, HTTPStatus.SERVICE_UNAVAILABLE, HTTPStatus.GATEWAY_TIMEOUT, HTTPStatus.TOO_MANY_REQUESTS}
+
+
+def unreachable(url: str, error: Exception) -> UnavailableError:
+    """No answer at all. Names the address and how to get a server there."""
+    reason = str(error) or type(error).__name__
+    return UnavailableError(
+        f"no drivecal server answers at {url} ({reason}); start one with `drivecal serve`, or set DRIVECAL_URL or --url"
+    )
+
+
+def raise_for(response: httpx.Response, kind: str, identifier: str) -> None:
+    """Returns for a good answer; raises the error that the problem document describes otherwise.
+
+    `kind` and `identifier` name what was asked for, for NotFoundError.
+    """
+    if response.is_success or response.status_code == HTTPStatus.NOT_MODIFIED:
+        return
+    document = _document(response)
+    if response.status_code == HTTPStatus.NOT_FOUND and kind:
+        raise NotFoundError(kind, identifier)
+    detail = str(document.get("detail") or document.get("title") or f"HTTP {response.status_code}")
+    if response.status_code == HTTPStatus.CONFLICT:
+        raise ConflictError(detail)
+    if response.status_code in GATEWAY:
+        raise UnavailableError(detail)
+    if response.is_client_error:
+        raise InvalidInputError(*(_problems(document) or [Problem("", detail)]))
+    raise DrivecalError(f"the server at {response.url.copy_with(path='/')} failed: {detail}")
+
+
+def _document(response: httpx.Response) -> dict[str, object]:
+    try:
+        document = response.json()
+    except ValueError:
+        document = None
+    if not isinstance(document, dict) or "status" not in document:
+        raise UnavailableError(
+            f"what answers at {response.url} is no drivecal server (HTTP {response.status_code}); check DRIVECAL_URL or --url"
+        )
+    return document
+
+
+def _problems(document: dict[str, object]) -> list[Problem]:
+    errors = document.get("errors")
+    if not isinstance(errors, list):
+        return []
+    return [
+        Problem(str(error.get("field", "")), str(error.get("message", "")), str(error.get("remedy", "")))
+        for error in errors
+        if isinstance(error, dict)
+    ]

@@ -1,0 +1,213 @@
+"""The client. One method per call of the API; answers are the contracts, errors are drivecal's own."""
+
+from __future__ import annotations
+
+import time
+import uuid
+from collections.abc import Iterator, Mapping
+from http import HTTPStatus
+from types import TracebackType
+from typing import Any, Literal, Self, TypeVar
+from urllib.parse import quote
+
+import httpx
+from pydantic import BaseModel, ValidationError
+
+from drivecal.client.answers import raise_for, unreachable
+from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns, SolutionPage
+from drivecal.contracts.evaluation import Evaluation
+from drivecal.contracts.inventory import InfluenceMapAnswer, InfluenceMapPage, Readiness, WorkerPage
+from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.errors import UnavailableError
+
+Action = Literal["pause", "resume", "cancel"]
+Table = Literal["evaluations", "generations", "solutions", "influence"]
+Answer = TypeVar("Answer", bound=BaseModel)
+
+ATTEMPTS_TO_CONNECT = 3
+SILENCE_SECONDS = 60.0
+"""How long `watch` bears a server that does not answer: a restart takes less."""
+
+
+class Client:
+    """Speaks to the server at `url`. Every method raises UnavailableError where nothing answers, InvalidInputError where the server
+    refuses what it was given, and NotFoundError or ConflictError where the thing asked for is not there or not in a fitting state."""
+
+    def __init__(self, url: str, timeout: float = 30.0) -> None:
+        self.url = url.rstrip("/")
+        # Only a connection that was never made is tried again, so that nothing is ever done twice.
+        transport = httpx.HTTPTransport(retries=ATTEMPTS_TO_CONNECT - 1)
+        self._http = httpx.Client(base_url=self.url, timeout=timeout, transport=transport)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._http.close()
+
+    def submit(self, specification: Mapping[str, Any], key: str | None = None) -> Campaign:
+        """Queues a campaign. Submitting again with the same `key` gives the same campaign."""
+        return self._post("/api/v1/campaigns", Campaign, specification, key=key or uuid.uuid4().hex)
+
+    def expected_runs(self, specification: Mapping[str, Any]) -> ExpectedRuns:
+        """Checks a campaign without queueing it and says what it would cost."""
+        return self._post("/api/v1/campaigns", ExpectedRuns, specification, query={"validate_only": "true"})
+
+    def campaigns(self, state: str | None = None, limit: int | None = None, cursor: str | None = None) -> CampaignPage:
+        """A page of campaigns, newest first."""
+        query = {"state": state, "limit": limit, "cursor": cursor}
+        return self._get("/api/v1/campaigns", CampaignPage, query=query)
+
+    def campaign(self, identifier: str) -> Campaign:
+        """One campaign."""
+        return self._get(_path("campaigns", identifier), Campaign, kind="campaign", identifier=identifier)
+
+    def watch(self, identifier: str) -> Iterator[Campaign]:
+        """Yields the campaign now and whenever it changed, until it ended. Bears a server that restarts meanwhile."""
+        etag, wait, silent_since = "", 0.0, None
+        while True:
+            try:
+                response = self._request("GET", _path("campaigns", identifier), headers={"If-None-Match": etag} if etag else {})
+                raise_for(response, "campaign", identifier)
+                silent_since = None
+            except UnavailableError:
+                silent_since = silent_since or time.monotonic()
+                if time.monotonic() - silent_since > SILENCE_SECONDS:
+                    raise
+                time.sleep(1.0)
+                continue
+            wait = float(response.headers.get("retry-after", 1))
+            if response.status_code != HTTPStatus.NOT_MODIFIED:
+                etag = response.headers.get("etag", "")
+                campaign = self._answer(response, Campaign)
+                yield campaign
+                if CampaignState(campaign.state).ended:
+                    return
+            time.sleep(wait)
+
+    def act(self, identifier: str, action: Action) -> Campaign:
+        """Asks for a campaign to be paused, resumed or cancelled. Asking twice is no error."""
+        path = _path("campaigns", identifier, action)
+        return self._post(path, Campaign, kind="campaign", identifier=identifier)
+
+    def rerun(self, identifier: str, changes: Mapping[str, Any], key: str | None = None) -> Campaign:
+        """Queues a new campaign on the references and the influence map of an ended one."""
+        path = _path("campaigns", identifier, "rerun")
+        return self._post(path, Campaign, changes, key=key or uuid.uuid4().hex, kind="campaign", identifier=identifier)
+
+    def solutions(self, identifier: str, weights: str | None = None, limit: int | None = None) -> SolutionPage:
+        """The best parameter sets, under the campaign's weights or others (`S1=2,S2=1`)."""
+        query = {"weights": weights, "limit": limit}
+        path = _path("campaigns", identifier, "solutions")
+        return self._get(path, SolutionPage, query=query, kind="campaign", identifier=identifier)
+
+    def table(self, identifier: str, table: Table, form: Literal["csv", "parquet"]) -> Iterator[bytes]:
+        """A whole table, in pieces as they come."""
+        path = _path("campaigns", identifier, table)
+        try:
+            with self._http.stream("GET", path, params={"format": form}) as response:
+                if not response.is_success:
+                    response.read()
+                raise_for(response, "campaign", identifier)
+                yield from response.iter_bytes()
+        except httpx.TransportError as error:
+            raise unreachable(self.url, error) from error
+
+    def rows(self, identifier: str, table: Table) -> Iterator[dict[str, Any]]:
+        """Every row of a table."""
+        cursor: str | None = None
+        while True:
+            query = {"limit": 1000, "cursor": cursor}
+            response = self._request("GET", _path("campaigns", identifier, table), query=query)
+            raise_for(response, "campaign", identifier)
+            page = response.json()
+            yield from page["items"]
+            cursor = page["next_cursor"]
+            if cursor is None:
+                return
+
+    def evaluate(self, specification: Mapping[str, Any], key: str | None = None) -> Evaluation:
+        """Queues the evaluation of one parameter set."""
+        return self._post("/api/v1/evaluations", Evaluation, specification, key=key or uuid.uuid4().hex)
+
+    def evaluation(self, identifier: str) -> Evaluation:
+        """A single evaluation by the id that `evaluate` gave."""
+        return self._get(_path("evaluations", identifier), Evaluation, kind="evaluation", identifier=identifier)
+
+    def post_influence_map(self, specification: Mapping[str, Any]) -> InfluenceMapAnswer:
+        """Stores an influence map."""
+        return self._post("/api/v1/influence-maps", InfluenceMapAnswer, specification)
+
+    def influence_maps(self, cursor: str | None = None) -> InfluenceMapPage:
+        """A page of influence maps, newest first."""
+        return self._get("/api/v1/influence-maps", InfluenceMapPage, query={"cursor": cursor})
+
+    def influence_map(self, identifier: str) -> InfluenceMapAnswer:
+        """One influence map with its rows."""
+        path = _path("influence-maps", identifier)
+        return self._get(path, InfluenceMapAnswer, kind="influence map", identifier=identifier)
+
+    def workers(self) -> WorkerPage:
+        """The workers."""
+        return self._get("/api/v1/workers", WorkerPage)
+
+    def readiness(self) -> Readiness:
+        """Whether the server can do work; a server that is not ready says why."""
+        response = self._request("GET", "/readyz")
+        if response.status_code == HTTPStatus.SERVICE_UNAVAILABLE and "problems" in response.text:
+            return self._answer(response, Readiness)
+        raise_for(response, "", "")
+        return self._answer(response, Readiness)
+
+    def _get(
+        self,
+        path: str,
+        model: type[Answer],
+        query: Mapping[str, Any] | None = None,
+        kind: str = "",
+        identifier: str = "",
+    ) -> Answer:
+        response = self._request("GET", path, query=query)
+        raise_for(response, kind, identifier)
+        return self._answer(response, model)
+
+    def _post(
+        self,
+        path: str,
+        model: type[Answer],
+        document: Mapping[str, Any] | None = None,
+        query: Mapping[str, Any] | None = None,
+        key: str | None = None,
+        kind: str = "",
+        identifier: str = "",
+    ) -> Answer:
+        headers = {"Idempotency-Key": key} if key else {}
+        response = self._request("POST", path, query=query, headers=headers, document=document)
+        raise_for(response, kind, identifier)
+        return self._answer(response, model)
+
+    def _request(
+        self,
+        method: str,
+        path: str,
+        query: Mapping[str, Any] | None = None,
+        headers: Mapping[str, str] | None = None,
+        document: Mapping[str, Any] | None = None,
+    ) -> httpx.Response:
+        params = {name: value for name, value in (query or {}).items() if value is not None}
+        try:
+            return self._http.request(method, path, params=params, headers=headers, json=document)
+        except (httpx.TransportError, httpx.InvalidURL) as error:
+            raise unreachable(self.url, error) from error
+
+    def _answer(self, response: httpx.Response, model: type[Answer]) -> Answer:
+        try:
+            return model.model_validate_json(response.content)
+        except ValidationError as error:
+            raise UnavailableError(
+                f"the server at {self.url} answers in a form this drivecal does not know; are both of one version?"
+            ) from error
+
+
+def _path(*parts: str) -> str:
+    return "/api/v1/" + "/".join(quote(part, safe="") for part in parts)

@@ -1,0 +1,43 @@
+"""What the service answers about single evaluations: one parameter set in one scenario, or in all of a catalogue."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from drivecal.contracts.campaign import Answer
+
+
+class EvaluatedCell(Answer):
+    """One cell of a single evaluation. `outcome`, `score` and `rating` are null while the answer is pending."""
+
+    id: int
+    scenario: str
+    outcome: str | None
+    score: int | None
+    rating: float | None
+    reference: int | None
+    failure: str | None
+    milliseconds: float | None
+    worker: str | None
+    metrics: dict[str, float] | None = None
+    """The measured metrics, their units in their names."""
+
+
+class Evaluation(Answer):
+    """A single evaluation. Asked for in one scenario, that scenario's answer is at the top level as well."""
+
+    id: str
+    state: str
+    parameters: dict[str, float]
+    scenario: str | None
+    """Null where all scenarios of the catalogue were asked for."""
+    objective: float | None
+    """The mean score over the scenarios, null until all have one."""
+    items: list[EvaluatedCell]
+    outcome: str | None = None
+    score: int | None = None
+    rating: float | None = None
+    failure: str | None = None
+    metrics: dict[str, float] | None = None
+    error: str | None = None
+    links: dict[str, str] = Field(default_factory=dict)

@@ -1,0 +1,131 @@
+"""What the service answers about what is there: scenarios, parameter spaces, influence maps, references, workers, its own health."""
+
+from __future__ import annotations
+
+from datetime import datetime
+
+from pydantic import Field
+
+from drivecal.contracts.campaign import Answer
+
+
+class InfluenceRow(Answer):
+    """One parameter in one scenario. Bounds are inclusive and in parameter units; what only an analysis can know is null."""
+
+    scenario: str
+    parameter: str
+    influential: bool
+    lower: float | None
+    upper: float | None
+    s_rel_intervals: list[float] | None = None
+    mu: float | None = None
+    sigma: float | None = None
+    mu_star: float | None = None
+
+
+class InfluenceMapAnswer(Answer):
+    """A stored influence map. `source` says where it comes from; `rows` is left out of lists."""
+
+    id: str
+    name: str
+    source: str
+    driving_function: str
+    created_at: datetime | None = None
+    rows: list[InfluenceRow] | None = None
+    links: dict[str, str] = Field(default_factory=dict)
+
+
+class InfluenceMapPage(Answer):
+    """Influence maps, newest first."""
+
+    items: list[InfluenceMapAnswer]
+    next_cursor: str | None = None
+
+
+class ScenarioAnswer(Answer):
+    """A scenario of an installed catalogue. `duration` and `step` in seconds; `vehicles` counts the others on the road."""
+
+    id: str
+    catalogue: str
+    title: str
+    manoeuvre: str
+    duration: float
+    step: float
+    vehicles: int
+
+
+class ScenarioPage(Answer):
+    """All scenarios."""
+
+    items: list[ScenarioAnswer]
+    next_cursor: str | None = None
+
+
+class ParameterAnswer(Answer):
+    """A parameter on its grid of `n_values` equally spaced values."""
+
+    name: str
+    unit: str
+    lower: float
+    upper: float
+    step: float
+    n_values: int
+    description: str
+
+
+class ParameterSpaceAnswer(Answer):
+    """A parameter space that a campaign can name in `parameters`."""
+
+    driving_function: str
+    name: str
+    parameters: list[ParameterAnswer]
+
+
+class ParameterSpacePage(Answer):
+    """All parameter spaces."""
+
+    items: list[ParameterSpaceAnswer]
+    next_cursor: str | None = None
+
+
+class ReferenceAnswer(Answer):
+    """How many runs of one setup the reference table holds."""
+
+    scenario: str
+    fingerprint: str
+    driving_function: str
+    vehicle: str
+    simulator: str
+    runs: int
+
+
+class ReferencePage(Answer):
+    """The reference table's size by setup."""
+
+    items: list[ReferenceAnswer]
+    next_cursor: str | None = None
+
+
+class WorkerAnswer(Answer):
+    """A worker as the dispatcher last saw it; `cells` counts what it has finished."""
+
+    id: str
+    node: str | None = None
+    state: str
+    cells: int = 0
+
+
+class WorkerPage(Answer):
+    """The workers, and since when the dispatcher that drives them has been silent (null: it never spoke)."""
+
+    items: list[WorkerAnswer]
+    next_cursor: str | None = None
+    dispatcher_seen_at: datetime | None = None
+    degraded: str | None = None
+
+
+class Readiness(Answer):
+    """Whether work can be accepted and will be done; `problems` says what is missing."""
+
+    ready: bool
+    problems: list[str] = Field(default_factory=list)
