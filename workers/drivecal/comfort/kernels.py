@@ -1,0 +1,139 @@
+"""The comfort metrics' numba kernels. They call each other and therefore live in one module."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from drivecal.plugins.ports import Floats
+
+
+@njit(cache=True)
+def peaks(signal: Floats, window: int, spacing: float) -> tuple[float, float]:
+    """Largest absolute moving average of `signal` and of its derivative over `window` samples that are `spacing` seconds apart.
+
+    The average of the derivative over a window is the difference of its ends over its length. A signal shorter than the window is
+    one window.
+    """
+    n = signal.shape[0]
+    window = min(window, n)
+    total = 0.0
+    for i in range(window):
+        total += signal[i]
+    largest = abs(total)
+    for i in range(window, n):
+        total += signal[i] - signal[i - window]
+        largest = max(largest, abs(total))
+    steepest = 0.0
+    reach = min(window, n - 1)
+    for i in range(reach, n):
+        steepest = max(steepest, abs(signal[i] - signal[i - reach]))
+    return largest / window, steepest / (max(reach, 1) * spacing)
+
+
+@njit(cache=True)
+def root_mean_square(signal: Floats) -> float:
+    """sqrt(<signal^2>)."""
+    total = 0.0
+    for value in signal:
+        total += value * value
+    return math.sqrt(total / signal.shape[0])
+
+
+@njit(cache=True)
+def weighted_root_mean_square(signal: Floats, sections: Floats) -> float:
+    """R.m.s. of `signal` after the second-order `sections`, shape (n, 6), a0 = 1, starting from rest (transposed direct form II)."""
+    n = sections.shape[0]
+    memory = np.zeros((n, 2))
+    total = 0.0
+    for value in signal:
+        for k in range(n):
+            out = sections[k, 0] * value + memory[k, 0]
+            memory[k, 0] = sections[k, 1] * value - sections[k, 4] * out + memory[k, 1]
+            memory[k, 1] = sections[k, 2] * value - sections[k, 5] * out
+            value = out
+        total += value * value
+    return math.sqrt(total / signal.shape[0])
+
+
+@njit(cache=True)
+def reversals(angle: Floats, gap: float) -> int:
+    """How often `angle` turns back by at least `gap` after having moved by at least `gap` (zigzag count with hysteresis)."""
+    count = 0
+    direction = 0
+    low = high = angle[0]
+    for value in angle:
+        if direction >= 0:
+            high = max(high, value)
+        if direction <= 0:
+            low = min(low, value)
+        if direction >= 0 and high - value >= gap:
+            count += direction
+            direction, low = -1, value
+        elif direction <= 0 and value - low >= gap:
+            count -= direction
+            direction, high = 1, value
+    return count
+
+
+@njit(cache=True)
+def overshoot(offset: Floats, noticeable: float, centred: float, settled: float) -> float:
+    """How far (m) a swing back to the centre went beyond it.
+
+    An excursion begins when |offset| reaches `noticeable`; what follows on the other side is overshoot until the offset has stayed below
+    `centred` for `settled` samples. An overshoot that is noticeable itself begins the next excursion.
+    """
+    largest = 0.0
+    side = 0.0
+    calm = 0
+    for value in offset:
+        calm = calm + 1 if abs(value) < centred else 0
+        if calm >= settled:
+            side = 0.0
+        largest = max(largest, -side * value)
+        if value >= noticeable:
+            side = 1.0
+        elif value <= -noticeable:
+            side = -1.0
+    return largest
+
+
+@njit(cache=True)
+def measure(
+    dynamics: Floats,
+    offset: Floats,
+    horizontal: Floats,
+    sickness: Floats,
+    spacing: float,
+    window: int,
+    gap: float,
+    swing: tuple[float, float, float],
+    out: Floats,
+) -> None:
+    """All metrics of one run into `out`, shape (16,), in the order of `metrics.NAMES`; `swing`: the three arguments of `overshoot`."""
+    n = dynamics.shape[0]
+    longitudinal = dynamics[:, 1].copy()
+    lateral = dynamics[:, 2].copy()
+    duration = n * spacing
+    out[0], out[1] = peaks(lateral, window, spacing)
+    out[2], out[3] = peaks(longitudinal, window, spacing)
+    out[4] = root_mean_square(lateral)
+    out[5] = root_mean_square(longitudinal)
+    largest = 0.0
+    for rate in dynamics[:, 3]:
+        largest = max(largest, abs(rate))
+    out[6] = largest
+    out[7] = root_mean_square(offset)
+    largest = 0.0
+    for distance in offset:
+        largest = max(largest, abs(distance))
+    out[8] = largest
+    out[9] = overshoot(offset, swing[0], swing[1], swing[2])
+    out[10] = reversals(dynamics[:, 4], gap) * 60.0 / duration
+    out[11] = weighted_root_mean_square(longitudinal, horizontal)
+    out[12] = weighted_root_mean_square(lateral, horizontal)
+    out[13] = math.sqrt(out[11] * out[11] + out[12] * out[12])
+    out[14] = weighted_root_mean_square(longitudinal, sickness) * math.sqrt(duration)
+    out[15] = weighted_root_mean_square(lateral, sickness) * math.sqrt(duration)

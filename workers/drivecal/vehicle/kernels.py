@@ -1,0 +1,262 @@
+"""The vehicle's numba kernels: equations of motion, Runge-Kutta step, tracking controller, and the loop over 0.01 s steps.
+
+They call each other and therefore live in one module (numba's cache does not notice edits in imported ones). Arrays are packed:
+
+`state`, shape (9,): x, y, heading psi, speed v, side-slip angle beta, yaw rate, longitudinal acceleration, lateral acceleration, steering
+angle of the front wheels. `plant`, shape (8,): the coefficients of `pack_plant`. `trajectory`, shape (n, 7): as from `Planner.plan`.
+The position is that of the centre of mass, whose course over ground is psi + beta.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from drivecal.plugins.ports import Floats
+from drivecal.vehicle.parameters import NOMINAL, SingleTrackParameters, understeer_gradient
+
+STEP = 0.01
+"""Integration step, s."""
+
+FOLLOWED, UNSTABLE, TOO_SHORT = 0, 1, 2
+"""What `follow` answers."""
+
+KINEMATIC_BELOW = 3.0
+DYNAMIC_ABOVE = 5.0
+"""Speeds (m/s) between which the kinematic and the dynamic model are blended. The stiffest corner of Table 8 has an eigenvalue of about
+-540/v; at 3 m/s times 0.01 s that is -1.8, inside Runge-Kutta's stability interval of -2.78."""
+SETTLING_TIME = 0.1
+"""Time constant (s) with which side slip and yaw rate settle on the kinematic relations."""
+
+SIDE_SLIP_LIMIT = 0.2
+"""Side-slip angle (rad, above `DYNAMIC_ABOVE`) beyond which the vehicle counts as spinning."""
+ADHESION_LIMIT = 9.81
+"""Lateral acceleration (m/s^2) that no road tyre gives: the linear model has lost its meaning, the vehicle its grip."""
+
+STEERING_LAG = 0.08
+STEERING_RATE_LIMIT = 0.4
+STEERING_LIMIT = 0.5
+"""Steering actuator: first-order lag (s), largest rate (rad/s at the wheels, as in CommonRoad's parameter sets), largest angle (rad)."""
+DRIVE_LAG = 0.15
+ACCELERATION_LIMITS = (-9.0, 4.0)
+"""Drive and brakes: first-order lag (s), smallest and largest acceleration (m/s^2)."""
+
+LATERAL_FREQUENCY = 1.0
+LATERAL_DAMPING = 1.0
+YAW_RATE_GAIN = 0.75
+"""Lateral feedback: the error obeys e'' + 2 zeta omega e' + omega^2 e = 0 (omega in rad/s) on top of a yaw rate feedback (share of the
+curvature error), which damps oversteering vehicles. Chosen so that every corner of Table 8's box that is stable without a
+controller is stable with it from 10 to 40 m/s."""
+SPEED_GAIN = 1.0
+POSITION_GAIN = 0.25
+"""Longitudinal feedback: 1/s on the speed error, 1/s^2 on the position error (0.5 rad/s, critically damped)."""
+
+_WHEELBASE = NOMINAL.wheelbase
+_UNDERSTEER = understeer_gradient(NOMINAL)
+_SLIP_GRADIENT = NOMINAL.mass * NOMINAL.distance_front / (NOMINAL.cornering_stiffness_rear * NOMINAL.wheelbase)
+_LENGTH_REAR = NOMINAL.distance_rear
+_DAMPING_YAW = (
+    NOMINAL.distance_front**2 * NOMINAL.cornering_stiffness_front + NOMINAL.distance_rear**2 * NOMINAL.cornering_stiffness_rear
+) / NOMINAL.yaw_inertia
+_DAMPING_SLIP = (NOMINAL.cornering_stiffness_front + NOMINAL.cornering_stiffness_rear) / NOMINAL.mass
+_DETERMINANT = (
+    NOMINAL.cornering_stiffness_front
+    * NOMINAL.cornering_stiffness_rear
+    * NOMINAL.wheelbase
+    / (NOMINAL.mass * NOMINAL.yaw_inertia)
+)
+_STEERING_SHARE = 1.0 - math.exp(-STEP / STEERING_LAG)
+_DRIVE_SHARE = 1.0 - math.exp(-STEP / DRIVE_LAG)
+_LOWEST_ACCELERATION, _HIGHEST_ACCELERATION = ACCELERATION_LIMITS
+_ERROR_GAIN = LATERAL_FREQUENCY**2
+_COURSE_GAIN = 2.0 * LATERAL_DAMPING * LATERAL_FREQUENCY
+
+
+def pack_plant(parameters: SingleTrackParameters) -> Floats:
+    """The coefficients of the equations of motion, shape (8,): see `_slip_and_yaw`."""
+    front, rear = parameters.cornering_stiffness_front, parameters.cornering_stiffness_rear
+    ahead, behind = parameters.distance_front, parameters.distance_rear
+    return np.array(
+        [
+            (front + rear) / parameters.mass,
+            (behind * rear - ahead * front) / parameters.mass,
+            front / parameters.mass,
+            (behind * rear - ahead * front) / parameters.yaw_inertia,
+            (ahead * ahead * front + behind * behind * rear) / parameters.yaw_inertia,
+            ahead * front / parameters.yaw_inertia,
+            parameters.wheelbase,
+            behind / parameters.wheelbase,
+        ]
+    )
+
+
+@njit(cache=True)
+def _slip_and_yaw(
+    v: float, beta: float, yaw_rate: float, delta: float, delta_rate: float, acceleration: float, plant: Floats
+) -> tuple[float, float]:
+    """Derivatives of side-slip angle and yaw rate.
+
+    Dynamic (Rajamani, Section 2.3, with tyre forces c_f (delta - beta - l_f r / v) and c_r (-beta + l_r r / v)); below
+    `DYNAMIC_ABOVE` blended with the kinematic relations beta = l_r / L delta and r = v delta / L, on which both settle while
+    they move with them.
+    """
+    if v >= DYNAMIC_ABOVE:
+        beta_rate = (plant[2] * delta - plant[0] * beta) / v + (plant[1] / (v * v) - 1.0) * yaw_rate
+        return beta_rate, plant[3] * beta - plant[4] * yaw_rate / v + plant[5] * delta
+    share = max(0.0, (v - KINEMATIC_BELOW) / (DYNAMIC_ABOVE - KINEMATIC_BELOW))
+    share = share * share * (3.0 - 2.0 * share)
+    u = max(v, KINEMATIC_BELOW)
+    beta_dynamic = (plant[2] * delta - plant[0] * beta) / u + (plant[1] / (u * u) - 1.0) * yaw_rate
+    yaw_dynamic = plant[3] * beta - plant[4] * yaw_rate / u + plant[5] * delta
+    beta_kinematic = plant[7] * delta_rate + (plant[7] * delta - beta) / SETTLING_TIME
+    yaw_kinematic = (acceleration * delta + v * delta_rate) / plant[6] + (v * delta / plant[6] - yaw_rate) / SETTLING_TIME
+    beta_rate = share * beta_dynamic + (1.0 - share) * beta_kinematic
+    return beta_rate, share * yaw_dynamic + (1.0 - share) * yaw_kinematic
+
+
+@njit(cache=True)
+def advance(state: Floats, delta_rate: float, acceleration: float, plant: Floats, step: float) -> None:
+    """One classical Runge-Kutta step (order 4) of `step` seconds with constant steering rate and acceleration; `state` is overwritten."""
+    x, y, psi, v, beta, yaw, delta = state[0], state[1], state[2], state[3], state[4], state[5], state[8]
+    half = 0.5 * step
+    course = psi + beta
+    x1, y1 = v * math.cos(course), v * math.sin(course)
+    b1, r1 = _slip_and_yaw(v, beta, yaw, delta, delta_rate, acceleration, plant)
+    v2, d2 = v + half * acceleration, delta + half * delta_rate
+    beta2, yaw2 = beta + half * b1, yaw + half * r1
+    course = psi + half * yaw + beta2
+    x2, y2 = v2 * math.cos(course), v2 * math.sin(course)
+    b2, r2 = _slip_and_yaw(v2, beta2, yaw2, d2, delta_rate, acceleration, plant)
+    beta3, yaw3 = beta + half * b2, yaw + half * r2
+    course = psi + half * yaw2 + beta3
+    x3, y3 = v2 * math.cos(course), v2 * math.sin(course)
+    b3, r3 = _slip_and_yaw(v2, beta3, yaw3, d2, delta_rate, acceleration, plant)
+    v4, d4 = v + step * acceleration, delta + step * delta_rate
+    beta4, yaw4 = beta + step * b3, yaw + step * r3
+    course = psi + step * yaw3 + beta4
+    x4, y4 = v4 * math.cos(course), v4 * math.sin(course)
+    b4, r4 = _slip_and_yaw(v4, beta4, yaw4, d4, delta_rate, acceleration, plant)
+    sixth = step / 6.0
+    state[0] = x + sixth * (x1 + 2.0 * x2 + 2.0 * x3 + x4)
+    state[1] = y + sixth * (y1 + 2.0 * y2 + 2.0 * y3 + y4)
+    state[2] = psi + sixth * (yaw + 2.0 * yaw2 + 2.0 * yaw3 + yaw4)
+    state[3] = v4
+    state[4] = beta + sixth * (b1 + 2.0 * b2 + 2.0 * b3 + b4)
+    state[5] = yaw + sixth * (r1 + 2.0 * r2 + 2.0 * r3 + r4)
+    state[8] = d4
+    beta_rate, _ = _slip_and_yaw(v4, state[4], state[5], d4, delta_rate, acceleration, plant)
+    state[6] = acceleration
+    state[7] = v4 * (beta_rate + state[5])
+
+
+@njit(cache=True)
+def _wrapped(angle: float) -> float:
+    """The angle (rad) moved by whole turns into [-pi, pi); unchanged to the bit where it is there already."""
+    return angle - 2.0 * math.pi * math.floor((angle + math.pi) / (2.0 * math.pi))
+
+
+@njit(cache=True)
+def _sample(trajectory: Floats, column: int, time: float, spacing: float) -> float:
+    """One column of the trajectory at `time`, linear between rows, constant beyond the last one."""
+    position = time / spacing
+    row = int(position)
+    last = trajectory.shape[0] - 1
+    value: float = trajectory[min(row, last), column]
+    if row < last:
+        value += (position - row) * (trajectory[row + 1, column] - value)
+    return value
+
+
+@njit(cache=True)
+def _steering_rate(
+    state: Floats, lateral_error: float, course_error: float, trajectory: Floats, time: float, spacing: float
+) -> float:
+    """The rate (rad/s) that the steering actuator gives for the next step.
+
+    Feed-forward is the nominal vehicle's steady steering angle for the curvature that is due when the vehicle will have reacted: after the
+    actuator's lag plus the delay between steering angle and lateral acceleration at low frequency. The yaw rate is compared with
+    the one due now: it leads the course by the time that the side slip needs to build up.
+    """
+    v = max(state[3], DYNAMIC_ABOVE)
+    determinant = _DETERMINANT * (_WHEELBASE + _UNDERSTEER * v * v) / (v * v)
+    delay = STEERING_LAG + (_DAMPING_SLIP + _DAMPING_YAW) / (v * determinant) - _LENGTH_REAR / v
+    lead = _SLIP_GRADIENT * v - _LENGTH_REAR / v
+    curvature = _sample(trajectory, 4, time + max(0.0, delay), spacing)
+    curvature += YAW_RATE_GAIN * (_sample(trajectory, 4, time + max(0.0, lead), spacing) - state[5] / v)
+    curvature -= (_ERROR_GAIN * lateral_error + _COURSE_GAIN * v * math.sin(course_error)) / (v * v)
+    target = (_WHEELBASE + _UNDERSTEER * v * v) * curvature
+    target = min(STEERING_LIMIT, max(-STEERING_LIMIT, target))
+    rate: float = (target - state[8]) * _STEERING_SHARE / STEP
+    return min(STEERING_RATE_LIMIT, max(-STEERING_RATE_LIMIT, rate))
+
+
+@njit(cache=True)
+def _acceleration(
+    state: Floats, position_error: float, course_error: float, trajectory: Floats, time: float, spacing: float
+) -> float:
+    """The acceleration (m/s^2) that drive and brakes give for the next step."""
+    speed_error = state[3] * math.cos(course_error) - _sample(trajectory, 5, time, spacing)
+    target = _sample(trajectory, 6, time + DRIVE_LAG, spacing) - SPEED_GAIN * speed_error - POSITION_GAIN * position_error
+    target = min(_HIGHEST_ACCELERATION, max(_LOWEST_ACCELERATION, target))
+    acceleration: float = state[6] + (target - state[6]) * _DRIVE_SHARE
+    standstill: float = -state[3] / STEP  # brakes hold a standing vehicle, they do not push it backwards
+    return max(acceleration, standstill)
+
+
+@njit(cache=True)
+def follow(state: Floats, plant: Floats, trajectory: Floats, since: float, steps: int, dynamics: Floats) -> int:
+    """Follows `trajectory` from `since` seconds after its start for `steps` steps; answers FOLLOWED, UNSTABLE or TOO_SHORT.
+
+    `state` is overwritten; `dynamics`, shape (steps, 5): speed, longitudinal acceleration, lateral acceleration, yaw rate,
+    steering angle at the end of each step. From the step on that went unstable, state and rows stay at the last sound values.
+    """
+    last = trajectory.shape[0] - 1
+    spacing = trajectory[1, 0] - trajectory[0, 0]
+    if since < 0.0 or since + (steps - 1) * STEP > last * spacing + 1e-9:
+        return TOO_SHORT
+    before = state.copy()
+    row = -1
+    sine = cosine = x0 = y0 = x1 = y1 = tx0 = ty0 = tx1 = ty1 = heading = turn = 0.0
+    status = FOLLOWED
+    for k in range(steps):
+        if status == FOLLOWED:
+            time = since + k * STEP
+            position = time / spacing + 1e-9
+            if int(position) != row and not (int(position) >= last and row == last - 1):
+                row = min(int(position), last - 1)
+                heading = trajectory[row, 3]
+                turn = _wrapped(trajectory[row + 1, 3] - heading)
+                x0, y0 = trajectory[row, 1], trajectory[row, 2]
+                x1, y1 = trajectory[row + 1, 1], trajectory[row + 1, 2]
+                tx0 = trajectory[row, 5] * spacing * math.cos(heading)
+                ty0 = trajectory[row, 5] * spacing * math.sin(heading)
+                tx1 = trajectory[row + 1, 5] * spacing * math.cos(heading + turn)
+                ty1 = trajectory[row + 1, 5] * spacing * math.sin(heading + turn)
+            p = position - row
+            # Cubic Hermite: chords would cut curves by millimetres ten times a second.
+            h1 = p * p * (3.0 - 2.0 * p)
+            h2 = p * (1.0 - p) * (1.0 - p)
+            h3 = p * p * (p - 1.0)
+            dx = state[0] - (x0 + h1 * (x1 - x0) + h2 * tx0 + h3 * tx1)
+            dy = state[1] - (y0 + h1 * (y1 - y0) + h2 * ty0 + h3 * ty1)
+            direction = heading + p * turn
+            cosine, sine = math.cos(direction), math.sin(direction)
+            course_error = _wrapped(state[2] + state[4] - direction)
+            rate = _steering_rate(state, dy * cosine - dx * sine, course_error, trajectory, time, spacing)
+            acceleration = _acceleration(state, dx * cosine + dy * sine, course_error, trajectory, time, spacing)
+            before[:] = state
+            advance(state, rate, acceleration, plant, STEP)
+            spinning = abs(state[4]) > SIDE_SLIP_LIMIT and state[3] > DYNAMIC_ABOVE
+            # Comparisons with NaN are false, so this also catches a state that is no longer finite.
+            sound = abs(state[7]) <= ADHESION_LIMIT and abs(state[0]) + abs(state[1]) + abs(state[3]) < 1e9
+            if spinning or not sound:
+                state[:] = before
+                status = UNSTABLE
+        dynamics[k, 0] = state[3]
+        dynamics[k, 1] = state[6]
+        dynamics[k, 2] = state[7]
+        dynamics[k, 3] = state[5]
+        dynamics[k, 4] = state[8]
+    return status

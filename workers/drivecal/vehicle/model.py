@@ -1,0 +1,48 @@
+"""The single-track vehicle at work."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drivecal.plugins.ports import Floats
+from drivecal.vehicle import kernels
+from drivecal.vehicle.parameters import SingleTrackParameters
+
+
+class SingleTrackModel:
+    """A vehicle that follows trajectories (port `VehicleModel`).
+
+    The controller knows the nominal vehicle only, whatever `parameters` are.
+    """
+
+    def __init__(self, parameters: SingleTrackParameters) -> None:
+        self.parameters = parameters
+        self._plant = kernels.pack_plant(parameters)
+        self._state = np.zeros(9)
+        self._pose = self._state[:8]
+
+    def start(self, x: float, y: float, heading: float, speed: float) -> None:
+        """Starts a new run: straight ahead, without acceleration. Position of the centre of mass in m, heading in rad, speed in m/s."""
+        self._state[:] = (x, y, heading, speed, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+    @property
+    def pose(self) -> Floats:
+        """(x, y, heading, speed, side slip angle, yaw rate, longitudinal acceleration, lateral acceleration), shape (8,), SI.
+
+        A live view: it moves on with the vehicle; copy it to keep it. The course over ground is heading plus side-slip angle.
+        """
+        return self._pose
+
+    def follow(self, trajectory: Floats, since: float, duration: float, dynamics: Floats) -> bool:
+        """Tracks `trajectory` from `since` seconds after its start for `duration` seconds; see `ports.VehicleModel.follow`.
+
+        False where the vehicle went unstable: it then stays at its last sound state, and so do the remaining rows. Raises ValueError
+        where the trajectory ends before `since` + `duration` or `dynamics` has not one row per 0.01 s.
+        """
+        steps = round(duration / kernels.STEP)
+        if dynamics.shape[0] != steps:
+            raise ValueError(f"dynamics has {dynamics.shape[0]} rows; {duration} s need {steps}")
+        status = kernels.follow(self._state, self._plant, trajectory, since, steps, dynamics)
+        if status == kernels.TOO_SHORT:
+            raise ValueError(f"the trajectory does not cover {since} s to {since + duration} s after its start")
+        return bool(status == kernels.FOLLOWED)

@@ -1,0 +1,26 @@
+"""The single-track vehicle as a plug-in: light enough for the coordinator, the kernels are imported when a worker creates a model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from drivecal.plugins.ports import VehicleModel
+from drivecal.vehicle.parameters import TABLE_8, SingleTrackParameters
+
+
+class SingleTrack:
+    """Linear dynamic single-track model with the values of Table 8 and a fixed tracking controller."""
+
+    name = "single_track"
+    version = "1"
+    parameters = TABLE_8
+
+    def create(self, parameters: Mapping[str, float]) -> VehicleModel:
+        """The model with these values. Raises InvalidInputError naming the parameter that does not fit."""
+        values = SingleTrackParameters.of(parameters)
+        from drivecal.vehicle.model import SingleTrackModel  # noqa: PLC0415  # numba belongs to workers
+
+        return SingleTrackModel(values)
+
+
+SINGLE_TRACK = SingleTrack()
