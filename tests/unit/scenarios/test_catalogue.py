@@ -16,7 +16,7 @@ from drivecal.scenarios.plugin import HIGHWAY
 SCENARIOS = list(HIGHWAY.scenarios.values())
 
 
-def test_the_catalogue_holds_the_six_scenarios_of_the_paper_in_order():
+def test_the_catalogue_holds_the_six_scenarios_of_the_paper_in_order() -> None:
     assert list(HIGHWAY.scenarios) == ["S1", "S2", "S3", "S4", "S5", "S6"]
     assert [scenario.manoeuvre for scenario in SCENARIOS] == [
         Manoeuvre.LANE_CHANGE,
@@ -29,12 +29,12 @@ def test_the_catalogue_holds_the_six_scenarios_of_the_paper_in_order():
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda scenario: scenario.id)
-def test_the_committed_network_is_what_its_road_builds(scenario: Scenario):
+def test_the_committed_network_is_what_its_road_builds(scenario: Scenario) -> None:
     assert build(scenario.road) == scenario.network, "run `make networks`"
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda scenario: scenario.id)
-def test_every_scenario_keeps_to_the_frame_of_the_catalogue(scenario: Scenario):
+def test_every_scenario_keeps_to_the_frame_of_the_catalogue(scenario: Scenario) -> None:
     assert 15.0 <= scenario.duration <= 25.0
     assert scenario.step == 0.1
     assert scenario.road.lanes == 3
@@ -46,7 +46,7 @@ def test_every_scenario_keeps_to_the_frame_of_the_catalogue(scenario: Scenario):
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda scenario: scenario.id)
-def test_no_two_vehicles_start_at_the_same_place(scenario: Scenario):
+def test_no_two_vehicles_start_at_the_same_place(scenario: Scenario) -> None:
     width = scenario.road.lane_width
     outlines = [(scenario.ego.s, scenario.ego.d, scenario.ego.length)]
     outlines += [(vehicle.s, vehicle.lane * width, vehicle.length) for vehicle in scenario.traffic]
@@ -55,12 +55,12 @@ def test_no_two_vehicles_start_at_the_same_place(scenario: Scenario):
             assert abs(d - other_d) > 2.5 or abs(s - other_s) > (length + other_length) / 2 + 10.0
 
 
-def test_the_even_scenarios_of_lane_change_and_keeping_are_curved_and_the_odd_ones_straight():
+def test_the_even_scenarios_of_lane_change_and_keeping_are_curved_and_the_odd_ones_straight() -> None:
     bent = {scenario.id: bool(abs(reference_line(scenario.road)[:, 4]).max() > 0) for scenario in SCENARIOS}
     assert bent == {"S1": False, "S2": True, "S3": False, "S4": True, "S5": False, "S6": True}
 
 
-def test_the_limit_rises_in_s5_and_the_desired_speed_falls_before_the_curve_in_s6():
+def test_the_limit_rises_in_s5_and_the_desired_speed_falls_before_the_curve_in_s6() -> None:
     rising = HIGHWAY.scenarios["S5"]
     assert rising.road.limits[1].speed > rising.road.limits[0].speed
     falling = HIGHWAY.scenarios["S6"]
@@ -71,26 +71,26 @@ def test_the_limit_rises_in_s5_and_the_desired_speed_falls_before_the_curve_in_s
     assert drop.s < sharp[0]
 
 
-def test_each_speed_limit_is_an_edge():
+def test_each_speed_limit_is_an_edge() -> None:
     assert [(begin, end) for begin, end, _ in edge_ranges(HIGHWAY.scenarios["S5"].road)] == [
         (0.0, HIGHWAY.scenarios["S5"].road.limits[1].s),
         (HIGHWAY.scenarios["S5"].road.limits[1].s, HIGHWAY.scenarios["S5"].road.length),
     ]
 
 
-def test_the_digest_follows_definition_and_network():
+def test_the_digest_follows_definition_and_network() -> None:
     scenario = SCENARIOS[0]
     others = [replace(scenario, network=scenario.network + b" "), replace(scenario, duration=17.0), replace(scenario, seed=2)]
     assert len({one.digest for one in [scenario, *others]}) == 4
     assert replace(scenario).digest == scenario.digest
 
 
-def test_only_the_comment_about_the_origin_is_taken_out_of_a_network():
+def test_only_the_comment_about_the_origin_is_taken_out_of_a_network() -> None:
     network = b'<?xml version="1.0"?>\n\n<!-- generated on 2020-01-01 by X\n<a/>\n-->\n\n<net><!-- kept --></net>\n'
     assert without_origin(network) == b'<?xml version="1.0"?>\n\n<net><!-- kept --></net>\n'
 
 
-def test_the_coordinator_can_load_the_catalogue_without_simulator_and_kernels():
+def test_the_coordinator_can_load_the_catalogue_without_simulator_and_kernels() -> None:
     code = (
         "import sys; from drivecal.scenarios.plugin import HIGHWAY; HIGHWAY.scenarios; "
         "print('libsumo' in sys.modules, 'numba' in sys.modules)"

@@ -1,0 +1,58 @@
+"""From a parameter set to a rated run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from drivecal.comfort.metrics import comfort_metrics
+from drivecal.domain.evaluations import Failure, Rating, RunResult
+from drivecal.domain.scenarios import Scenario
+from drivecal.episode.loop import ClosedLoop, Drive
+from drivecal.episode.task import fulfilled, speed_errors, target_offsets
+from drivecal.episode.trace import Recorder, Trace
+from drivecal.plugins.ports import DrivingFunction, Evaluator, VehicleModel
+from drivecal.traffic.simulation import simulation
+
+FAILED = Rating(rating=0.0, score=0)
+
+
+class Runner:
+    """Simulates and rates parameter sets in one scenario, all of them in this process's one SUMO simulation.
+
+    Runners of several scenarios live side by side; changing from one to another costs a reload of some milliseconds. The same
+    parameters give the same bits, whatever was run before.
+    """
+
+    def __init__(
+        self, scenario: Scenario, driving_function: DrivingFunction, vehicle: VehicleModel, evaluator: Evaluator
+    ) -> None:
+        """`vehicle`: as from `Vehicle.create`; runners must not share one."""
+        self._scenario = scenario
+        self._evaluator = evaluator
+        self._loop = ClosedLoop(scenario, driving_function.create(scenario), vehicle, simulation())
+
+    def run(self, parameters: Sequence[float]) -> RunResult:
+        """One run with these parameter values, in the order of the driving function's parameters.
+
+        Raises SimulationError where SUMO fails: that is no result, unlike a `failure` of the driving function.
+        """
+        return self._result(self._loop.drive(parameters))
+
+    def trace(self, parameters: Sequence[float]) -> Trace:
+        """The same run with its time series."""
+        recorder = Recorder(self._scenario)
+        drive = self._loop.drive(parameters, recorder)
+        return recorder.trace(drive, self._result(drive))
+
+    def _result(self, drive: Drive) -> RunResult:
+        offsets = target_offsets(drive.motion, self._scenario)
+        metrics = comfort_metrics(drive.dynamics, offsets[1:]) | {
+            "driven_s": (len(drive.motion) - 1) * self._scenario.step,
+            "final_offset_m": offsets.item(-1),
+            "final_speed_error_mps": speed_errors(drive.motion[-1:], self._scenario).item(),
+        }
+        failure = drive.failure
+        if failure is None and not fulfilled(drive.motion, self._scenario):
+            failure = Failure.TASK_MISSED
+        rating = FAILED if failure else self._evaluator.rate(self._scenario.manoeuvre, metrics)
+        return RunResult(rating, metrics, failure)

@@ -1,0 +1,1 @@
+"""SUMO at work: the only place that imports libsumo."""

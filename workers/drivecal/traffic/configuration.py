@@ -1,0 +1,78 @@
+"""What SUMO is told about a scenario: its options and its vehicle types. Pure."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from xml.etree.ElementTree import Element, SubElement, tostring
+
+from drivecal.domain.scenarios import Scenario, TrafficVehicle
+
+EGO = "ego"
+"""The ego vehicle's id and type in SUMO."""
+ROUTE = "road"
+
+
+def edge_names(scenario: Scenario) -> list[str]:
+    """The edges of a scenario's network, in the direction of travel: one per speed limit."""
+    return [f"e{index}" for index in range(len(scenario.road.limits))]
+
+
+def routes(scenario: Scenario) -> bytes:
+    """The route file: one route over the whole road, one vehicle type per vehicle, no vehicles (they are added for each run)."""
+    root = Element("routes")
+    SubElement(root, "route", id=ROUTE, edges=" ".join(edge_names(scenario)))
+    for vehicle in scenario.traffic:
+        SubElement(root, "vType", _type(vehicle))
+    SubElement(root, "vType", {"id": EGO, "length": repr(scenario.ego.length), "width": repr(scenario.ego.width), **EXACT})
+    return tostring(root)
+
+
+EXACT = {"carFollowModel": "IDM", "speedFactor": "1", "speedDev": "0"}
+"""The intelligent driver model (Treiber et al. 2000) without any randomness."""
+
+
+def _type(vehicle: TrafficVehicle) -> dict[str, str]:
+    values = {
+        "length": vehicle.length,
+        "width": vehicle.width,
+        "accel": vehicle.acceleration,
+        "decel": vehicle.deceleration,
+        "tau": vehicle.time_headway,
+        "maxSpeed": vehicle.desired_speed,
+    }
+    return {"id": vehicle.id, **EXACT, **{name: repr(value) for name, value in values.items()}}
+
+
+def options(scenario: Scenario, network: str, route_file: str) -> list[str]:
+    """SUMO's command line for a scenario whose files were written to these paths.
+
+    Collisions are only noted, nothing is teleported: drivecal checks the ego vehicle's collisions itself.
+    """
+    values = {
+        "net-file": network,
+        "route-files": route_file,
+        "step-length": repr(scenario.step),
+        "seed": str(scenario.seed),
+        "collision.action": "warn",
+        "time-to-teleport": "-1",
+        "no-step-log": "true",
+        "no-warnings": "true",
+        "duration-log.disable": "true",
+        "xml-validation": "never",
+        "xml-validation.net": "never",
+        "xml-validation.routes": "never",
+    }
+    return [text for name, value in values.items() for text in (f"--{name}", value)]
+
+
+def drift_offsets(vehicle: TrafficVehicle, scenario: Scenario) -> list[float]:
+    """The vehicle's offset from its lane's centre (m, to the left) after each step of the scenario."""
+    steps = round(scenario.duration / scenario.step)
+    return [_interpolate(vehicle.drift, (step + 1) * scenario.step) for step in range(steps)]
+
+
+def _interpolate(knots: tuple[tuple[float, float], ...], time: float) -> float:
+    for (begin, first), (end, second) in pairwise(knots):
+        if time < end:
+            return first + (second - first) * max(0.0, time - begin) / (end - begin)
+    return knots[-1][1]

@@ -1,0 +1,126 @@
+"""Compiled geometry of a run: where the vehicles are on the road, whether the ego vehicle has left it or hit one.
+
+Functions that call each other share this module, because numba's cache does not notice edits in imported ones.
+"""
+
+from __future__ import annotations
+
+from math import cos, sin
+
+from numba import njit
+
+from drivecal.domain.roads import Floats
+
+TOLERANCE = 1e-9
+"""Metres; Newton's steps end here."""
+
+
+@njit(cache=True)
+def foot(line: Floats, x: float, y: float, near: float) -> tuple[float, float, float, float, float]:
+    """s, d, and the reference line's heading, curvature and change of curvature (1/m²) at the foot point of (x, y).
+
+    The compiled twin of `drivecal.domain.roads.project`: same table, same interpolation, same Newton iteration from s = `near`.
+    """
+    spacing = line[1, 0]
+    last = len(line) - 1
+    s = near
+    d = heading = curvature = bend = 0.0
+    for _ in range(30):
+        if s < 0.0 or s > last * spacing:
+            row = 0 if s < 0.0 else last
+            heading, curvature, bend = line[row, 3], 0.0, 0.0
+            ahead = s - row * spacing
+            foot_x, foot_y = line[row, 1] + ahead * cos(heading), line[row, 2] + ahead * sin(heading)
+        else:
+            row = min(int(s / spacing), last - 1)
+            heading0, heading1 = line[row, 3], line[row + 1, 3]
+            u = s - line[row, 0]
+            bend = (line[row + 1, 4] - line[row, 4]) / spacing
+            w = u / spacing
+            from_start, from_end = w * (1.0 - w) * (1.0 - w) * spacing, w * w * (w - 1.0) * spacing
+            blend = w * w * (3.0 - 2.0 * w)
+            foot_x = line[row, 1] + blend * (line[row + 1, 1] - line[row, 1])
+            foot_x += from_start * cos(heading0) + from_end * cos(heading1)
+            foot_y = line[row, 2] + blend * (line[row + 1, 2] - line[row, 2])
+            foot_y += from_start * sin(heading0) + from_end * sin(heading1)
+            heading = heading0 + u * (line[row, 4] + 0.5 * bend * u)
+            curvature = line[row, 4] + bend * u
+        dx, dy = x - foot_x, y - foot_y
+        d = dy * cos(heading) - dx * sin(heading)
+        step = (dx * cos(heading) + dy * sin(heading)) / max(1.0 - curvature * d, 0.1)
+        if abs(step) < TOLERANCE:
+            break
+        s += step
+    return s, d, heading, curvature, bend
+
+
+@njit(cache=True)
+def locate(line: Floats, raw: Floats, neighbours: Floats, outlines: Floats, step: float) -> None:
+    """Turns SUMO's answers into Frenet states and outlines, in place.
+
+    `raw`: (x, y, speed) of each vehicle's front, shape (n, 3). `neighbours`: (s, d, s', d', length, width) of its centre,
+    shape (n, 6), holding the values of `step` seconds ago; a `step` of 0 means that there are none. `outlines`: (x, y, heading,
+    half length, half width), shape (n, 5).
+    """
+    for i in range(len(raw)):
+        length = neighbours[i, 4]
+        near = neighbours[i, 0] + 0.5 * length + neighbours[i, 2] * step
+        s, d, heading, curvature, _ = foot(line, raw[i, 0], raw[i, 1], near)
+        stretch = 1.0 - curvature * d
+        neighbours[i, 3] = (d - neighbours[i, 1]) / step if step > 0.0 else 0.0
+        neighbours[i, 0] = s - 0.5 * length / stretch
+        neighbours[i, 1] = d
+        neighbours[i, 2] = raw[i, 2] / stretch
+        heading -= 0.5 * length * curvature / stretch
+        outlines[i, 0] = raw[i, 0] - 0.5 * length * cos(heading)
+        outlines[i, 1] = raw[i, 1] - 0.5 * length * sin(heading)
+        outlines[i, 2] = heading
+        outlines[i, 3] = 0.5 * length
+        outlines[i, 4] = 0.5 * neighbours[i, 5]
+
+
+@njit(cache=True)
+def place(line: Floats, pose: Floats, near: float, outline: Floats, motion: Floats) -> bool:
+    """Writes the ego vehicle's Frenet motion (s, s', s'', d, d', d''), shape (6,), to `motion`; True while it is on the road.
+
+    `pose` as from `ports.VehicleModel`, accelerations in the vehicle's own axes; `outline`: (half length, half width, right edge, left
+    edge), m, the edges as offsets d of the carriageway's borders. Formulas as in `drivecal.domain.roads.to_frenet`.
+    """
+    s, d, heading, curvature, bend = foot(line, pose[0], pose[1], near)
+    yaw = pose[2] - heading
+    course = yaw + pose[4]
+    stretch = 1.0 - curvature * d
+    s_dot = pose[3] * cos(course) / stretch
+    d_dot = pose[3] * sin(course)
+    tangential = pose[6] * cos(yaw) - pose[7] * sin(yaw)
+    normal = pose[6] * sin(yaw) + pose[7] * cos(yaw)
+    motion[0] = s
+    motion[1] = s_dot
+    motion[2] = (tangential + s_dot * (bend * s_dot * d + 2.0 * curvature * d_dot)) / stretch
+    motion[3] = d
+    motion[4] = d_dot
+    motion[5] = normal - curvature * s_dot * s_dot * stretch
+    reach = outline[0] * abs(sin(yaw)) + outline[1] * abs(cos(yaw))
+    return bool(d - reach >= outline[2] and d + reach <= outline[3])
+
+
+@njit(cache=True)
+def hits(outlines: Floats, pose: Floats, outline: Floats) -> bool:
+    """Does the ego vehicle's rectangle overlap one of `outlines`, shape (n, 5) as from `locate`? By the separating axis theorem."""
+    c, s = cos(pose[2]), sin(pose[2])
+    for i in range(len(outlines)):
+        dx, dy = outlines[i, 0] - pose[0], outlines[i, 1] - pose[1]
+        reach = outline[0] + outline[1] + outlines[i, 3] + outlines[i, 4]
+        if dx * dx + dy * dy > reach * reach:
+            continue
+        other_c, other_s = cos(outlines[i, 2]), sin(outlines[i, 2])
+        along, across = abs(c * other_c + s * other_s), abs(c * other_s - s * other_c)
+        length, width = outlines[i, 3], outlines[i, 4]
+        if (
+            abs(dx * c + dy * s) <= outline[0] + length * along + width * across
+            and abs(dy * c - dx * s) <= outline[1] + length * across + width * along
+            and abs(dx * other_c + dy * other_s) <= length + outline[0] * along + outline[1] * across
+            and abs(dy * other_c - dx * other_s) <= width + outline[0] * across + outline[1] * along
+        ):
+            return True
+    return False

@@ -1,0 +1,147 @@
+"""One SUMO simulation per process, reset between runs by taking all vehicles out and putting them in again.
+
+libsumo keeps the simulation in global state, so every process has exactly one `Simulation`: `simulation()`. A reset is bit-identical
+to a fresh start, because nothing in the simulation is random (see `configuration.EXACT`) and nothing depends on the clock.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from functools import cache
+from math import degrees
+from pathlib import Path
+
+import numpy as np
+
+from drivecal.domain.errors import DrivecalError, UnavailableError
+from drivecal.domain.roads import Floats, reference_line, to_cartesian
+from drivecal.domain.scenarios import Scenario
+from drivecal.traffic.configuration import EGO, ROUTE, drift_offsets, options, routes
+from drivecal.traffic.geometry import locate
+
+try:
+    import libsumo
+except ImportError as error:
+    raise UnavailableError(f"the SUMO simulator cannot be used: {error}; install libsumo, nothing stands in for it") from error
+
+SUMO_ERRORS = (libsumo.TraCIException, libsumo.FatalTraCIError)
+MAPPED_ANYWHERE = 2
+"""moveToXY's `keepRoute`: put the vehicle at exactly these coordinates."""
+
+
+class SimulationError(DrivecalError):
+    """SUMO refused something, in its own words."""
+
+
+class Simulation:
+    """SUMO with one scenario loaded. Create it by `simulation()` only.
+
+    `neighbours`: (s, d, s', d', length, width) of the other vehicles' centres in the order of the scenario's traffic, shape (n, 6).
+    `outlines`: their (x, y, heading, half length, half width), shape (n, 5). Both are overwritten by `reset` and `advance`.
+    """
+
+    def __init__(self) -> None:
+        self._scenario: Scenario | None = None
+        self._step = 0.0
+        self._line: Floats = np.zeros((0, 5))
+        self._places: list[tuple[str, str, float, float]] = []
+        """Id, lane, position of the front along it (m) and speed (m/s) at the start; the ego vehicle comes last."""
+        self._drifts: list[tuple[str, list[float]]] = []
+        self._start: Floats = np.zeros((0, 6))
+        self._raw: Floats = np.zeros((0, 3))
+        self.neighbours: Floats = np.zeros((0, 6))
+        self.outlines: Floats = np.zeros((0, 5))
+
+    def load(self, scenario: Scenario) -> None:
+        """Makes `scenario` the loaded one; does nothing where it is already.
+
+        Raises SimulationError where SUMO does not accept it.
+        """
+        if scenario is self._scenario:
+            return
+        self._scenario = None
+        with tempfile.TemporaryDirectory() as folder:
+            network, route_file = Path(folder) / "road.net.xml", Path(folder) / "road.rou.xml"
+            network.write_bytes(scenario.network)
+            route_file.write_bytes(routes(scenario))
+            arguments = options(scenario, str(network), str(route_file))
+            try:
+                if libsumo.isLoaded():
+                    libsumo.load(arguments)
+                else:
+                    libsumo.start(["sumo", *arguments])
+            except SUMO_ERRORS as error:
+                raise SimulationError(f"SUMO cannot load scenario {scenario.id}: {error}") from error
+        width, ego, traffic = scenario.road.lane_width, scenario.ego, scenario.traffic
+        self._step = scenario.step
+        self._line = reference_line(scenario.road)
+        self._drifts = [(vehicle.id, drift_offsets(vehicle, scenario)) for vehicle in traffic if vehicle.drift]
+        fronts = [(vehicle.id, vehicle.s + 0.5 * vehicle.length, vehicle.lane * width, vehicle.speed) for vehicle in traffic]
+        fronts.append((EGO, ego.s + 0.5 * ego.length, scenario.task.start_lane * width, ego.speed))
+        try:
+            self._places = [(name, *self._lane_at(s, d), speed) for name, s, d, speed in fronts]
+        except SUMO_ERRORS as error:
+            raise SimulationError(f"the network of scenario {scenario.id} does not hold its vehicles: {error}") from error
+        rows = [(vehicle.s, vehicle.lane * width, 0.0, 0.0, vehicle.length, vehicle.width) for vehicle in traffic]
+        self._start = np.array(rows, dtype=np.float64).reshape(-1, 6)
+        self._raw = np.zeros((len(rows), 3))
+        self.neighbours = self._start.copy()
+        self.outlines = np.zeros((len(rows), 5))
+        self._scenario = scenario
+
+    def _lane_at(self, s: float, d: float) -> tuple[str, float]:
+        """SUMO's lane and its position along it: on curved edges that is not the arc length."""
+        x, y, _ = to_cartesian(self._line, s, d)
+        edge, position, lane = libsumo.simulation.convertRoad(x, y)
+        return f"{edge}_{lane}", position
+
+    def reset(self) -> None:
+        """Takes all vehicles out and puts them in at their starts.
+
+        Raises SimulationError where one is not there afterwards: SUMO leaves vehicles out without a word.
+        """
+        vehicle = libsumo.vehicle
+        try:
+            for name in vehicle.getLoadedIDList():
+                vehicle.remove(name)
+            for name, lane, position, speed in self._places:
+                vehicle.add(name, ROUTE, typeID=name)
+                vehicle.setLaneChangeMode(name, 0)
+                vehicle.moveTo(name, lane, position)
+                vehicle.setPreviousSpeed(name, speed)
+            vehicle.setSpeedMode(EGO, 0)
+            missing = {name for name, *_ in self._places} - set(vehicle.getIDList())
+        except SUMO_ERRORS as error:
+            raise SimulationError(f"SUMO cannot place the vehicles: {error}") from error
+        if missing:
+            raise SimulationError(f"SUMO did not accept the vehicles {', '.join(sorted(missing))}; place them farther apart")
+        self.neighbours[:] = self._start
+        self._read(0.0)
+
+    def advance(self, index: int, x: float, y: float, heading: float) -> None:
+        """One step, number `index` of the run, with the ego vehicle's front at (x, y) at its end.
+
+        (x, y) must lie on the road: SUMO would move the ego vehicle anywhere. Raises SimulationError where a vehicle is lost.
+        """
+        vehicle = libsumo.vehicle
+        try:
+            for name, offsets in self._drifts:
+                vehicle.setLateralLanePosition(name, offsets[index])
+            vehicle.moveToXY(EGO, "", -1, x, y, 90.0 - degrees(heading), MAPPED_ANYWHERE)
+            libsumo.simulationStep()
+            self._read(self._step)
+        except SUMO_ERRORS as error:
+            raise SimulationError(f"SUMO lost a vehicle at step {index}: {error}") from error
+
+    def _read(self, since: float) -> None:
+        position, speed, raw = libsumo.vehicle.getPosition, libsumo.vehicle.getSpeed, self._raw
+        for row, (name, *_) in enumerate(self._places[:-1]):
+            raw[row, 0], raw[row, 1] = position(name)
+            raw[row, 2] = speed(name)
+        locate(self._line, raw, self.neighbours, self.outlines, since)
+
+
+@cache
+def simulation() -> Simulation:
+    """This process's simulation."""
+    return Simulation()
