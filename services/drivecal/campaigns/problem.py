@@ -65,6 +65,7 @@ class Bench:
                 vehicle_parameters=self.setups[name].vehicle_parameters,
                 evaluator=self.evaluator.name,
                 run_fingerprint=self.setups[name].fingerprint,
+                document=self.setups[name].document,
             )
             for name, (catalogue, _) in self.scenarios.items()
         }
