@@ -1,0 +1,292 @@
+"""What every optimizer of the replacing kind promises, and what the genetic algorithm promises beyond."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydantic import BaseModel, ValidationError
+
+from drivecal.domain.errors import InvalidInputError
+from drivecal.domain.parameters import Indices
+from drivecal.optimizers.encoding import BitEncoding
+from drivecal.optimizers.plugin import GENETIC, RANDOM, GeneticSettings, RandomSettings
+from drivecal.optimizers.ranking import ranking
+from drivecal.plugins.ports import Floats, Optimizer, OptimizerPlugin
+
+HIGHWAY = np.array([59, 201, 201, 2001, 1501, 101, 201, 2001, 101, 201, 201])
+SMALL = np.array([5, 16, 3, 40])
+
+Told = list[tuple[Indices, npt.NDArray[np.bool_]]]
+both = pytest.mark.parametrize("plugin", [GENETIC, RANDOM], ids=["genetic", "random"])
+
+
+def chosen(plugin: OptimizerPlugin, **values: Any) -> BaseModel:
+    return plugin.settings.model_validate({"kind": plugin.name, **values})
+
+
+def coarse(population: Indices) -> tuple[Floats, Floats]:
+    """A score with many ties and a rating that breaks some, both pure functions of the individual."""
+    rating = np.cos(population * np.arange(1, population.shape[1] + 1)).sum(axis=1)
+    return np.round(rating), np.round(rating, 1)
+
+
+def drive(optimizer: Optimizer, iterations: int, evaluate: Callable[[Indices], tuple[Floats, Floats]] = coarse) -> Told:
+    found: Told = []
+    for _ in range(iterations):
+        proposal = optimizer.ask()
+        found.append((proposal.population, proposal.changed))
+        optimizer.tell(*evaluate(proposal.population))
+    return found
+
+
+def through_json(state: Mapping[str, Any]) -> Any:
+    return json.loads(json.dumps(state, allow_nan=False))
+
+
+def assert_same(one: Told, other: Told) -> None:
+    assert len(one) == len(other)
+    for (population, changed), (other_population, other_changed) in zip(one, other, strict=True):
+        assert np.array_equal(population, other_population)
+        assert np.array_equal(changed, other_changed)
+
+
+@both
+def test_the_same_seed_gives_the_same_populations_and_another_seed_others(plugin: OptimizerPlugin) -> None:
+    one, same, other = (drive(plugin.create(chosen(plugin, population=40, seed=seed), HIGHWAY), 5) for seed in (7, 7, 8))
+    assert_same(one, same)
+    assert not np.array_equal(one[0][0], other[0][0])
+
+
+@both
+@given(seed=st.integers(0, 2**63 - 1), stop=st.integers(0, 6), asked=st.booleans(), population=st.integers(2, 30))
+@settings(max_examples=60)
+def test_a_resumed_run_equals_an_uninterrupted_one(
+    plugin: OptimizerPlugin, seed: int, stop: int, asked: bool, population: int
+) -> None:
+    options = chosen(plugin, population=population, seed=seed)
+    whole = drive(plugin.create(options, SMALL), 9)
+    first = plugin.create(options, SMALL)
+    begun = drive(first, stop)
+    if asked:
+        first.ask()
+    second = plugin.restore(options, SMALL, through_json(first.state()))
+    assert_same(begun + drive(second, 9 - stop), whole)
+
+
+@both
+def test_a_run_restored_between_ask_and_tell_takes_the_answers_without_asking_again(plugin: OptimizerPlugin) -> None:
+    options = chosen(plugin, population=20)
+    whole = drive(plugin.create(options, SMALL), 6)
+    first = plugin.create(options, SMALL)
+    drive(first, 2)
+    asked = first.ask()
+    second = plugin.restore(options, SMALL, through_json(first.state()))
+    second.tell(*coarse(asked.population))
+    assert_same(drive(second, 3), whole[3:])
+
+
+@both
+def test_a_run_with_missing_results_resumes_as_well(plugin: OptimizerPlugin) -> None:
+    def patchy(population: Indices) -> tuple[Floats, Floats]:
+        objectives, ratings = coarse(population)
+        missing = population[:, 0] == 1
+        return np.where(missing, np.nan, objectives), np.where(missing, np.nan, ratings)
+
+    options = chosen(plugin, population=30)
+    whole = drive(plugin.create(options, SMALL), 8, patchy)
+    first = plugin.create(options, SMALL)
+    begun = drive(first, 4, patchy)
+    second = plugin.restore(options, SMALL, through_json(first.state()))
+    assert_same(begun + drive(second, 4, patchy), whole)
+
+
+@both
+def test_asking_twice_gives_the_same_proposal(plugin: OptimizerPlugin) -> None:
+    optimizer = plugin.create(chosen(plugin, population=20), SMALL)
+    drive(optimizer, 3)
+    assert_same([(p.population, p.changed) for p in [optimizer.ask()]], [(p.population, p.changed) for p in [optimizer.ask()]])
+
+
+@both
+def test_what_a_caller_does_to_a_proposal_does_not_reach_the_optimizer(plugin: OptimizerPlugin) -> None:
+    optimizer = plugin.create(chosen(plugin, population=20), SMALL)
+    drive(optimizer, 3)
+    proposal = optimizer.ask()
+    kept = proposal.population.copy(), proposal.changed.copy()
+    proposal.population[:] = 0
+    proposal.changed[:] = True
+    again = optimizer.ask()
+    assert_same([kept], [(again.population, again.changed)])
+
+
+@both
+@given(seed=st.integers(0, 1000), population=st.integers(2, 50))
+@settings(max_examples=50)
+def test_all_but_the_least_fit_stay_exactly_as_they_were(plugin: OptimizerPlugin, seed: int, population: int) -> None:
+    optimizer = plugin.create(chosen(plugin, population=population, seed=seed), SMALL)
+    before = optimizer.ask()
+    assert before.changed.all()
+    for _ in range(5):
+        objectives, ratings = coarse(before.population)
+        optimizer.tell(objectives, ratings)
+        after = optimizer.ask()
+        assert np.array_equal(after.population[~after.changed], before.population[~after.changed])
+        least_fit = ranking(objectives, ratings)[population - int(after.changed.sum()) :]
+        assert np.array_equal(np.flatnonzero(after.changed), np.sort(least_fit))
+        before = after
+
+
+@both
+@given(seed=st.integers(0, 1000), population=st.integers(2, 50))
+@settings(max_examples=30)
+def test_the_best_objective_never_falls(plugin: OptimizerPlugin, seed: int, population: int) -> None:
+    told = drive(plugin.create(chosen(plugin, population=population, seed=seed), HIGHWAY), 12)
+    best = [coarse(population)[0].max() for population, _ in told]
+    assert np.all(np.diff(best) >= 0)
+
+
+@both
+def test_populations_stay_on_the_grid(plugin: OptimizerPlugin) -> None:
+    for population, _ in drive(plugin.create(chosen(plugin, population=60), HIGHWAY), 20):
+        assert population.min() >= 0
+        assert np.all(population < HIGHWAY)
+
+
+@both
+@pytest.mark.parametrize("population", [2, 37, 350, 1000])
+def test_the_announced_number_of_requested_individuals_is_the_true_one(plugin: OptimizerPlugin, population: int) -> None:
+    options = chosen(plugin, population=population, iterations=7)
+    requested = sum(int(changed.sum()) for _, changed in drive(plugin.create(options, SMALL), 7))
+    assert requested == plugin.requested_individuals(options)
+
+
+@both
+def test_with_the_papers_settings_about_a_third_of_the_proposed_is_requested(plugin: OptimizerPlugin) -> None:
+    options = plugin.settings()
+    told = drive(plugin.create(options, HIGHWAY), 20)
+    assert [int(changed.sum()) for _, changed in told] == [1000] + 19 * [280]
+    assert plugin.requested_individuals(options) / 20_000 == pytest.approx(0.316)  # the paper's own run: 42,887 of 120,000
+
+
+@both
+def test_expert_sets_are_proposed_first(plugin: OptimizerPlugin) -> None:
+    expert = np.array([[1, 2, 1, 3], [4, 15, 2, 39]])
+    proposal = plugin.create(chosen(plugin, population=10), SMALL, expert).ask()
+    assert np.array_equal(proposal.population[:2], expert)
+
+
+@both
+def test_telling_twice_is_refused(plugin: OptimizerPlugin) -> None:
+    optimizer = plugin.create(chosen(plugin, population=4), SMALL)
+    answers = coarse(optimizer.ask().population)
+    optimizer.tell(*answers)
+    with pytest.raises(RuntimeError, match="ask for the next one"):
+        optimizer.tell(*answers)
+
+
+@both
+@pytest.mark.parametrize(
+    "wrong", [np.zeros(3), np.zeros((4, 1)), np.array([0, 0, 0, np.inf])], ids=["short", "matrix", "infinite"]
+)
+def test_answers_that_do_not_fit_are_refused(plugin: OptimizerPlugin, wrong: Floats) -> None:
+    optimizer = plugin.create(chosen(plugin, population=4), SMALL)
+    optimizer.ask()
+    with pytest.raises(ValueError, match="objectives must be 4 numbers"):
+        optimizer.tell(wrong, np.zeros(4))
+    with pytest.raises(ValueError, match="tie_breakers must be 4 numbers"):
+        optimizer.tell(np.zeros(4), wrong)
+
+
+@both
+def test_a_state_of_another_population_is_refused(plugin: OptimizerPlugin) -> None:
+    state = plugin.create(chosen(plugin, population=4), SMALL).state()
+    with pytest.raises(InvalidInputError, match=r"the saved population is \(4, 4\), not \(5, 4\)"):
+        plugin.restore(chosen(plugin, population=5), SMALL, state)
+
+
+def test_settings_of_another_optimizer_are_refused() -> None:
+    with pytest.raises(TypeError, match="must be GeneticSettings, not RandomSettings"):
+        GENETIC.create(RandomSettings(), SMALL)
+    with pytest.raises(TypeError, match="must be RandomSettings, not GeneticSettings"):
+        RANDOM.restore(GeneticSettings(), SMALL, {})
+
+
+def test_defaults_are_those_of_the_campaign_file() -> None:
+    assert GeneticSettings().model_dump() == {
+        "kind": "genetic", "population": 1000, "iterations": 20, "start": "lhs", "seed": 1,
+        "selection": 0.8, "recombination": 0.7, "mutation": 0.5,
+    }  # fmt: skip
+
+
+@both
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("population", 1), ("population", 1e30), ("population", 10**30), ("population", True), ("population", "20"),
+        ("iterations", 0), ("seed", -1), ("seed", 2**63), ("start", "sobol"), ("kind", "swarm"), ("colour", "red"),
+    ],
+)  # fmt: skip
+def test_settings_out_of_bounds_are_refused_by_name(plugin: OptimizerPlugin, field: str, value: object) -> None:
+    with pytest.raises(ValidationError) as refused:
+        chosen(plugin, **{field: value})
+    assert [error["loc"] for error in refused.value.errors()] == [(field,)]
+
+
+@pytest.mark.parametrize("value", [0, 1.1, -0.5, float("nan"), True, "0.5"])
+def test_shares_are_shares(value: object) -> None:
+    for plugin, field in ((GENETIC, "selection"), (GENETIC, "recombination"), (RANDOM, "renewal")):
+        with pytest.raises(ValidationError, match=field):
+            chosen(plugin, **{field: value})
+
+
+def test_parents_come_from_the_eligible_alone() -> None:
+    start = np.array([[0, 0, 0, 0]] * 30 + [[4, 15, 2, 39]] * 20)
+    optimizer = GENETIC.create(chosen(GENETIC, population=50, selection=0.6, mutation=0.0), SMALL, start)
+    objectives = -optimizer.ask().population[:, 0].astype(np.float64)
+    optimizer.tell(objectives, objectives)
+    proposal = optimizer.ask()
+    assert not proposal.population[proposal.changed].any()
+
+
+def is_child(child: npt.NDArray[np.bool_], one: npt.NDArray[np.bool_], other: npt.NDArray[np.bool_], flips: int) -> bool:
+    return int(((child != one) & (child != other)).sum()) <= flips
+
+
+@given(seed=st.integers(0, 10_000))
+@settings(max_examples=25)
+def test_apart_from_one_flip_every_bit_of_a_child_is_one_of_its_parents(seed: int) -> None:
+    encoding = BitEncoding(HIGHWAY)
+    optimizer = GENETIC.create(chosen(GENETIC, population=14, mutation=1.0, seed=seed), HIGHWAY)
+    before = optimizer.ask().population
+    parents = encoding.chromosomes(np.array(optimizer.state()["individuals"]))
+    objectives, ratings = coarse(before)
+    optimizer.tell(objectives, ratings)
+    changed = optimizer.ask().changed
+    eligible = parents[ranking(objectives, ratings)[:11]]
+    for child in encoding.chromosomes(np.array(optimizer.state()["individuals"])[changed]):
+        assert any(
+            is_child(child, one, other, flips=1) for i, one in enumerate(eligible) for j, other in enumerate(eligible) if i != j
+        )
+
+
+def test_individuals_without_a_result_are_replaced_first() -> None:
+    optimizer = GENETIC.create(chosen(GENETIC, population=20), SMALL)
+    optimizer.ask()
+    objectives = np.arange(20.0)
+    objectives[[15, 19]] = np.nan
+    optimizer.tell(objectives, np.zeros(20))
+    assert set(np.flatnonzero(optimizer.ask().changed)) == {15, 19, 0, 1, 2}
+
+
+def test_a_population_without_any_result_still_goes_on() -> None:
+    optimizer = GENETIC.create(chosen(GENETIC, population=20), SMALL)
+    optimizer.ask()
+    optimizer.tell(np.full(20, np.nan), np.full(20, np.nan))
+    assert optimizer.ask().changed.sum() == 5
