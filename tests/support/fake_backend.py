@@ -1,0 +1,161 @@
+"""A backend in memory, on virtual time, whose cells misbehave as their parameters say."""
+
+from __future__ import annotations
+
+import heapq
+from collections import deque
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+from drivecal.campaigns.backend import Finished, Lost, Slots, WorkerInfo
+from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult
+from drivecal.domain.evaluations import Breakdown
+
+
+class Behaviour(IntEnum):
+    """What a cell does, given as its parameter `behaviour`; those of the Ray tests' plug-in mean the same."""
+
+    WELL = 0
+    CRASH = 1
+    HANG = 2
+    ERROR = 3
+    MEMORY = 4
+
+
+def behaviour_of(cell: Cell) -> Behaviour:
+    return Behaviour(int(cell.parameters.get("behaviour", 0)))
+
+
+@dataclass
+class _Worker:
+    name: str
+    node: str = "here"
+    queue: deque[tuple[int, Batch]] = field(default_factory=deque)
+    alone: bool = False
+    cells: int = 0
+    ready_at: float = 0.0
+    begun_at: float = 0.0
+
+
+@dataclass
+class FakeBackend:
+    """`workers` of one simulated machine; `seconds_per_cell` by scenario; a hang is noticed `deadline` seconds later."""
+
+    n_workers: int = 2
+    seconds_per_cell: dict[str, float] = field(default_factory=dict)
+    deadline: float = 60.0
+    restart_seconds: float = 1.6
+    overhead_seconds: float = 0.001
+    now: float = 0.0
+    busy_seconds: float = 0.0
+    attempts: dict[int, int] = field(default_factory=dict)
+    """How often each cell was begun."""
+    sizes: list[tuple[float, str, int]] = field(default_factory=list)
+    """(when, scenario, cells) of each batch sent."""
+    closed: bool = False
+
+    def __post_init__(self) -> None:
+        self._workers = [_Worker(f"worker-{index}") for index in range(1, self.n_workers + 1)]
+        self._events: list[tuple[float, int, _Worker]] = []
+        self._late: list[Finished | Lost] = []
+        self._ended: list[tuple[int, Batch]] = []
+        self._sequence = 0
+
+    def submit(self, batch_id: int, batch: Batch, expected_seconds: float | None, *, alone: bool = False) -> None:
+        del expected_seconds
+        free = [worker for worker in self._workers if self._room(worker, alone=alone)]
+        worker = min(free, key=lambda one: len(one.queue))
+        worker.queue.append((batch_id, batch))
+        worker.alone = alone
+        self.sizes.append((self.now, batch.setup.scenario, len(batch.cells)))
+        if len(worker.queue) == 1:
+            self._begin(worker)
+
+    def wait(self, timeout: float) -> list[Finished | Lost]:
+        until = self.now + timeout
+        found, self._late = self._late, []
+        if not found and self._events and self._events[0][0] <= until:
+            self.now = self._events[0][0]
+            while self._events and self._events[0][0] <= self.now:
+                found += self._end(heapq.heappop(self._events)[2])
+        elif not found:
+            self.now = until
+        return found
+
+    def slots(self) -> Slots:
+        idle = sum(self._room(worker, alone=True) for worker in self._workers)
+        return Slots(idle, sum(self._room(worker, alone=False) for worker in self._workers) - idle, len(self._workers))
+
+    def workers(self) -> list[WorkerInfo]:
+        return [
+            WorkerInfo(worker.name, worker.node, None, "busy" if worker.queue else "idle", worker.cells)
+            for worker in self._workers
+        ]
+
+    def trouble(self) -> str | None:
+        return None
+
+    def close(self) -> None:
+        self.closed = True
+
+    def kill(self, index: int) -> None:
+        """Somebody kills a worker from outside."""
+        worker = self._workers[index % len(self._workers)]
+        self._events = [event for event in self._events if event[2] is not worker]
+        heapq.heapify(self._events)
+        self._late += self._lose(worker, Breakdown.CRASH)
+
+    def repeat(self, index: int) -> None:
+        """The result of a batch that was given up, or came back already, arrives late."""
+        if self._ended:
+            batch_id, batch = self._ended[index % len(self._ended)]
+            self._late.append(Finished(batch_id, BatchResult("ghost", tuple(_answer(cell) for cell in batch.cells), 0.1)))
+
+    def _room(self, worker: _Worker, *, alone: bool) -> bool:
+        if worker.ready_at > self.now:
+            return False
+        return not worker.queue or (not alone and not worker.alone and len(worker.queue) < 2)
+
+    def _begin(self, worker: _Worker) -> None:
+        batch = worker.queue[0][1]
+        seconds = self.overhead_seconds
+        worker.begun_at = self.now
+        for cell in batch.cells:
+            self.attempts[cell.id] = self.attempts.get(cell.id, 0) + 1
+            behaviour = behaviour_of(cell)
+            seconds += self.deadline if behaviour is Behaviour.HANG else self.seconds_per_cell.get(batch.setup.scenario, 0.007)
+            if behaviour in {Behaviour.HANG, Behaviour.CRASH}:
+                break
+        self._sequence += 1
+        heapq.heappush(self._events, (self.now + seconds, self._sequence, worker))
+
+    def _end(self, worker: _Worker) -> list[Finished | Lost]:
+        batch_id, batch = worker.queue[0]
+        behaviours = [behaviour_of(cell) for cell in batch.cells]
+        for behaviour, breakdown in ((Behaviour.CRASH, Breakdown.CRASH), (Behaviour.HANG, Breakdown.HANG)):
+            if behaviour in behaviours:
+                return self._lose(worker, breakdown)
+        self._ended.append(worker.queue.popleft())
+        worker.cells += len(batch.cells)
+        seconds = self.now - worker.begun_at
+        self.busy_seconds += seconds
+        if worker.queue:
+            self._begin(worker)
+        return [Finished(batch_id, BatchResult(worker.name, tuple(_answer(cell) for cell in batch.cells), seconds))]
+
+    def _lose(self, worker: _Worker, breakdown: Breakdown) -> list[Finished | Lost]:
+        lost: list[Finished | Lost] = [Lost(batch_id, worker.name, breakdown, "it died") for batch_id, _ in worker.queue]
+        self._ended += worker.queue
+        worker.queue.clear()
+        worker.ready_at = self.now + self.restart_seconds
+        self._sequence += 1
+        return lost
+
+
+def _answer(cell: Cell) -> CellResult:
+    behaviour = behaviour_of(cell)
+    if behaviour in {Behaviour.ERROR, Behaviour.MEMORY}:
+        breakdown = Breakdown.ERROR if behaviour is Behaviour.ERROR else Breakdown.MEMORY
+        return CellResult(cell.id, None, None, {}, None, 1.0, breakdown.value, "ValueError: as asked for")
+    value = float(cell.parameters.get("value", 0.0))
+    return CellResult(cell.id, value, round(value), {"value": value}, None, 7.0)

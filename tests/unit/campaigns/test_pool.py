@@ -1,0 +1,221 @@
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tests.support.fake_backend import Behaviour, FakeBackend
+
+from drivecal.campaigns.pool import WorkPool
+from drivecal.campaigns.scheduler import ATTEMPTS, ATTEMPTS_AT_ERRORS, Completed
+from drivecal.contracts.work import Cell, SetupRequest
+
+
+def setup(scenario: str = "S1") -> SetupRequest:
+    return SetupRequest("highway", scenario, "frenet", "single_track", {}, "reference", f"fingerprint of {scenario}")
+
+
+def cells(behaviours: Sequence[Behaviour], first: int = 1) -> list[Cell]:
+    return [Cell(first + index, {"behaviour": float(one)}) for index, one in enumerate(behaviours)]
+
+
+def drain(pool: WorkPool, patience: int = 100_000) -> list[Completed]:
+    completed: list[Completed] = []
+    for _ in range(patience):
+        if pool.idle:
+            return completed
+        completed += pool.poll(1.0)
+    raise AssertionError(f"{pool.outstanding} cells never came back")
+
+
+def test_every_cell_comes_back_with_its_own_result() -> None:
+    pool = WorkPool(FakeBackend())
+    pool.submit(setup(), [Cell(index, {"value": index / 10}) for index in range(50)], tag="a")
+    found = {completed.result.id: completed.result.rating for completed in drain(pool)}
+    assert found == {index: index / 10 for index in range(50)}
+
+
+def test_a_poison_cell_costs_three_attempts_and_none_of_its_neighbours() -> None:
+    for poison, cause in ((Behaviour.CRASH, "crash"), (Behaviour.HANG, "hang"), (Behaviour.MEMORY, "memory")):
+        backend = FakeBackend()
+        pool = WorkPool(backend)
+        pool.submit(setup(), cells([Behaviour.WELL] * 300), tag="a")
+        pool.submit(setup("S2"), cells([Behaviour.WELL] * 20 + [poison] + [Behaviour.WELL] * 279, first=1001), tag="a")
+        completed = drain(pool)
+        assert len(completed) == 600
+        [failed] = [one for one in completed if one.result.breakdown is not None]
+        assert (failed.result.id, failed.result.breakdown, failed.attempts) == (1021, cause, ATTEMPTS)
+        assert backend.attempts[1021] == ATTEMPTS
+        assert max(count for cell, count in backend.attempts.items() if cell != 1021) <= ATTEMPTS
+
+
+def test_only_the_first_death_puts_others_under_suspicion() -> None:
+    backend = FakeBackend()
+    pool = WorkPool(backend)
+    pool.submit(setup(), cells([Behaviour.WELL] * 10 + [Behaviour.CRASH] + [Behaviour.WELL] * 989), tag="a")
+    completed = drain(pool)
+    suspects = [one for one in completed if one.attempts > 1]
+    assert len(suspects) <= 2 * 36  # what one worker held: two batches of a quarter of a second
+    assert all(one.attempts == 2 for one in suspects if one.result.id != 11)
+
+
+def test_an_exception_is_tried_once_more_alone() -> None:
+    backend = FakeBackend()
+    pool = WorkPool(backend)
+    pool.submit(setup(), cells([Behaviour.WELL, Behaviour.ERROR, Behaviour.WELL]), tag="a")
+    [failed] = [one for one in drain(pool) if one.result.breakdown is not None]
+    assert (failed.result.id, failed.result.breakdown, failed.attempts) == (2, "error", ATTEMPTS_AT_ERRORS)
+    assert failed.result.detail == "ValueError: as asked for"
+
+
+def test_batches_take_a_quarter_of_a_second_whatever_a_cell_costs() -> None:
+    backend = FakeBackend(seconds_per_cell={"S1": 0.007, "S2": 0.1, "S3": 3.0, "S4": 0.0001})
+    pool = WorkPool(backend)
+    for index, scenario in enumerate(("S1", "S2", "S3", "S4")):
+        count = 40 if scenario == "S3" else 1000
+        pool.submit(setup(scenario), cells([Behaviour.WELL] * count, first=1 + 10_000 * index), tag="a")
+    drain(pool)
+    typical = {
+        scenario: Counter(size for _, one, size in backend.sizes if one == scenario).most_common(1)[0][0]
+        for scenario in ("S1", "S2", "S3")
+    }
+    assert typical["S1"] in range(30, 41)
+    assert typical["S2"] == 2
+    assert typical["S3"] == 1
+    assert max(size for _, one, size in backend.sizes if one == "S4") == 64
+    assert next(size for _, one, size in backend.sizes if one == "S1") == 1  # a probe: nothing was known
+
+
+@pytest.mark.parametrize("workers", [1, 2, 4, 16])
+def test_workers_finish_together(workers: int) -> None:
+    backend = FakeBackend(workers, {"S1": 0.0071, "S2": 0.0043})
+    pool = WorkPool(backend)
+    pool.submit(setup("S1"), cells([Behaviour.WELL] * 250 * workers), tag="a")
+    pool.submit(setup("S2"), cells([Behaviour.WELL] * 250 * workers, first=100_001), tag="a")
+    drain(pool)
+    work = 250 * workers * (0.0071 + 0.0043)
+    assert work / (backend.now * workers) >= 0.97
+
+
+def test_higher_priorities_go_first_and_a_scenario_is_not_changed_without_need() -> None:
+    backend = FakeBackend()
+    pool = WorkPool(backend)
+    pool.submit(setup("S1"), cells([Behaviour.WELL] * 100), tag="a")
+    pool.submit(setup("S2"), cells([Behaviour.WELL] * 100, first=101), tag="a")
+    pool.submit(setup("S1"), cells([Behaviour.WELL] * 100, first=201), tag="b")
+    pool.submit(setup("S3"), cells([Behaviour.WELL], first=301), tag="c", priority=1)
+    drain(pool)
+    order = [scenario for _, scenario, _ in backend.sizes]
+    assert order.index("S3") <= 4  # after those that were under way
+    rest = [scenario for scenario in order if scenario != "S3"]
+    assert rest == sorted(rest)
+
+
+def test_a_cell_cannot_be_outstanding_twice() -> None:
+    pool = WorkPool(FakeBackend())
+    pool.submit(setup(), cells([Behaviour.WELL] * 3), tag="a")
+    with pytest.raises(ValueError, match="outstanding"):
+        pool.submit(setup("S2"), cells([Behaviour.WELL]), tag="a")
+    with pytest.raises(ValueError, match="twice"):
+        pool.submit(setup(), [Cell(9, {}), Cell(9, {})], tag="a")
+    assert len(drain(pool)) == 3
+    pool.submit(setup(), cells([Behaviour.WELL] * 3), tag="a")
+    assert len(drain(pool)) == 3
+
+
+def test_withdrawn_cells_are_dropped_but_those_under_way_come_back() -> None:
+    pool = WorkPool(FakeBackend())
+    pool.submit(setup(), cells([Behaviour.WELL] * 300), tag="a")
+    pool.submit(setup("S2"), cells([Behaviour.WELL] * 300, first=301), tag="b")
+    completed = pool.poll(1.0)
+    running = pool.withdraw("a")
+    assert 0 < running < 300
+    assert pool.held("a") == running
+    completed += drain(pool)
+    assert Counter(one.tag for one in completed)["b"] == 300
+    assert pool.held("a") == 0
+    assert len({one.result.id for one in completed}) == len(completed) < 600
+
+
+def test_a_withdrawn_cell_whose_worker_dies_is_not_called_failed() -> None:
+    backend = FakeBackend()
+    pool = WorkPool(backend)
+    pool.submit(setup(), cells([Behaviour.WELL] * 10), tag="a")
+    assert pool.withdraw("a") > 0
+    backend.kill(0)
+    backend.kill(1)
+    assert drain(pool) == []
+    assert pool.held("a") == 0
+
+
+def test_results_of_a_batch_that_was_given_up_change_nothing() -> None:
+    backend = FakeBackend()
+    pool = WorkPool(backend)
+    pool.submit(setup(), cells([Behaviour.WELL] * 2), tag="a")
+    backend.kill(0)
+    completed = pool.poll(0.0)
+    backend.repeat(0)
+    completed += pool.poll(0.0)
+    backend.repeat(0)
+    completed += drain(pool)
+    assert sorted(one.result.id for one in completed) == [1, 2]
+    assert "ghost" not in {one.worker for one in completed}
+
+
+_step = st.one_of(
+    st.tuples(
+        st.just("submit"),
+        st.lists(st.sampled_from(Behaviour), min_size=1, max_size=80),
+        st.sampled_from(["S1", "S2", "S3"]),
+        st.sampled_from(["a", "b"]),
+        st.integers(0, 1),
+    ),
+    st.tuples(st.just("poll"), st.floats(0.0, 3.0)),
+    st.tuples(st.just("kill"), st.integers(0, 7)),
+    st.tuples(st.just("repeat"), st.integers(1, 60)),
+    st.tuples(st.just("withdraw"), st.sampled_from(["a", "b"])),
+)
+
+
+@given(st.integers(1, 5), st.lists(_step, max_size=30))
+@settings(max_examples=300, deadline=None)
+def test_every_cell_comes_back_exactly_once_whatever_happens(workers: int, steps: list[tuple[object, ...]]) -> None:
+    backend = FakeBackend(workers, {"S1": 0.007, "S2": 0.5})
+    pool = WorkPool(backend)
+    submitted: dict[int, Behaviour] = {}
+    tags: dict[int, str] = {}
+    completed: list[Completed] = []
+    kills, withdrawn = 0, set()
+    for step in steps:
+        match step:
+            case ("submit", list(behaviours), str(scenario), str(tag), int(priority)):
+                new = cells(behaviours, first=len(submitted) + 1)
+                submitted |= {cell.id: behaviour for cell, behaviour in zip(new, behaviours, strict=True)}
+                tags |= {cell.id: tag for cell in new}
+                pool.submit(setup(scenario), new, tag=tag, priority=priority)
+            case ("poll", float(timeout)):
+                completed += pool.poll(timeout)
+            case ("kill", int(index)):
+                backend.kill(index)
+                kills += 1
+            case ("repeat", int(batch_id)):
+                backend.repeat(batch_id)
+            case ("withdraw", str(tag)):
+                held = pool.held(tag)
+                running = pool.withdraw(tag)
+                assert pool.held(tag) == running <= held
+                withdrawn |= {cell for cell, its in tags.items() if its == tag}
+    completed += drain(pool)
+    ids = [one.result.id for one in completed]
+    assert len(set(ids)) == len(ids), "a cell came back twice"
+    assert set(submitted) - set(ids) <= withdrawn, "a cell was lost"
+    assert max(backend.attempts.values(), default=0) <= ATTEMPTS
+    causes = {None: Behaviour.WELL, "crash": Behaviour.CRASH, "hang": Behaviour.HANG}
+    causes |= {"error": Behaviour.ERROR, "memory": Behaviour.MEMORY}
+    for one in completed:
+        if kills == 0:
+            assert causes[one.result.breakdown] is submitted[one.result.id]
+        elif submitted[one.result.id] is not Behaviour.WELL:
+            assert one.result.breakdown is not None
