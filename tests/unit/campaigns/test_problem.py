@@ -1,0 +1,141 @@
+"""A campaign is resolved against what is installed, and everything wrong with it is said at once, field by field."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from drivecal.campaigns.maps import map_from_document, map_to_document, resolve_map
+from drivecal.campaigns.problem import CalibrationProblem, resolve, resolve_evaluation
+from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, InfluenceMapSpecification
+from drivecal.domain.errors import InvalidInputError
+
+MIDDLE = {f"P{i}": value for i, value in enumerate((0, 1, 100, 1000, 750, 0.5, 100, 1000, 5, 10, 100), start=1)}
+
+
+def _resolve(**document: Any) -> CalibrationProblem:
+    return resolve(CampaignSpecification.model_validate(document))
+
+
+def _problems(**document: Any) -> dict[str, str]:
+    with pytest.raises(InvalidInputError) as caught:
+        _resolve(**document)
+    return {problem.field: str(problem) for problem in caught.value.problems}
+
+
+def test_the_default_campaign_is_the_papers_problem() -> None:
+    problem = _resolve()
+    assert problem.scenarios == ("S1", "S2", "S3", "S4", "S5", "S6")
+    assert problem.space.names == tuple(f"P{i}" for i in range(1, 12))
+    assert sum(problem.weights.values()) == pytest.approx(1.0)
+    assert problem.expected_runs().calibration_proposed == 120_000
+    assert len({setup.fingerprint for setup in problem.bench.setups.values()}) == 6
+
+
+def test_weights_and_bounds_are_not_in_the_fingerprint_but_the_vehicle_is() -> None:
+    plain = _resolve().bench.setups["S1"].fingerprint
+    narrow = [{"name": "P1", "lower": 0, "upper": 1, "step": 0.5}]
+    held = {name: value for name, value in MIDDLE.items() if name != "P1"}
+    assert _resolve(parameters=narrow, fixed=held, weights={"S1": 3}).bench.setups["S1"].fingerprint == plain
+    heavy = {"model": "single_track", "parameters": {_vehicle_parameter(): 2100.0}}
+    assert _resolve(vehicle=heavy).bench.setups["S1"].fingerprint != plain
+
+
+def _vehicle_parameter() -> str:
+    return next(iter(_resolve().bench.vehicle_parameters))
+
+
+def test_a_weight_of_zero_leaves_the_scenario_out_and_says_so() -> None:
+    problem = _resolve(weights={"S2": 0, "S3": 2})
+    assert problem.scenarios == ("S1", "S3", "S4", "S5", "S6")
+    assert problem.weights["S3"] == pytest.approx(2 / 6)
+    assert any("S2" in note for note in problem.notes)
+
+
+@pytest.mark.parametrize(
+    ("document", "field", "says"),
+    [
+        ({"catalogue": "motorway"}, "catalogue", "highway"),
+        ({"catalogue": ["S1", "S9"]}, "catalogue[1]", "S1"),
+        ({"driving_function": "mpc"}, "driving_function", "frenet"),
+        ({"vehicle": {"model": "tank"}}, "vehicle.model", "single_track"),
+        ({"vehicle": {"parameters": {"wings": 2.0}}}, "vehicle.parameters.wings", "no such parameter"),
+        ({"evaluator": "taste"}, "evaluator", "reference"),
+        ({"optimizer": {"kind": "annealing"}}, "optimizer.kind", "genetic"),
+        ({"optimizer": {"kind": "genetic", "mutation": 1.5}}, "optimizer.mutation", "1"),
+        ({"optimizer": {"kind": "genetic", "mutations": 0.5}}, "optimizer.mutations", "mutation"),
+        ({"weights": {"S7": 1}}, "weights.S7", "S1"),
+        ({"weights": {f"S{i}": 0 for i in range(1, 7)}}, "weights", "positive"),
+        ({"parameters": "city"}, "parameters", "highway_table9"),
+        ({"parameters": [{"name": "P12", "lower": 0, "upper": 1, "step": 1}]}, "parameters[0].name", "P11"),
+        ({"parameters": [{"name": "P1", "lower": 1, "upper": 1, "step": 1}]}, "parameters[0].upper", "empty"),
+        ({"parameters": [{"name": "P2", "lower": -1, "upper": 1, "step": 1}]}, "parameters[0].lower", "at least 0"),
+        ({"parameters": [{"name": "P1", "lower": 0, "upper": 1, "step": 0}]}, "parameters[0].step", "continuous"),
+        ({"parameters": [{"name": "P1", "lower": 0, "upper": 1, "step": 0.3}]}, "parameters[0].step", "multiple"),
+        ({"fixed": {"P9": 5.05}}, "fixed.P9", "5 or 5.1"),
+        ({"fixed": {"P99": 5}}, "fixed.P99", "P11"),
+        ({"fixed": MIDDLE}, "fixed", "nothing to search"),
+        ({"baseline": {"P1": 0.5}}, "baseline.P2", "missing"),
+        ({"baseline": MIDDLE | {"P1": 99}}, "baseline.P1", "-15 to 14"),
+    ],
+)
+def test_what_does_not_fit_is_refused_by_field_with_what_would_be_right(document: Any, field: str, says: str) -> None:
+    found = _problems(**document)
+    assert field in found, found
+    assert says in found[field]
+
+
+def test_all_problems_are_reported_at_once() -> None:
+    assert set(_problems(evaluator="taste", weights={"S9": 1}, fixed={"P9": 5.05})) == {"evaluator", "weights.S9", "fixed.P9"}
+
+
+def test_a_list_of_parameters_needs_a_value_for_every_other_one() -> None:
+    found = _problems(parameters=[{"name": "P1", "lower": 0, "upper": 1, "step": 0.5}], fixed={"P2": 1})
+    assert set(found) == {f"fixed.P{i}" for i in range(3, 12)}
+
+
+def test_a_single_evaluation_takes_values_between_the_grid_points() -> None:
+    problem = resolve_evaluation(EvaluationSpecification(parameters=MIDDLE | {"P9": 5.05}, scenario="S3"))
+    assert list(problem.bench.scenarios) == ["S3"]
+    assert problem.parameter_set.floats["P9"] == 5.05
+
+
+def test_a_single_evaluation_names_what_is_missing_unknown_or_forbidden() -> None:
+    given = {name: value for name, value in MIDDLE.items() if name != "P4"} | {"P2": -1.0, "P12": 3.0}
+    with pytest.raises(InvalidInputError) as caught:
+        resolve_evaluation(EvaluationSpecification(parameters=given, scenario="S9"))
+    assert {problem.field for problem in caught.value.problems} == {
+        "parameters.P4",
+        "parameters.P2",
+        "parameters.P12",
+        "scenario",
+    }
+
+
+def _map(**scenarios: Any) -> InfluenceMapSpecification:
+    return InfluenceMapSpecification.model_validate({"scenarios": scenarios})
+
+
+def test_a_posted_map_survives_storage_exactly() -> None:
+    found = resolve_map(_map(S1={"P9": {"lower": 0.1, "upper": 9.9}, "P1": {"influential": False}}, S2={}))
+    assert map_from_document(map_to_document(found)) == found
+
+
+@pytest.mark.parametrize(
+    ("scenarios", "field", "says"),
+    [
+        ({"S9": {}}, "scenarios.S9", "S1"),
+        ({"S1": {"P99": {}}}, "scenarios.S1.P99", "P11"),
+        ({"S1": {"P9": {"lower": 0.05}}}, "scenarios.S1.P9.lower", "0 or 0.1"),
+        ({"S1": {"P9": {"upper": 11}}}, "scenarios.S1.P9.upper", "0 to 10"),
+        ({"S1": {"P9": {"lower": 3, "upper": 2}}}, "scenarios.S1.P9.lower", "exchange"),
+        ({"S1": {"P9": {"influential": False, "lower": 3}}}, "scenarios.S1.P9", "leave"),
+    ],
+)
+def test_map_bounds_off_the_grid_are_refused_by_field(scenarios: Any, field: str, says: str) -> None:
+    with pytest.raises(InvalidInputError) as caught:
+        resolve_map(_map(**scenarios))
+    found = {problem.field: str(problem) for problem in caught.value.problems}
+    assert field in found, found
+    assert says in found[field]
