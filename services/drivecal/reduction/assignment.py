@@ -11,7 +11,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from drivecal.domain.evaluations import Outcome
+from drivecal.domain.evaluations import Donor, Outcome
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,17 +22,6 @@ class RequestedCell:
     scenario: str
     parameter_key: bytes
     reference_key: bytes | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Donor:
-    """A stored, simulated result: the evaluation that simulated it and what it gave."""
-
-    evaluation: int
-    run: int
-    score: int
-    rating: float
-    failure: str | None
 
 
 @dataclass(frozen=True, slots=True)

@@ -55,3 +55,14 @@ class RunResult:
     rating: Rating
     metrics: Mapping[str, float]
     failure: Failure | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Donor:
+    """A stored, simulated result: the evaluation that simulated it and what it gave."""
+
+    evaluation: int
+    run: int
+    score: int
+    rating: float
+    failure: str | None

@@ -5,8 +5,8 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivecal.domain.evaluations import Outcome
-from drivecal.reduction.assignment import Assignment, Donor, Policy, RequestedCell, assign, is_audited
+from drivecal.domain.evaluations import Donor, Outcome
+from drivecal.reduction.assignment import Assignment, Policy, RequestedCell, assign, is_audited
 
 DONOR = Donor(evaluation=7, run=3, score=5, rating=5.2, failure=None)
 
