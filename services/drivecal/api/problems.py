@@ -11,8 +11,6 @@ from typing import Any
 from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel
-from sqlalchemy.exc import DBAPIError, InterfaceError, OperationalError
-from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from starlette.exceptions import HTTPException
 
 from drivecal.contracts import validation
@@ -88,8 +86,6 @@ def install(app: FastAPI) -> None:
     app.add_exception_handler(DrivecalError, _drivecal_error)
     app.add_exception_handler(RequestValidationError, _validation_error)
     app.add_exception_handler(HTTPException, _http_error)
-    app.add_exception_handler(PoolTimeoutError, _database_error)
-    app.add_exception_handler(DBAPIError, _database_error)
     app.add_exception_handler(Exception, _unexpected)
 
 
@@ -135,15 +131,6 @@ async def _http_error(request: Request, error: Exception) -> Response:
     if error.status_code == HTTPStatus.METHOD_NOT_ALLOWED:
         detail = f"{request.method} is not possible here; possible: {(error.headers or {}).get('Allow', 'see /docs')}"
     return problem_response(request, error.status_code, detail, headers=error.headers)
-
-
-async def _database_error(request: Request, error: Exception) -> Response:
-    """A database that is gone for a while. Whatever else it says is a fault of ours."""
-    if isinstance(error, (OperationalError, InterfaceError, PoolTimeoutError)):
-        log.warning("the database does not answer: %s", error)
-        detail = "the database does not answer; the request was not carried out"
-        return problem_response(request, 503, detail, headers={"Retry-After": str(RETRY_SECONDS)})
-    return await _unexpected(request, error)
 
 
 async def _unexpected(request: Request, error: Exception) -> Response:

@@ -62,27 +62,33 @@ class Client:
         """One campaign."""
         return self._get(_path("campaigns", identifier), Campaign, kind="campaign", identifier=identifier)
 
-    def watch(self, identifier: str) -> Iterator[Campaign]:
-        """Yields the campaign now and whenever it changed, until it ended. Bears a server that restarts meanwhile."""
-        etag, wait, silent_since = "", 0.0, None
+    def watch(self, identifier: str, deadline: float | None = None) -> Iterator[Campaign]:
+        """Yields the campaign now and whenever it changed, until it ended. Bears a server that restarts meanwhile.
+
+        Raises TimeoutError when the monotonic clock passes `deadline`.
+        """
+        etag, silent_since = "", None
         while True:
+            wait = 1.0
             try:
                 response = self._request("GET", _path("campaigns", identifier), headers={"If-None-Match": etag} if etag else {})
                 raise_for(response, "campaign", identifier)
-                silent_since = None
             except UnavailableError:
                 silent_since = silent_since or time.monotonic()
-                if time.monotonic() - silent_since > SILENCE_SECONDS:
+                if not etag or time.monotonic() - silent_since > SILENCE_SECONDS:
                     raise
-                time.sleep(1.0)
-                continue
-            wait = float(response.headers.get("retry-after", 1))
-            if response.status_code != HTTPStatus.NOT_MODIFIED:
-                etag = response.headers.get("etag", "")
-                campaign = self._answer(response, Campaign)
-                yield campaign
-                if CampaignState(campaign.state).ended:
-                    return
+            else:
+                silent_since = None
+                wait = float(response.headers.get("retry-after", wait))
+                if response.status_code != HTTPStatus.NOT_MODIFIED:
+                    etag = response.headers.get("etag", "")
+                    campaign = self._answer(response, Campaign)
+                    yield campaign
+                    if CampaignState(campaign.state).ended:
+                        return
+            if deadline is not None and time.monotonic() + wait > deadline:
+                time.sleep(max(0.0, deadline - time.monotonic()))
+                raise TimeoutError
             time.sleep(wait)
 
     def act(self, identifier: str, action: Action) -> Campaign:

@@ -1,0 +1,170 @@
+"""Commands about campaigns as a whole."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from drivecal.cli.assignments import assignments
+from drivecal.cli.commands import CampaignArgument, ExitCode, JsonOption, UrlOption, app, code_of_state, connect, full_id, tell
+from drivecal.cli.documents import read_document
+from drivecal.cli.output import print_campaign, print_columns, print_json, saved, when
+from drivecal.cli.watching import follow
+from drivecal.client.client import Action, Client
+from drivecal.contracts.campaign import Campaign, ExpectedRuns
+from drivecal.domain.campaigns import CampaignState
+
+WaitOption = Annotated[bool, typer.Option("--wait", help="Show the progress until the campaign has ended.")]
+TimeoutOption = Annotated[float | None, typer.Option(min=0, help="Seconds to wait at most; exit status 6 when they are over.")]
+
+
+@app.command()
+def submit(
+    file: Annotated[str, typer.Argument(metavar="FILE", help="A campaign file, YAML or JSON; - is standard input.")],
+    wait: WaitOption = False,
+    timeout: TimeoutOption = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Check the file and count the runs, submit nothing.")] = False,
+    url: UrlOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Submit a campaign."""
+    specification = read_document(file)
+    with connect(url) as client:
+        if dry_run:
+            _print_expected(client.expected_runs(specification), as_json)
+        else:
+            _submitted(client, client.submit(specification), wait, timeout, as_json)
+
+
+@app.command()
+def rerun(
+    identifier: CampaignArgument,
+    weights: Annotated[
+        str, typer.Option(metavar="S1=2,S2=1", help="The new weights; a scenario that is not named has weight 1.")
+    ],
+    name: Annotated[str | None, typer.Option(help="A name for the rerun.")] = None,
+    wait: WaitOption = False,
+    timeout: TimeoutOption = None,
+    url: UrlOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Run an ended campaign again with other weights, on the results that are there already."""
+    changes: dict[str, object] = {"weights": assignments(weights.split(","), "--weights")}
+    if name is not None:
+        changes["name"] = name
+    with connect(url) as client:
+        _submitted(client, client.rerun(full_id(client, identifier), changes), wait, timeout, as_json)
+
+
+@app.command("list")
+def list_campaigns(
+    state: Annotated[CampaignState | None, typer.Option(help="Only campaigns in this state.")] = None,
+    limit: Annotated[int, typer.Option(min=1, max=1000, help="How many at most, newest first.")] = 20,
+    url: UrlOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """List campaigns, newest first."""
+    with connect(url) as client:
+        page = client.campaigns(state=state, limit=limit)
+    if as_json:
+        print_json(page)
+        return
+    header = ["id", "state", "created", "requested", "simulated", "saved", "best", "name"]
+    print_columns(header, [_row(campaign) for campaign in page.items])
+    if page.next_cursor:
+        tell(f"there are more than {limit}; see them with --limit")
+
+
+@app.command()
+def show(identifier: CampaignArgument, url: UrlOption = None, as_json: JsonOption = False) -> None:
+    """Show one campaign."""
+    with connect(url) as client:
+        campaign = client.campaign(full_id(client, identifier))
+    _print(campaign, as_json)
+
+
+@app.command()
+def watch(
+    identifier: CampaignArgument, timeout: TimeoutOption = None, url: UrlOption = None, as_json: JsonOption = False
+) -> None:
+    """Follow a campaign until it has ended. Ctrl-C detaches and cancels nothing."""
+    with connect(url) as client:
+        campaign = follow(client, full_id(client, identifier), timeout)
+    _print(campaign, as_json)
+    raise typer.Exit(code_of_state(campaign.state))
+
+
+@app.command()
+def pause(identifier: CampaignArgument, url: UrlOption = None, as_json: JsonOption = False) -> None:
+    """Let a campaign rest; what is being simulated is finished and kept."""
+    _act(identifier, "pause", url, as_json)
+
+
+@app.command()
+def resume(identifier: CampaignArgument, url: UrlOption = None, as_json: JsonOption = False) -> None:
+    """Let a paused campaign go on."""
+    _act(identifier, "resume", url, as_json)
+
+
+@app.command()
+def cancel(identifier: CampaignArgument, url: UrlOption = None, as_json: JsonOption = False) -> None:
+    """End a campaign; what was simulated is kept."""
+    _act(identifier, "cancel", url, as_json)
+
+
+def _act(identifier: str, action: Action, url: str | None, as_json: bool) -> None:
+    with connect(url) as client:
+        campaign = client.act(full_id(client, identifier), action)
+    _print(campaign, as_json)
+
+
+def _submitted(client: Client, campaign: Campaign, wait: bool, timeout: float | None, as_json: bool) -> None:
+    code = ExitCode.OK
+    if wait:
+        tell(f"campaign {campaign.id} is queued")
+        campaign = follow(client, campaign.id, timeout)
+        code = code_of_state(campaign.state)
+    elif not as_json:
+        tell(f"queued; follow it with `drivecal watch {campaign.id}`")
+    _print(campaign, as_json)
+    raise typer.Exit(code)
+
+
+def _print(campaign: Campaign, as_json: bool) -> None:
+    if as_json:
+        print_json(campaign)
+    else:
+        print_campaign(campaign)
+
+
+def _print_expected(expected: ExpectedRuns, as_json: bool) -> None:
+    if as_json:
+        print_json(expected)
+        return
+    typer.echo(f"the campaign can run; it proposes {expected.calibration_proposed:,} cells and simulates at most:")
+    for stage, runs in (
+        ("sensitivity", expected.sensitivity),
+        ("calibration", expected.calibration_at_most),
+        ("robustness", expected.robustness),
+        ("validation", expected.validation),
+    ):
+        typer.echo(f"  {stage:<12}{runs:>12,}")
+    for note in expected.notes:
+        typer.echo(f"note: {note}")
+
+
+def _row(campaign: Campaign) -> list[object]:
+    cells = campaign.cells
+    best = "-" if campaign.best is None else f"{campaign.best.objective:.3f}"
+    share = f"{saved(cells):.1%}" if cells.requested else "-"
+    return [
+        campaign.id,
+        campaign.state,
+        when(campaign.created_at),
+        cells.requested,
+        cells.simulated,
+        share,
+        best,
+        campaign.name,
+    ]

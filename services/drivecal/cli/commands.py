@@ -1,0 +1,108 @@
+"""What every command shares: the application, its options, and what becomes of errors."""
+
+from __future__ import annotations
+
+import sys
+from enum import IntEnum
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+from drivecal.campaigns.settings import load_settings
+from drivecal.client.client import Client
+from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.errors import DrivecalError, InvalidInputError, NotFoundError, UnavailableError
+
+
+class ExitCode(IntEnum):
+    """What the command's exit status means."""
+
+    OK = 0
+    FAILED = 1
+    USAGE = 2
+    CANCELLED = 3
+    UNREACHABLE = 4
+    NOT_FOUND = 5
+    TIMED_OUT = 6
+    INTERRUPTED = 130
+
+
+class Commands(TyperGroup):
+    """A group whose commands report drivecal's errors on stderr, one line per problem, and exit with the fitting code."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Runs the command."""
+        try:
+            return super().invoke(ctx)
+        except DrivecalError as error:
+            complain(error)
+            raise typer.Exit(exit_code(error)) from error
+        except KeyboardInterrupt as error:
+            tell("interrupted")
+            raise typer.Exit(ExitCode.INTERRUPTED) from error
+
+
+app = typer.Typer(
+    cls=Commands,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="Calibrates the parameters of automated driving functions in simulation and simulates only what can change the answer.",
+)
+
+JsonOption = Annotated[bool, typer.Option("--json", help="Print the answer as JSON.")]
+UrlOption = Annotated[
+    str | None, typer.Option("--url", help="The server; else DRIVECAL_URL, else the config file, else http://127.0.0.1:8000.")
+]
+CampaignArgument = Annotated[str, typer.Argument(metavar="ID", help="The campaign's id, or the first characters of it.")]
+
+
+class WaitTimedOutError(DrivecalError):
+    """The time that the user wanted to wait is over; the campaign goes on."""
+
+
+def exit_code(error: DrivecalError) -> ExitCode:
+    """The exit status that an error means."""
+    if isinstance(error, InvalidInputError):
+        return ExitCode.USAGE
+    if isinstance(error, NotFoundError):
+        return ExitCode.NOT_FOUND
+    if isinstance(error, UnavailableError):
+        return ExitCode.UNREACHABLE
+    if isinstance(error, WaitTimedOutError):
+        return ExitCode.TIMED_OUT
+    return ExitCode.FAILED
+
+
+def code_of_state(state: str) -> ExitCode:
+    """The exit status of a command that waited for a campaign to end."""
+    codes = {CampaignState.CANCELLED: ExitCode.CANCELLED, CampaignState.FAILED: ExitCode.FAILED}
+    return codes.get(CampaignState(state), ExitCode.OK)
+
+
+def complain(error: DrivecalError) -> None:
+    """Says on stderr what is wrong, one line per problem."""
+    for line in str(error).splitlines():
+        typer.echo(f"drivecal: {line}", err=True)
+
+
+def tell(message: str) -> None:
+    """Says something on stderr."""
+    typer.echo(f"drivecal: {message}", err=True)
+    sys.stderr.flush()
+
+
+def connect(url: str | None) -> Client:
+    """A client of the server that flags, environment and config file name."""
+    return Client(load_settings(url=url).url)
+
+
+def full_id(client: Client, identifier: str) -> str:
+    """The id that `identifier` abbreviates, looked for among the newest campaigns. An unknown one is left as it is."""
+    if len(identifier) >= 32 or not identifier:
+        return identifier
+    found = [campaign.id for campaign in client.campaigns(limit=200).items if campaign.id.startswith(identifier)]
+    if len(found) > 1:
+        raise NotFoundError("single campaign", f"{identifier} ({len(found)} begin so; give more characters)")
+    return found[0] if found else identifier

@@ -1,0 +1,126 @@
+"""Reads the files that users write, YAML or JSON, into the plain data of a REST body.
+
+YAML is read by its 1.2 core schema: `no` and `on` are words, `1e-3` is a number, dates stay text. Keys given twice are refused, and so
+are tags, and aliases, with which a short file can expand without end.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import sys
+from collections.abc import Hashable
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from drivecal.contracts import strict_json
+from drivecal.contracts.strict_json import shown
+from drivecal.domain.errors import InvalidInputError, Problem
+
+LARGEST_FILE = 1_048_576
+"""Bytes, as the server accepts them."""
+
+
+def read_document(file: str) -> dict[str, Any]:
+    """The object in `file`; `-` is standard input. Raises InvalidInputError with file, line and column of what cannot be read."""
+    content, name = _content(file)
+    try:
+        is_json = name.endswith(".json") or (file == "-" and content.lstrip()[:1] in {b"{", b"["})
+        document = strict_json.loads(content) if is_json else _yaml(content)
+        strict_json.check_plain(document)
+    except InvalidInputError as error:
+        where = [f"{name}: {problem.field}" if problem.field else name for problem in error.problems]
+        raise InvalidInputError(
+            *(Problem(at, problem.message, problem.remedy) for at, problem in zip(where, error.problems, strict=True))
+        ) from error
+    if not isinstance(document, dict):
+        raise InvalidInputError(Problem(name, f"it holds {shown(document)}, not an object", "write `field: value` lines"))
+    return document
+
+
+def _content(file: str) -> tuple[bytes, str]:
+    name = "standard input" if file == "-" else file
+    try:
+        if file == "-":
+            content = sys.stdin.buffer.read(LARGEST_FILE + 1)
+        else:
+            with Path(file).open("rb") as stream:
+                content = stream.read(LARGEST_FILE + 1)
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+        raise InvalidInputError(Problem(name, f"it cannot be read: {reason}", "give a YAML or JSON file, or -")) from error
+    if len(content) > LARGEST_FILE:
+        raise InvalidInputError(Problem(name, f"it is larger than {LARGEST_FILE:,} bytes", "give a smaller file"))
+    return content, name
+
+
+class _Loader(yaml.SafeLoader):
+    """PyYAML's safe loader with the core schema, unique keys, no aliases and no tags."""
+
+    yaml_implicit_resolvers: dict[str, list[tuple[str, re.Pattern[str]]]] = {}  # noqa: RUF012  # PyYAML declares it this way
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        event: Any = self.peek_event()  # type: ignore[no-untyped-call]
+        if isinstance(event, yaml.AliasEvent):
+            raise _refusal("aliases are not supported", event.start_mark, "write the value out")
+        if getattr(event, "tag", None) is not None:
+            raise _refusal(f"the tag {shown(event.tag)} is not supported", event.start_mark, "write the plain value")
+        return super().compose_node(parent, index)
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:  # noqa: ARG002  # PyYAML's signature
+        seen: set[str] = set()
+        for key, _ in node.value:
+            if key.tag != "tag:yaml.org,2002:str":
+                raise _refusal(f"the key {shown(key.value)} is no text", key.start_mark, "put it in quotes")
+            if key.value in seen:
+                raise _refusal(f"the key {shown(key.value)} is there twice", key.start_mark, "give each key once")
+            seen.add(key.value)
+        return super().construct_mapping(node, deep=True)
+
+    def construct_core_int(self, node: yaml.ScalarNode) -> int:
+        text = self.construct_scalar(node)
+        if len(text) > 100:
+            raise _refusal(f"a number of {len(text)} digits is too large", node.start_mark, "give a smaller number")
+        return int(text, 0) if text.startswith(("0x", "0o")) else int(text)
+
+    def construct_core_float(self, node: yaml.ScalarNode) -> float:
+        text = self.construct_scalar(node).lower()
+        value = float(text.replace(".inf", "inf").replace(".nan", "nan"))
+        if not math.isfinite(value):
+            raise _refusal(f"{shown(text)} is no finite number", node.start_mark, "give a finite number, or null")
+        return value
+
+
+for tag, pattern, first in (
+    ("null", r"^(?:~|null|Null|NULL|)$", ["~", "n", "N", ""]),
+    ("bool", r"^(?:true|True|TRUE|false|False|FALSE)$", list("tTfF")),
+    ("int", r"^(?:[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+)$", list("-+0123456789")),
+    (
+        "float",
+        r"^(?:[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN))$",
+        list("-+.0123456789"),
+    ),
+):
+    _Loader.add_implicit_resolver(f"tag:yaml.org,2002:{tag}", re.compile(pattern), first)
+_Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_core_int)
+_Loader.add_constructor("tag:yaml.org,2002:float", _Loader.construct_core_float)
+
+
+def _yaml(content: bytes) -> object:
+    try:
+        return yaml.load(content.decode("utf-8-sig"), _Loader)  # noqa: S506  # a subclass of the safe loader
+    except UnicodeDecodeError as error:
+        raise InvalidInputError(Problem("", f"byte {error.start} is no valid UTF-8", "save the file as UTF-8")) from error
+    except yaml.MarkedYAMLError as error:
+        raise _refusal(str(error.problem or error.context), error.problem_mark or error.context_mark) from error
+    except yaml.YAMLError as error:
+        raise InvalidInputError(Problem("", f"no valid YAML: {' '.join(str(error).split())}", "correct the file")) from error
+    except RecursionError as error:
+        raise InvalidInputError(Problem("", "it is nested too deeply", "write a flatter document")) from error
+
+
+def _refusal(message: str, mark: Any, remedy: str = "correct the file there") -> InvalidInputError:
+    where = f"line {mark.line + 1}, column {mark.column + 1}" if mark else ""
+    return InvalidInputError(Problem(where, message, remedy))

@@ -1,0 +1,69 @@
+"""The command that drives one parameter set."""
+
+from __future__ import annotations
+
+import time
+from typing import Annotated
+
+import typer
+
+from drivecal.cli.assignments import assignments
+from drivecal.cli.commands import ExitCode, JsonOption, UrlOption, WaitTimedOutError, app, code_of_state, connect, tell
+from drivecal.cli.output import parameters_text, print_columns, print_json
+from drivecal.client.client import Client
+from drivecal.contracts.evaluation import Evaluation
+from drivecal.domain.campaigns import CampaignState
+
+SECONDS_BETWEEN_QUESTIONS = 0.3
+
+
+@app.command()
+def evaluate(
+    parameters: Annotated[list[str], typer.Argument(metavar="P1=VALUE...", help="One value for each parameter.")],
+    scenario: Annotated[str | None, typer.Option(help="One scenario; else all of the catalogue.")] = None,
+    catalogue: Annotated[str, typer.Option(help="The scenario catalogue.")] = "highway",
+    timeout: Annotated[float | None, typer.Option(min=0, help="Seconds to wait at most; then exit status 6.")] = None,
+    url: UrlOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Drive one parameter set and show how comfortable it was."""
+    specification: dict[str, object] = {"parameters": assignments(parameters, "parameters"), "catalogue": catalogue}
+    if scenario is not None:
+        specification["scenario"] = scenario
+    with connect(url) as client:
+        evaluation = _ended(client, client.evaluate(specification), timeout)
+    if as_json:
+        print_json(evaluation)
+    else:
+        _print(evaluation)
+    raise typer.Exit(code_of_state(evaluation.state))
+
+
+def _ended(client: Client, evaluation: Evaluation, timeout: float | None) -> Evaluation:
+    deadline = None if timeout is None else time.monotonic() + timeout
+    try:
+        while not CampaignState(evaluation.state).ended:
+            if deadline is not None and time.monotonic() > deadline:
+                raise WaitTimedOutError(f"evaluation {evaluation.id} has no result after {timeout:g} s; it goes on")
+            time.sleep(SECONDS_BETWEEN_QUESTIONS)
+            evaluation = client.evaluation(evaluation.id)
+    except KeyboardInterrupt as error:
+        tell(f"detached: evaluation {evaluation.id} goes on; end it with `drivecal cancel {evaluation.id}`")
+        raise typer.Exit(ExitCode.INTERRUPTED) from error
+    return evaluation
+
+
+def _print(evaluation: Evaluation) -> None:
+    typer.echo(parameters_text(evaluation.parameters))
+    if evaluation.error:
+        typer.echo(f"error: {evaluation.error}")
+    header = ["scenario", "outcome", "score", "rating", "failure", "worker ms"]
+    print_columns(
+        header,
+        [[item.scenario, item.outcome, item.score, item.rating, item.failure, item.milliseconds] for item in evaluation.items],
+    )
+    if evaluation.objective is not None and len(evaluation.items) > 1:
+        typer.echo(f"mean score {evaluation.objective:.4f}")
+    if evaluation.metrics:
+        typer.echo("")
+        print_columns(["metric", "value"], [[name, f"{value:.4g}"] for name, value in evaluation.metrics.items()])

@@ -1,0 +1,141 @@
+"""How results look on stdout: plain columns that survive a pipe, or JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from datetime import datetime
+from typing import Any
+
+import typer
+from pydantic import BaseModel
+
+from drivecal.contracts.campaign import Campaign, CellCounts, Solution
+
+OUTCOMES = ("repeated", "reused", "certified", "simulated", "failed")
+
+
+def print_json(answer: BaseModel | Mapping[str, Any] | Sequence[Any]) -> None:
+    """Prints an answer as JSON."""
+    document = answer.model_dump(mode="json") if isinstance(answer, BaseModel) else answer
+    typer.echo(json.dumps(document, indent=2, ensure_ascii=False))
+
+
+def print_columns(header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Prints rows under a header, numbers to the right, text to the left."""
+    cells = [[_text(value) for value in row] for row in rows]
+    numeric = [all(_is_number(row[column]) for row in cells) for column in range(len(header))]
+    widths = [max(len(line[column]) for line in [list(header), *cells]) for column in range(len(header))]
+    for line in [list(header), *cells]:
+        parts = [
+            text.rjust(width) if right else text.ljust(width) for text, width, right in zip(line, widths, numeric, strict=True)
+        ]
+        typer.echo("  ".join(parts).rstrip())
+
+
+def print_campaign(campaign: Campaign) -> None:
+    """Prints what one wants to know of a campaign."""
+    lines = [("campaign", f"{campaign.id}  {campaign.name}"), ("state", state_text(campaign))]
+    if campaign.rerun_of:
+        lines.append(("rerun of", campaign.rerun_of))
+    if campaign.error:
+        lines.append(("error", campaign.error))
+    if campaign.cells.requested:
+        lines.append(("cells", cells_text(campaign.cells)))
+    if campaign.baseline:
+        lines.append(
+            ("baseline", f"{_objective(campaign.baseline.objective)}  {parameters_text(campaign.baseline.parameters)}")
+        )
+    if campaign.best:
+        best = campaign.best
+        lines.append(("best", f"{_objective(best.objective)}  {parameters_text(best.parameters)}"))
+        lines.append(("scores", "  ".join(f"{name} {score}" for name, score in best.scores.items())))
+        lines.append(("alternatives", f"{best.alternatives} parameter sets share the best objective"))
+    for scenario, rate in campaign.error_rate.items():
+        if rate.audited:
+            stopped = "; reuse stopped" if rate.stopped else ""
+            upper = "" if rate.upper_95 is None else f", at most {rate.upper_95:.1%} with 95 % confidence"
+            lines.append((f"audit {scenario}", f"{rate.wrong} of {rate.audited} wrong{upper}{stopped}"))
+    lines += [("note", note) for note in campaign.notes]
+    seconds = campaign.seconds
+    if seconds.wall:
+        lines.append(("time", f"{duration(seconds.wall)}, of which the workers simulated {duration(seconds.simulating)}"))
+    width = max(len(name) for name, _ in lines)
+    for name, text in lines:
+        typer.echo(f"{name.ljust(width)}  {text}")
+
+
+def print_solutions(solutions: Sequence[Solution]) -> None:
+    """Prints a ranking."""
+    if not solutions:
+        typer.echo("no parameter set has a result in every scenario yet")
+        return
+    first = solutions[0]
+    header = ["rank", "objective", "rating", *first.scores, *first.parameters]
+    rows = [
+        [one.rank, f"{one.objective:.4f}", f"{one.rating:.3f}", *one.scores.values(), *one.parameters.values()]
+        for one in solutions
+    ]
+    print_columns(header, rows)
+
+
+def state_text(campaign: Campaign) -> str:
+    """The state with what belongs to it, on one line."""
+    parts = [campaign.state]
+    if campaign.stage and campaign.state == "running":
+        parts.append(campaign.stage if campaign.iteration is None else f"{campaign.stage}, iteration {campaign.iteration}")
+    if campaign.progress.total and campaign.state != "succeeded":
+        parts.append(f"{campaign.progress.done:,} of {campaign.progress.total:,} cells")
+    if campaign.progress.eta_seconds is not None and campaign.state == "running":
+        parts.append(f"about {duration(campaign.progress.eta_seconds)} left")
+    if campaign.degraded:
+        parts.append(f"degraded: {campaign.degraded}")
+    return ", ".join(parts)
+
+
+def cells_text(cells: CellCounts) -> str:
+    """The cells by outcome, on one line: `requested 1,200 = 800 simulated + 300 reused + 100 repeated`."""
+    counts = {name: getattr(cells, name) for name in reversed(OUTCOMES)}
+    parts = [f"{count:,} {name}" for name, count in counts.items() if count or name == "simulated"]
+    audited = f" ({cells.audited:,} of the simulated were audits)" if cells.audited else ""
+    return f"{cells.requested:,} requested = {' + '.join(parts)}{audited}; {cells.carried_over:,} carried over"
+
+
+def saved(cells: CellCounts) -> float:
+    """The share of the requested cells that needed no simulation."""
+    answered = cells.repeated + cells.reused + cells.certified
+    return answered / cells.requested if cells.requested else 0.0
+
+
+def parameters_text(parameters: Mapping[str, float]) -> str:
+    """`P1=0.5 P2=1`."""
+    return " ".join(f"{name}={value:g}" for name, value in parameters.items())
+
+
+def duration(seconds: float) -> str:
+    """`8 s`, `3 min 05 s`, `2 h 10 min`."""
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60:02} s"
+    return f"{whole // 3600} h {whole % 3600 // 60:02} min"
+
+
+def when(moment: datetime | None) -> str:
+    """A moment in the reader's time zone."""
+    return "" if moment is None else moment.astimezone().strftime("%Y-%m-%d %H:%M:%S")
+
+
+def _objective(value: float | None) -> str:
+    return "no result yet" if value is None else f"{value:.4f}"
+
+
+def _text(value: object) -> str:
+    if value is None:
+        return "-"
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _is_number(text: str) -> bool:
+    return text == "-" or text.replace(",", "").replace(".", "", 1).removeprefix("-").isdigit()

@@ -1,0 +1,132 @@
+"""Follows a campaign: a progress bar on a terminal, now and then a line elsewhere. Ctrl-C detaches and cancels nothing."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from types import TracebackType
+from typing import Protocol, Self
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+from drivecal.cli.commands import ExitCode, WaitTimedOutError, tell
+from drivecal.cli.output import OUTCOMES, duration
+from drivecal.client.client import Client
+from drivecal.contracts.campaign import Campaign
+
+SECONDS_BETWEEN_LINES = 5.0
+
+
+class Reporter(AbstractContextManager["Reporter"], Protocol):
+    """Shows how a campaign is getting on."""
+
+    def show(self, campaign: Campaign) -> None:
+        """Shows it as it is now."""
+
+
+class Bar:
+    """A progress bar on a terminal."""
+
+    def __init__(self, console: Console) -> None:
+        self._progress = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=24),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[detail]}"),
+            console=console,
+            transient=True,
+        )
+        self._task = self._progress.add_task("waiting", total=None, detail="")
+
+    def __enter__(self) -> Self:
+        self._progress.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._progress.stop()
+
+    def show(self, campaign: Campaign) -> None:
+        """Moves the bar."""
+        self._progress.update(
+            self._task,
+            description=_where(campaign),
+            completed=campaign.progress.done,
+            total=campaign.progress.total or None,
+            detail=_detail(campaign),
+        )
+
+
+class Lines:
+    """One line every few seconds, and one for each change of state or stage."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._last: tuple[str, str | None] | None = None
+        self._at = 0.0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        return None
+
+    def show(self, campaign: Campaign) -> None:
+        """Writes a line where one is due."""
+        now, kind = self._clock(), (campaign.state, campaign.stage)
+        if kind == self._last and now - self._at < SECONDS_BETWEEN_LINES:
+            return
+        self._last, self._at = kind, now
+        progress = campaign.progress
+        done = f"  {progress.done:,}/{progress.total:,} cells" if progress.total else ""
+        typer.echo(f"{_where(campaign)}{done}  {_detail(campaign)}".rstrip(), err=True)
+
+
+def reporter() -> Reporter:
+    """What fits stderr."""
+    return Bar(Console(stderr=True)) if sys.stderr.isatty() else Lines()
+
+
+def follow(client: Client, identifier: str, timeout: float | None = None) -> Campaign:
+    """Shows a campaign's progress until it ended, and returns it. Raises WaitTimedOutError after `timeout` seconds.
+
+    Ctrl-C ends the command, not the campaign.
+    """
+    deadline = None if timeout is None else time.monotonic() + timeout
+    come_back = (
+        f"the campaign goes on; come back with `drivecal watch {identifier}`, end it with `drivecal cancel {identifier}`"
+    )
+    try:
+        with reporter() as report:
+            for campaign in client.watch(identifier, deadline):
+                report.show(campaign)
+    except KeyboardInterrupt as error:
+        tell(f"detached: {come_back}")
+        raise typer.Exit(ExitCode.INTERRUPTED) from error
+    except TimeoutError as error:
+        raise WaitTimedOutError(f"not ended after {duration(timeout or 0)}: {come_back}") from error
+    return campaign
+
+
+def _where(campaign: Campaign) -> str:
+    if campaign.state != "running" or campaign.stage is None:
+        return campaign.state
+    iterations = campaign.spec.get("optimizer", {}).get("iterations")
+    if campaign.iteration is None or iterations is None:
+        return campaign.stage
+    return f"{campaign.stage} {campaign.iteration}/{iterations}"
+
+
+def _detail(campaign: Campaign) -> str:
+    cells = campaign.cells
+    parts = [f"{name} {getattr(cells, name):,}" for name in OUTCOMES if getattr(cells, name)]
+    if campaign.best:
+        parts.append(f"best {campaign.best.objective:.3f}")
+    if campaign.progress.eta_seconds is not None:
+        parts.append(f"{duration(campaign.progress.eta_seconds)} left")
+    if campaign.degraded:
+        parts.append(f"degraded: {campaign.degraded}")
+    return "  ".join(parts)
