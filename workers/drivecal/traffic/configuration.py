@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from xml.etree.ElementTree import Element, SubElement, tostring
+from xml.etree.ElementTree import Element, ParseError, SubElement, fromstring, tostring
 
 from drivecal.domain.scenarios import Scenario, TrafficVehicle
 
@@ -15,6 +15,17 @@ ROUTE = "road"
 def edge_names(scenario: Scenario) -> list[str]:
     """The edges of a scenario's network, in the direction of travel: one per speed limit."""
     return [f"e{index}" for index in range(len(scenario.road.limits))]
+
+
+def missing_edges(scenario: Scenario) -> list[str]:
+    """The edges that the scenario's network lacks; all of them where it is no network: SUMO itself can crash on a damaged one."""
+    names = edge_names(scenario)
+    try:
+        root = fromstring(scenario.network)  # noqa: S314  # expat expands no external entities, its own limits stop the rest
+    except ParseError:
+        return names
+    present = {edge.get("id") for edge in root.iter("edge") if len(edge.findall("lane")) == scenario.road.lanes}
+    return [name for name in names if name not in present]
 
 
 def routes(scenario: Scenario) -> bytes:

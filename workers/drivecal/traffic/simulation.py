@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import tempfile
 from functools import cache
-from math import degrees
+from math import degrees, hypot
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,7 @@ import numpy as np
 from drivecal.domain.errors import DrivecalError, UnavailableError
 from drivecal.domain.roads import Floats, reference_line, to_cartesian
 from drivecal.domain.scenarios import Scenario
-from drivecal.traffic.configuration import EGO, ROUTE, drift_offsets, options, routes
+from drivecal.traffic.configuration import EGO, ROUTE, drift_offsets, missing_edges, options, routes
 from drivecal.traffic.geometry import locate
 
 try:
@@ -25,6 +25,8 @@ except ImportError as error:
     raise UnavailableError(f"the SUMO simulator cannot be used: {error}; install libsumo, nothing stands in for it") from error
 
 SUMO_ERRORS = (libsumo.TraCIException, libsumo.FatalTraCIError)
+PLACE_TOLERANCE = 0.5
+"""Metres from where a vehicle should start to the nearest place on a lane."""
 MAPPED_ANYWHERE = 2
 """moveToXY's `keepRoute`: put the vehicle at exactly these coordinates."""
 
@@ -60,6 +62,10 @@ class Simulation:
         if scenario is self._scenario:
             return
         self._scenario = None
+        if missing := missing_edges(scenario):
+            raise SimulationError(
+                f"the network of scenario {scenario.id} has no edge {missing[0]} with {scenario.road.lanes} lanes; build it anew"
+            )
         with tempfile.TemporaryDirectory() as folder:
             network, route_file = Path(folder) / "road.net.xml", Path(folder) / "road.rou.xml"
             network.write_bytes(scenario.network)
@@ -79,7 +85,7 @@ class Simulation:
         fronts = [(vehicle.id, vehicle.s + 0.5 * vehicle.length, vehicle.lane * width, vehicle.speed) for vehicle in traffic]
         fronts.append((EGO, ego.s + 0.5 * ego.length, scenario.task.start_lane * width, ego.speed))
         try:
-            self._places = [(name, *self._lane_at(s, d), speed) for name, s, d, speed in fronts]
+            self._places = [(name, *self._lane_at(name, s, d), speed) for name, s, d, speed in fronts]
         except SUMO_ERRORS as error:
             raise SimulationError(f"the network of scenario {scenario.id} does not hold its vehicles: {error}") from error
         rows = [(vehicle.s, vehicle.lane * width, 0.0, 0.0, vehicle.length, vehicle.width) for vehicle in traffic]
@@ -89,16 +95,19 @@ class Simulation:
         self.outlines = np.zeros((len(rows), 5))
         self._scenario = scenario
 
-    def _lane_at(self, s: float, d: float) -> tuple[str, float]:
+    def _lane_at(self, name: str, s: float, d: float) -> tuple[str, float]:
         """SUMO's lane and its position along it: on curved edges that is not the arc length."""
         x, y, _ = to_cartesian(self._line, s, d)
         edge, position, lane = libsumo.simulation.convertRoad(x, y)
+        there_x, there_y = libsumo.simulation.convert2D(edge, position, lane)
+        if hypot(there_x - x, there_y - y) > PLACE_TOLERANCE:
+            raise SimulationError(f"the network has no lane for vehicle {name} at s = {s} m, d = {d} m; place it on the road")
         return f"{edge}_{lane}", position
 
     def reset(self) -> None:
         """Takes all vehicles out and puts them in at their starts.
 
-        Raises SimulationError where one is not there afterwards: SUMO leaves vehicles out without a word.
+        Raises SimulationError where one is not there afterwards: SUMO can leave vehicles out without a word.
         """
         vehicle = libsumo.vehicle
         try:

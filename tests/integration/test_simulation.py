@@ -1,0 +1,260 @@
+"""SUMO and the closed loop with a planner made for these tests."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drivecal.comfort.plugin import REFERENCE
+from drivecal.domain.errors import InvalidInputError
+from drivecal.domain.evaluations import Failure
+from drivecal.domain.roads import Floats, reference_line, to_cartesian
+from drivecal.domain.scenarios import Scenario, SpeedKnot, TrafficVehicle
+from drivecal.episode.loop import ClosedLoop
+from drivecal.episode.runner import Runner
+from drivecal.plugins.ports import Observation, VehicleModel
+from drivecal.scenarios.plugin import HIGHWAY
+from drivecal.traffic.simulation import SimulationError, simulation
+from drivecal.vehicle.plugin import SINGLE_TRACK
+
+S1 = HIGHWAY.scenarios["S1"]
+SCENARIOS = list(HIGHWAY.scenarios.values())
+
+
+class Glide:
+    """Plans to slide to an offset d at constant speed; parameters: (d at the end, seconds that it takes, start time)."""
+
+    period = 0.2
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.line = reference_line(scenario.road)
+        self.ego = scenario.ego
+        self.parameters: Sequence[float] = ()
+
+    def reset(self, parameters: Sequence[float]) -> None:
+        self.parameters = parameters
+
+    def place(self, time: float) -> tuple[float, float]:
+        end, duration, begin = self.parameters
+        w = min(1.0, max(0.0, (time - begin) / duration))
+        return self.ego.s + self.ego.speed * time, self.ego.d + (end - self.ego.d) * (10 * w**3 - 15 * w**4 + 6 * w**5)
+
+    def plan(self, observation: Observation) -> Floats:
+        times = np.arange(16) * 0.1
+        points = np.array([to_cartesian(self.line, *self.place(observation.time + time))[:2] for time in times])
+        ahead = np.array([to_cartesian(self.line, *self.place(observation.time + time + 0.01))[:2] for time in times])
+        dx, dy = (ahead - points).T
+        heading = np.unwrap(np.arctan2(dy, dx))
+        speed = np.hypot(dx, dy) / 0.01
+        curvature = np.gradient(heading, 0.1) / speed
+        return np.column_stack([times, points, heading, curvature, speed, np.zeros(16)])
+
+
+class Gliding:
+    """`Glide` as a driving function."""
+
+    name, version = "gliding", "1"
+
+    def create(self, scenario: Scenario) -> Glide:
+        return Glide(scenario)
+
+
+def model() -> VehicleModel:
+    return SINGLE_TRACK.create({parameter.name: parameter.nominal for parameter in SINGLE_TRACK.parameters})
+
+
+def runner(scenario: Scenario) -> Runner:
+    return Runner(scenario, Gliding(), model(), REFERENCE)  # type: ignore[arg-type]  # it has no space to search
+
+
+def driven(scenario: Scenario, *parameters: float) -> list[bytes]:
+    """Everything that happens in a run, bit by bit."""
+    loop = ClosedLoop(scenario, Glide(scenario), model(), simulation())
+    seen: list[bytes] = []
+    drive = loop.drive(parameters, lambda _, __, pose, neighbours: seen.append(pose.tobytes() + neighbours.tobytes()))
+    return [*seen, drive.motion.tobytes(), drive.dynamics.tobytes()]
+
+
+def changes_lane(scenario: Scenario) -> tuple[float, float, float]:
+    return scenario.task.target_lane * scenario.road.lane_width, 5.0, 1.0
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda scenario: scenario.id)
+def test_all_vehicles_start_where_the_definition_says_and_stay_on_the_road(scenario: Scenario) -> None:
+    sumo = simulation()
+    sumo.load(scenario)
+    sumo.reset()
+    width = scenario.road.lane_width
+    starts = np.array([(vehicle.s, vehicle.lane * width, vehicle.speed) for vehicle in scenario.traffic])
+    assert sumo.neighbours[:, 0] == pytest.approx(starts[:, 0], abs=0.1)
+    assert sumo.neighbours[:, 1] == pytest.approx(starts[:, 1], abs=0.02)
+    assert sumo.neighbours[:, 2] == pytest.approx(starts[:, 2], rel=0.02)
+    seen: list[Floats] = []
+    Runner(scenario, Gliding(), model(), REFERENCE)._loop.drive(  # type: ignore[arg-type]
+        (scenario.ego.d, 1.0, 0.0), lambda _, __, ___, neighbours: seen.append(neighbours.copy())
+    )
+    drifts = np.array([max((abs(offset) for _, offset in vehicle.drift), default=0.0) for vehicle in scenario.traffic])
+    for neighbours in seen:
+        assert (abs(neighbours[:, 1] - starts[:, 1]) <= drifts + 0.02).all()
+        assert (neighbours[:, 0] < scenario.road.length).all()
+        assert (neighbours[:, 2] > 0).all()
+
+
+def test_a_drifting_neighbour_is_seen_to_drift() -> None:
+    scenario = HIGHWAY.scenarios["S3"]
+    drifting = next(vehicle for vehicle in scenario.traffic if vehicle.drift)
+    trace = runner(scenario).trace((scenario.ego.d, 1.0, 0.0))
+    rows = trace.neighbours[drifting.id]
+    offsets = np.interp(trace.times, *np.array(drifting.drift).T)
+    assert rows[:, 1] - drifting.lane * scenario.road.lane_width == pytest.approx(offsets[: len(rows)], abs=1e-6)
+
+
+def test_the_follower_in_the_target_lane_makes_room() -> None:
+    follower = next(vehicle.id for vehicle in S1.traffic if vehicle.id == "follower")
+    stays = runner(S1).trace((0.0, 1.0, 0.0)).neighbours[follower]
+    changes = runner(S1).trace(changes_lane(S1)).neighbours[follower]
+    assert (changes[:20] == stays[:20]).all(), "nobody can see a lane change before it begins"
+    assert changes[100, 2] < stays[100, 2] - 0.5
+
+
+def test_the_same_cell_gives_the_same_bits_after_any_other_cells() -> None:
+    first = {scenario.id: driven(scenario, *changes_lane(scenario)) for scenario in SCENARIOS}
+    for scenario in [*SCENARIOS, *reversed(SCENARIOS)]:
+        driven(scenario, scenario.ego.d - 0.5, 3.0, 2.0)
+        assert driven(scenario, *changes_lane(scenario)) == first[scenario.id]
+
+
+def test_a_fresh_process_gives_the_same_bits() -> None:
+    code = (
+        "import hashlib, sys, importlib.util as util\n"
+        f"spec = util.spec_from_file_location('simulation_tests', {__file__!r})\n"
+        "module = util.module_from_spec(spec); sys.modules['simulation_tests'] = module; spec.loader.exec_module(module)\n"
+        "scenario = module.HIGHWAY.scenarios['S2']\n"
+        "print(hashlib.sha256(b''.join(module.driven(scenario, *module.changes_lane(scenario)))).hexdigest())\n"
+    )
+    digests = {
+        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout for _ in range(2)
+    }
+    assert len(digests) == 1
+    scenario = HIGHWAY.scenarios["S2"]
+    assert digests == {hashlib.sha256(b"".join(driven(scenario, *changes_lane(scenario)))).hexdigest() + "\n"}
+
+
+def test_an_equal_scenario_that_is_another_object_gives_the_same_bits() -> None:
+    assert driven(replace(S1), *changes_lane(S1)) == driven(S1, *changes_lane(S1))
+
+
+def test_running_into_the_slower_vehicle_is_a_collision_and_ends_the_run() -> None:
+    result = runner(S1).run((0.0, 1.0, 0.0))
+    assert result.failure is Failure.COLLISION
+    assert (result.rating.rating, result.rating.score) == (0.0, 0)
+    assert result.metrics["driven_s"] < S1.duration
+
+
+def test_leaving_the_road_ends_the_run_before_sumo_sees_it() -> None:
+    trace = runner(S1).trace((-4.0, 2.0, 0.0))
+    assert trace.result.failure is Failure.OFF_ROAD
+    assert trace.result.rating.score == 0
+    assert trace.frenet[:, 1].min() >= S1.road.right_edge
+    assert len(trace.times) < trace.result.metrics["driven_s"] / S1.step + 0.5
+
+
+def test_a_lane_change_in_the_wrong_direction_misses_the_task() -> None:
+    scenario = replace(S1, traffic=S1.traffic[1:])
+    result = runner(scenario).run((0.0, 1.0, 0.0))
+    assert result.failure is Failure.TASK_MISSED
+    assert result.rating.score == 0
+    assert result.metrics["driven_s"] == pytest.approx(S1.duration)
+
+
+def test_a_calm_lane_change_on_a_free_road_is_rated_better_than_a_hasty_one() -> None:
+    free = runner(replace(S1, traffic=S1.traffic[:1]))
+    calm, hasty = free.run((S1.road.lane_width, 7.0, 0.0)), free.run((S1.road.lane_width, 3.5, 0.0))
+    assert calm.failure is None
+    assert hasty.failure is None
+    assert calm.rating.score == 7
+    assert hasty.rating.rating < calm.rating.rating - 2
+
+
+def test_an_unstable_vehicle_scores_nothing_and_says_so() -> None:
+    values = {parameter.name: parameter.nominal for parameter in SINGLE_TRACK.parameters}
+
+    class Spinning:
+        def __init__(self) -> None:
+            self.model = SINGLE_TRACK.create(values)
+            self.steps = 0
+
+        def start(self, x: float, y: float, heading: float, speed: float) -> None:
+            self.steps = 0
+            self.model.start(x, y, heading, speed)
+
+        @property
+        def pose(self) -> Floats:
+            return self.model.pose
+
+        def follow(self, trajectory: Floats, since: float, duration: float, dynamics: Floats) -> bool:
+            self.steps += 1
+            return self.model.follow(trajectory, since, duration, dynamics) and self.steps < 30
+
+    result = Runner(S1, Gliding(), Spinning(), REFERENCE).run(changes_lane(S1))  # type: ignore[arg-type]
+    assert result.failure is Failure.UNSTABLE
+    assert result.rating.score == 0
+    assert result.metrics["driven_s"] == pytest.approx(3.0)
+
+
+def test_tracing_changes_nothing() -> None:
+    subject = runner(S1)
+    plain = subject.run(changes_lane(S1))
+    assert subject.trace(changes_lane(S1)).result == plain
+    assert subject.run(changes_lane(S1)) == plain
+
+
+def test_a_trace_is_plain_data() -> None:
+    document = json.loads(json.dumps(runner(S1).trace(changes_lane(S1)).to_json(), allow_nan=False))
+    steps = round(S1.duration / S1.step)
+    assert len(document["time_s"]) == len(document["ego"]["speed_mps"]) == steps
+    assert set(document["neighbours"]) == {vehicle.id for vehicle in S1.traffic}
+    assert len(document["plans"]) == steps / 2
+    assert document["ego"]["d_m"][-1] == pytest.approx(S1.road.lane_width, abs=0.1)
+
+
+@pytest.mark.parametrize("content", [b"", b"no xml", b"<net/>", S1.network[: len(S1.network) // 2]])
+def test_a_damaged_network_is_refused_and_the_next_scenario_still_runs(content: bytes) -> None:
+    with pytest.raises(SimulationError, match="S1"):
+        simulation().load(replace(S1, network=content))
+    assert runner(S1).run(changes_lane(S1)).metrics["driven_s"] > 0
+
+
+def test_a_vehicle_that_the_network_has_no_room_for_is_named() -> None:
+    outside = TrafficVehicle("outside", lane=7, s=5000.0, speed=20.0, desired_speed=20.0)
+    with pytest.raises(SimulationError, match="outside"):
+        simulation().load(replace(S1, traffic=(outside,)))
+
+
+def test_a_step_that_does_not_fit_the_vehicle_s_sample_time_is_refused() -> None:
+    with pytest.raises(InvalidInputError, match="multiple"):
+        ClosedLoop(replace(S1, step=0.125), Glide(S1), model(), simulation())
+
+
+def test_without_libsumo_nothing_runs() -> None:
+    code = "import sys; sys.modules['libsumo'] = None\nimport drivecal.episode.runner"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode != 0
+    assert "nothing stands in for it" in done.stderr
+
+
+def test_the_limit_of_each_edge_slows_the_traffic() -> None:
+    scenario = HIGHWAY.scenarios["S5"]
+    held = replace(scenario, road=replace(scenario.road, limits=(SpeedKnot(0.0, 22.0), scenario.road.limits[1])))
+    assert held.digest != scenario.digest
+    trace = runner(scenario).trace((0.0, 1.0, 0.0))
+    speeds = trace.neighbours["second"][:, 2]
+    assert speeds[0] < 23.0
+    assert speeds[-1] > 28.0

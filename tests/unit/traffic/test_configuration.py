@@ -1,0 +1,49 @@
+"""What SUMO is told."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from xml.etree import ElementTree as ET
+
+import pytest
+
+from drivecal.scenarios.plugin import HIGHWAY
+from drivecal.traffic.configuration import drift_offsets, options, routes
+
+S3 = HIGHWAY.scenarios["S3"]
+
+
+def test_every_vehicle_has_a_type_without_randomness() -> None:
+    root = ET.fromstring(routes(S3))
+    types = {element.attrib["id"]: element.attrib for element in root.iter("vType")}
+    assert set(types) == {vehicle.id for vehicle in S3.traffic} | {"ego"}
+    assert {attributes["speedDev"] for attributes in types.values()} == {"0"}
+    vehicle = S3.traffic[0]
+    assert float(types[vehicle.id]["length"]) == vehicle.length
+    assert float(types[vehicle.id]["maxSpeed"]) == vehicle.desired_speed
+
+
+def test_the_route_covers_every_edge() -> None:
+    route = ET.fromstring(routes(HIGHWAY.scenarios["S5"])).find("route")
+    assert route is not None
+    assert route.attrib["edges"].split() == ["e0", "e1"]
+
+
+def test_hostile_names_are_escaped() -> None:
+    vehicle = replace(S3.traffic[0], id='"/><input href="x')
+    root = ET.fromstring(routes(replace(S3, traffic=(vehicle,))))
+    assert [element.tag for element in root] == ["route", "vType", "vType"]
+
+
+def test_seed_and_step_reach_sumo() -> None:
+    arguments = options(replace(S3, seed=7, step=0.2), "net", "routes")
+    assert arguments[arguments.index("--seed") + 1] == "7"
+    assert arguments[arguments.index("--step-length") + 1] == "0.2"
+
+
+def test_a_vehicle_drifts_along_its_knots() -> None:
+    vehicle = replace(S3.traffic[0], drift=((1.0, 0.0), (2.0, 0.5), (3.0, 0.5), (4.0, -0.5)))
+    offsets = drift_offsets(vehicle, S3)
+    assert len(offsets) == round(S3.duration / S3.step)
+    after = {time: offsets[round(time / S3.step) - 1] for time in (0.5, 1.5, 2.5, 3.5, 10.0)}
+    assert after == pytest.approx({0.5: 0.0, 1.5: 0.25, 2.5: 0.5, 3.5: 0.0, 10.0: -0.5})
