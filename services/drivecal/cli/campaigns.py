@@ -6,12 +6,12 @@ from typing import Annotated
 
 import typer
 
-from drivecal.cli.assignments import assignments
 from drivecal.cli.commands import CampaignArgument, ExitCode, JsonOption, UrlOption, app, code_of_state, connect, full_id, tell
 from drivecal.cli.documents import read_document
 from drivecal.cli.output import print_campaign, print_columns, print_json, saved, when
 from drivecal.cli.watching import follow
 from drivecal.client.client import Action, Client
+from drivecal.contracts.assignments import assignments
 from drivecal.contracts.campaign import Campaign, ExpectedRuns
 from drivecal.domain.campaigns import CampaignState
 

@@ -7,10 +7,10 @@ from typing import Annotated
 
 import typer
 
-from drivecal.cli.assignments import assignments
 from drivecal.cli.commands import ExitCode, JsonOption, UrlOption, WaitTimedOutError, app, code_of_state, connect, tell
 from drivecal.cli.output import parameters_text, print_columns, print_json
 from drivecal.client.client import Client
+from drivecal.contracts.assignments import assignments
 from drivecal.contracts.evaluation import Evaluation
 from drivecal.domain.campaigns import CampaignState
 

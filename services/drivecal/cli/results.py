@@ -13,10 +13,10 @@ from typing import Annotated, BinaryIO
 
 import typer
 
-from drivecal.cli.assignments import assignments
 from drivecal.cli.commands import CampaignArgument, JsonOption, UrlOption, app, connect, full_id, tell
 from drivecal.cli.output import print_json, print_solutions
 from drivecal.client.client import Client
+from drivecal.contracts.assignments import assignments
 from drivecal.domain.errors import InvalidInputError, Problem
 
 
@@ -87,8 +87,8 @@ def export(
 
 
 def _pieces(client: Client, identifier: str, table: TableName, form: Format) -> Iterator[bytes]:
-    if form is Format.CSV or form is Format.PARQUET:
-        yield from client.table(identifier, table.value, form.value)
+    if form is not Format.JSON:
+        yield from client.table(identifier, table.value, "csv" if form is Format.CSV else "parquet")
         return
     separator = "["
     for row in client.rows(identifier, table.value):

@@ -1,4 +1,4 @@
-"""Reads `NAME=NUMBER` as it stands on a command line."""
+"""Reads `NAME=NUMBER`, as it stands on a command line and in a query."""
 
 from __future__ import annotations
 

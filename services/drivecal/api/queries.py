@@ -1,0 +1,87 @@
+"""The query parameters. Unknown ones are refused, so that a slip of the pen is not silently ignored."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from fastapi import Query
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints
+
+from drivecal.domain.campaigns import CampaignState
+
+Form = Literal["json", "csv", "parquet"]
+
+PARQUET = "application/vnd.apache.parquet"
+FORMS: dict[str, Form] = {
+    "text/csv": "csv",
+    PARQUET: "parquet",
+    "application/json": "json",
+    "application/*": "json",
+    "*/*": "json",
+}
+
+
+class _Query(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class PageOf(_Query):
+    """Which part of a list."""
+
+    limit: Annotated[int, Field(ge=1, le=1000)] = 100
+    """How many items at most."""
+    cursor: Annotated[str, StringConstraints(max_length=500)] | None = None
+    """`next_cursor` of the page before."""
+
+
+class CampaignsOf(PageOf):
+    """Which campaigns."""
+
+    state: CampaignState | None = None
+
+
+class TableOf(PageOf):
+    """Which part of a table; `format` csv or parquet gives all of it, as does an `Accept` header that asks for them."""
+
+    format: Form | None = None
+
+
+class SolutionsOf(TableOf):
+    """Which solutions, and by which weights they are ranked: `S1=2,S2=1`; scenarios that are not named have weight 1."""
+
+    weights: Annotated[str, StringConstraints(max_length=20_000)] | None = None
+
+
+class SubmissionOf(_Query):
+    """How a campaign is submitted."""
+
+    validate_only: bool = False
+    """Check it and count its runs, store nothing."""
+
+
+PageQuery = Annotated[PageOf, Query()]
+CampaignsQuery = Annotated[CampaignsOf, Query()]
+TableQuery = Annotated[TableOf, Query()]
+SolutionsQuery = Annotated[SolutionsOf, Query()]
+SubmissionQuery = Annotated[SubmissionOf, Query()]
+
+
+def form_of(query: TableOf, accept: str) -> Form:
+    """The format that was asked for: by the query, else by the `Accept` header, else JSON."""
+    if query.format is not None:
+        return query.format
+    wanted: list[tuple[float, Form]] = []
+    for part in accept.split(","):
+        media_type, *options = (piece.strip().lower() for piece in part.split(";"))
+        quality = next((option[2:] for option in options if option.startswith("q=")), "1")
+        if media_type in FORMS:
+            wanted.append((_quality(quality), FORMS[media_type]))
+    return max(wanted, key=lambda one: one[0], default=(0.0, "json"))[1]
+
+
+def _quality(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        return 0.0
+    return value if 0 <= value <= 1 else 0.0
