@@ -1,0 +1,176 @@
+from __future__ import annotations
+
+import os
+import pickle
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+
+from drivecal.contracts.work import Batch, Cell, CellResult, SetupRequest
+from drivecal.domain.evaluations import Failure, Rating, RunResult
+from drivecal.plugins import registry
+from drivecal.plugins.setups import setup_of
+from drivecal.runtime import compilation
+from drivecal.runtime.worker import LONGEST_DETAIL, MOST_RUNNERS, Worker
+
+SETUP = SetupRequest("highway", "S1", "frenet", "single_track", {}, "reference", "a fingerprint")
+
+
+class ForeignError(Exception):
+    """Cannot be pickled, like libsumo's."""
+
+    def __reduce__(self) -> str:
+        raise TypeError("no")
+
+
+@dataclass
+class ScriptedRunner:
+    parameters: Sequence[str] = ("a", "b")
+    runs: int = 0
+
+    def run(self, parameters: Sequence[float]) -> RunResult:
+        self.runs += 1
+        first, second = parameters
+        actions: dict[float, BaseException] = {
+            1.0: ForeignError("one\nof SUMO's \x00 own"),
+            2.0: MemoryError(),
+            3.0: SystemExit(0),
+            4.0: ValueError("x" * 10_000),
+        }
+        if first in actions:
+            raise actions[first]
+        if first == 5.0:
+            return RunResult(Rating(0.0, 0), {"value": second}, Failure.COLLISION)
+        if first == 6.0:
+            return RunResult(Rating(5.0, 5), {"value": float("nan")})
+        sum(range(20_000))
+        return RunResult(Rating(second, round(second)), {"value": second, "runs": self.runs})
+
+
+def run(worker: Worker, *parameters: tuple[float, float], setup: SetupRequest = SETUP) -> tuple[CellResult, ...]:
+    cells = tuple(Cell(index, {"b": second, "a": first}) for index, (first, second) in enumerate(parameters))
+    return worker.run(Batch(setup, cells)).results
+
+
+def test_results_come_in_the_batch_s_order_with_values_by_name() -> None:
+    worker = Worker("worker-1", lambda _: ScriptedRunner())
+    batch = Batch(SETUP, (Cell(7, {"b": 3.4, "a": 0.0}), Cell(5, {"a": 5.0, "b": 2.0})))
+    result = worker.run(batch)
+    assert result.worker == "worker-1"
+    assert result.seconds > 0
+    first, second = result.results
+    assert (first.id, first.rating, first.score, first.failure, first.breakdown) == (7, 3.4, 3, None, None)
+    assert first.milliseconds > 0
+    assert (second.id, second.rating, second.failure, second.metrics) == (5, 0.0, "collision", {"value": 2.0})
+
+
+def test_a_cell_that_raises_is_described_and_costs_no_other_cell() -> None:
+    results = run(
+        Worker("w", lambda _: ScriptedRunner()), (0.0, 1.0), (1.0, 0.0), (2.0, 0.0), (3.0, 0.0), (4.0, 0.0), (0.0, 2.0)
+    )
+    assert [result.breakdown for result in results] == [None, "error", "memory", "error", "error", None]
+    assert [result.score for result in results] == [1, None, None, None, None, 2]
+    detail = results[1].detail or ""
+    assert "ForeignError: one of SUMO's ? own" in detail
+    assert "(test_worker.py:" in detail
+    assert len(results[4].detail or "") == LONGEST_DETAIL
+    pickle.loads(pickle.dumps(results))
+
+
+def test_a_result_that_is_no_number_is_no_result() -> None:
+    [result] = run(Worker("w", lambda _: ScriptedRunner()), (6.0, 0.0))
+    assert (result.breakdown, result.rating) == ("error", None)
+    assert "value is nan" in (result.detail or "")
+
+
+def test_a_setup_is_prepared_once_and_again_after_an_exception() -> None:
+    made: list[str] = []
+
+    def make(setup: SetupRequest) -> ScriptedRunner:
+        made.append(setup.scenario)
+        return ScriptedRunner()
+
+    worker = Worker("w", make)
+    run(worker, (0.0, 1.0), (0.0, 1.0))
+    run(worker, (0.0, 1.0), setup=replace(SETUP, scenario="S2"))
+    run(worker, (0.0, 1.0))
+    assert made == ["S1", "S2"]
+    run(worker, (1.0, 1.0), (0.0, 1.0))
+    assert made == ["S1", "S2", "S1"]
+
+
+def test_only_so_many_setups_are_kept() -> None:
+    made: list[str] = []
+
+    def make(setup: SetupRequest) -> ScriptedRunner:
+        made.append(setup.scenario)
+        return ScriptedRunner()
+
+    worker = Worker("w", make)
+    for index in range(MOST_RUNNERS + 1):
+        run(worker, (0.0, 1.0), setup=replace(SETUP, scenario=f"S{index}"))
+    run(worker, (0.0, 1.0), setup=replace(SETUP, scenario=f"S{MOST_RUNNERS}"))
+    assert len(made) == MOST_RUNNERS + 1
+    run(worker, (0.0, 1.0), setup=replace(SETUP, scenario="S0"))
+    assert made[-1] == "S0"
+
+
+def _request(**document: object) -> SetupRequest:
+    """What a coordinator would ask for that has `document` installed where it differs from here."""
+    scenario = registry.catalogue("highway").scenarios["S1"]
+    vehicle = registry.vehicle("single_track")
+    setup = setup_of(scenario, registry.driving_function("frenet"), vehicle, {})
+    theirs = replace(setup, **document)  # type: ignore[arg-type]
+    return SetupRequest(
+        "highway", "S1", "frenet", "single_track", theirs.vehicle_parameters, "reference", theirs.fingerprint, theirs.document
+    )
+
+
+MIDDLE = {f"P{index}": 1.0 for index in range(1, 12)}
+
+
+def test_a_worker_simulates_with_what_is_installed() -> None:
+    [result] = Worker("w").run(Batch(_request(), (Cell(1, MIDDLE),))).results
+    assert result.breakdown is None, result.detail
+    assert result.rating is not None
+    assert 0.0 <= result.rating <= 7.0
+    assert result.metrics
+    assert result.milliseconds > 0
+
+
+def test_a_worker_with_another_version_refuses_and_names_both() -> None:
+    [result] = Worker("w").run(Batch(_request(simulator="libsumo 0.9", seed=77), (Cell(1, MIDDLE),))).results
+    assert result.breakdown == "error"
+    detail = result.detail or ""
+    assert f"simulator is libsumo 0.9 at the coordinator and libsumo {version('libsumo')} at the worker" in detail
+    assert "seed is 77" in detail
+
+
+def test_a_worker_without_the_plug_in_says_what_it_has() -> None:
+    for request, words in (
+        (replace(_request(), driving_function="another"), "there is no driving function 'another'; installed: frenet"),
+        (replace(_request(), scenario="S77"), "no 'S77'; it has S1, S2"),
+        (replace(_request(), run_fingerprint="0", document={}), "run fingerprint 0 was asked for"),
+    ):
+        [result] = Worker("w").run(Batch(request, (Cell(1, MIDDLE),))).results
+        assert words in (result.detail or "")
+
+
+def test_numba_gets_a_folder_of_its_own_only_where_it_would_find_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    writable: set[Path] = {Path(compilation.__file__).parent}
+    monkeypatch.setattr(os, "access", lambda path, _: Path(path) in writable)
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    compilation.prepare_cache()
+    assert os.environ["NUMBA_CACHE_DIR"] == ""
+    writable = {tmp_path / ".cache" / "numba"}
+    compilation.prepare_cache()
+    assert os.environ["NUMBA_CACHE_DIR"] == ""
+    writable = set()
+    compilation.prepare_cache()
+    made = Path(os.environ["NUMBA_CACHE_DIR"])
+    assert made.is_dir()
+    made.rmdir()

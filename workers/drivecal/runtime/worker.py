@@ -1,0 +1,109 @@
+"""A worker: runs batches of cells, one after the other, and turns whatever goes wrong in a cell into plain data."""
+
+from __future__ import annotations
+
+import math
+import os
+import socket
+import time
+import traceback
+from collections import OrderedDict
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+
+from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult, SetupRequest
+from drivecal.domain.evaluations import Breakdown
+from drivecal.runtime.compilation import prepare_cache
+from drivecal.runtime.runners import Runner, make_runner
+
+MOST_RUNNERS = 32
+"""Runners kept at a time; the least recently used goes first. Studies of vehicle parameters go through hundreds of setups."""
+LONGEST_DETAIL = 500
+"""Characters."""
+
+
+@dataclass(frozen=True, slots=True)
+class WorkerFacts:
+    """Where a worker runs."""
+
+    node: str
+    pid: int
+
+
+class Worker:
+    """Lives in a process of its own (a Ray actor), because a process can hold one SUMO simulation only."""
+
+    def __init__(self, name: str, make: Callable[[SetupRequest], Runner] = make_runner) -> None:
+        self._name = name
+        self._make = make
+        self._runners: OrderedDict[tuple[object, ...], Runner] = OrderedDict()
+
+    def warm(self) -> WorkerFacts:
+        """Loads the machinery, so that the first batch does not pay for it. Raises UnavailableError where libsumo is missing."""
+        prepare_cache()
+        import_module("drivecal.episode.runner")
+        return WorkerFacts(socket.gethostname(), os.getpid())
+
+    def run(self, batch: Batch) -> BatchResult:
+        """Simulates every cell. Raises nothing that a cell or a plug-in is to blame for: its result has a `breakdown` then."""
+        start = time.perf_counter()
+        results = tuple(self._run_cell(batch.setup, cell) for cell in batch.cells)
+        return BatchResult(self._name, results, time.perf_counter() - start)
+
+    def _run_cell(self, setup: SetupRequest, cell: Cell) -> CellResult:
+        start = time.thread_time_ns()
+        try:
+            runner = self._runner(setup)
+            result = runner.run([cell.parameters[name] for name in runner.parameters])
+            rating = _finite("the rating", result.rating.rating)
+            metrics = {name: _finite(name, value) for name, value in result.metrics.items()}
+            failure = result.failure.value if result.failure else None
+            return CellResult(cell.id, rating, int(result.rating.score), metrics, failure, _milliseconds(start))
+        except MemoryError as error:
+            return self._broken(setup, cell, Breakdown.MEMORY, error, start)
+        except (Exception, SystemExit) as error:  # noqa: BLE001  # a plug-in may raise anything; it must not cost the worker
+            return self._broken(setup, cell, Breakdown.ERROR, error, start)
+
+    def _runner(self, setup: SetupRequest) -> Runner:
+        key = _key(setup)
+        if key not in self._runners:
+            self._runners[key] = self._make(setup)
+            if len(self._runners) > MOST_RUNNERS:
+                self._runners.popitem(last=False)
+        self._runners.move_to_end(key)
+        return self._runners[key]
+
+    def _broken(self, setup: SetupRequest, cell: Cell, cause: Breakdown, error: BaseException, start: int) -> CellResult:
+        self._runners.pop(_key(setup), None)  # what was interrupted may be in any state
+        return CellResult(cell.id, None, None, {}, None, _milliseconds(start), cause.value, describe(error))
+
+
+def describe(error: BaseException) -> str:
+    """An error in one printable line: its kind, its words and the place in the code."""
+    words = " ".join("".join(traceback.format_exception_only(error)).split())
+    frames = traceback.extract_tb(error.__traceback__)
+    place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
+    text = words[: LONGEST_DETAIL - len(place)] + place
+    return "".join(character if character.isprintable() else "?" for character in text)
+
+
+def _key(setup: SetupRequest) -> tuple[object, ...]:
+    return (setup.run_fingerprint, setup.catalogue, setup.scenario, setup.evaluator, *_sorted(setup.vehicle_parameters))
+
+
+def _sorted(values: Mapping[str, float]) -> list[tuple[str, float]]:
+    return sorted(values.items())
+
+
+def _milliseconds(start: int) -> float:
+    """CPU time of this thread since `start` (of `time.thread_time_ns`); Ray's own threads do not count."""
+    return (time.thread_time_ns() - start) / 1e6
+
+
+def _finite(name: str, value: float) -> float:
+    value = float(value)
+    if not math.isfinite(value):
+        raise ValueError(f"{name} is {value}, which no result may be")
+    return value
