@@ -22,6 +22,8 @@ from drivecal.domain.errors import InvalidInputError, Problem
 BILLION = 1_000_000_000
 LARGEST_VALUE = Decimal(1_000_000)
 """Bounds beyond this are refused: billionths of it are exact in a float64, which keeps the JSON form of a value exact too."""
+LARGEST_GRID = 1_000_000
+"""More values than this are refused: each is tabulated."""
 
 Indices = npt.NDArray[np.int64]
 
@@ -32,11 +34,14 @@ def decimal(value: float | str | Decimal) -> Decimal:
 
 
 def billionths(value: Decimal) -> int:
-    """`value` as an integer number of billionths. Raises ValueError where it has more than nine decimals."""
-    scaled = value * BILLION
-    if scaled != scaled.to_integral_value():
+    """`value` as an integer number of billionths. Raises ValueError where it is not finite or has more than nine decimals."""
+    if not value.is_finite():
+        raise ValueError(f"{value} is not a finite number")
+    numerator, denominator = value.as_integer_ratio()  # exact; Decimal's own product would round to 28 digits
+    scaled, rest = divmod(numerator * BILLION, denominator)
+    if rest:
         raise ValueError(f"{value} has more than nine decimals")
-    return int(scaled)
+    return scaled
 
 
 def from_billionths(value: int) -> Decimal:
@@ -47,6 +52,24 @@ def from_billionths(value: int) -> Decimal:
 def text(value: Decimal) -> str:
     """The one way a value is written: no exponent, no trailing zeros, no negative zero."""
     return format(from_billionths(billionths(value)), "f")
+
+
+def _refused(name: str, attribute: str, message: str, remedy: str) -> InvalidInputError:
+    return InvalidInputError(Problem(f"{name}.{attribute}", message, remedy))
+
+
+def _check_bounds(name: str, lower: Decimal, upper: Decimal, **others: Decimal) -> None:
+    """Raises InvalidInputError where a number cannot be used, or the range has no extent."""
+    for attribute, value in {"lower": lower, "upper": upper, **others}.items():
+        if not value.is_finite() or abs(value) > LARGEST_VALUE:
+            raise _refused(name, attribute, f"{value} is not a usable number", f"give a number within ±{LARGEST_VALUE}")
+        try:
+            billionths(value)
+        except ValueError as error:
+            raise _refused(name, attribute, str(error), "round it") from error
+    if upper <= lower:
+        message = f"the grid is empty: upper {upper} is not above lower {lower}"
+        raise _refused(name, "upper", message, "to hold a parameter, name it in `fixed`")
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,54 +89,55 @@ class Parameter:
     ) -> Parameter:
         """The grid lower, lower + step, ... upper. Raises InvalidInputError naming the field that does not fit."""
 
-        def refuse(attribute: str, message: str, remedy: str) -> InvalidInputError:
-            return InvalidInputError(Problem(f"{name}.{attribute}", message, remedy))
-
-        for attribute, value in (("lower", lower), ("upper", upper), ("step", step)):
-            if not value.is_finite() or abs(value) > LARGEST_VALUE:
-                raise refuse(attribute, f"{value} is not a usable number", f"give a number within ±{LARGEST_VALUE}")
-            if (value * BILLION) % 1 != 0:
-                raise refuse(attribute, f"{value} has more than nine decimals", "round it")
+        _check_bounds(name, lower, upper, step=step)
         if step == 0:
-            raise refuse("step", "continuous parameters are not supported yet", "give the step of the grid, e.g. 0.01")
+            raise _refused(name, "step", "continuous parameters are not supported yet", "give the step of the grid, e.g. 0.01")
         if step < 0:
-            raise refuse("step", f"{step} is negative", "give a positive step")
-        if upper <= lower:
-            raise refuse(
-                "upper",
-                f"the grid is empty: upper {upper} is not above lower {lower}",
-                "to hold a parameter, name it in `fixed`",
-            )
+            raise _refused(name, "step", f"{step} is negative", "give a positive step")
         if (upper - lower) % step != 0:
             below = lower + (upper - lower) // step * step
-            remedy = f"give e.g. upper {text(below)} or {text(below + step)}"
-            raise refuse("step", f"upper {upper} is not lower {lower} plus a multiple of step {step}", remedy)
+            fitting = [text(below)] if below > lower else []
+            remedy = f"give e.g. upper {' or '.join([*fitting, text(below + step)])}"
+            raise _refused(name, "step", f"upper {upper} is not lower {lower} plus a multiple of step {step}", remedy)
         n_values = int((upper - lower) / step) + 1
-        if n_values > 1_000_000:
-            raise refuse("step", f"{n_values} values are too many", "give a step that makes at most 1,000,000")
+        if n_values > LARGEST_GRID:
+            raise _refused(name, "step", f"{n_values} values are too many", f"give a step that makes at most {LARGEST_GRID:,}")
         return cls(name, lower, upper, n_values, unit, description)
 
     @classmethod
     def from_bits(
         cls, name: str, lower: Decimal, upper: Decimal, bits: int, unit: str = "1", description: str = ""
     ) -> Parameter:
-        """The paper's lattice (Section II-B): the range split into 2**bits values, rounded to nine decimals."""
+        """The paper's lattice (Section II-B): the range split into 2**bits values, rounded to nine decimals.
+
+        Raises InvalidInputError naming the field that does not fit, also where rounding would make values coincide.
+        """
+        _check_bounds(name, lower, upper)
+        if bits < 1 or 2**bits > LARGEST_GRID:
+            raise _refused(name, "bits", f"{bits} bits are no usable number", f"give 1 to {LARGEST_GRID.bit_length() - 1}")
+        if billionths(upper) - billionths(lower) < 2**bits - 1:
+            message = f"{2**bits} values from {lower} to {upper} lie closer than the ninth decimal"
+            raise _refused(name, "bits", message, "give fewer bits or a wider range")
         return cls(name, lower, upper, 2**bits, unit, description)
 
     def billionths(self, index: int) -> int:
-        """The value at a grid index, in billionths."""
+        """The value at a grid index, in billionths. Raises IndexError off the grid."""
+        if not 0 <= index < self.n_values:
+            raise IndexError(f"{self.name} has grid indices 0 to {self.n_values - 1}, not {index}")
+        return self._table(range(index, index + 1))[0]
+
+    def _table(self, indices: range) -> list[int]:
         low, high = billionths(self.lower), billionths(self.upper)
-        numerator = (high - low) * int(index)
-        denominator = self.n_values - 1
-        return low + (2 * numerator + denominator) // (2 * denominator)
+        last = self.n_values - 1
+        return [low + (2 * (high - low) * index + last) // (2 * last) for index in indices]
 
     @property
     def all_billionths(self) -> npt.NDArray[np.int64]:
         """Every value of the grid in billionths, shape (n_values,)."""
-        return np.array([self.billionths(index) for index in range(self.n_values)], dtype=np.int64)
+        return np.array(self._table(range(self.n_values)), dtype=np.int64)
 
     def value(self, index: int) -> Decimal:
-        """The value at a grid index."""
+        """The value at a grid index. Raises IndexError off the grid."""
         return from_billionths(self.billionths(index))
 
     def index(self, value: Decimal, field_name: str | None = None) -> int:
@@ -161,7 +185,7 @@ class ParameterSet:
 
     def to_json(self) -> str:
         """Exact and readable: `{"P1": 0.5, ...}`."""
-        return "{" + ", ".join(f'"{name}": {text(value)}' for name, value in self.values.items()) + "}"
+        return "{" + ", ".join(f"{json.dumps(name)}: {text(value)}" for name, value in self.values.items()) + "}"
 
     @property
     def key(self) -> bytes:
@@ -208,18 +232,23 @@ class ParameterSpace:
         return ParameterSet(self.names, tuple(found[name] if name in found else held[name] for name in self.names))
 
     def parameter_sets(self, population: Indices) -> list[ParameterSet]:
-        """The parameter sets of a population, shape (n, n_searched)."""
+        """The parameter sets of a population, shape (n, n_searched). Raises IndexError where an index is off its grid."""
+        off = np.argwhere((population < 0) | (population >= self.n_values))
+        if len(off):
+            row, column = off[0].tolist()
+            parameter = self.searched[column]
+            found = population[row, column]
+            raise IndexError(f"{parameter.name} has grid indices 0 to {parameter.n_values - 1}, not {found} (individual {row})")
         return [self.parameter_set(row) for row in population.tolist()]
 
     def indices(self, values: Mapping[str, Decimal], field_name: str = "parameters") -> Indices:
         """Grid indices of the searched parameters, shape (n_searched,). Raises InvalidInputError for each value off the grid."""
-        problems: list[Problem] = []
+        problems = [
+            Problem(f"{field_name}.{name}", "there is no such parameter", f"one of {', '.join(self.names)}")
+            for name in values
+            if name not in self.names
+        ]
         found: list[int] = []
-        for name in values:
-            if name not in self.names:
-                problems.append(
-                    Problem(f"{field_name}.{name}", "there is no such parameter", f"one of {', '.join(self.names)}")
-                )
         for parameter in self.searched:
             where = f"{field_name}.{parameter.name}"
             if parameter.name not in values:

@@ -1,0 +1,58 @@
+"""The error tree."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+
+import pytest
+
+from drivecal.domain.errors import (
+    ConflictError,
+    DatabaseError,
+    DrivecalError,
+    InvalidInputError,
+    NotFoundError,
+    Problem,
+    UnavailableError,
+)
+
+EXAMPLES = [
+    InvalidInputError(Problem("optimizer.population", "1 is too small", "give at least 2"), Problem("", "nothing fits")),
+    NotFoundError("campaign", "4f2a"),
+    ConflictError("the first campaign has not ended"),
+    UnavailableError("the server does not answer"),
+    DatabaseError("the file is no database"),
+]
+
+
+def test_there_is_an_example_of_every_error() -> None:
+    assert {type(example) for example in EXAMPLES} == set(DrivecalError.__subclasses__())
+
+
+@pytest.mark.parametrize("error", EXAMPLES, ids=lambda error: type(error).__name__)
+def test_errors_survive_pickling_and_copying(error: DrivecalError) -> None:
+    for other in (pickle.loads(pickle.dumps(error)), copy.deepcopy(error)):
+        assert type(other) is type(error)
+        assert str(other) == str(error)
+        assert vars(other) == vars(error)
+
+
+@pytest.mark.parametrize(
+    ("problem", "sentence"),
+    [
+        (Problem("a.b", "is wrong", "do right"), "a.b: is wrong; do right"),
+        (Problem("a.b", "is wrong"), "a.b: is wrong"),
+        (Problem("", "is wrong", "do right"), "is wrong; do right"),
+    ],
+)
+def test_a_problem_reads_as_one_sentence(problem: Problem, sentence: str) -> None:
+    assert str(problem) == sentence
+
+
+def test_an_invalid_input_lists_all_its_problems_a_line_each() -> None:
+    assert str(InvalidInputError(Problem("a", "x"), Problem("b", "y", "z"))) == "a: x\nb: y; z"
+
+
+def test_what_was_not_found_is_named() -> None:
+    assert str(NotFoundError("influence map", "abc")) == "there is no influence map 'abc'"

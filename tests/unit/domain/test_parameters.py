@@ -1,0 +1,283 @@
+"""Parameters on integer grids, parameter sets and spaces."""
+
+from __future__ import annotations
+
+import json
+from decimal import Decimal
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivecal.domain.errors import InvalidInputError
+from drivecal.domain.parameters import (
+    BILLION,
+    Parameter,
+    ParameterSet,
+    ParameterSpace,
+    billionths,
+    decimal,
+    from_billionths,
+    text,
+)
+
+largest = 1_000_000 * BILLION
+amounts = st.integers(-largest, largest)
+names = st.text(alphabet="ABCPQRabc_0123456789", min_size=1, max_size=6)
+
+
+@st.composite
+def grids(draw: st.DrawFn) -> Parameter:
+    """A grid made from a step, in billionths, anywhere within the allowed bounds."""
+    step = draw(st.sampled_from([1, 10**7, 10**8, 5 * 10**8, 10**9]) | st.integers(1, 10**10))
+    n_values = draw(st.integers(2, 3000))
+    lower = draw(st.integers(-largest, largest - step * (n_values - 1)))
+    upper = lower + step * (n_values - 1)
+    return Parameter.from_step("P", from_billionths(lower), from_billionths(upper), from_billionths(step))
+
+
+@st.composite
+def lattices(draw: st.DrawFn) -> Parameter:
+    """A grid made from bits, wide enough to tell its values apart."""
+    bits = draw(st.integers(1, 11))
+    span = draw(st.integers(2**bits - 1, 2**bits + 5) | st.integers(2**bits, largest))
+    lower = draw(st.integers(-largest, largest - span))
+    return Parameter.from_bits("P", from_billionths(lower), from_billionths(lower + span), bits)
+
+
+@given(amounts)
+def test_a_value_survives_the_way_to_billionths_text_and_back(value: int) -> None:
+    exact = from_billionths(value)
+    assert billionths(exact) == value
+    assert billionths(Decimal(text(exact))) == value
+    assert text(exact) == text(Decimal(text(exact)))
+
+
+@given(amounts)
+def test_a_float_with_nine_decimals_is_the_decimal_that_was_typed(value: int) -> None:
+    assert billionths(decimal(float(from_billionths(value)))) == value
+
+
+@pytest.mark.parametrize(
+    ("value", "written"),
+    [("0.50", "0.5"), ("-0", "0"), ("1E+3", "1000"), ("1e-9", "0.000000001"), ("100", "100"), ("-15.0", "-15")],
+)
+def test_a_value_is_written_in_one_way_only(value: str, written: str) -> None:
+    assert text(Decimal(value)) == written
+
+
+@pytest.mark.parametrize("value", ["1e-10", "0.1234567891", "0.1000000000000000000000000000000000000001"])
+def test_more_than_nine_decimals_are_refused_however_many_they_are(value: str) -> None:
+    with pytest.raises(ValueError, match="more than nine decimals"):
+        billionths(Decimal(value))
+
+
+@pytest.mark.parametrize("value", ["NaN", "Infinity", "-Infinity"])
+def test_what_is_not_finite_has_no_billionths(value: str) -> None:
+    with pytest.raises(ValueError, match="is not a finite number"):
+        billionths(Decimal(value))
+
+
+def test_a_tenth_is_a_tenth_and_not_its_nearest_binary_fraction() -> None:
+    assert decimal(0.1) == Decimal("0.1")
+    assert decimal(0.1) + decimal(0.2) == decimal(0.3)
+
+
+@given(grids() | lattices(), st.data())
+def test_index_and_value_are_inverse(parameter: Parameter, data: st.DataObject) -> None:
+    index = data.draw(st.integers(0, parameter.n_values - 1))
+    assert parameter.index(parameter.value(index)) == index
+    assert billionths(parameter.value(index)) == parameter.billionths(index)
+
+
+@given(grids() | lattices())
+def test_a_grid_starts_at_its_lower_and_ends_at_its_upper_bound(parameter: Parameter) -> None:
+    assert parameter.value(0) == parameter.lower
+    assert parameter.value(parameter.n_values - 1) == parameter.upper
+
+
+@given(grids())
+def test_values_of_a_grid_are_exactly_one_step_apart(parameter: Parameter) -> None:
+    found = parameter.all_billionths
+    assert len(found) == parameter.n_values
+    assert len(set(np.diff(found).tolist())) == 1
+
+
+@given(lattices())
+def test_values_of_a_lattice_are_distinct_and_evenly_spaced_to_the_ninth_decimal(parameter: Parameter) -> None:
+    distances = np.diff(parameter.all_billionths)
+    assert distances.min() >= 1
+    assert distances.max() - distances.min() <= 1
+
+
+def test_the_lattice_of_six_bits_holds_the_63rds_of_the_paper() -> None:
+    parameter = Parameter.from_bits("P1", Decimal(0), Decimal(1), 6)
+    assert parameter.n_values == 64
+    assert [str(parameter.value(index)) for index in (0, 11, 26, 63)] == ["0", "0.174603175", "0.412698413", "1"]
+
+
+@given(grids(), st.data())
+def test_a_value_between_two_of_the_grid_is_refused_with_both_of_them(parameter: Parameter, data: st.DataObject) -> None:
+    index = data.draw(st.integers(0, parameter.n_values - 2))
+    low, high = parameter.billionths(index), parameter.billionths(index + 1)
+    if high - low < 2:
+        return
+    between = from_billionths(data.draw(st.integers(low + 1, high - 1)))
+    with pytest.raises(InvalidInputError) as refused:
+        parameter.index(between, "baseline.P")
+    (problem,) = refused.value.problems
+    assert problem.field == "baseline.P"
+    assert problem.message == f"{between} is not on the grid"
+    assert problem.remedy == f"the nearest values are {text(parameter.value(index))} or {text(parameter.value(index + 1))}"
+
+
+@pytest.mark.parametrize("value", ["-0.1", "2.1", "NaN", "Infinity"])
+def test_a_value_outside_the_range_is_refused_with_the_range(value: str) -> None:
+    parameter = Parameter.from_step("P2", Decimal(0), Decimal(2), Decimal("0.1"))
+    with pytest.raises(InvalidInputError, match="lies outside the range; give a value from 0 to 2"):
+        parameter.index(Decimal(value))
+
+
+@pytest.mark.parametrize("index", [-1, 21])
+def test_an_index_off_the_grid_is_refused(index: int) -> None:
+    parameter = Parameter.from_step("P2", Decimal(0), Decimal(2), Decimal("0.1"))
+    with pytest.raises(IndexError, match="P2 has grid indices 0 to 20"):
+        parameter.value(index)
+
+
+@pytest.mark.parametrize(
+    ("lower", "upper", "step", "field", "said"),
+    [
+        ("0", "1", "0", "P.step", "continuous parameters are not supported yet; give the step"),
+        ("0", "1", "-0.1", "P.step", "is negative; give a positive step"),
+        ("1", "1", "0.1", "P.upper", "the grid is empty.*name it in `fixed`"),
+        ("2", "1", "0.1", "P.upper", "upper 1 is not above lower 2"),
+        ("0", "1", "0.3", "P.step", "multiple of step 0.3; give e.g. upper 0.9 or 1.2"),
+        ("0", "1", "3", "P.step", "multiple of step 3; give e.g. upper 3$"),
+        ("0", "100", "0.00001", "P.step", "10000001 values are too many; give a step that makes at most 1,000,000"),
+        ("NaN", "1", "0.1", "P.lower", "NaN is not a usable number"),
+        ("0", "Infinity", "0.1", "P.upper", "is not a usable number; give a number within ±1000000"),
+        ("0", "1e30", "0.1", "P.upper", "is not a usable number"),
+        ("0", "1", "1e-10", "P.step", "more than nine decimals; round it"),
+        ("0.00000000001", "1", "0.1", "P.lower", "more than nine decimals"),
+    ],
+)  # fmt: skip
+def test_a_bad_grid_is_refused_by_field_with_a_remedy(lower: str, upper: str, step: str, field: str, said: str) -> None:
+    with pytest.raises(InvalidInputError, match=said) as refused:
+        Parameter.from_step("P", Decimal(lower), Decimal(upper), Decimal(step))
+    assert [problem.field for problem in refused.value.problems] == [field]
+
+
+@pytest.mark.parametrize(
+    ("lower", "upper", "bits", "field", "said"),
+    [
+        ("0", "1", 0, "P.bits", "0 bits are no usable number; give 1 to 19"),
+        ("0", "1", 20, "P.bits", "20 bits are no usable number"),
+        ("0", "1e-9", 2, "P.bits", "closer than the ninth decimal; give fewer bits or a wider range"),
+        ("1", "0", 4, "P.upper", "the grid is empty"),
+    ],
+)
+def test_a_bad_lattice_is_refused_by_field(lower: str, upper: str, bits: int, field: str, said: str) -> None:
+    with pytest.raises(InvalidInputError, match=said) as refused:
+        Parameter.from_bits("P", Decimal(lower), Decimal(upper), bits)
+    assert [problem.field for problem in refused.value.problems] == [field]
+
+
+sets = st.dictionaries(names, amounts, min_size=1, max_size=11).map(
+    lambda found: ParameterSet(tuple(found), tuple(found.values()))
+)
+
+
+@given(sets)
+def test_a_parameter_set_survives_json(one: ParameterSet) -> None:
+    assert ParameterSet.from_json(one.to_json()) == one
+    assert ParameterSet.of(one.values) == one
+
+
+@given(st.dictionaries(st.text(max_size=5), amounts, max_size=4))
+def test_json_of_a_parameter_set_is_json_whatever_its_names(found: dict[str, int]) -> None:
+    one = ParameterSet(tuple(found), tuple(found.values()))
+    assert json.loads(one.to_json()) == one.floats
+    assert ParameterSet.from_json(one.to_json()) == one
+
+
+@given(sets)
+def test_the_key_does_not_depend_on_the_order_of_names(one: ParameterSet) -> None:
+    pairs = sorted(zip(one.names, one.billionths, strict=True), reverse=True)
+    other = ParameterSet(tuple(name for name, _ in pairs), tuple(value for _, value in pairs))
+    assert one.key == other.key
+    assert len(one.key) == 16
+
+
+@given(sets, sets)
+def test_different_sets_have_different_keys(one: ParameterSet, other: ParameterSet) -> None:
+    same = dict(zip(one.names, one.billionths, strict=True)) == dict(zip(other.names, other.billionths, strict=True))
+    assert (one.key == other.key) == same
+
+
+@given(sets, st.data())
+def test_a_change_of_one_billionth_changes_the_key(one: ParameterSet, data: st.DataObject) -> None:
+    position = data.draw(st.integers(0, len(one.names) - 1))
+    moved = tuple(value + (i == position) for i, value in enumerate(one.billionths))
+    assert ParameterSet(one.names, moved).key != one.key
+
+
+@given(st.integers(0, 30))
+def test_the_key_does_not_depend_on_the_bounds_and_the_step_the_value_came_from(half_steps: int) -> None:
+    value = Decimal(half_steps) / 2
+    spaces = [
+        ParameterSpace((Parameter.from_step("P1", Decimal(low), Decimal(high), Decimal(step)),))
+        for low, high, step in (("0", "15", "0.5"), ("-15", "15", "0.25"), ("0", "20", "0.1"))
+    ]
+    assert len({space.parameter_set(space.indices({"P1": value}).tolist()).key for space in spaces}) == 1
+
+
+def test_keys_are_known() -> None:
+    """Every stored result is found by such a key: it must never change."""
+    one = ParameterSet.of({"P1": Decimal("0.5"), "P2": Decimal(-3), "P10": Decimal("0.000000001")})
+    assert one.key.hex() == "539aa7abdce0f3ca8609303f684f7275"
+
+
+A = Parameter.from_step("A", Decimal(0), Decimal(1), Decimal("0.1"))
+B = Parameter.from_step("B", Decimal(-5), Decimal(5), Decimal(1))
+C = Parameter.from_step("C", Decimal(0), Decimal(200), Decimal(1))
+
+
+def test_fixed_parameters_are_held_and_not_searched() -> None:
+    space = ParameterSpace((A, B, C), {"B": Decimal(2)})
+    assert [parameter.name for parameter in space.searched] == ["A", "C"]
+    assert space.n_values.tolist() == [11, 201]
+    assert space.parameter_set([3, 40]).values == {"A": Decimal("0.3"), "B": Decimal(2), "C": Decimal(40)}
+
+
+@given(st.lists(st.tuples(st.integers(0, 10), st.integers(0, 10), st.integers(0, 200)), min_size=1, max_size=20))
+def test_populations_and_parameter_sets_are_inverse(rows: list[tuple[int, int, int]]) -> None:
+    space = ParameterSpace((A, B, C))
+    population = np.array(rows)
+    back = np.array([space.indices(found.values) for found in space.parameter_sets(population)])
+    assert np.array_equal(back, population)
+
+
+@pytest.mark.parametrize("row", [[-1, 0, 0], [0, 11, 0], [0, 0, 201]])
+def test_an_individual_off_the_grid_is_refused(row: list[int]) -> None:
+    with pytest.raises(IndexError, match=r"has grid indices 0 to \d+, not .* \(individual 1\)"):
+        ParameterSpace((A, B, C)).parameter_sets(np.array([[0, 0, 0], row]))
+
+
+def test_everything_wrong_with_values_is_said_at_once() -> None:
+    space = ParameterSpace((A, B, C), {"C": Decimal(5)})
+    with pytest.raises(InvalidInputError) as refused:
+        space.indices({"A": Decimal("0.15"), "D": Decimal(1), "C": Decimal(6)}, "baseline")
+    assert {problem.field: str(problem) for problem in refused.value.problems} == {
+        "baseline.D": "baseline.D: there is no such parameter; one of A, B, C",
+        "baseline.A": "baseline.A: 0.15 is not on the grid; the nearest values are 0.1 or 0.2",
+        "baseline.B": "baseline.B: the value is missing; give one value per parameter",
+        "baseline.C": "baseline.C: 6 differs from the fixed value; give 5",
+    }
+
+
+def test_a_fixed_parameter_may_be_left_out_or_given_with_its_value() -> None:
+    space = ParameterSpace((A, C), {"C": Decimal(5)})
+    assert space.indices({"A": Decimal("0.4")}).tolist() == [4]
+    assert space.indices({"A": Decimal("0.4"), "C": Decimal("5.0")}).tolist() == [4]
