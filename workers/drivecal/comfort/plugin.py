@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from drivecal.comfort import scale
 from drivecal.domain.evaluations import Rating
 from drivecal.domain.scenarios import Manoeuvre
+from drivecal.plugins.ports import Evaluator
 
 
 class Reference:
@@ -20,4 +21,4 @@ class Reference:
         return scale.rate(manoeuvre, metrics)
 
 
-REFERENCE = Reference()
+REFERENCE: Evaluator = Reference()

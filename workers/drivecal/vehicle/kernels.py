@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 
 from drivecal.plugins.ports import Floats
-from drivecal.vehicle.parameters import NOMINAL, SingleTrackParameters, understeer_gradient
+from drivecal.vehicle.parameters import SingleTrackParameters, understeer_gradient
 
 STEP = 0.01
 """Integration step, s."""
@@ -40,38 +40,40 @@ STEERING_RATE_LIMIT = 0.4
 STEERING_LIMIT = 0.5
 """Steering actuator: first-order lag (s), largest rate (rad/s at the wheels, as in CommonRoad's parameter sets), largest angle (rad)."""
 DRIVE_LAG = 0.15
-ACCELERATION_LIMITS = (-9.0, 4.0)
+LOWEST_ACCELERATION, HIGHEST_ACCELERATION = -9.0, 4.0
 """Drive and brakes: first-order lag (s), smallest and largest acceleration (m/s^2)."""
 
-LATERAL_FREQUENCY = 1.0
-LATERAL_DAMPING = 1.0
+LATERAL_STIFFNESS, LATERAL_DAMPING = 1.0, 2.0
 YAW_RATE_GAIN = 0.75
-"""Lateral feedback: the error obeys e'' + 2 zeta omega e' + omega^2 e = 0 (omega in rad/s) on top of a yaw rate feedback (share of the
-curvature error), which damps oversteering vehicles. Chosen so that every corner of Table 8's box that is stable without a
-controller is stable with it from 10 to 40 m/s."""
+"""Lateral feedback: 1/s^2 on the lateral error, 1/s on its derivative (slow against the vehicle, they alone would give a
+double pole at -1/s), and the share of the yaw rate's error, which damps oversteering vehicles. Chosen so that every corner of Table 8's
+box that is stable without a controller is stable with it from 10 to 40 m/s."""
 SPEED_GAIN = 1.0
 POSITION_GAIN = 0.25
 """Longitudinal feedback: 1/s on the speed error, 1/s^2 on the position error (0.5 rad/s, critically damped)."""
 
-_WHEELBASE = NOMINAL.wheelbase
-_UNDERSTEER = understeer_gradient(NOMINAL)
-_SLIP_GRADIENT = NOMINAL.mass * NOMINAL.distance_front / (NOMINAL.cornering_stiffness_rear * NOMINAL.wheelbase)
-_LENGTH_REAR = NOMINAL.distance_rear
-_DAMPING_YAW = (
-    NOMINAL.distance_front**2 * NOMINAL.cornering_stiffness_front + NOMINAL.distance_rear**2 * NOMINAL.cornering_stiffness_rear
-) / NOMINAL.yaw_inertia
-_DAMPING_SLIP = (NOMINAL.cornering_stiffness_front + NOMINAL.cornering_stiffness_rear) / NOMINAL.mass
-_DETERMINANT = (
-    NOMINAL.cornering_stiffness_front
-    * NOMINAL.cornering_stiffness_rear
-    * NOMINAL.wheelbase
-    / (NOMINAL.mass * NOMINAL.yaw_inertia)
-)
 _STEERING_SHARE = 1.0 - math.exp(-STEP / STEERING_LAG)
 _DRIVE_SHARE = 1.0 - math.exp(-STEP / DRIVE_LAG)
-_LOWEST_ACCELERATION, _HIGHEST_ACCELERATION = ACCELERATION_LIMITS
-_ERROR_GAIN = LATERAL_FREQUENCY**2
-_COURSE_GAIN = 2.0 * LATERAL_DAMPING * LATERAL_FREQUENCY
+
+
+def pack_controller(nominal: SingleTrackParameters) -> Floats:
+    """What the controller knows of the vehicle, shape (6,): see `_steering_rate`.
+
+    Wheelbase, understeer gradient, side-slip gradient (rad per m/s^2), distance of the rear axle, and of the yaw and side-slip dynamics
+    v times the damping (m/s^2) and v^2 times the determinant over the steady steering angle per curvature (m/s^4).
+    """
+    front, rear = nominal.cornering_stiffness_front, nominal.cornering_stiffness_rear
+    ahead, behind = nominal.distance_front, nominal.distance_rear
+    return np.array(
+        [
+            nominal.wheelbase,
+            understeer_gradient(nominal),
+            nominal.mass * ahead / (rear * nominal.wheelbase),
+            behind,
+            (front + rear) / nominal.mass + (ahead * ahead * front + behind * behind * rear) / nominal.yaw_inertia,
+            front * rear * nominal.wheelbase / (nominal.mass * nominal.yaw_inertia),
+        ]
+    )
 
 
 def pack_plant(parameters: SingleTrackParameters) -> Floats:
@@ -170,26 +172,40 @@ def _sample(trajectory: Floats, column: int, time: float, spacing: float) -> flo
 
 
 @njit(cache=True)
+def _within(value: float, lowest: float, highest: float) -> float:
+    """`value` cut to the limits; NaN stays NaN, so that a broken trajectory shows."""
+    if value > highest:
+        return highest
+    if value < lowest:
+        return lowest
+    return value
+
+
+@njit(cache=True)
 def _steering_rate(
-    state: Floats, lateral_error: float, course_error: float, trajectory: Floats, time: float, spacing: float
+    state: Floats,
+    controller: Floats,
+    lateral_error: float,
+    course_error: float,
+    trajectory: Floats,
+    time: float,
+    spacing: float,
 ) -> float:
     """The rate (rad/s) that the steering actuator gives for the next step.
 
-    Feed-forward is the nominal vehicle's steady steering angle for the curvature that is due when the vehicle will have reacted: after the
-    actuator's lag plus the delay between steering angle and lateral acceleration at low frequency. The yaw rate is compared with
-    the one due now: it leads the course by the time that the side slip needs to build up.
+    Feed-forward is the nominal vehicle's steady steering angle for the curvature that is due when the vehicle will have reacted:
+    after the actuator's lag plus the delay between steering angle and lateral acceleration at low frequency. The yaw rate is
+    compared with the one due now: it leads the course by the time that the side slip needs to build up.
     """
     v = max(state[3], DYNAMIC_ABOVE)
-    determinant = _DETERMINANT * (_WHEELBASE + _UNDERSTEER * v * v) / (v * v)
-    delay = STEERING_LAG + (_DAMPING_SLIP + _DAMPING_YAW) / (v * determinant) - _LENGTH_REAR / v
-    lead = _SLIP_GRADIENT * v - _LENGTH_REAR / v
+    steering_per_curvature = controller[0] + controller[1] * v * v
+    delay = STEERING_LAG + controller[4] * v / (controller[5] * steering_per_curvature) - controller[3] / v
+    lead = controller[2] * v - controller[3] / v
     curvature = _sample(trajectory, 4, time + max(0.0, delay), spacing)
     curvature += YAW_RATE_GAIN * (_sample(trajectory, 4, time + max(0.0, lead), spacing) - state[5] / v)
-    curvature -= (_ERROR_GAIN * lateral_error + _COURSE_GAIN * v * math.sin(course_error)) / (v * v)
-    target = (_WHEELBASE + _UNDERSTEER * v * v) * curvature
-    target = min(STEERING_LIMIT, max(-STEERING_LIMIT, target))
-    rate: float = (target - state[8]) * _STEERING_SHARE / STEP
-    return min(STEERING_RATE_LIMIT, max(-STEERING_RATE_LIMIT, rate))
+    curvature -= (LATERAL_STIFFNESS * lateral_error + LATERAL_DAMPING * v * math.sin(course_error)) / (v * v)
+    target = _within(steering_per_curvature * curvature, -STEERING_LIMIT, STEERING_LIMIT)
+    return _within((target - state[8]) * _STEERING_SHARE / STEP, -STEERING_RATE_LIMIT, STEERING_RATE_LIMIT)
 
 
 @njit(cache=True)
@@ -199,22 +215,24 @@ def _acceleration(
     """The acceleration (m/s^2) that drive and brakes give for the next step."""
     speed_error = state[3] * math.cos(course_error) - _sample(trajectory, 5, time, spacing)
     target = _sample(trajectory, 6, time + DRIVE_LAG, spacing) - SPEED_GAIN * speed_error - POSITION_GAIN * position_error
-    target = min(_HIGHEST_ACCELERATION, max(_LOWEST_ACCELERATION, target))
+    target = _within(target, LOWEST_ACCELERATION, HIGHEST_ACCELERATION)
     acceleration: float = state[6] + (target - state[6]) * _DRIVE_SHARE
-    standstill: float = -state[3] / STEP  # brakes hold a standing vehicle, they do not push it backwards
-    return max(acceleration, standstill)
+    standstill: float = -state[3] / STEP
+    return acceleration if not acceleration < standstill else standstill  # brakes hold a standing vehicle, they do not push it
 
 
 @njit(cache=True)
-def follow(state: Floats, plant: Floats, trajectory: Floats, since: float, steps: int, dynamics: Floats) -> int:
+def follow(
+    state: Floats, plant: Floats, controller: Floats, trajectory: Floats, since: float, steps: int, dynamics: Floats
+) -> int:
     """Follows `trajectory` from `since` seconds after its start for `steps` steps; answers FOLLOWED, UNSTABLE or TOO_SHORT.
 
     `state` is overwritten; `dynamics`, shape (steps, 5): speed, longitudinal acceleration, lateral acceleration, yaw rate,
     steering angle at the end of each step. From the step on that went unstable, state and rows stay at the last sound values.
     """
     last = trajectory.shape[0] - 1
-    spacing = trajectory[1, 0] - trajectory[0, 0]
-    if since < 0.0 or since + (steps - 1) * STEP > last * spacing + 1e-9:
+    spacing = trajectory[min(last, 1), 0] - trajectory[0, 0]
+    if last < 1 or since < 0.0 or since + (steps - 1) * STEP > last * spacing + 1e-9:
         return TOO_SHORT
     before = state.copy()
     row = -1
@@ -244,7 +262,7 @@ def follow(state: Floats, plant: Floats, trajectory: Floats, since: float, steps
             direction = heading + p * turn
             cosine, sine = math.cos(direction), math.sin(direction)
             course_error = _wrapped(state[2] + state[4] - direction)
-            rate = _steering_rate(state, dy * cosine - dx * sine, course_error, trajectory, time, spacing)
+            rate = _steering_rate(state, controller, dy * cosine - dx * sine, course_error, trajectory, time, spacing)
             acceleration = _acceleration(state, dx * cosine + dy * sine, course_error, trajectory, time, spacing)
             before[:] = state
             advance(state, rate, acceleration, plant, STEP)

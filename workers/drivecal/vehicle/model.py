@@ -6,7 +6,7 @@ import numpy as np
 
 from drivecal.plugins.ports import Floats
 from drivecal.vehicle import kernels
-from drivecal.vehicle.parameters import SingleTrackParameters
+from drivecal.vehicle.parameters import NOMINAL, SingleTrackParameters
 
 
 class SingleTrackModel:
@@ -18,6 +18,7 @@ class SingleTrackModel:
     def __init__(self, parameters: SingleTrackParameters) -> None:
         self.parameters = parameters
         self._plant = kernels.pack_plant(parameters)
+        self._controller = kernels.pack_controller(NOMINAL)
         self._state = np.zeros(9)
         self._pose = self._state[:8]
 
@@ -42,7 +43,7 @@ class SingleTrackModel:
         steps = round(duration / kernels.STEP)
         if dynamics.shape[0] != steps:
             raise ValueError(f"dynamics has {dynamics.shape[0]} rows; {duration} s need {steps}")
-        status = kernels.follow(self._state, self._plant, trajectory, since, steps, dynamics)
+        status = kernels.follow(self._state, self._plant, self._controller, trajectory, since, steps, dynamics)
         if status == kernels.TOO_SHORT:
             raise ValueError(f"the trajectory does not cover {since} s to {since + duration} s after its start")
         return bool(status == kernels.FOLLOWED)

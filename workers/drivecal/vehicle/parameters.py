@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.vehicles import VehicleParameter
 
-TABLE_8 = (
+TABLE_8: tuple[VehicleParameter, ...] = (
     VehicleParameter("mass", "kg", 2060.0, 1200.0, 2600.0, "m, mass of the vehicle"),
     VehicleParameter("cornering_stiffness_front", "N/rad", 75_000.0, 55_000.0, 90_000.0, "c_alpha_f, of the whole front axle"),
     VehicleParameter("cornering_stiffness_rear", "N/rad", 150_000.0, 120_000.0, 180_000.0, "c_alpha_r, of the whole rear axle"),

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from drivecal.plugins.ports import VehicleModel
+from drivecal.domain.vehicles import VehicleParameter
+from drivecal.plugins.ports import Vehicle, VehicleModel
 from drivecal.vehicle.parameters import TABLE_8, SingleTrackParameters
 
 
@@ -13,14 +14,14 @@ class SingleTrack:
 
     name = "single_track"
     version = "1"
-    parameters = TABLE_8
+    parameters: tuple[VehicleParameter, ...] = TABLE_8
 
     def create(self, parameters: Mapping[str, float]) -> VehicleModel:
         """The model with these values. Raises InvalidInputError naming the parameter that does not fit."""
         values = SingleTrackParameters.of(parameters)
-        from drivecal.vehicle.model import SingleTrackModel  # noqa: PLC0415  # numba belongs to workers
+        from drivecal.vehicle.model import SingleTrackModel  # numba belongs to workers
 
         return SingleTrackModel(values)
 
 
-SINGLE_TRACK = SingleTrack()
+SINGLE_TRACK: Vehicle = SingleTrack()
