@@ -1,0 +1,291 @@
+"""Campaigns: submitted by the API, carried out by the dispatcher."""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any, Literal
+
+from sqlalchemy import Connection, Row, Update, case, select, update
+
+from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, Progress
+from drivecal.domain.campaigns import CampaignState, Stage
+from drivecal.domain.errors import ConflictError, NotFoundError
+from drivecal.storage import cursors, runs
+from drivecal.storage.identifiers import is_identifier
+from drivecal.storage.membership import insert as insert_into
+from drivecal.storage.tables import campaigns
+from drivecal.storage.types import now
+
+Kind = Literal["calibration", "evaluation"]
+Action = Literal["cancel", "pause", "resume"]
+
+
+@dataclass(frozen=True, slots=True)
+class StoredCampaign:
+    """A campaign as it is stored. `spec` is the specification with its defaults filled in."""
+
+    sequence: int
+    id: str
+    kind: Kind
+    name: str
+    state: CampaignState
+    requested_action: Action | None
+    stage: Stage | None
+    iteration: int | None
+    spec: Mapping[str, Any]
+    rerun_of: str | None
+    influence_map_id: str | None
+    watermark: int | None
+    """The id of the newest run that it may take its references from; set when it starts."""
+    degraded: str | None
+    error: str | None
+    notes: tuple[str, ...]
+    cells: CellCounts
+    progress: Progress
+    error_rate: Mapping[str, ErrorRate]
+    best: Best | None
+    baseline: Baseline | None
+    simulating_seconds: float
+    created_at: datetime
+    started_at: datetime | None
+    ended_at: datetime | None
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """How far a running campaign is: all that `save_progress` writes, in one statement."""
+
+    stage: Stage | None
+    iteration: int | None
+    cells: CellCounts
+    progress: Progress
+    error_rate: Mapping[str, ErrorRate]
+    best: Best | None
+    baseline: Baseline | None
+    simulating_seconds: float
+    notes: Collection[str]
+    degraded: str | None
+
+
+def insert(
+    connection: Connection,
+    *,
+    name: str,
+    spec: Mapping[str, Any],
+    kind: Kind = "calibration",
+    influence_map_id: str | None = None,
+    rerun_of: str | None = None,
+    idempotency_key: str | None = None,
+    body_digest: str | None = None,
+) -> StoredCampaign:
+    """Queues a campaign, or gives the one that an earlier request with the same `idempotency_key` queued.
+
+    Raises ConflictError where that request's `body_digest` (of all that tells requests apart, the path included) was another one.
+    """
+    row: dict[str, Any] = {
+        "id": uuid.uuid4().hex,
+        "kind": kind,
+        "name": name,
+        "state": CampaignState.QUEUED,
+        "spec": dict(spec),
+        "rerun_of": rerun_of,
+        "influence_map_id": influence_map_id,
+        "idempotency_key": idempotency_key,
+        "body_digest": body_digest,
+        "notes": [],
+        "cells": CellCounts().model_dump(mode="json"),
+        "progress": Progress().model_dump(mode="json"),
+        "error_rate": {},
+        "simulating_seconds": 0.0,
+        "created_at": now(),
+    }
+    statement = insert_into(connection, campaigns).on_conflict_do_nothing(index_elements=["idempotency_key"])
+    inserted = connection.execute(statement.values(row).returning(campaigns)).one_or_none()
+    if inserted is not None:
+        return _campaign(inserted)
+    earlier = connection.execute(select(campaigns).where(campaigns.c.idempotency_key == idempotency_key)).one()
+    if earlier.body_digest != body_digest:
+        raise ConflictError(
+            f"the Idempotency-Key was used for another request, which made campaign {earlier.id}; use a new key for a new request"
+        )
+    return _campaign(earlier)
+
+
+def get(connection: Connection, campaign_id: str) -> StoredCampaign:
+    """A campaign by its id. Raises NotFoundError."""
+    row = None
+    if is_identifier(campaign_id):
+        row = connection.execute(select(campaigns).where(campaigns.c.id == campaign_id)).one_or_none()
+    if row is None:
+        raise NotFoundError("campaign", campaign_id)
+    return _campaign(row)
+
+
+def by_sequence(connection: Connection, sequence: int) -> StoredCampaign:
+    """A campaign by its number. Raises NotFoundError."""
+    row = connection.execute(select(campaigns).where(campaigns.c.sequence == sequence)).one_or_none()
+    if row is None:
+        raise NotFoundError("campaign", str(sequence))
+    return _campaign(row)
+
+
+def page(
+    connection: Connection,
+    *,
+    kind: Kind = "calibration",
+    state: CampaignState | None = None,
+    limit: int = 50,
+    cursor: str | None = None,
+) -> tuple[list[StoredCampaign], str | None]:
+    """At most `limit` campaigns, newest first, and the cursor of the next page (None on the last). Raises InvalidInputError."""
+    query = select(campaigns).where(campaigns.c.kind == kind).order_by(campaigns.c.sequence.desc()).limit(limit + 1)
+    if state is not None:
+        query = query.where(campaigns.c.state == state)
+    if cursor is not None:
+        (before,) = cursors.decode(cursor, int)
+        query = query.where(campaigns.c.sequence < before)
+    found = [_campaign(row) for row in connection.execute(query)]
+    following = cursors.encode(found[limit - 1].sequence) if len(found) > limit else None
+    return found[:limit], following
+
+
+def active(connection: Connection) -> list[StoredCampaign]:
+    """All campaigns that have not ended, the oldest first: what the dispatcher looks after."""
+    states = [state for state in CampaignState if not state.ended]
+    query = select(campaigns).where(campaigns.c.state.in_(states)).order_by(campaigns.c.sequence)
+    return [_campaign(row) for row in connection.execute(query)]
+
+
+def request_action(connection: Connection, campaign_id: str, action: Action) -> StoredCampaign:
+    """Asks the dispatcher to cancel, pause or resume a campaign; where nothing of it runs, that is done at once. Idempotent.
+
+    Gives the campaign as it is then. Raises NotFoundError, and ConflictError where it has ended or is about to be cancelled.
+    """
+    row = None
+    if is_identifier(campaign_id):
+        query = select(campaigns).where(campaigns.c.id == campaign_id).with_for_update()
+        row = connection.execute(query).one_or_none()
+    if row is None:
+        raise NotFoundError("campaign", campaign_id)
+    campaign = _campaign(row)
+    changes = _changes(campaign, action)
+    if changes:
+        connection.execute(_of(campaign.sequence).values(changes))
+    return by_sequence(connection, campaign.sequence)
+
+
+def _changes(campaign: StoredCampaign, action: Action) -> dict[str, Any]:
+    state, asked = campaign.state, campaign.requested_action
+    if state.ended:
+        if action == "cancel" and state is CampaignState.CANCELLED:
+            return {}
+        raise ConflictError(f"campaign {campaign.id} has ended ({state}): it is too late to {action} it")
+    cancelling = state is CampaignState.CANCELLING or asked == "cancel"
+    if cancelling and action != "cancel":
+        raise ConflictError(f"campaign {campaign.id} is being cancelled: it is too late to {action} it")
+    never_started = campaign.started_at is None
+    match action:
+        case "cancel" if not cancelling:
+            if state is CampaignState.RUNNING:
+                return {"requested_action": "cancel"}
+            return {"state": CampaignState.CANCELLED, "ended_at": now(), "requested_action": None}
+        case "pause":
+            if state is CampaignState.QUEUED:
+                return {"state": CampaignState.PAUSED}
+            return {"requested_action": "pause" if state is CampaignState.RUNNING else None}
+        case "resume":
+            if state is CampaignState.PAUSED and never_started:
+                return {"state": CampaignState.QUEUED}
+            return {"requested_action": "resume" if state is CampaignState.PAUSED else None}
+    return {}
+
+
+_EXECUTES = {CampaignState.CANCELLING: "cancel", CampaignState.PAUSED: "pause", CampaignState.RUNNING: "resume"}
+
+
+def change_state(connection: Connection, sequence: int, expected: Collection[CampaignState], state: CampaignState) -> bool:
+    """Moves a campaign from one of the `expected` states; False where it was in none of them. Takes back the request that this
+    executes (cancelling: cancel, paused: pause, running: resume), but not a newer one."""
+    executed = campaigns.c.requested_action == _EXECUTES.get(state, "")
+    statement = (
+        _of(sequence)
+        .where(campaigns.c.state.in_(list(expected)))
+        .values(state=state, requested_action=case((executed, None), else_=campaigns.c.requested_action))
+    )
+    return connection.execute(statement).rowcount == 1
+
+
+def start(connection: Connection, sequence: int) -> StoredCampaign | None:
+    """Takes a queued campaign up: running from now on, with its watermark. None where it is not queued any more."""
+    statement = (
+        _of(sequence)
+        .where(campaigns.c.state == CampaignState.QUEUED)
+        .values(state=CampaignState.RUNNING, started_at=now(), watermark=runs.largest_id(connection))
+        .returning(campaigns)
+    )
+    row = connection.execute(statement).one_or_none()
+    return None if row is None else _campaign(row)
+
+
+def save_progress(connection: Connection, sequence: int, snapshot: Snapshot) -> None:
+    """Writes how far a campaign is."""
+    statement = _of(sequence).values(
+        stage=snapshot.stage,
+        iteration=snapshot.iteration,
+        cells=snapshot.cells.model_dump(mode="json"),
+        progress=snapshot.progress.model_dump(mode="json"),
+        error_rate={scenario: rate.model_dump(mode="json") for scenario, rate in snapshot.error_rate.items()},
+        best=None if snapshot.best is None else snapshot.best.model_dump(mode="json"),
+        baseline=None if snapshot.baseline is None else snapshot.baseline.model_dump(mode="json"),
+        simulating_seconds=snapshot.simulating_seconds,
+        notes=list(snapshot.notes),
+        degraded=snapshot.degraded,
+    )
+    connection.execute(statement)
+
+
+def end(connection: Connection, sequence: int, state: CampaignState, error: str | None = None) -> bool:
+    """Ends a campaign as `state`; False where it has ended already."""
+    open_states = [one for one in CampaignState if not one.ended]
+    statement = (
+        _of(sequence)
+        .where(campaigns.c.state.in_(open_states))
+        .values(state=state, error=error, ended_at=now(), requested_action=None, degraded=None)
+    )
+    return connection.execute(statement).rowcount == 1
+
+
+def _of(sequence: int) -> Update:
+    return update(campaigns).where(campaigns.c.sequence == sequence)
+
+
+def _campaign(row: Row[Any]) -> StoredCampaign:
+    return StoredCampaign(
+        sequence=row.sequence,
+        id=row.id,
+        kind=row.kind,
+        name=row.name,
+        state=CampaignState(row.state),
+        requested_action=row.requested_action,
+        stage=row.stage,
+        iteration=row.iteration,
+        spec=row.spec,
+        rerun_of=row.rerun_of,
+        influence_map_id=row.influence_map_id,
+        watermark=row.watermark,
+        degraded=row.degraded,
+        error=row.error,
+        notes=tuple(row.notes),
+        cells=CellCounts(**row.cells),
+        progress=Progress(**row.progress),
+        error_rate={scenario: ErrorRate(**rate) for scenario, rate in row.error_rate.items()},
+        best=None if row.best is None else Best(**row.best),
+        baseline=None if row.baseline is None else Baseline(**row.baseline),
+        simulating_seconds=float(row.simulating_seconds),
+        created_at=row.created_at,
+        started_at=row.started_at,
+        ended_at=row.ended_at,
+    )

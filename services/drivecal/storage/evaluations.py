@@ -1,0 +1,204 @@
+"""Evaluations: the requested cells of campaigns, as they are planned, dispatched and answered."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import Column, ColumnElement, Connection, Select, SmallInteger, bindparam, select, type_coerce, update
+
+from drivecal.domain.campaigns import Stage
+from drivecal.domain.evaluations import Donor, Outcome
+from drivecal.domain.parameters import ParameterSet
+from drivecal.storage.membership import among
+from drivecal.storage.tables import evaluations, parameter_sets
+
+COPIES = (Outcome.REPEATED, Outcome.REUSED)
+DONORS = (Outcome.SIMULATED, Outcome.CERTIFIED)
+"""Only these answer other cells: reuse never chains through copies."""
+
+
+@dataclass(frozen=True, slots=True)
+class NewEvaluation:
+    """A requested cell with its plan (`reduction.assignment`).
+
+    `donor` is the stored result, `leader` the position, among the cells inserted together, of the one that answers this cell, or that
+    its audit does not trust. A copy of a donor has its answer at once; every other cell is pending.
+    """
+
+    stage: Stage
+    iteration: int
+    individual: int
+    scenario: str
+    setup_id: int
+    parameter_set_id: int
+    plan: Outcome
+    reference_key: bytes | None = None
+    donor: Donor | None = None
+    leader: int | None = None
+    audited: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class PendingEvaluation:
+    """A cell without its answer. `reference`: the evaluation that will answer it or is audited by it, None where there is none."""
+
+    id: int
+    stage: Stage
+    iteration: int
+    individual: int
+    scenario: str
+    setup_id: int
+    parameter_set_id: int
+    parameters: ParameterSet
+    plan: Outcome
+    reference: int | None
+    audited: bool
+    attempts: int
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What answers a pending cell. `failure` is a `Failure` of a run or a `Breakdown` of the attempts; `agrees`: of an audited cell."""
+
+    id: int
+    outcome: Outcome
+    score: int | None
+    rating: float | None
+    run_id: int | None
+    failure: str | None = None
+    milliseconds: float | None = None
+    worker: str | None = None
+    attempts: int = 0
+    agrees: bool | None = None
+
+
+def insert(connection: Connection, campaign_sequence: int, cells: Sequence[NewEvaluation]) -> list[int]:
+    """Stores a population's cells and gives their ids, in order."""
+    if not cells:
+        return []
+    statement = evaluations.insert().returning(evaluations.c.id, sort_by_parameter_order=True)
+    ids = list(connection.scalars(statement, [_row(campaign_sequence, cell) for cell in cells]))
+    led = [
+        {"evaluation": one, "leading": ids[cell.leader]}
+        for one, cell in zip(ids, cells, strict=True)
+        if cell.leader is not None
+    ]
+    if led:
+        statement_of_leaders = update(evaluations).where(evaluations.c.id == bindparam("evaluation"))
+        connection.execute(statement_of_leaders.values(reference=bindparam("leading")), led)
+    return ids
+
+
+def pending(connection: Connection, campaign_sequence: int) -> list[PendingEvaluation]:
+    """The cells of a campaign that wait for their answers, in the order in which they were stored."""
+    query = (
+        select(evaluations, parameter_sets.c.parameter_values)
+        .join(parameter_sets)
+        .where(evaluations.c.campaign_sequence == campaign_sequence, evaluations.c.outcome.is_(None))
+        .order_by(evaluations.c.id)
+    )
+    return [
+        PendingEvaluation(
+            id=row.id,
+            stage=row.stage,
+            iteration=row.iteration,
+            individual=row.individual,
+            scenario=row.scenario,
+            setup_id=row.setup_id,
+            parameter_set_id=row.parameter_set_id,
+            parameters=ParameterSet.from_json(row.parameter_values),
+            plan=Outcome(row.plan),
+            reference=row.reference,
+            audited=row.audited,
+            attempts=row.attempts,
+        )
+        for row in connection.execute(query)
+    ]
+
+
+def answer(connection: Connection, answers: Sequence[Answer]) -> int:
+    """Stores answers; says how many. A cell that has its answer keeps it: a late result of an earlier attempt changes nothing."""
+    if not answers:
+        return 0
+    statement = (
+        update(evaluations)
+        .where(evaluations.c.id == bindparam("evaluation"), evaluations.c.outcome.is_(None))
+        .values({name: bindparam(f"new_{name}") for name in _ANSWER})
+    )
+    rows = [{"evaluation": one.id} | {f"new_{name}": getattr(one, name) for name in _ANSWER} for one in answers]
+    return connection.execute(statement, rows).rowcount
+
+
+_ANSWER = ("outcome", "score", "rating", "run_id", "failure", "milliseconds", "worker", "attempts", "agrees")
+
+
+def own_references(connection: Connection, campaign_sequence: int, scenario: str, keys: Sequence[bytes]) -> dict[bytes, Donor]:
+    """The campaign's own first answers by reference key: simulated or certified, first by stage, iteration, individual."""
+    found = _own(connection, campaign_sequence, scenario, evaluations.c.reference_key, list(keys))
+    return dict(found)
+
+
+def own_exact(
+    connection: Connection, campaign_sequence: int, scenario: str, parameter_set_ids: Sequence[int]
+) -> dict[int, Donor]:
+    """The campaign's own first answers by parameter set, as `own_references`."""
+    ids = [int(one) for one in parameter_set_ids]
+    return dict(_own(connection, campaign_sequence, scenario, evaluations.c.parameter_set_id, ids))
+
+
+def _own(
+    connection: Connection, campaign_sequence: int, scenario: str, column: Column[Any], values: Sequence[Any]
+) -> Iterable[tuple[Any, Donor]]:
+    first: dict[Any, tuple[tuple[int, ...], Donor]] = {}
+    for condition in among(connection, column, values):
+        for row in connection.execute(_own_query(campaign_sequence, scenario, column, condition)):
+            value, *place, evaluation, run, score, rating, failure = row
+            if value not in first or tuple(place) < first[value][0]:
+                first[value] = tuple(place), Donor(evaluation, run, score, rating, failure)
+    return ((value, donor) for value, (_, donor) in first.items())
+
+
+def _own_query(campaign_sequence: int, scenario: str, column: Column[Any], condition: ColumnElement[bool]) -> Select[Any]:
+    table = evaluations.c
+    return select(
+        column,
+        type_coerce(table.stage, SmallInteger),  # by its number: stages are ordered as they run, not by name
+        table.iteration,
+        table.individual,
+        table.id,
+        table.run_id,
+        table.score,
+        table.rating,
+        table.failure,
+    ).where(
+        table.campaign_sequence == campaign_sequence,
+        table.scenario == scenario,
+        condition,
+        table.plan.in_(DONORS),
+        table.outcome.in_(DONORS),
+    )
+
+
+def _row(campaign_sequence: int, cell: NewEvaluation) -> dict[str, Any]:
+    answered = cell.donor if cell.plan in COPIES or cell.plan is Outcome.CERTIFIED else None
+    return {
+        "campaign_sequence": campaign_sequence,
+        "stage": cell.stage,
+        "iteration": int(cell.iteration),
+        "individual": int(cell.individual),
+        "scenario": cell.scenario,
+        "setup_id": cell.setup_id,
+        "parameter_set_id": cell.parameter_set_id,
+        "reference_key": cell.reference_key,
+        "plan": cell.plan,
+        "outcome": None if answered is None else cell.plan,
+        "score": None if answered is None else answered.score,
+        "rating": None if answered is None else answered.rating,
+        "run_id": None if answered is None else answered.run,
+        "failure": None if answered is None else answered.failure,
+        "reference": None if cell.donor is None else cell.donor.evaluation,
+        "audited": cell.audited,
+        "attempts": 0,
+    }

@@ -1,0 +1,47 @@
+"""Turns errors of the database drivers into drivecal's own."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import psycopg
+from sqlalchemy.exc import DBAPIError
+from sqlalchemy.exc import TimeoutError as PoolTimeoutError
+
+from drivecal.domain.errors import DatabaseError, DrivecalError, UnavailableError
+
+_NO_DATABASE = {sqlite3.SQLITE_NOTADB: "is no SQLite database", sqlite3.SQLITE_CORRUPT: "is a damaged SQLite database"}
+_NOT_USABLE = {sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_PERM}
+_BUSY = {sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_FULL, sqlite3.SQLITE_PROTOCOL}
+
+
+@contextmanager
+def translated(database: str) -> Iterator[None]:
+    """Raises DatabaseError or UnavailableError in place of what the driver raises about the state of `database`, named as messages
+    may show it. Errors in statements are programming errors and pass unchanged."""
+    try:
+        yield
+    except PoolTimeoutError as error:
+        raise UnavailableError(f"all connections to {database} are in use; try again later") from error
+    except DBAPIError as error:
+        known = _translate(error.orig, database)
+        if known is None:
+            raise
+        raise known from error
+
+
+def _translate(error: BaseException | None, database: str) -> DrivecalError | None:
+    if isinstance(error, sqlite3.Error):
+        code = getattr(error, "sqlite_errorcode", 0) & 0xFF  # the low byte is the class, the rest the detail
+        if code in _NO_DATABASE:
+            return DatabaseError(f"{database} {_NO_DATABASE[code]}; name another file or restore a backup")
+        if code in _NOT_USABLE:
+            return DatabaseError(f"{database} cannot be opened for writing; check that the file and its folder are writable")
+        if code in _BUSY:
+            return UnavailableError(f"the database {database} cannot be used at the moment: {error}")
+    if isinstance(error, psycopg.OperationalError | psycopg.InterfaceError):
+        lines = str(error).splitlines() or [type(error).__name__]
+        return UnavailableError(f"the database {database} does not answer: {lines[0]}")
+    return None

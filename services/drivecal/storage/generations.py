@@ -1,0 +1,143 @@
+"""Generations: the iterations of a campaign's calibration stage."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+from sqlalchemy import Connection, Row, select, update
+
+from drivecal.storage import cursors
+from drivecal.storage.tables import generations
+from drivecal.storage.types import finite
+
+
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """What a generation asked for and found. Cells count as in `contracts.campaign.CellCounts`; `alternatives` as in its Generation."""
+
+    proposed: int = 0
+    carried_over: int = 0
+    requested: int = 0
+    repeated: int = 0
+    reused: int = 0
+    certified: int = 0
+    simulated: int = 0
+    failed: int = 0
+    audited: int = 0
+    best: float | None = None
+    mean: float | None = None
+    minimum: float | None = None
+    alternatives: int = 0
+
+
+_FIGURES = tuple(field.name for field in fields(Figures))
+
+
+@dataclass(frozen=True, slots=True)
+class StoredGeneration:
+    """A generation with all that is needed to go on from it.
+
+    `population`: grid indices by individual; `changed`: which of them were requested; `objectives`: None until it is finished, None
+    in it for individuals without a result; `optimizer_state`: after `ask`, kept for the last generation only.
+    """
+
+    iteration: int
+    figures: Figures
+    population: list[list[int]]
+    changed: list[bool]
+    optimizer_state: Mapping[str, Any] | None
+    objectives: list[float | None] | None
+    finished: bool
+
+
+def insert(
+    connection: Connection,
+    campaign_sequence: int,
+    iteration: int,
+    *,
+    figures: Figures,
+    population: Sequence[Sequence[int]],
+    changed: Sequence[bool],
+    optimizer_state: Mapping[str, Any],
+) -> None:
+    """Stores a generation as it is asked for, in the transaction that stores its evaluations; the states of earlier ones go."""
+    connection.execute(
+        update(generations)
+        .where(generations.c.campaign_sequence == campaign_sequence, generations.c.optimizer_state.is_not(None))
+        .values(optimizer_state=None)
+    )
+    connection.execute(
+        generations.insert().values(
+            campaign_sequence=campaign_sequence,
+            iteration=iteration,
+            population=[list(individual) for individual in population],
+            changed=list(changed),
+            optimizer_state=dict(optimizer_state),
+            finished=False,
+            **finite(asdict(figures)),
+        )
+    )
+
+
+def finish(
+    connection: Connection,
+    campaign_sequence: int,
+    iteration: int,
+    figures: Figures,
+    objectives: Sequence[float | None],
+) -> None:
+    """Stores what a generation found; NaN among `objectives` becomes None."""
+    connection.execute(
+        update(generations)
+        .where(generations.c.campaign_sequence == campaign_sequence, generations.c.iteration == iteration)
+        .values(objectives=list(objectives), finished=True, **finite(asdict(figures)))
+    )
+
+
+def last(connection: Connection, campaign_sequence: int) -> StoredGeneration | None:
+    """The newest generation, which a resumed campaign takes up; None before the first."""
+    query = (
+        select(generations)
+        .where(generations.c.campaign_sequence == campaign_sequence)
+        .order_by(generations.c.iteration.desc())
+        .limit(1)
+    )
+    row = connection.execute(query).one_or_none()
+    if row is None:
+        return None
+    return StoredGeneration(
+        iteration=row.iteration,
+        figures=_figures(row),
+        population=row.population,
+        changed=row.changed,
+        optimizer_state=row.optimizer_state,
+        objectives=row.objectives,
+        finished=row.finished,
+    )
+
+
+def page(
+    connection: Connection, campaign_sequence: int, *, limit: int = 100, cursor: str | None = None
+) -> tuple[list[tuple[int, Figures]], str | None]:
+    """At most `limit` iterations with their figures, in order, and the cursor of the next page (None on the last).
+
+    Raises InvalidInputError.
+    """
+    query = (
+        select(generations.c.iteration, *(generations.c[name] for name in _FIGURES))
+        .where(generations.c.campaign_sequence == campaign_sequence)
+        .order_by(generations.c.iteration)
+        .limit(limit + 1)
+    )
+    if cursor is not None:
+        (after,) = cursors.decode(cursor, int)
+        query = query.where(generations.c.iteration > after)
+    found = [(row.iteration, _figures(row)) for row in connection.execute(query)]
+    following = cursors.encode(found[limit - 1][0]) if len(found) > limit else None
+    return found[:limit], following
+
+
+def _figures(row: Row[Any]) -> Figures:
+    return Figures(*(getattr(row, name) for name in _FIGURES))

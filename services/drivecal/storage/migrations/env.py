@@ -1,0 +1,18 @@
+"""Runs revisions on the connection that `drivecal.storage.schema.upgrade` gives, inside its transaction."""
+
+from __future__ import annotations
+
+from alembic import context
+
+from drivecal.storage.schema import REVISION_TABLE
+from drivecal.storage.tables import metadata
+
+context.configure(
+    connection=context.config.attributes["connection"],
+    target_metadata=metadata,
+    version_table=REVISION_TABLE,
+    render_as_batch=True,  # SQLite alters tables by copying them
+    transactional_ddl=True,
+)
+with context.begin_transaction():
+    context.run_migrations()

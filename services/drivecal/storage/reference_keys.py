@@ -1,0 +1,160 @@
+"""Reference keys of stored runs under an influence map: one indexed look-up answers a population (Figure 6 of the paper).
+
+Which reference answers a key must not depend on when keys were computed, nor on what other campaigns store meanwhile: of the runs up
+to a campaign's watermark, the first in the order of (campaign, stage, iteration, individual) wins. Runs are stored in the order in
+which workers finish, so the first one may come late. Therefore a key keeps each run that comes before all runs of a smaller id: the
+last of those up to the watermark is the winner, for every watermark.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from sqlalchemy import ARRAY, BigInteger, Connection, Row, SmallInteger, bindparam, func, literal, select, type_coerce
+
+from drivecal.domain.evaluations import Donor
+from drivecal.storage import parameter_sets
+from drivecal.storage.database import Database
+from drivecal.storage.membership import among, insert
+from drivecal.storage.tables import parameter_sets as parameter_sets_table
+from drivecal.storage.tables import ratings, reference_key_syncs, reference_keys, runs
+
+KeyFunction = Callable[[tuple[str, ...], npt.NDArray[np.int64]], Sequence[bytes]]
+"""From names and values in billionths, shape (n, n_p), to n keys of 16 bytes."""
+CHUNK = 50_000
+"""Runs per transaction: some 100 MB of memory, and other writers wait for about a second."""
+
+_ORIGIN = (
+    runs.c.campaign_sequence,
+    type_coerce(runs.c.stage, SmallInteger),  # by its number: stages are ordered as they run, not by name
+    runs.c.iteration,
+    runs.c.individual,
+)
+
+
+def look_up(
+    connection: Connection, influence_map_sequence: int, setup_id: int, keys: Sequence[bytes], evaluator: str, watermark: int
+) -> dict[bytes, Donor]:
+    """The first references of `keys` among the runs up to `watermark` that `evaluator` rated. To be called after `sync`."""
+    newest: dict[bytes, Donor] = {}
+    for condition in among(connection, reference_keys.c.key, keys):
+        query = (
+            select(reference_keys.c.key, runs.c.id, runs.c.evaluation_id, runs.c.failure, ratings.c.score, ratings.c.rating)
+            .join(runs, runs.c.id == reference_keys.c.run_id)
+            .join(ratings, (ratings.c.run_id == reference_keys.c.run_id) & (ratings.c.evaluator == evaluator))
+            .where(
+                reference_keys.c.influence_map_sequence == influence_map_sequence,
+                reference_keys.c.setup_id == setup_id,
+                condition,
+                reference_keys.c.run_id <= watermark,
+            )
+        )
+        for key, run, evaluation, failure, score, rating in connection.execute(query):
+            if key not in newest or run > newest[key].run:
+                newest[key] = Donor(evaluation, run, score, rating, failure)
+    return newest
+
+
+def sync(
+    database: Database,
+    influence_map_sequence: int,
+    setup_id: int,
+    upto_run_id: int,
+    key_function: KeyFunction,
+    chunk: int = CHUNK,
+) -> int:
+    """Computes the missing keys of one setup's runs up to `upto_run_id`; says of how many runs.
+
+    Works in transactions of `chunk` runs and goes on where it was interrupted.
+    """
+    total = 0
+    while True:
+        with database.transaction() as connection:
+            done = _sync_chunk(connection, influence_map_sequence, setup_id, upto_run_id, key_function, chunk)
+        total += done
+        if done < chunk:
+            return total
+
+
+def _sync_chunk(
+    connection: Connection, influence_map: int, setup_id: int, upto: int, key_function: KeyFunction, chunk: int
+) -> int:
+    since = _since(connection, influence_map, setup_id)
+    rows = connection.execute(
+        select(runs.c.id, *_ORIGIN, parameter_sets_table.c.parameter_values)
+        .join(parameter_sets_table)
+        .where(runs.c.setup_id == setup_id, runs.c.id > since, runs.c.id <= upto)
+        .order_by(runs.c.id)
+        .limit(chunk)
+    ).all()
+    if rows:
+        keys = _keys(rows, key_function)
+        first = {} if since == 0 else _first(connection, influence_map, setup_id, sorted(set(keys)))
+        records: list[tuple[bytes, int]] = []
+        for key, (run_id, *origin, _) in zip(keys, rows, strict=True):
+            place = tuple(origin)
+            if key not in first or place < first[key]:
+                first[key] = place
+                records.append((key, run_id))
+        _insert(connection, influence_map, setup_id, sorted(records))
+    reached = max(rows[-1].id if len(rows) == chunk else upto, since)
+    connection.execute(
+        reference_key_syncs.update()
+        .where(reference_key_syncs.c.influence_map_sequence == influence_map, reference_key_syncs.c.setup_id == setup_id)
+        .values(run_id=reached)
+    )
+    return len(rows)
+
+
+def _since(connection: Connection, influence_map: int, setup_id: int) -> int:
+    """Up to which run keys are there. Locks the row, so that one process syncs at a time."""
+    pair = {"influence_map_sequence": influence_map, "setup_id": setup_id}
+    connection.execute(insert(connection, reference_key_syncs).on_conflict_do_nothing(), {**pair, "run_id": 0})
+    since: int = connection.execute(
+        select(reference_key_syncs.c.run_id)
+        .where(reference_key_syncs.c.influence_map_sequence == influence_map, reference_key_syncs.c.setup_id == setup_id)
+        .with_for_update()
+    ).scalar_one()
+    return since
+
+
+def _keys(rows: Sequence[Row[Any]], key_function: KeyFunction) -> list[bytes]:
+    keys = [b""] * len(rows)
+    for names, positions, values in parameter_sets.parse([row.parameter_values for row in rows]):
+        for position, key in zip(positions, key_function(names, values), strict=True):
+            keys[position] = key
+    return keys
+
+
+def _first(connection: Connection, influence_map: int, setup_id: int, keys: Sequence[bytes]) -> dict[bytes, tuple[int, ...]]:
+    """The earliest origin of each key that is there already."""
+    found: dict[bytes, tuple[int, ...]] = {}
+    for condition in among(connection, reference_keys.c.key, keys):
+        query = (
+            select(reference_keys.c.key, *_ORIGIN)
+            .join(runs, runs.c.id == reference_keys.c.run_id)
+            .where(reference_keys.c.influence_map_sequence == influence_map, reference_keys.c.setup_id == setup_id, condition)
+        )
+        for key, *origin in connection.execute(query):
+            found[key] = min(found.get(key, tuple(origin)), tuple(origin))
+    return found
+
+
+def _insert(connection: Connection, influence_map: int, setup_id: int, records: Sequence[tuple[bytes, int]]) -> None:
+    if not records:
+        return
+    if connection.dialect.name == "postgresql":  # two arrays instead of a row of variables each: five times as fast
+        columns = {"key": reference_keys.c.key, "run_id": reference_keys.c.run_id}
+        arrays = [
+            bindparam(name, list(values), type_=ARRAY(columns[name].type))
+            for name, values in zip(columns, zip(*records, strict=True), strict=True)
+        ]
+        unnested = func.unnest(*arrays).table_valued(*columns).render_derived()
+        source = select(literal(influence_map, BigInteger), literal(setup_id, BigInteger), *unnested.c)
+        connection.execute(reference_keys.insert().from_select(list(reference_keys.c.keys()), source))
+    else:
+        pair = {"influence_map_sequence": influence_map, "setup_id": setup_id}
+        connection.execute(reference_keys.insert(), [{**pair, "key": key, "run_id": run_id} for key, run_id in records])

@@ -1,0 +1,196 @@
+"""What campaigns have found: their evaluations, read for pages, exports and rankings."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import Connection, Row, Select, case, func, literal, select, tuple_
+
+from drivecal.domain.campaigns import Stage
+from drivecal.domain.errors import NotFoundError
+from drivecal.domain.evaluations import Outcome
+from drivecal.storage import cursors
+from drivecal.storage.tables import evaluations, parameter_sets
+from drivecal.storage.types import ORDER, STAGES
+
+BATCH = 1_000
+"""Rows that an export holds in memory at a time."""
+_PLACE = (evaluations.c.stage, evaluations.c.iteration, evaluations.c.individual, evaluations.c.scenario)
+
+
+@dataclass(frozen=True, slots=True)
+class StoredEvaluation:
+    """One requested cell. `parameters` are floats by name; `outcome` is None while its answer is pending."""
+
+    id: int
+    campaign_sequence: int
+    stage: Stage
+    iteration: int
+    individual: int
+    scenario: str
+    setup_id: int
+    parameters: dict[str, float]
+    outcome: Outcome | None
+    score: int | None
+    rating: float | None
+    run_id: int | None
+    reference: int | None
+    audited: bool
+    agrees: bool | None
+    failure: str | None
+    milliseconds: float | None
+    worker: str | None
+    attempts: int
+
+
+@dataclass(frozen=True, slots=True)
+class CellScore:
+    """The answer of one parameter set in one scenario; `iteration` and `individual` say where the campaign first asked for it."""
+
+    parameter_set: int
+    scenario: str
+    score: int | None
+    rating: float | None
+    iteration: int
+    individual: int
+
+
+@dataclass(frozen=True, slots=True)
+class AuditCount:
+    """The self-check of one scenario: `different`: any change of the score; `wrong`: by more than 1 (Eq. 8 of the paper)."""
+
+    scenario: str
+    audited: int
+    different: int
+    wrong: int
+
+
+def by_id(connection: Connection, evaluation_id: int) -> StoredEvaluation:
+    """One evaluation. Raises NotFoundError."""
+    row = None
+    if 0 < evaluation_id < 2**63:
+        row = connection.execute(_select().where(evaluations.c.id == evaluation_id)).one_or_none()
+    if row is None:
+        raise NotFoundError("evaluation", str(evaluation_id))
+    return _evaluation(row)
+
+
+def page(
+    connection: Connection, campaign_sequence: int, *, limit: int = 100, cursor: str | None = None
+) -> tuple[list[StoredEvaluation], str | None]:
+    """At most `limit` evaluations, ordered by stage, iteration, individual, scenario, and the cursor of the next page (None on the
+    last). Raises InvalidInputError."""
+    query = _of_campaign(campaign_sequence).limit(limit + 1)
+    if cursor is not None:
+        number, *rest = cursors.decode(cursor, int, int, int, str)
+        place = (STAGES.get(number, Stage.VALIDATION), *rest)
+        # Typed one by one: a tuple does not hand its types on, and stages are stored as numbers.
+        typed = (literal(value, column.type) for value, column in zip(place, _PLACE, strict=True))
+        query = query.where(tuple_(*_PLACE) > tuple_(*typed))
+    found = [_evaluation(row) for row in connection.execute(query)]
+    if len(found) <= limit:
+        return found, None
+    last = found[limit - 1]
+    return found[:limit], cursors.encode(ORDER[last.stage], last.iteration, last.individual, last.scenario)
+
+
+def stream(connection: Connection, campaign_sequence: int) -> Iterator[StoredEvaluation]:
+    """All evaluations of a campaign in the order of `page`, read as they are consumed; the connection must stay open meanwhile."""
+    query = _of_campaign(campaign_sequence).execution_options(yield_per=BATCH)
+    for row in connection.execute(query):
+        yield _evaluation(row)
+
+
+def count_outcomes(connection: Connection, campaign_sequence: int, stage: Stage) -> dict[Outcome | None, int]:
+    """How many cells of a stage each outcome has answered; None counts the pending ones. What has none is left out."""
+    query = (
+        select(evaluations.c.outcome, func.count())
+        .where(evaluations.c.campaign_sequence == campaign_sequence, evaluations.c.stage == stage)
+        .group_by(evaluations.c.outcome)
+    )
+    return {None if outcome is None else Outcome(outcome): count for outcome, count in connection.execute(query)}
+
+
+def count_audits(connection: Connection, campaign_sequence: int) -> list[AuditCount]:
+    """What the self-check of a campaign found so far, by scenario: simulated scores against those of the donors."""
+    donor = evaluations.alias("donor")
+    change = func.abs(evaluations.c.score - donor.c.score)
+    query = (
+        select(
+            evaluations.c.scenario,
+            func.count(),
+            func.count(case((change > 0, 1))),
+            func.count(case((change > 1, 1))),
+        )
+        .join(donor, donor.c.id == evaluations.c.reference)
+        .where(
+            evaluations.c.campaign_sequence == campaign_sequence,
+            evaluations.c.audited,
+            evaluations.c.outcome == Outcome.SIMULATED,
+            donor.c.score.is_not(None),
+        )
+        .group_by(evaluations.c.scenario)
+        .order_by(evaluations.c.scenario)
+    )
+    return [AuditCount(*row) for row in connection.execute(query)]
+
+
+def scores(connection: Connection, campaign_sequence: int, stage: Stage = Stage.CALIBRATION) -> list[CellScore]:
+    """Each parameter set and scenario that a campaign has an answer for, once, in the order in which they were first asked for.
+
+    Where a cell was answered several times, the set's own result counts more than a copy of a reference's.
+    """
+    table = evaluations.c
+    query = (
+        select(
+            table.parameter_set_id, table.scenario, table.outcome, table.score, table.rating, table.iteration, table.individual
+        )
+        .where(table.campaign_sequence == campaign_sequence, table.stage == stage, table.outcome.is_not(None))
+        .order_by(*_PLACE)
+        .execution_options(yield_per=BATCH)
+    )
+    first: dict[tuple[int, str], tuple[bool, CellScore]] = {}
+    for parameter_set, scenario, outcome, score, rating, iteration, individual in connection.execute(query):
+        own = score is not None and outcome != Outcome.REUSED
+        seen = first.get((parameter_set, scenario))
+        if seen is None:
+            first[parameter_set, scenario] = own, CellScore(parameter_set, scenario, score, rating, iteration, individual)
+        elif score is not None and (seen[1].score is None or (own and not seen[0])):
+            place = seen[1].iteration, seen[1].individual
+            first[parameter_set, scenario] = own, CellScore(parameter_set, scenario, score, rating, *place)
+    return [cell for _, cell in first.values()]
+
+
+def _select() -> Select[Any]:
+    return select(evaluations, parameter_sets.c.parameter_values).join(parameter_sets)
+
+
+def _of_campaign(campaign_sequence: int) -> Select[Any]:
+    return _select().where(evaluations.c.campaign_sequence == campaign_sequence).order_by(*_PLACE)
+
+
+def _evaluation(row: Row[Any]) -> StoredEvaluation:
+    return StoredEvaluation(
+        id=row.id,
+        campaign_sequence=row.campaign_sequence,
+        stage=row.stage,
+        iteration=row.iteration,
+        individual=row.individual,
+        scenario=row.scenario,
+        setup_id=row.setup_id,
+        parameters={name: float(value) for name, value in json.loads(row.parameter_values).items()},
+        outcome=None if row.outcome is None else Outcome(row.outcome),
+        score=row.score,
+        rating=row.rating,
+        run_id=row.run_id,
+        reference=row.reference,
+        audited=row.audited,
+        agrees=row.agrees,
+        failure=row.failure,
+        milliseconds=row.milliseconds,
+        worker=row.worker,
+        attempts=row.attempts,
+    )

@@ -1,0 +1,137 @@
+"""The reference table: simulated results, each (setup, parameter set) once, and their ratings by evaluator."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import Connection, func, select
+
+from drivecal.domain.campaigns import Stage
+from drivecal.domain.evaluations import Donor
+from drivecal.storage.membership import among, insert
+from drivecal.storage.tables import ratings, runs
+from drivecal.storage.types import finite, now
+
+
+@dataclass(frozen=True, slots=True)
+class NewRun:
+    """A simulated result, rated by `evaluator` ("name version"), and the evaluation that it comes from."""
+
+    setup_id: int
+    parameter_set_id: int
+    metrics: Mapping[str, float]
+    failure: str | None
+    milliseconds: float
+    worker: str
+    evaluator: str
+    score: int
+    rating: float
+    evaluation_id: int
+    campaign_sequence: int
+    stage: Stage
+    iteration: int
+    individual: int
+
+
+@dataclass(frozen=True, slots=True)
+class StoredRun:
+    """What the reference table holds for a cell after `insert_results`: this result or an earlier one.
+
+    `agrees`: False where an earlier result of the same cell differs in any bit of metrics, failure, score or rating, so that
+    something that decides runs is missing in the setup's fingerprint.
+    """
+
+    id: int
+    evaluation_id: int
+    agrees: bool
+
+
+def insert_results(connection: Connection, results: Sequence[NewRun]) -> list[StoredRun]:
+    """Stores results exactly once and says for each, in order, what is stored for its cell. The first result of a cell stays."""
+    if not results:
+        return []
+    created_at = now()
+    statement = insert(connection, runs).on_conflict_do_nothing(index_elements=["setup_id", "parameter_set_id"])
+    known = _stored(connection, results)
+    new = [_row(one, created_at) for one in results if (one.setup_id, one.parameter_set_id) not in known]
+    if new:
+        connection.execute(statement, new)
+        known = _stored(connection, results)
+    stored = [known[one.setup_id, one.parameter_set_id] for one in results]
+    rated = [
+        {"run_id": run.id, "evaluator": one.evaluator, "score": int(one.score), "rating": float(one.rating)}
+        for run, one in zip(stored, results, strict=True)
+    ]
+    connection.execute(insert(connection, ratings).on_conflict_do_nothing(index_elements=["run_id", "evaluator"]), rated)
+    standing = _ratings(connection, sorted({run.id for run in stored}))
+    return [
+        StoredRun(
+            id=run.id,
+            evaluation_id=run.evaluation_id,
+            agrees=run.failure == one.failure
+            and run.metrics == finite(dict(one.metrics))
+            and standing[run.id, one.evaluator] == (one.score, one.rating),
+        )
+        for run, one in zip(stored, results, strict=True)
+    ]
+
+
+def largest_id(connection: Connection) -> int:
+    """The id of the newest run, 0 where there is none: the watermark of a campaign that starts now."""
+    return connection.scalar(select(func.max(runs.c.id))) or 0
+
+
+def look_up_exact(
+    connection: Connection, setup_id: int, parameter_set_ids: Sequence[int], evaluator: str, watermark: int
+) -> dict[int, Donor]:
+    """The stored results of parameter sets in one setup, by parameter set id; of runs up to `watermark` that `evaluator` rated."""
+    found: dict[int, Donor] = {}
+    for condition in among(connection, runs.c.parameter_set_id, [int(one) for one in parameter_set_ids]):
+        query = (
+            select(runs.c.parameter_set_id, runs.c.id, runs.c.evaluation_id, runs.c.failure, ratings.c.score, ratings.c.rating)
+            .join(ratings, (ratings.c.run_id == runs.c.id) & (ratings.c.evaluator == evaluator))
+            .where(runs.c.setup_id == setup_id, condition, runs.c.id <= watermark)
+        )
+        for parameter_set_id, run, evaluation, failure, score, rating in connection.execute(query):
+            found[parameter_set_id] = Donor(evaluation, run, score, rating, failure)
+    return found
+
+
+def _row(one: NewRun, created_at: Any) -> dict[str, Any]:
+    return {
+        "setup_id": one.setup_id,
+        "parameter_set_id": one.parameter_set_id,
+        "metrics": dict(one.metrics),
+        "failure": one.failure,
+        "milliseconds": float(one.milliseconds),
+        "worker": one.worker,
+        "evaluation_id": one.evaluation_id,
+        "campaign_sequence": one.campaign_sequence,
+        "stage": one.stage,
+        "iteration": int(one.iteration),
+        "individual": int(one.individual),
+        "created_at": created_at,
+    }
+
+
+def _stored(connection: Connection, results: Sequence[NewRun]) -> dict[tuple[int, int], Any]:
+    wanted: dict[int, list[int]] = {}
+    for one in results:
+        wanted.setdefault(one.setup_id, []).append(one.parameter_set_id)
+    columns = select(runs.c.setup_id, runs.c.parameter_set_id, runs.c.id, runs.c.evaluation_id, runs.c.failure, runs.c.metrics)
+    found: dict[tuple[int, int], Any] = {}
+    for setup_id, ids in wanted.items():
+        for condition in among(connection, runs.c.parameter_set_id, ids):
+            for row in connection.execute(columns.where(runs.c.setup_id == setup_id, condition)):
+                found[row.setup_id, row.parameter_set_id] = row
+    return found
+
+
+def _ratings(connection: Connection, run_ids: Sequence[int]) -> dict[tuple[int, str], tuple[int, float]]:
+    found: dict[tuple[int, str], tuple[int, float]] = {}
+    for condition in among(connection, ratings.c.run_id, run_ids):
+        for row in connection.execute(select(ratings).where(condition)):
+            found[row.run_id, row.evaluator] = (row.score, row.rating)
+    return found

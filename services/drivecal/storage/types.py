@@ -1,0 +1,86 @@
+"""Column types that mean the same on SQLite and PostgreSQL."""
+
+from __future__ import annotations
+
+import json
+import math
+from datetime import UTC, datetime
+from typing import Any
+
+from sqlalchemy import JSON, BigInteger, DateTime, Dialect, Integer, SmallInteger, Text
+from sqlalchemy.types import TypeDecorator
+
+from drivecal.domain.campaigns import Stage
+
+Identity = BigInteger().with_variant(Integer(), "sqlite")
+"""64 bits on both; SQLite numbers rows by itself only where the type is spelt INTEGER."""
+
+Name = Text().with_variant(Text(collation="C"), "postgresql")
+"""Text that is sorted or compared by its bytes on both, whatever the locale of the PostgreSQL cluster."""
+
+Document = JSON(none_as_null=True)
+"""JSON as text, never JSONB, which would forget the order of keys (scenarios, parameters); None is SQL's NULL."""
+
+ORDER = {Stage.SENSITIVITY: 1, Stage.CALIBRATION: 2, Stage.ROBUSTNESS: 3, Stage.VALIDATION: 4}
+"""How stages are stored, so that the database sorts them as they run. Never renumber: databases in use hold these."""
+
+
+class StageNumber(TypeDecorator[Stage]):
+    """A stage, stored as its position in the life of a campaign."""
+
+    impl = SmallInteger
+    cache_ok = True
+
+    def process_bind_param(self, value: Stage | None, dialect: Dialect) -> int | None:
+        del dialect
+        return None if value is None else ORDER[Stage(value)]
+
+    def process_result_value(self, value: int | None, dialect: Dialect) -> Stage | None:
+        del dialect
+        return None if value is None else STAGES[value]
+
+
+STAGES = {number: stage for stage, number in ORDER.items()}
+
+
+class UtcDateTime(TypeDecorator[datetime]):
+    """A moment: aware on the way in, UTC on the way out. SQLite stores it without its zone, which is always UTC."""
+
+    impl = DateTime(timezone=True)
+    cache_ok = True
+
+    def process_bind_param(self, value: datetime | None, dialect: Dialect) -> datetime | None:
+        del dialect
+        if value is not None and value.tzinfo is None:
+            raise ValueError(f"{value} names no time zone; give an aware datetime")
+        return None if value is None else value.astimezone(UTC)
+
+    def process_result_value(self, value: datetime | None, dialect: Dialect) -> datetime | None:
+        del dialect
+        if value is None:
+            return None
+        return value.replace(tzinfo=UTC) if value.tzinfo is None else value.astimezone(UTC)
+
+
+def finite(document: Any) -> Any:
+    """`document` with null for every number that JSON cannot express (NaN, infinities)."""
+    if isinstance(document, float):
+        return document if math.isfinite(document) else None
+    if isinstance(document, dict):
+        return {name: finite(value) for name, value in document.items()}
+    if isinstance(document, list | tuple):
+        return [finite(value) for value in document]
+    return document
+
+
+def to_json(document: Any) -> str:
+    """The text of a JSON column; NaN becomes null, which every reader of JSON understands."""
+    try:
+        return json.dumps(document, allow_nan=False)
+    except ValueError:
+        return json.dumps(finite(document), allow_nan=False)
+
+
+def now() -> datetime:
+    """The present moment, in UTC."""
+    return datetime.now(UTC)
