@@ -3,22 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 
 from scipy.special import betaincinv
 
 from drivecal.contracts.campaign import ErrorRate
+from drivecal.storage.results import AuditCount
 
 CONFIDENCE = 0.95
-
-
-@dataclass(frozen=True, slots=True)
-class Audit:
-    """One audited cell: the score of the donor that was not trusted and the simulated one."""
-
-    scenario: str
-    expected: int
-    simulated: int
 
 
 def clopper_pearson(wrong: int, audited: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
@@ -29,25 +20,27 @@ def clopper_pearson(wrong: int, audited: int, confidence: float = CONFIDENCE) ->
     return lower, upper
 
 
-def count_audits(rates: Mapping[str, ErrorRate], audits: Iterable[Audit], max_error: float) -> dict[str, ErrorRate]:
-    """The error rates with new audits counted in.
+def error_rates(
+    counts: Iterable[AuditCount], before: Mapping[str, ErrorRate], scenarios: Iterable[str], max_error: float
+) -> dict[str, ErrorRate]:
+    """The error rate of each scenario (Eq. 8: wrong / audited).
 
-    `different`: any change of the score; `wrong`: a change by more than 1 (Eq. 8). Reuse in a scenario is stopped, for good, once
-    the lower end of the interval passes `max_error`.
+    Reuse in a scenario is stopped once the lower end of the interval passes `max_error`, and stays stopped (`before`).
     """
-    counted = dict(rates)
-    for audit in audits:
-        rate = counted.get(audit.scenario, ErrorRate())
-        change = abs(audit.simulated - audit.expected)
-        counted[audit.scenario] = rate.model_copy(
-            update={
-                "audited": rate.audited + 1,
-                "different": rate.different + (change > 0),
-                "wrong": rate.wrong + (change > 1),
-            }
+    found = {count.scenario: count for count in counts}
+    rates: dict[str, ErrorRate] = {}
+    for scenario in scenarios:
+        was_stopped = scenario in before and before[scenario].stopped
+        count = found.get(scenario)
+        if count is None or count.audited == 0:
+            rates[scenario] = ErrorRate(stopped=was_stopped)
+            continue
+        lower, upper = clopper_pearson(count.wrong, count.audited)
+        rates[scenario] = ErrorRate(
+            audited=count.audited,
+            different=count.different,
+            wrong=count.wrong,
+            upper_95=upper,
+            stopped=was_stopped or lower > max_error,
         )
-    for scenario, rate in counted.items():
-        if rate.audited:
-            lower, upper = clopper_pearson(rate.wrong, rate.audited)
-            counted[scenario] = rate.model_copy(update={"upper_95": upper, "stopped": rate.stopped or lower > max_error})
-    return counted
+    return rates

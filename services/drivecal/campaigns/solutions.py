@@ -2,34 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-import numpy as np
-import numpy.typing as npt
+from drivecal.storage.results import CellAnswer
 
 EQUAL = 1e-9
 """Objectives that differ by no more than this are equal: alternatives of each other."""
 
 
 @dataclass(frozen=True, slots=True)
-class Scored:
-    """The answer of one requested cell, of whatever outcome. `score` and `rating` are None where there is no result."""
+class Solution:
+    """A parameter set with a result in every weighted scenario; `iteration` and `individual` say where it was found first."""
 
-    parameter_set: int
-    """Its id in the database."""
-    scenario: str
-    score: int | None
-    rating: float | None
-    iteration: int
-    individual: int
-
-
-@dataclass(frozen=True, slots=True)
-class Ranked:
-    """A parameter set in the ranking; `iteration` and `individual` say where it was found first."""
-
-    rank: int
     parameter_set: int
     objective: float
     rating: float
@@ -37,63 +22,72 @@ class Ranked:
     iteration: int
     individual: int
 
-
-def rank(cells: Sequence[Scored], weights: Mapping[str, float]) -> list[Ranked]:
-    """All parameter sets with a result in every scenario of positive weight, best first.
-
-    `weights` by scenario need not be normalised; scenarios of weight 0 and those not named take no part. Equal objectives are ordered
-    by the weighted continuous rating, then by discovery.
-    """
-    scenarios = [name for name, weight in weights.items() if weight > 0]
-    total = sum(weights[name] for name in scenarios)
-    shares = np.array([weights[name] / total for name in scenarios])
-    columns = {name: column for column, name in enumerate(scenarios)}
-    rows: dict[int, int] = {}
-    found_at: list[tuple[int, int]] = []
-    for cell in cells:
-        if cell.parameter_set not in rows:
-            rows[cell.parameter_set] = len(rows)
-            found_at.append((cell.iteration, cell.individual))
-        else:
-            row = rows[cell.parameter_set]
-            found_at[row] = min(found_at[row], (cell.iteration, cell.individual))
-    scores = np.full((len(rows), len(scenarios)), np.nan)
-    ratings = np.full((len(rows), len(scenarios)), np.nan)
-    for cell in cells:
-        if cell.score is not None and cell.scenario in columns:
-            scores[rows[cell.parameter_set], columns[cell.scenario]] = cell.score
-            ratings[rows[cell.parameter_set], columns[cell.scenario]] = cell.rating
-    objective, rating = weighted(scores, shares), weighted(ratings, shares)
-    complete = [row for row in range(len(rows)) if not np.isnan(objective[row])]
-    complete.sort(key=lambda row: (-round(float(objective[row]) / EQUAL), -rating[row], found_at[row]))
-    sets = list(rows)
-    return [
-        Ranked(
-            rank=position,
-            parameter_set=sets[row],
-            objective=float(objective[row]),
-            rating=float(rating[row]),
-            scores={name: int(scores[row, column]) for name, column in columns.items()},
-            iteration=found_at[row][0],
-            individual=found_at[row][1],
-        )
-        for position, row in enumerate(complete, start=1)
-    ]
+    @property
+    def order(self) -> tuple[int, float, int, int]:
+        """Sorts best first: equal objectives by the weighted continuous rating, then by discovery."""
+        return -round(self.objective / EQUAL), -self.rating, self.iteration, self.individual
 
 
-def weighted(values: npt.NDArray[np.float64], shares: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Equation 6: the sum over scenarios of w_j F_j, shape (n,), for `values` of shape (n, n_s) and weights of sum 1, shape (n_s,).
+class Standing:
+    """All parameter sets with what they scored, under one choice of weights; grows as answers come in."""
 
-    Added in the order of the scenarios, so that equal scores give equal bits. NaN where any scenario has no result.
-    """
-    total = np.zeros(len(values))
-    for column, share in enumerate(shares):
-        total += share * values[:, column]
-    return total
+    def __init__(self, weights: Mapping[str, float]) -> None:
+        """`weights` by scenario need not be normalised; scenarios of weight 0 and those not named take no part."""
+        total = sum(weights.values())
+        self._shares = {name: weight / total for name, weight in weights.items() if weight > 0}
+        self._answers: dict[int, dict[str, CellAnswer]] = {}
+        self._places: dict[int, tuple[int, int]] = {}
+        self._solutions: dict[int, Solution] = {}
+
+    def add(self, answers: Iterable[CellAnswer]) -> None:
+        """Takes answers in, in any order."""
+        touched: set[int] = set()
+        for answer in answers:
+            number = answer.parameter_set
+            place = (answer.iteration, answer.individual)
+            self._places[number] = min(self._places.get(number, place), place)
+            cells = self._answers.setdefault(number, {})
+            if answer.scenario in self._shares and _counts_more(answer, cells.get(answer.scenario)):
+                cells[answer.scenario] = answer
+            touched.add(number)
+        for number in touched:
+            solution = self._solution(number)
+            if solution is not None:
+                self._solutions[number] = solution
+
+    def ranking(self) -> list[Solution]:
+        """All solutions, best first."""
+        return sorted(self._solutions.values(), key=lambda solution: solution.order)
+
+    def best(self) -> tuple[Solution, int] | None:
+        """The best solution and how many share its objective, itself included; None before the first."""
+        if not self._solutions:
+            return None
+        best = min(self._solutions.values(), key=lambda solution: solution.order)
+        equal = sum(1 for one in self._solutions.values() if abs(one.objective - best.objective) <= EQUAL)
+        return best, equal
+
+    def _solution(self, number: int) -> Solution | None:
+        cells = self._answers[number]
+        objective = rating = 0.0
+        scores: dict[str, int] = {}
+        for scenario, share in self._shares.items():
+            cell = cells.get(scenario)
+            if cell is None or cell.score is None or cell.rating is None:
+                return None
+            objective += share * cell.score
+            rating += share * cell.rating
+            scores[scenario] = cell.score
+        return Solution(number, objective, rating, scores, *self._places[number])
 
 
-def alternatives(ranked: Sequence[Ranked]) -> int:
-    """How many parameter sets share the best objective."""
-    if not ranked:
-        return 0
-    return sum(1 for one in ranked if abs(one.objective - ranked[0].objective) <= EQUAL)
+def _counts_more(new: CellAnswer, known: CellAnswer | None) -> bool:
+    """Whether an answer takes the place of another one for the same cell: a result counts more than none, an own one than a copy,
+    an earlier one than a later one."""
+    if known is None:
+        return True
+
+    def worth(answer: CellAnswer) -> tuple[bool, bool, int, int]:
+        return answer.score is not None, answer.own, -answer.iteration, -answer.individual
+
+    return worth(new) > worth(known)

@@ -134,6 +134,31 @@ def answer(connection: Connection, answers: Sequence[Answer]) -> int:
 _ANSWER = ("outcome", "score", "rating", "run_id", "failure", "milliseconds", "worker", "attempts", "agrees")
 
 
+def simulate_instead(connection: Connection, evaluation_ids: Sequence[int]) -> None:
+    """Plans a simulation for pending copies whose leader has no result, and so can answer nobody."""
+    statement = update(evaluations).where(evaluations.c.id == bindparam("evaluation"), evaluations.c.outcome.is_(None))
+    rows = [{"evaluation": one} for one in evaluation_ids]
+    if rows:
+        connection.execute(statement.values(plan=Outcome.SIMULATED, reference=None), rows)
+
+
+def settle_audits(connection: Connection, campaign_sequence: int, stage: Stage, iteration: int) -> None:
+    """Writes down for the audited cells of a finished iteration whether the donor that was not trusted had the same score."""
+    donor = evaluations.alias("donor")
+    score = select(donor.c.score).where(donor.c.id == evaluations.c.reference).scalar_subquery()
+    connection.execute(
+        update(evaluations)
+        .where(
+            evaluations.c.campaign_sequence == campaign_sequence,
+            evaluations.c.stage == stage,
+            evaluations.c.iteration == iteration,
+            evaluations.c.audited,
+            evaluations.c.outcome == Outcome.SIMULATED,
+        )
+        .values(agrees=evaluations.c.score == score)
+    )
+
+
 def own_references(connection: Connection, campaign_sequence: int, scenario: str, keys: Sequence[bytes]) -> dict[bytes, Donor]:
     """The campaign's own first answers by reference key: simulated or certified, first by stage, iteration, individual."""
     found = _own(connection, campaign_sequence, scenario, evaluations.c.reference_key, list(keys))

@@ -47,13 +47,18 @@ class StoredEvaluation:
 
 
 @dataclass(frozen=True, slots=True)
-class CellScore:
-    """The answer of one parameter set in one scenario; `iteration` and `individual` say where the campaign first asked for it."""
+class CellAnswer:
+    """The answer of one requested cell; `score` and `rating` are None where there is no result.
+
+    `own` is False where it was copied from a reference: the set's own result, if there is one, counts more.
+    """
 
     parameter_set: int
+    """Its id."""
     scenario: str
     score: int | None
     rating: float | None
+    own: bool
     iteration: int
     individual: int
 
@@ -138,30 +143,27 @@ def count_audits(connection: Connection, campaign_sequence: int) -> list[AuditCo
     return [AuditCount(*row) for row in connection.execute(query)]
 
 
-def scores(connection: Connection, campaign_sequence: int, stage: Stage = Stage.CALIBRATION) -> list[CellScore]:
-    """Each parameter set and scenario that a campaign has an answer for, once, in the order in which they were first asked for.
-
-    Where a cell was answered several times, the set's own result counts more than a copy of a reference's.
-    """
+def answers(connection: Connection, campaign_sequence: int, stage: Stage, iteration: int | None = None) -> Iterator[CellAnswer]:
+    """The answered cells of one iteration, or of all, in the order of `page`; the connection must stay open meanwhile."""
     table = evaluations.c
     query = (
         select(
-            table.parameter_set_id, table.scenario, table.outcome, table.score, table.rating, table.iteration, table.individual
+            table.parameter_set_id,
+            table.scenario,
+            table.score,
+            table.rating,
+            table.outcome != Outcome.REUSED,
+            table.iteration,
+            table.individual,
         )
         .where(table.campaign_sequence == campaign_sequence, table.stage == stage, table.outcome.is_not(None))
         .order_by(*_PLACE)
         .execution_options(yield_per=BATCH)
     )
-    first: dict[tuple[int, str], tuple[bool, CellScore]] = {}
-    for parameter_set, scenario, outcome, score, rating, iteration, individual in connection.execute(query):
-        own = score is not None and outcome != Outcome.REUSED
-        seen = first.get((parameter_set, scenario))
-        if seen is None:
-            first[parameter_set, scenario] = own, CellScore(parameter_set, scenario, score, rating, iteration, individual)
-        elif score is not None and (seen[1].score is None or (own and not seen[0])):
-            place = seen[1].iteration, seen[1].individual
-            first[parameter_set, scenario] = own, CellScore(parameter_set, scenario, score, rating, *place)
-    return [cell for _, cell in first.values()]
+    if iteration is not None:
+        query = query.where(table.iteration == iteration)
+    for row in connection.execute(query):
+        yield CellAnswer(*row)
 
 
 def _select() -> Select[Any]:
