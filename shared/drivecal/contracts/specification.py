@@ -68,8 +68,15 @@ class ReductionSpecification(Model):
     mode: Literal["off", "exact", "influence"] = "influence"
     audit: Annotated[float, Field(ge=0, le=1)] = 0.02
     max_error: Annotated[float, Field(gt=0, le=1)] = 0.02
-    certified: Literal[False] = False
+    certified: bool = False
     """Certified reuse is not there yet, so only false is accepted."""
+
+    @field_validator("certified")
+    @classmethod
+    def _not_certified_yet(cls, value: bool) -> bool:  # noqa: FBT001  pydantic passes it by position
+        if value:
+            raise ValueError("certified reuse is not there yet; give false")
+        return value
 
 
 class CampaignSpecification(Model):

@@ -1,0 +1,186 @@
+"""The campaign file against the interface's example, and against everything that must not get in."""
+
+from __future__ import annotations
+
+import copy
+import json
+from typing import Any
+
+import pytest
+import yaml
+from pydantic import BaseModel, ValidationError
+
+from drivecal.contracts.specification import (
+    CampaignSpecification,
+    EvaluationSpecification,
+    InfluenceMapSpecification,
+    RerunSpecification,
+)
+
+EXAMPLE = """
+name: highway comfort
+catalogue: highway
+parameters: highway
+fixed: {}
+baseline: null
+weights: {S1: 1, S2: 1, S3: 1, S4: 1, S5: 1, S6: 1}
+driving_function: frenet
+vehicle: {model: single_track}
+evaluator: reference
+sensitivity: {map: 0f3b}
+optimizer: {kind: genetic, population: 1000, iterations: 20, selection: 0.8, recombination: 0.7, mutation: 0.5, start: lhs, seed: 1}
+reduction: {mode: influence, audit: 0.02, max_error: 0.02, certified: false}
+robustness: null
+validation: null
+"""
+
+
+def example() -> dict[str, Any]:
+    found: dict[str, Any] = yaml.safe_load(EXAMPLE)
+    return found
+
+
+def with_value(path: str, value: object) -> dict[str, Any]:
+    """The example with one field, given by its dotted path, set to a value."""
+    document = copy.deepcopy(example())
+    *way, last = path.split(".")
+    part = document
+    for name in way:
+        part = part[name]
+    part[last] = value
+    return document
+
+
+def refused_at(model: type[BaseModel], document: object) -> list[str]:
+    with pytest.raises(ValidationError) as refused:
+        model.model_validate(document)
+    return [".".join(str(step) for step in error["loc"]) for error in refused.value.errors()]
+
+
+def test_the_example_of_the_interface_is_accepted_as_it_stands() -> None:
+    found = CampaignSpecification.model_validate(example())
+    assert found.model_dump(mode="json") | {"sensitivity": None} == CampaignSpecification.model_validate(
+        example() | {"sensitivity": None}
+    ).model_dump(mode="json")
+    assert found.optimizer.population == 1000
+    assert found.optimizer.model_extra == {"selection": 0.8, "recombination": 0.7, "mutation": 0.5}
+    assert found.weights == {f"S{number}": 1.0 for number in range(1, 7)}
+
+
+def test_an_empty_file_is_the_papers_problem() -> None:
+    found = CampaignSpecification.model_validate({})
+    assert found.catalogue == found.parameters == "highway"
+    assert (found.optimizer.kind, found.optimizer.population, found.optimizer.iterations) == ("genetic", 1000, 20)
+    assert (found.reduction.mode, found.reduction.audit, found.reduction.max_error) == ("influence", 0.02, 0.02)
+
+
+def test_a_specification_survives_json() -> None:
+    found = CampaignSpecification.model_validate(example())
+    assert CampaignSpecification.model_validate(json.loads(found.model_dump_json())) == found
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        ("catalogue", ["S1", "S3"]),
+        ("parameters", "highway_table9"),
+        ("parameters", [{"name": "P1", "lower": -15, "upper": 14, "step": 0.5, "unit": "dB"}]),
+        ("fixed", {"P9": 5}),
+        ("baseline", {"P1": 0.5, "P2": 1}),
+        ("weights", {}),
+        ("weights", {"S1": 0, "S2": 1e6}),
+        ("vehicle", {"model": "single_track", "parameters": {"m": 1800}}),
+        ("sensitivity", None),
+        ("optimizer", {"kind": "random", "population": 2, "iterations": 1}),
+        ("optimizer", {"start": "halton", "seed": 2**63 - 1}),
+        ("reduction", {"mode": "off"}),
+        ("reduction", {"mode": "exact", "audit": 0}),
+    ],
+)
+def test_the_variants_of_the_interface_are_accepted(path: str, value: object) -> None:
+    CampaignSpecification.model_validate(with_value(path, value))
+
+
+NAN, INFINITE = float("nan"), float("inf")
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        ("wieghts", {}),
+        ("name", ""), ("name", "a" * 201), ("name", "tab\there"), ("name", 5), ("name", None),
+        ("catalogue", []), ("catalogue", ["S1", "S1"]), ("catalogue", ""), ("catalogue", None), ("catalogue", {"S1": 1}),
+        ("parameters", []), ("parameters", 5), ("parameters", "two words"),
+        ("fixed", {"P9": NAN}), ("fixed", {"P9": "5"}), ("fixed", {"P9": True}), ("fixed", {"P9": 1e30}), ("fixed", {"": 1}),
+        ("baseline", {"P1": -INFINITE}), ("baseline", {"P1": None}), ("baseline", []),
+        ("weights", {"S1": -1}), ("weights", {"S1": NAN}), ("weights", {"S1": INFINITE}), ("weights", {"S1": 1e30}),
+        ("weights", {"S1": True}), ("weights", {"S1": "1"}), ("weights", None), ("weights", {"S 1": 1}),
+        ("vehicle", "single_track"), ("vehicle.mass", 5), ("vehicle", {"parameters": {"m": 0}}),
+        ("vehicle", {"parameters": {"m": NAN}}),
+        ("sensitivity", {}), ("sensitivity", {"map": ""}), ("sensitivity", {"map": 5}), ("sensitivity", {"map": "a", "r": 1}),
+        ("optimizer.population", 1e30), ("optimizer.population", 10**30), ("optimizer.population", 1),
+        ("optimizer.population", True), ("optimizer.population", 100.0), ("optimizer.population", "100"),
+        ("optimizer.population", NAN), ("optimizer.iterations", 0), ("optimizer.iterations", -1),
+        ("optimizer.iterations", 10_001), ("optimizer.seed", -1), ("optimizer.seed", 2**63), ("optimizer.seed", None),
+        ("optimizer.start", "sobol"), ("optimizer.kind", ""), ("optimizer", None), ("optimizer", []),
+        ("reduction.mode", "on"), ("reduction.mode", False), ("reduction.audit", -0.1), ("reduction.audit", 1.1),
+        ("reduction.audit", NAN), ("reduction.max_error", 0), ("reduction.certified", "false"), ("reduction.certified", 0),
+        ("reduction.threshold", 1),
+    ],
+)  # fmt: skip
+def test_what_must_not_get_in_is_refused_at_its_field(path: str, value: object) -> None:
+    assert all(where.startswith(path) for where in refused_at(CampaignSpecification, with_value(path, value)))
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        ("reduction.certified", True),
+        ("robustness", {"delta": 0.01}),
+        ("validation", {"samples": 100}),
+        ("sensitivity", {"design": "lines", "intervals": 10, "samples": 20, "threshold": 0.02}),
+    ],
+)
+def test_what_is_not_there_yet_is_refused_and_not_ignored(path: str, value: object) -> None:
+    assert refused_at(CampaignSpecification, with_value(path, value))
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("name", "1P"), ("name", "P;1"), ("name", 1), ("lower", "0"), ("lower", NAN), ("upper", 1e7), ("upper", True),
+        ("step", -0.1), ("step", None), ("unit", "x" * 33), ("unit", 1), ("bits", 6),
+    ],
+)  # fmt: skip
+def test_a_listed_parameter_is_checked_field_by_field(field: str, value: object) -> None:
+    listed = {"name": "P1", "lower": 0, "upper": 1, "step": 0.1} | {field: value}
+    assert any(where.endswith(field) for where in refused_at(CampaignSpecification, {"parameters": [listed]}))
+
+
+@pytest.mark.parametrize("missing", ["name", "lower", "upper", "step"])
+def test_a_listed_parameter_needs_its_grid(missing: str) -> None:
+    listed: dict[str, object] = {"name": "P1", "lower": 0, "upper": 1, "step": 0.1}
+    del listed[missing]
+    assert any(where.endswith(missing) for where in refused_at(CampaignSpecification, {"parameters": [listed]}))
+
+
+@pytest.mark.parametrize(
+    ("model", "smallest"),
+    [
+        (RerunSpecification, {"weights": {"S1": 2}}),
+        (EvaluationSpecification, {"parameters": {"P1": 0.5}}),
+        (InfluenceMapSpecification, {"scenarios": {"S1": {"P1": {"influential": False}}}}),
+    ],
+)
+def test_the_other_bodies_are_closed_and_need_only_what_they_are_about(
+    model: type[BaseModel], smallest: dict[str, Any]
+) -> None:
+    model.model_validate(smallest)
+    assert refused_at(model, smallest | {"surprise": 1}) == ["surprise"]
+    assert refused_at(model, {}) == [next(iter(smallest))]
+
+
+@pytest.mark.parametrize("wrong", [{"lower": NAN}, {"upper": "1"}, {"influential": 1}, {"below": 1}, {"lower": 1e30}])
+def test_posted_bounds_are_checked_field_by_field(wrong: dict[str, object]) -> None:
+    found = refused_at(InfluenceMapSpecification, {"scenarios": {"S1": {"P1": wrong}}})
+    assert found == [f"scenarios.S1.P1.{next(iter(wrong))}"]

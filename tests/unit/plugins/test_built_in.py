@@ -1,0 +1,72 @@
+"""Every built-in plug-in satisfies its port, and describing itself costs the coordinator no simulator and no compiler."""
+
+from __future__ import annotations
+
+import inspect
+import json
+import subprocess
+import sys
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, get_type_hints
+
+import pytest
+
+from drivecal.plugins import ports
+
+PORTS: dict[str, type] = {
+    "drivecal.driving_functions": ports.DrivingFunction,
+    "drivecal.vehicles": ports.Vehicle,
+    "drivecal.evaluators": ports.Evaluator,
+    "drivecal.optimizers": ports.OptimizerPlugin,
+    "drivecal.scenarios": ports.Catalogue,
+}
+
+BUILT_IN = [
+    pytest.param(group, entry, id=f"{group.removeprefix('drivecal.')}-{entry.name}")
+    for group in PORTS
+    for entry in entry_points(group=group)
+    if entry.value.startswith("drivecal.")
+]
+
+
+def signature(function: Any) -> list[tuple[str, Any]]:
+    """Parameter names and kinds, without self and annotations."""
+    parameters = inspect.signature(function).parameters.values()
+    return [(parameter.name, parameter.kind) for parameter in parameters if parameter.name != "self"]
+
+
+@pytest.mark.parametrize(("group", "entry"), BUILT_IN)
+def test_it_has_what_its_port_asks_for(group: str, entry: EntryPoint) -> None:
+    port, plugin = PORTS[group], entry.load()
+    for attribute in get_type_hints(port):
+        assert hasattr(plugin, attribute), f"{entry.value} has no {attribute}"
+    for name, method in inspect.getmembers(port, inspect.isfunction):
+        if not name.startswith("_"):
+            assert signature(getattr(plugin, name)) == signature(method), f"{entry.value}.{name}"
+
+
+@pytest.mark.parametrize("entry", [case.values[1] for case in BUILT_IN], ids=[case.id for case in BUILT_IN])
+def test_it_is_registered_under_its_own_name(entry: EntryPoint) -> None:
+    assert entry.load().name == entry.name
+
+
+@pytest.mark.parametrize(
+    ("group", "entry"), [case for case in BUILT_IN if "version" in get_type_hints(PORTS[str(case.values[0])])]
+)
+def test_it_has_a_version_where_stored_results_depend_on_it(group: str, entry: EntryPoint) -> None:
+    version = entry.load().version
+    assert isinstance(version, str), group
+    assert version.strip()
+
+
+@pytest.mark.parametrize(("group", "entry"), BUILT_IN)
+def test_loading_it_imports_neither_simulator_nor_compiler(group: str, entry: EntryPoint) -> None:
+    program = (
+        f"import json, sys; from importlib.metadata import entry_points\n"
+        f"plugin = entry_points(group={group!r})[{entry.name!r}].load()\n"
+        f"for name in ('spaces', 'scenarios', 'parameters', 'settings'): getattr(plugin, name, None)\n"
+        f"print(json.dumps(sorted(sys.modules)))"
+    )
+    found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    imported = set(json.loads(found.stdout))
+    assert not imported & {"libsumo", "numba", "ray", "sqlalchemy", "fastapi", "scipy"}

@@ -1,0 +1,67 @@
+"""Finding plug-ins by their entry points."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from drivecal.domain.errors import InvalidInputError
+from drivecal.plugins import registry
+
+BUILT_IN = {
+    "drivecal.driving_functions": ["frenet"],
+    "drivecal.vehicles": ["single_track"],
+    "drivecal.evaluators": ["reference"],
+    "drivecal.optimizers": ["genetic", "random"],
+    "drivecal.scenarios": ["highway"],
+}
+
+
+@pytest.mark.parametrize("group", BUILT_IN)
+def test_the_built_in_plugins_are_registered_as_a_users_own_would_be(group: str) -> None:
+    assert set(BUILT_IN[group]) <= set(registry.names(group))
+
+
+def test_an_unknown_group_is_empty() -> None:
+    assert registry.names("drivecal.nonsense") == []
+
+
+@pytest.mark.parametrize(
+    ("find", "field", "sentence"),
+    [
+        (registry.driving_function, "driving_function", "there is no driving function 'nonsense'; installed: .*frenet"),
+        (registry.vehicle, "vehicle.model", "there is no vehicle model 'nonsense'; installed: .*single_track"),
+        (registry.evaluator, "evaluator", "there is no evaluator 'nonsense'; installed: .*reference"),
+        (registry.optimizer, "optimizer.kind", "there is no optimizer 'nonsense'; installed: .*genetic, .*random"),
+        (registry.catalogue, "catalogue", "there is no scenario catalogue 'nonsense'; installed: .*highway"),
+    ],
+)
+def test_an_unknown_name_is_refused_with_the_installed_ones(find: Callable[[str], object], field: str, sentence: str) -> None:
+    with pytest.raises(InvalidInputError, match=sentence) as refused:
+        find("nonsense")
+    assert [problem.field for problem in refused.value.problems] == [field]
+
+
+def test_the_field_that_is_blamed_can_be_chosen() -> None:
+    with pytest.raises(InvalidInputError, match=r"body\.optimizer\.kind: there is no optimizer"):
+        registry.optimizer("nonsense", "body.optimizer.kind")
+
+
+def test_a_plugin_of_another_package_is_found(tmp_path: Path) -> None:
+    """A package as a user would install it: a module and its entry point, nothing of ours changed."""
+    (tmp_path / "their_catalogue.py").write_text("class Theirs:\n    name = 'theirs'\n    scenarios = {}\nPLUGIN = Theirs()\n")
+    metadata = tmp_path / "theirs-1.0.dist-info"
+    metadata.mkdir()
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: theirs\nVersion: 1.0\n")
+    (metadata / "entry_points.txt").write_text("[drivecal.scenarios]\ntheirs = their_catalogue:PLUGIN\n")
+    program = (
+        "from drivecal.plugins import registry; print(registry.catalogue('theirs').name, registry.names('drivecal.scenarios'))"
+    )
+    environment = os.environ | {"PYTHONPATH": str(tmp_path)}
+    found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, env=environment)
+    assert found.stdout.strip() == "theirs ['highway', 'theirs']"
