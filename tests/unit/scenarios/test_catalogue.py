@@ -71,11 +71,12 @@ def test_the_limit_rises_in_s5_and_the_desired_speed_falls_before_the_curve_in_s
     assert drop.s < sharp[0]
 
 
-def test_each_speed_limit_is_an_edge() -> None:
-    assert [(begin, end) for begin, end, _ in edge_ranges(HIGHWAY.scenarios["S5"].road)] == [
-        (0.0, HIGHWAY.scenarios["S5"].road.limits[1].s),
-        (HIGHWAY.scenarios["S5"].road.limits[1].s, HIGHWAY.scenarios["S5"].road.length),
-    ]
+@pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda scenario: scenario.id)
+def test_edges_cover_the_road_and_change_at_every_speed_limit(scenario: Scenario) -> None:
+    ranges = edge_ranges(scenario.road, reference_line(scenario.road))
+    assert [begin for begin, _, _ in ranges] == [0.0, *(end for _, end, _ in ranges[:-1])]
+    assert ranges[-1][1] == scenario.road.length
+    assert {(knot.s, knot.speed) for knot in scenario.road.limits} <= {(begin, speed) for begin, _, speed in ranges}
 
 
 def test_the_digest_follows_definition_and_network() -> None:

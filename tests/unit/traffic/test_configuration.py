@@ -7,8 +7,9 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
+from drivecal.domain.errors import InvalidInputError
 from drivecal.scenarios.plugin import HIGHWAY
-from drivecal.traffic.configuration import drift_offsets, options, routes
+from drivecal.traffic.configuration import drift_offsets, edges, options, routes
 
 S3 = HIGHWAY.scenarios["S3"]
 
@@ -23,10 +24,32 @@ def test_every_vehicle_has_a_type_without_randomness() -> None:
     assert float(types[vehicle.id]["maxSpeed"]) == vehicle.desired_speed
 
 
-def test_the_route_covers_every_edge() -> None:
-    route = ET.fromstring(routes(HIGHWAY.scenarios["S5"])).find("route")
+@pytest.mark.parametrize("name", ["S4", "S5", "S6"])
+def test_the_route_covers_every_edge_in_the_direction_of_travel(name: str) -> None:
+    scenario = HIGHWAY.scenarios[name]
+    route = ET.fromstring(routes(scenario)).find("route")
     assert route is not None
-    assert route.attrib["edges"].split() == ["e0", "e1"]
+    named = route.attrib["edges"].split()
+    assert len(named) > 1
+    assert named == [f"e{index}" for index in range(len(named))]
+    assert sorted(named) == sorted(edge.attrib["id"] for edge in ET.fromstring(scenario.network).iter("edge"))
+
+
+@pytest.mark.parametrize(
+    ("network", "message"),
+    [
+        (b"", "no XML"),
+        (b"<net>", "no XML"),
+        (b"<net/>", "one carriageway"),
+        (b'<net><edge id="a" from="1" to="2"/></net>', "edge a has not 3 lanes"),
+        (b'<net><edge id="a" from="1" to="1"/></net>', "one carriageway"),
+        (S3.network.replace(b"</net>", b'<edge id="other" from="x" to="y"/></net>'), "one carriageway|lanes"),
+        (S3.network[: len(S3.network) // 2], "no XML"),
+    ],
+)
+def test_a_network_that_is_no_carriageway_is_refused(network: bytes, message: str) -> None:
+    with pytest.raises(InvalidInputError, match=message):
+        edges(network, S3.road.lanes)
 
 
 def test_hostile_names_are_escaped() -> None:

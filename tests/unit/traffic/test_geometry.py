@@ -92,7 +92,7 @@ def test_a_front_on_a_curve_becomes_a_centre_behind_it() -> None:
     x, y, _ = to_cartesian(LINE, s, d)
     neighbours = np.array([[s - 6.0, d - 0.1, 0.0, 0.0, length, 2.5]])
     outlines = np.zeros((1, 5))
-    locate(LINE, np.array([[x, y, 25.0]]), neighbours, outlines, 0.1)
+    locate(LINE, np.array([[x, y, 25.0, d]]), neighbours, outlines, 0.1)
     centre_s, centre_d, speed, sideways = neighbours[0, :4]
     assert centre_d == pytest.approx(d)
     assert sideways == pytest.approx(1.0)
@@ -104,5 +104,5 @@ def test_a_front_on_a_curve_becomes_a_centre_behind_it() -> None:
 
 def test_nothing_moves_sideways_when_there_is_no_earlier_state() -> None:
     neighbours = np.array([[100.0, 1.0, 0.0, 0.0, 5.0, 2.0]])
-    locate(LINE, np.array([[102.5, 0.0, 20.0]]), neighbours, np.zeros((1, 5)), 0.0)
+    locate(LINE, np.array([[102.5, 0.0, 20.0, 0.0]]), neighbours, np.zeros((1, 5)), 0.0)
     assert neighbours[0, 3] == 0.0

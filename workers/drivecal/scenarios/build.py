@@ -13,6 +13,7 @@ import sys
 import sysconfig
 import tempfile
 from collections.abc import Iterator
+from itertools import pairwise
 from math import ceil
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, tostring
@@ -23,22 +24,30 @@ from drivecal.domain.scenarios import Road
 from drivecal.scenarios.definitions import DEFINITIONS
 from drivecal.scenarios.plugin import network_name
 
-POINT_SPACING = 5.0
-"""Metres between points of an edge: on a radius of 450 m the chord stays within 7 mm of the arc."""
+POINT_SPACING = 20.0
+"""Metres between points of an edge that bends: on a radius of 900 m the chord stays within 6 cm of the arc."""
+LONGEST_BENT_EDGE = 300.0
+"""Metres. SUMO searches all points of nearby edges each time the ego vehicle is placed; shorter edges cost at their joints."""
 DECIMALS = 4
 NETWORKS = Path(__file__).parent / "networks"
 
 
-def edge_ranges(road: Road) -> list[tuple[float, float, float]]:
-    """(begin, end, speed limit) of each edge: one per speed limit; m and m/s."""
+def edge_ranges(road: Road, line: Floats) -> list[tuple[float, float, float]]:
+    """(begin, end, speed limit) of each edge, m and m/s: one per speed limit, several where the road bends."""
+    ranges = []
     ends = [knot.s for knot in road.limits[1:]] + [road.length]
-    return [(knot.s, end, knot.speed) for knot, end in zip(road.limits, ends, strict=True)]
+    for knot, end in zip(road.limits, ends, strict=True):
+        bent = line[(line[:, 0] >= knot.s) & (line[:, 0] <= end), 4].any()
+        parts = ceil((end - knot.s) / LONGEST_BENT_EDGE) if bent else 1
+        borders = [knot.s + (end - knot.s) * part / parts for part in range(parts + 1)]
+        ranges += [(first, second, knot.speed) for first, second in pairwise(borders)]
+    return ranges
 
 
 def plain_nodes(road: Road, line: Floats) -> Element:
     """netconvert's nodes: where edges begin and end, on the left border of the carriageway."""
     nodes = Element("nodes")
-    for index, s in enumerate([begin for begin, _, _ in edge_ranges(road)] + [road.length]):
+    for index, s in enumerate([begin for begin, _, _ in edge_ranges(road, line)] + [road.length]):
         x, y, _ = to_cartesian(line, s, road.left_edge)
         SubElement(nodes, "node", id=f"n{index}", x=f"{x:.{DECIMALS}f}", y=f"{y:.{DECIMALS}f}")
     return nodes
@@ -47,7 +56,7 @@ def plain_nodes(road: Road, line: Floats) -> Element:
 def plain_edges(road: Road, line: Floats) -> Element:
     """netconvert's edges. An edge's shape is the left border of its lanes."""
     edges = Element("edges")
-    for index, (begin, end, speed) in enumerate(edge_ranges(road)):
+    for index, (begin, end, speed) in enumerate(edge_ranges(road, line)):
         points = (to_cartesian(line, s, road.left_edge)[:2] for s in stations(line, begin, end))
         SubElement(
             edges,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 from xml.etree.ElementTree import Element, ParseError, SubElement, fromstring, tostring
 
+from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.scenarios import Scenario, TrafficVehicle
 
 EGO = "ego"
@@ -12,26 +13,40 @@ EGO = "ego"
 ROUTE = "road"
 
 
-def edge_names(scenario: Scenario) -> list[str]:
-    """The edges of a scenario's network, in the direction of travel: one per speed limit."""
-    return [f"e{index}" for index in range(len(scenario.road.limits))]
+def edges(network: bytes, lanes: int) -> list[str]:
+    """The names of a network's edges in the direction of travel; they must form one carriageway with `lanes` lanes.
 
-
-def missing_edges(scenario: Scenario) -> list[str]:
-    """The edges that the scenario's network lacks; all of them where it is no network: SUMO itself can crash on a damaged one."""
-    names = edge_names(scenario)
+    Raises InvalidInputError where they do not: SUMO itself can crash on a damaged network.
+    """
     try:
-        root = fromstring(scenario.network)  # noqa: S314  # expat expands no external entities, its own limits stop the rest
-    except ParseError:
-        return names
-    present = {edge.get("id") for edge in root.iter("edge") if len(edge.findall("lane")) == scenario.road.lanes}
-    return [name for name in names if name not in present]
+        root = fromstring(network)  # noqa: S314  # expat expands no external entities, its own limits stop the rest
+    except ParseError as error:
+        raise _refused(f"it is no XML ({error})") from error
+    by_start = {edge.get("from"): edge for edge in root.iter("edge") if edge.get("function") is None}
+    here = next(iter(set(by_start) - {edge.get("to") for edge in by_start.values()}), None)
+    names = []
+    while here in by_start:
+        edge = by_start.pop(here)
+        names.append(edge.get("id", ""))
+        here = edge.get("to")
+        if len(edge.findall("lane")) != lanes:
+            raise _refused(f"edge {names[-1]} has not {lanes} lanes")
+    if by_start or not names:
+        raise _refused("its edges do not form one carriageway")
+    return names
+
+
+def _refused(why: str) -> InvalidInputError:
+    return InvalidInputError(Problem("network", why, "build it from the scenario's road"))
 
 
 def routes(scenario: Scenario) -> bytes:
-    """The route file: one route over the whole road, one vehicle type per vehicle, no vehicles (they are added for each run)."""
+    """The route file: one route over the whole road, one vehicle type per vehicle, no vehicles (they are added for each run).
+
+    Raises InvalidInputError as `edges`.
+    """
     root = Element("routes")
-    SubElement(root, "route", id=ROUTE, edges=" ".join(edge_names(scenario)))
+    SubElement(root, "route", id=ROUTE, edges=" ".join(edges(scenario.network, scenario.road.lanes)))
     for vehicle in scenario.traffic:
         SubElement(root, "vType", _type(vehicle))
     SubElement(root, "vType", {"id": EGO, "length": repr(scenario.ego.length), "width": repr(scenario.ego.width), **EXACT})

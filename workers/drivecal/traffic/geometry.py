@@ -58,24 +58,28 @@ def foot(line: Floats, x: float, y: float, near: float) -> tuple[float, float, f
 def locate(line: Floats, raw: Floats, neighbours: Floats, outlines: Floats, step: float) -> None:
     """Turns SUMO's answers into Frenet states and outlines, in place.
 
-    `raw`: (x, y, speed) of each vehicle's front, shape (n, 3). `neighbours`: (s, d, s', d', length, width) of its centre,
-    shape (n, 6), holding the values of `step` seconds ago; a `step` of 0 means that there are none. `outlines`: (x, y, heading,
-    half length, half width), shape (n, 5).
+    `raw`: (x, y) of each vehicle's front, its speed and its offset d, shape (n, 4): SUMO's lanes are chords of the curves, so d would
+    be rough if it were taken from x and y. `neighbours`: (s, d, s', d', length, width) of its centre, shape (n, 6), holding the
+    values of `step` seconds ago; a `step` of 0 means that there are none. `outlines`: (x, y, heading, half length, half width),
+    shape (n, 5).
     """
     for i in range(len(raw)):
-        length = neighbours[i, 4]
-        near = neighbours[i, 0] + 0.5 * length + neighbours[i, 2] * step
-        s, d, heading, curvature, _ = foot(line, raw[i, 0], raw[i, 1], near)
+        half_length = 0.5 * neighbours[i, 4]
+        near = neighbours[i, 0] + half_length + neighbours[i, 2] * step
+        s, chord_d, heading, curvature, _ = foot(line, raw[i, 0], raw[i, 1], near)
+        d = raw[i, 3]
         stretch = 1.0 - curvature * d
         neighbours[i, 3] = (d - neighbours[i, 1]) / step if step > 0.0 else 0.0
-        neighbours[i, 0] = s - 0.5 * length / stretch
+        neighbours[i, 0] = s - half_length / stretch
         neighbours[i, 1] = d
         neighbours[i, 2] = raw[i, 2] / stretch
-        heading -= 0.5 * length * curvature / stretch
-        outlines[i, 0] = raw[i, 0] - 0.5 * length * cos(heading)
-        outlines[i, 1] = raw[i, 1] - 0.5 * length * sin(heading)
+        front_x = raw[i, 0] - (d - chord_d) * sin(heading)
+        front_y = raw[i, 1] + (d - chord_d) * cos(heading)
+        heading -= half_length * curvature / stretch
+        outlines[i, 0] = front_x - half_length * cos(heading)
+        outlines[i, 1] = front_y - half_length * sin(heading)
         outlines[i, 2] = heading
-        outlines[i, 3] = 0.5 * length
+        outlines[i, 3] = half_length
         outlines[i, 4] = 0.5 * neighbours[i, 5]
 
 

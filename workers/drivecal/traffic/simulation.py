@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-from drivecal.domain.errors import DrivecalError, UnavailableError
+from drivecal.domain.errors import DrivecalError, InvalidInputError, UnavailableError
 from drivecal.domain.roads import Floats, reference_line, to_cartesian
 from drivecal.domain.scenarios import Scenario
-from drivecal.traffic.configuration import EGO, ROUTE, drift_offsets, missing_edges, options, routes
+from drivecal.traffic.configuration import EGO, ROUTE, drift_offsets, options, routes
 from drivecal.traffic.geometry import locate
 
 try:
@@ -29,6 +29,8 @@ PLACE_TOLERANCE = 0.5
 """Metres from where a vehicle should start to the nearest place on a lane."""
 MAPPED_ANYWHERE = 2
 """moveToXY's `keepRoute`: put the vehicle at exactly these coordinates."""
+MAPPED_WITHIN = 10.0
+"""moveToXY's `matchThreshold`, m: how far SUMO looks for the lane."""
 
 
 class SimulationError(DrivecalError):
@@ -48,9 +50,11 @@ class Simulation:
         self._line: Floats = np.zeros((0, 5))
         self._places: list[tuple[str, str, float, float]] = []
         """Id, lane, position of the front along it (m) and speed (m/s) at the start; the ego vehicle comes last."""
-        self._drifts: list[tuple[str, list[float]]] = []
+        self._drifts: list[tuple[int, str, list[float]]] = []
+        """Row, id and offset from the lane's centre (m) after each step, of the vehicles that drift."""
         self._start: Floats = np.zeros((0, 6))
-        self._raw: Floats = np.zeros((0, 3))
+        self._lanes: Floats = np.zeros(0)
+        self._raw: Floats = np.zeros((0, 4))
         self.neighbours: Floats = np.zeros((0, 6))
         self.outlines: Floats = np.zeros((0, 5))
 
@@ -62,14 +66,13 @@ class Simulation:
         if scenario is self._scenario:
             return
         self._scenario = None
-        if missing := missing_edges(scenario):
-            raise SimulationError(
-                f"the network of scenario {scenario.id} has no edge {missing[0]} with {scenario.road.lanes} lanes; build it anew"
-            )
         with tempfile.TemporaryDirectory() as folder:
             network, route_file = Path(folder) / "road.net.xml", Path(folder) / "road.rou.xml"
             network.write_bytes(scenario.network)
-            route_file.write_bytes(routes(scenario))
+            try:
+                route_file.write_bytes(routes(scenario))
+            except InvalidInputError as error:
+                raise SimulationError(f"scenario {scenario.id}: {error}") from error
             arguments = options(scenario, str(network), str(route_file))
             try:
                 if libsumo.isLoaded():
@@ -81,7 +84,8 @@ class Simulation:
         width, ego, traffic = scenario.road.lane_width, scenario.ego, scenario.traffic
         self._step = scenario.step
         self._line = reference_line(scenario.road)
-        self._drifts = [(vehicle.id, drift_offsets(vehicle, scenario)) for vehicle in traffic if vehicle.drift]
+        drifting = [(row, vehicle) for row, vehicle in enumerate(traffic) if vehicle.drift]
+        self._drifts = [(row, vehicle.id, drift_offsets(vehicle, scenario)) for row, vehicle in drifting]
         fronts = [(vehicle.id, vehicle.s + 0.5 * vehicle.length, vehicle.lane * width, vehicle.speed) for vehicle in traffic]
         fronts.append((EGO, ego.s + 0.5 * ego.length, scenario.task.start_lane * width, ego.speed))
         try:
@@ -90,7 +94,8 @@ class Simulation:
             raise SimulationError(f"the network of scenario {scenario.id} does not hold its vehicles: {error}") from error
         rows = [(vehicle.s, vehicle.lane * width, 0.0, 0.0, vehicle.length, vehicle.width) for vehicle in traffic]
         self._start = np.array(rows, dtype=np.float64).reshape(-1, 6)
-        self._raw = np.zeros((len(rows), 3))
+        self._lanes = self._start[:, 1].copy()
+        self._raw = np.zeros((len(rows), 4))
         self.neighbours = self._start.copy()
         self.outlines = np.zeros((len(rows), 5))
         self._scenario = scenario
@@ -134,19 +139,23 @@ class Simulation:
         """
         vehicle = libsumo.vehicle
         try:
-            for name, offsets in self._drifts:
+            for _, name, offsets in self._drifts:
                 vehicle.setLateralLanePosition(name, offsets[index])
-            vehicle.moveToXY(EGO, "", -1, x, y, 90.0 - degrees(heading), MAPPED_ANYWHERE)
+            vehicle.moveToXY(EGO, "", -1, x, y, 90.0 - degrees(heading), MAPPED_ANYWHERE, MAPPED_WITHIN)
             libsumo.simulationStep()
             self._read(self._step)
         except SUMO_ERRORS as error:
             raise SimulationError(f"SUMO lost a vehicle at step {index}: {error}") from error
 
     def _read(self, since: float) -> None:
-        position, speed, raw = libsumo.vehicle.getPosition, libsumo.vehicle.getSpeed, self._raw
+        vehicle, raw = libsumo.vehicle, self._raw
+        position, speed = vehicle.getPosition, vehicle.getSpeed
         for row, (name, *_) in enumerate(self._places[:-1]):
             raw[row, 0], raw[row, 1] = position(name)
             raw[row, 2] = speed(name)
+        raw[:, 3] = self._lanes  # nobody but the ego vehicle changes lane: `reset` switches that off
+        for row, name, _ in self._drifts:
+            raw[row, 3] += vehicle.getLateralLanePosition(name)
         locate(self._line, raw, self.neighbours, self.outlines, since)
 
 
