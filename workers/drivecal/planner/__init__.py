@@ -1,0 +1,1 @@
+"""The driving function to calibrate: a sampling planner in the Frenet frame."""

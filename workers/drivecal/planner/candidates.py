@@ -1,0 +1,73 @@
+"""The candidate set: where lateral and longitudinal plans end, and the desired speed along the road. Independent of any parameter.
+
+Every lateral plan is combined with every longitudinal one: 32 x 8 = 256 candidates.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from drivecal.domain.scenarios import Task
+from drivecal.planner.cost import COMFORTABLE_DECELERATION
+
+Floats = npt.NDArray[np.float64]
+
+LATERAL_HORIZONS = (7.5, 5.5, 4.0, 2.5)
+"""s: from a leisurely lane change (0.4 m/s² at 7.5 s) to a swerve (3.5 m/s²)."""
+CENTRE_HORIZONS = (6.5, 3.2, 2.0)
+"""s: more of them for the centre of the wanted lane."""
+OFFSETS = (0.0, 0.2, -0.2, 0.5, -0.5)
+"""m from the centre of the wanted lane."""
+KEEPING_OFFSETS = (0.9, -0.9)
+"""m: evasive offsets where there is no other lane in the task."""
+PREPARING_OFFSET = 0.4
+"""m from the centre of the other lane of the task towards the wanted one."""
+
+LONGITUDINAL_ENDS = (
+    (4.5, 0.0),
+    (7.5, 0.0),
+    (2.5, 0.0),
+    (7.5, -2.0),
+    (7.5, -5.0),
+    (4.5, 1.5),
+    (4.5, -4.0),
+    (2.5, -8.0),
+)
+"""(horizon in s, end speed relative to the desired speed in m/s): reach it quickly or calmly, go part of the way, overshoot to
+escape a follower, slow down behind a vehicle, brake hard (5 m/s²)."""
+
+
+def lateral_ends(lane_width: float, wanted_lane: int, other_lane: int) -> Floats:
+    """Ends of the lateral plans, shape (2, 32): rows offset d (m) and horizon (s).
+
+    The last column is a copy of the first; the kernel puts the rest of the plan before there, so that going on unchanged is always
+    among the candidates. `other_lane` is the task's lane that is not wanted now (equal to `wanted_lane` in lane keeping).
+    """
+    wanted, other = wanted_lane * lane_width, other_lane * lane_width
+    if other_lane == wanted_lane:
+        further = [wanted + offset for offset in KEEPING_OFFSETS]
+    else:
+        further = [other, other + (PREPARING_OFFSET if wanted > other else -PREPARING_OFFSET)]
+    offsets = [wanted + offset for offset in OFFSETS] + further
+    ends = [(offset, horizon) for offset in offsets for horizon in LATERAL_HORIZONS]
+    ends += [(wanted, horizon) for horizon in CENTRE_HORIZONS]
+    return np.ascontiguousarray(np.array([*ends, ends[0]]).T)
+
+
+def longitudinal_ends() -> Floats:
+    """Ends of the longitudinal plans, shape (2, 8): rows end speed relative to the desired speed (m/s) and horizon (s)."""
+    return np.array([[offset for _, offset in LONGITUDINAL_ENDS], [horizon for horizon, _ in LONGITUDINAL_ENDS]])
+
+
+def desired_speeds(task: Task, s: Floats) -> Floats:
+    """The desired speed (m/s) at arc lengths `s` (uniform, shape (n,)): the task's, lowered ahead of a lower one such that
+    `COMFORTABLE_DECELERATION` suffices. A higher one holds from its knot on. Before the first knot its speed holds already."""
+    knots = np.array([knot.s for knot in task.speeds])
+    speeds = np.array([knot.speed for knot in task.speeds])
+    in_force = np.maximum(np.searchsorted(knots, s, side="right") - 1, 0)
+    reachable = speeds[in_force] ** 2
+    ahead = 2.0 * COMFORTABLE_DECELERATION * (s[-1] - s)
+    # v²(s) <= v²(s') + 2 a (s' - s) for every s' ahead: a running minimum from the end of v² - 2 a (end - s).
+    squared: Floats = np.minimum.accumulate((reachable - ahead)[::-1])[::-1] + ahead
+    return np.sqrt(squared)

@@ -1,0 +1,68 @@
+"""The magnitudes of the cost: everything there is to tune about the planner is here, and nothing here is a calibration parameter.
+
+J = base + sum of weight x feature over the terms P1..P11. A feature is a raw quantity divided by its `typical` magnitude, a weight
+is the parameter divided by the `middle` of its range (P1: decibels), so that a typical situation at mid-range costs 1 per term.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Term:
+    """One calibrated term: the raw magnitude at which its feature is 1 and the parameter value at which its weight is 1."""
+
+    name: str
+    typical: float
+    unit: str
+    middle: float
+    quantity: str
+
+
+TERMS = (
+    Term("P1", 0.4, "m²/s⁶", 0.0, "mean square of lateral plus longitudinal jerk"),  # a lane change in 5 s has 0.43
+    Term("P2", 0.5, "m²/s⁴", 1.0, "mean square of lateral acceleration, the curve's v²κ included"),  # 0.26 in 5 s
+    Term("P3", 0.2, "1", 100.0, "mean of e²/(1 + e²), e = offset (m) to the nearest lane centre"),  # 0.2: half a metre off
+    Term("P4", 6e-4, "rad²", 1000.0, "mean square of the heading relative to the road"),  # a lane change in 5 s at 30 m/s
+    Term("P5", 0.03, "m²", 750.0, "mean square of the distance to the lateral plan before, saturating at half a metre"),
+    Term("P6", 3.0, "s", 0.5, "time until the target lane is reached"),  # about 0.6 of a lane change in 5 s
+    Term("P7", 0.3, "1", 100.0, "mean shortfall of an ellipse of clear space around other vehicles"),  # passing side by side
+    Term("P8", 0.04, "1/s²", 1000.0, "largest 1/TTC² to a vehicle ahead"),  # 5 s to collision
+    Term("P9", 0.5, "1", 5.0, "mean of (shortfall of clear space to the lane boundary / 0.5 m)²"),  # 0.35 m too near
+    Term("P10", 0.05, "1/s²", 10.0, "mean of (lateral closing speed / lateral gap)² to neighbours alongside"),
+    Term("P11", 0.04, "1/s²", 100.0, "largest 1/TTC² of a follower in the target lane"),  # 5 s to collision
+)
+
+SPEED_ERROR = 0.5
+"""Base cost per (m/s)² of mean square speed error: 3 m/s too slow weigh as much as a typical term at mid-range."""
+TERMINAL_OFFSET = 3.0
+"""Base cost of a plan that ends 1 m (times 2) beside the target lane's centre; grows linearly beyond a metre: about 9 for a lane."""
+ACCELERATION = 0.2
+"""Base cost per (m/s²)² of mean square longitudinal acceleration: breaks ties towards calm speed changes."""
+COLLISION = 3000.0
+"""Base cost of touching another vehicle all along the horizon; one of thirty samples costs 100, more than all terms together."""
+
+COMFORTABLE_DECELERATION = 0.7
+"""m/s², of the desired speed ahead of a lower limit: within what ISO 11270 and drivers call comfortable."""
+
+N_WEIGHTS = len(TERMS) + 1
+
+
+def weights(parameters: Sequence[float]) -> Floats:
+    """The weights of base and terms, shape (12,), from the values of P1..P11: 1, 10^(P1/10), then P / middle."""
+    smoothing, *others = parameters
+    linear = [value / term.middle for value, term in zip(others, TERMS[1:], strict=True)]
+    return np.array([1.0, 10.0 ** (smoothing / 10.0), *linear])
+
+
+def scales() -> Floats:
+    """What the kernel multiplies raw quantities by, shape (16,): [0] unused, [1..11] 1 / typical of the terms, [12] speed error,
+    [13] terminal offset, [14] acceleration, [15] collision."""
+    return np.array([0.0, *(1.0 / term.typical for term in TERMS), SPEED_ERROR, TERMINAL_OFFSET, ACCELERATION, COLLISION])

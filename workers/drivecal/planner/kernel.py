@@ -1,0 +1,481 @@
+"""The planner's arithmetic, compiled. All of it in one module, because numba's cache notices edits of this file only.
+
+One fixed order of summation, no fast-math, ties to the lowest index: equal input gives equal bits, in planning and in re-evaluating
+a stored planning state. Lateral and longitudinal plans are sampled once each; a candidate is a pair of them, numbered
+longitudinal index * n_lateral + lateral index. Inner loops run over lateral plans, side by side in memory, so that they vectorise.
+
+Arrays (float64, SI units, C order):
+road (n, 6): s, x, y, heading, curvature (as from `domain.roads.reference_line`), desired speed
+scene (8,): wanted lane's centre, lane width, last lane, half length and half width of the ego vehicle, lowest and highest allowed d,
+    time step of the trajectory
+scales (16,): see `cost.scales`
+lateral_ends (2, n_lateral), longitudinal_ends (2, n_longitudinal): see `candidates`
+start, ego (6,): s, s', s'', d, d', d''; neighbours (m, 6): see `ports.Observation`
+quintics (8, n_lateral): six coefficients of d(t), end offset, horizon; quartics (7, n_longitudinal): five of s(t), end speed, horizon
+memory (16,): 1 where there is a plan before, its quintic, its quartic
+lateral (6, n_lateral), longitudinal (2, n_longitudinal), combined (7, n_longitudinal, n_lateral): features, rows named below
+"""
+
+from __future__ import annotations
+
+from math import atan2, cos, hypot, sin
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+POINTS = 30
+INTERVAL = 0.25
+"""Seconds between the points at which candidates are judged, in the middle of thirty intervals: a horizon of 7.5 s."""
+
+FEATURE_GRID = 4096.0
+"""Features are multiples of 1 / 4096, exact in binary. Differences below that cannot be felt, and without them rounding errors would
+decide between plans that are the same: such plans tie, and the tie goes to the same candidate whatever the weights."""
+
+LATERAL_BASE, LATERAL_JERK, CENTRE, CONSISTENCY, ARRIVAL, BOUNDARY = range(6)
+"""Rows of `lateral`: terminal offset (base), P1, P3, P5, P6, P9."""
+LONGITUDINAL_BASE, LONGITUDINAL_JERK = range(2)
+"""Rows of `longitudinal`: speed error and acceleration (base), P1."""
+COLLISION, LATERAL_ACCELERATION, HEADING, CLEARANCE, LEADER, CLOSING, FOLLOWER = range(7)
+"""Rows of `combined`: collision (base), P2, P4, P7, P8, P10, P11."""
+
+# A plan starts from the plan before where the vehicle is within these of it (m, m/s): feedback of every small deviation would make
+# the plan, and with it the ride, as rough as the tracking. Farther away it starts from what was measured.
+LARGEST_DEVIATIONS = (1.5, 1.0, 0.4, 0.5)
+SHORTEST_REST = 0.3
+"""s: what is left of a lateral plan below this is not offered as a candidate of its own."""
+
+CLEAR_SIDE = 2.0
+CLEAR_TIME = 1.0
+SHORTEST_CLEARANCE = 5.0
+"""P7: half axes of the ellipse of clear space around a vehicle, between the bodies: 2 m, one second (at least 5 m)."""
+ARRIVED, NOT_ARRIVED = 0.6, 1.2
+"""P6: m beside the target lane's centre; the time between counts in part, so that the feature is continuous."""
+BOUNDARY_SPACE = 0.5
+"""P9: m between the vehicle's side and the lane boundary."""
+LARGEST_CHANGE = 0.5
+"""P5: m, differences to the plan before saturate around this: another decision is another decision, however far it leads."""
+ALONGSIDE_TIME = 0.5
+SMALLEST_SIDE_GAP = 0.5
+"""P10: vehicles within 0.5 s before and behind are alongside, fading out; m, closer gaps count as this."""
+IN_PATH_FADE = 0.6
+SMALLEST_GAP = 1.0
+LARGEST_URGENCY = 1.0
+"""P8, P11: m beside touching at which a vehicle is no longer in the way; m, shorter gaps count as this; 1/s², TTC below 1 s."""
+DRIFT_TIME = 1.0
+"""s: time constant with which a neighbour's lateral speed is expected to die out; along the road it goes on as it is."""
+SLOWEST = 1.0
+"""m/s: for divisions by speed."""
+
+LARGEST_CURVATURE = 0.1
+LARGEST_SIDE_ACCELERATION = 5.0
+LARGEST_BRAKING, LARGEST_THRUST = 6.0, 4.0
+"""1/m and m/s²: beyond them a candidate is infeasible."""
+
+
+@njit(cache=True)
+def road_at(road: Any, s: float) -> tuple[float, float, float, float, float]:
+    """x, y, heading, curvature and its change by s of the reference line: `domain.roads.pose_on`, operation by operation."""
+    spacing = road[1, 0]
+    last = len(road) - 1
+    if s < 0.0 or s > last * spacing:
+        row, ahead = (0, s) if s < 0.0 else (last, s - last * spacing)
+        heading = road[row, 3]
+        return road[row, 1] + ahead * cos(heading), road[row, 2] + ahead * sin(heading), heading, 0.0, 0.0
+    row = min(int(s / spacing), last - 1)
+    heading0, heading1, curvature0 = road[row, 3], road[row + 1, 3], road[row, 4]
+    u = s - road[row, 0]
+    bend = (road[row + 1, 4] - curvature0) / spacing
+    w = u / spacing
+    from_start, from_end = w * (1.0 - w) ** 2 * spacing, w * w * (w - 1.0) * spacing
+    blend = w * w * (3.0 - 2.0 * w)
+    x = road[row, 1] + blend * (road[row + 1, 1] - road[row, 1]) + from_start * cos(heading0) + from_end * cos(heading1)
+    y = road[row, 2] + blend * (road[row + 1, 2] - road[row, 2]) + from_start * sin(heading0) + from_end * sin(heading1)
+    return x, y, heading0 + u * (curvature0 + 0.5 * bend * u), curvature0 + bend * u, bend
+
+
+@njit(cache=True)
+def road_ahead(road: Any, s: float) -> tuple[float, float]:
+    """Curvature and desired speed at s."""
+    spacing = road[1, 0]
+    last = len(road) - 1
+    if s < 0.0 or s > last * spacing:
+        return 0.0, road[0 if s < 0.0 else last, 5]
+    row = min(int(s / spacing), last - 1)
+    w = s / spacing - row
+    return road[row, 4] + w * (road[row + 1, 4] - road[row, 4]), road[row, 5] + w * (road[row + 1, 5] - road[row, 5])
+
+
+@njit(cache=True)
+def lateral_at(quintics: Any, i: int, t: float) -> tuple[float, float, float]:
+    """d, d', d'' of lateral plan i at time t; it stays at its end."""
+    if t >= quintics[7, i]:
+        return quintics[6, i], 0.0, 0.0
+    c0, c1, c2, c3, c4, c5 = (
+        quintics[0, i], quintics[1, i], quintics[2, i], quintics[3, i], quintics[4, i], quintics[5, i],
+    )  # fmt: skip
+    d = c0 + t * (c1 + t * (c2 + t * (c3 + t * (c4 + t * c5))))
+    d1 = c1 + t * (2.0 * c2 + t * (3.0 * c3 + t * (4.0 * c4 + t * 5.0 * c5)))
+    return d, d1, 2.0 * c2 + t * (6.0 * c3 + t * (12.0 * c4 + t * 20.0 * c5))
+
+
+@njit(cache=True)
+def longitudinal_at(quartics: Any, j: int, t: float) -> tuple[float, float, float, float]:
+    """s, s', s'', s''' of longitudinal plan j at time t; it keeps its end speed."""
+    end = quartics[6, j]
+    beyond = max(t - end, 0.0)
+    t = min(t, end)
+    c0, c1, c2, c3, c4 = quartics[0, j], quartics[1, j], quartics[2, j], quartics[3, j], quartics[4, j]
+    s = c0 + t * (c1 + t * (c2 + t * (c3 + t * c4)))
+    if beyond > 0.0:
+        return s + beyond * quartics[5, j], quartics[5, j], 0.0, 0.0
+    s1 = c1 + t * (2.0 * c2 + t * (3.0 * c3 + t * 4.0 * c4))
+    return s, s1, 2.0 * c2 + t * (6.0 * c3 + t * 12.0 * c4), 6.0 * c3 + t * 24.0 * c4
+
+
+@njit(cache=True)
+def fit_quintic(quintics: Any, i: int, d: float, d1: float, d2: float, end: float, horizon: float) -> None:
+    """Plan i: from (d, d', d'') to (end, 0, 0) in `horizon` seconds with the least jerk."""
+    rest = end - (d + horizon * (d1 + 0.5 * horizon * d2))
+    speed = -(d1 + horizon * d2)
+    t = horizon
+    quintics[0, i], quintics[1, i], quintics[2, i] = d, d1, 0.5 * d2
+    quintics[3, i] = (10.0 * rest - t * (4.0 * speed + 0.5 * t * d2)) / (t * t * t)
+    quintics[4, i] = (-15.0 * rest + t * (7.0 * speed + t * d2)) / (t * t * t * t)
+    quintics[5, i] = (6.0 * rest - t * (3.0 * speed + 0.5 * t * d2)) / (t * t * t * t * t)
+    quintics[6, i], quintics[7, i] = end, horizon
+
+
+@njit(cache=True)
+def fit_quartic(quartics: Any, j: int, s: float, s1: float, s2: float, speed: float, horizon: float) -> None:
+    """Plan j: from (s, s', s'') to the end speed without acceleration in `horizon` seconds with the least jerk."""
+    rest = speed - s1 - horizon * s2
+    quartics[0, j], quartics[1, j], quartics[2, j] = s, s1, 0.5 * s2
+    quartics[3, j] = (3.0 * rest + horizon * s2) / (3.0 * horizon * horizon)
+    quartics[4, j] = -(2.0 * rest + horizon * s2) / (4.0 * horizon * horizon * horizon)
+    quartics[5, j], quartics[6, j] = speed, horizon
+
+
+@njit(cache=True)
+def start_of(ego: Any, memory: Any, elapsed: float, start: Any) -> bool:
+    """Writes where the plan starts: on the plan before where the vehicle is close to it (True), else as measured."""
+    start[:] = ego
+    if memory[0] == 0.0:
+        return False
+    d, d1, d2 = lateral_at(memory[1:9].reshape(8, 1), 0, elapsed)
+    s, s1, s2, _ = longitudinal_at(memory[9:16].reshape(7, 1), 0, elapsed)
+    if (
+        abs(ego[0] - s) > LARGEST_DEVIATIONS[0]
+        or abs(ego[1] - s1) > LARGEST_DEVIATIONS[1]
+        or abs(ego[3] - d) > LARGEST_DEVIATIONS[2]
+        or abs(ego[4] - d1) > LARGEST_DEVIATIONS[3]
+    ):
+        return False
+    start[0], start[1], start[2], start[3], start[4], start[5] = s, s1, s2, d, d1, d2
+    return True
+
+
+@njit(cache=True)
+def fit(
+    road: Any, lateral_ends: Any, longitudinal_ends: Any, start: Any, rest: float, memory: Any, quintics: Any, quartics: Any
+) -> None:
+    """Fits all plans from `start`. `rest`: what is left of the lateral plan before (s); the last lateral plan goes on with it."""
+    last = lateral_ends.shape[1] - 1
+    for i in range(last):
+        fit_quintic(quintics, i, start[3], start[4], start[5], lateral_ends[0, i], lateral_ends[1, i])
+    if rest >= SHORTEST_REST:
+        fit_quintic(quintics, last, start[3], start[4], start[5], memory[7], rest)
+    else:
+        fit_quintic(quintics, last, start[3], start[4], start[5], lateral_ends[0, last], lateral_ends[1, last])
+    _, limit = road_ahead(road, start[0])
+    for j in range(longitudinal_ends.shape[1]):
+        horizon = longitudinal_ends[1, j]
+        _, desired = road_ahead(road, start[0] + start[1] * horizon)
+        _, desired = road_ahead(road, start[0] + 0.5 * (start[1] + min(limit, desired)) * horizon)
+        speed = max(min(limit, desired) + longitudinal_ends[0, j], 0.0)
+        fit_quartic(quartics, j, start[0], start[1], start[2], speed, horizon)
+
+
+@njit(cache=True)
+def on_grid(raw: float, scale: float) -> float:
+    """The feature of a raw quantity: scaled, then rounded to the grid of features."""
+    return float(np.floor(raw * (scale * FEATURE_GRID) + 0.5) * (1.0 / FEATURE_GRID))
+
+
+@njit(cache=True)
+def evaluate(
+    road: Any, scene: Any, scales: Any, start: Any, neighbours: Any, memory: Any, elapsed: float, quintics: Any, quartics: Any,
+    lateral: Any, longitudinal: Any, combined: Any,
+) -> None:  # fmt: skip
+    """Writes the features of all candidates."""
+    n_lateral, n_longitudinal = quintics.shape[1], quartics.shape[1]
+    wanted, lane_width, last_lane, half_width = scene[0], scene[1], scene[2], scene[4]
+    d, d1 = np.empty((POINTS, n_lateral)), np.empty((POINTS, n_lateral))
+    s, s1 = np.empty((POINTS, n_longitudinal)), np.empty((POINTS, n_longitudinal))
+    lateral[:] = 0.0
+    longitudinal[:] = 0.0
+    combined[:] = 0.0
+    d2 = np.empty((POINTS, n_lateral))
+
+    before = memory[1:9].reshape(8, 1)
+    edge = 0.5 * lane_width - half_width - BOUNDARY_SPACE
+    for k in range(POINTS):
+        t = (k + 0.5) * INTERVAL
+        planned, _, _ = lateral_at(before, 0, t + elapsed)
+        for i in range(n_lateral):
+            c2, c3, c4, c5 = quintics[2, i], quintics[3, i], quintics[4, i], quintics[5, i]
+            moving = t < quintics[7, i]
+            here = quintics[0, i] + t * (quintics[1, i] + t * (c2 + t * (c3 + t * (c4 + t * c5))))
+            speed = quintics[1, i] + t * (2.0 * c2 + t * (3.0 * c3 + t * (4.0 * c4 + t * 5.0 * c5)))
+            acceleration = 2.0 * c2 + t * (6.0 * c3 + t * (12.0 * c4 + t * 20.0 * c5))
+            jerk = 6.0 * c3 + t * (24.0 * c4 + t * 60.0 * c5)
+            here = here if moving else quintics[6, i]
+            jerk = jerk if moving else 0.0
+            d[k, i] = here
+            d1[k, i] = speed if moving else 0.0
+            d2[k, i] = acceleration if moving else 0.0
+            lateral[LATERAL_JERK, i] += jerk * jerk
+            lane = np.floor(here / lane_width + 0.5)
+            lane = max(lane, 0.0)
+            lane = min(lane, last_lane)
+            offset = abs(here - lane * lane_width)
+            lateral[CENTRE, i] += offset * offset / (1.0 + offset * offset)
+            missing = (offset - edge) / BOUNDARY_SPACE
+            missing = max(missing, 0.0)
+            lateral[BOUNDARY, i] += missing * missing
+            change = (here - planned) * (here - planned)
+            lateral[CONSISTENCY, i] += change / (1.0 + change * (1.0 / (LARGEST_CHANGE * LARGEST_CHANGE)))
+            away = (abs(here - wanted) - ARRIVED) / (NOT_ARRIVED - ARRIVED)
+            away = max(away, 0.0)
+            lateral[ARRIVAL, i] += min(away, 1.0)
+    for i in range(n_lateral):
+        offset = abs(d[POINTS - 1, i] - wanted)
+        lateral[LATERAL_BASE, i] = on_grid(2.0 * offset * offset / (1.0 + offset), scales[13])
+        lateral[LATERAL_JERK, i] = on_grid(lateral[LATERAL_JERK, i], scales[1] / POINTS)
+        lateral[CENTRE, i] = on_grid(lateral[CENTRE, i], scales[3] / POINTS)
+        lateral[CONSISTENCY, i] = on_grid(lateral[CONSISTENCY, i], scales[5] / POINTS * memory[0])
+        lateral[ARRIVAL, i] = on_grid(lateral[ARRIVAL, i], scales[6] * INTERVAL)
+        lateral[BOUNDARY, i] = on_grid(lateral[BOUNDARY, i], scales[9] / POINTS)
+
+    _, limit = road_ahead(road, start[0])
+    for j in range(n_longitudinal):
+        error_sum, acceleration_sum, jerk_sum = 0.0, 0.0, 0.0
+        for k in range(POINTS):
+            along, speed, acceleration, jerk = longitudinal_at(quartics, j, (k + 0.5) * INTERVAL)
+            s[k, j], s1[k, j] = along, speed
+            curvature, desired = road_ahead(road, along)
+            error = speed - min(limit, desired)
+            error_sum += error * error
+            acceleration_sum += acceleration * acceleration
+            jerk_sum += jerk * jerk
+            bend = speed * speed * curvature
+            slowness = 1.0 / max(speed, SLOWEST)
+            for i in range(n_lateral):
+                side = d2[k, i] + bend
+                heading = d1[k, i] * slowness
+                combined[LATERAL_ACCELERATION, j, i] += side * side
+                combined[HEADING, j, i] += heading * heading
+        longitudinal[LONGITUDINAL_BASE, j] = on_grid(scales[12] * error_sum + scales[14] * acceleration_sum, 1.0 / POINTS)
+        longitudinal[LONGITUDINAL_JERK, j] = on_grid(jerk_sum, scales[1] / POINTS)
+
+    for m in range(len(neighbours)):
+        look_at(scene, start, neighbours[m], d, d1, s, s1, combined)
+    for j in range(n_longitudinal):
+        for i in range(n_lateral):
+            combined[COLLISION, j, i] = on_grid(combined[COLLISION, j, i], scales[15] / POINTS)
+            combined[LATERAL_ACCELERATION, j, i] = on_grid(combined[LATERAL_ACCELERATION, j, i], scales[2] / POINTS)
+            combined[HEADING, j, i] = on_grid(combined[HEADING, j, i], scales[4] / POINTS)
+            combined[CLEARANCE, j, i] = on_grid(combined[CLEARANCE, j, i], scales[7] / POINTS)
+            combined[LEADER, j, i] = on_grid(combined[LEADER, j, i], scales[8])
+            combined[CLOSING, j, i] = on_grid(combined[CLOSING, j, i], scales[10] / POINTS)
+            combined[FOLLOWER, j, i] = on_grid(combined[FOLLOWER, j, i], scales[11])
+
+
+@njit(cache=True)
+def look_at(scene: Any, start: Any, neighbour: Any, d: Any, d1: Any, s: Any, s1: Any, combined: Any) -> None:
+    """Adds what one neighbour means for each candidate: COLLISION, CLEARANCE, LEADER, CLOSING and FOLLOWER, unscaled.
+
+    A vehicle that follows in the lane where the ego vehicle is already means nothing: keeping its distance is its own affair.
+    """
+    if neighbour[0] < start[0] and abs(neighbour[1] - start[3]) < 0.5 * scene[1]:
+        return
+    n_lateral, n_longitudinal = d.shape[1], s.shape[1]
+    length = scene[3] + 0.5 * neighbour[4]
+    width = scene[4] + 0.5 * neighbour[5]
+    in_target_lane = abs(neighbour[1] - scene[0]) < 0.5 * scene[1]
+    space, in_path, touching, closing = np.empty(n_lateral), np.empty(n_lateral), np.empty(n_lateral), np.empty(n_lateral)
+    for k in range(POINTS):
+        t = (k + 0.5) * INTERVAL
+        fading = np.exp(-t / DRIFT_TIME)
+        other_d = neighbour[1] + neighbour[3] * DRIFT_TIME * (1.0 - fading)
+        other_d1 = neighbour[3] * fading
+        other_s = neighbour[0] + neighbour[2] * t
+        looked = False
+        for j in range(n_longitudinal):
+            ahead = other_s - s[k, j]
+            gap = max(abs(ahead) - length, 0.0)
+            clear = max(CLEAR_TIME * s1[k, j], SHORTEST_CLEARANCE)
+            approach = s1[k, j] - neighbour[2] if ahead > 0.0 else neighbour[2] - s1[k, j]
+            matters = approach > 0.0 and (ahead > 0.0 or in_target_lane)
+            if gap >= clear and not matters:
+                continue
+            if not looked:
+                looked = True
+                for i in range(n_lateral):
+                    aside = other_d - d[k, i]
+                    distance = abs(aside)
+                    beside = distance - width
+                    beside = max(beside, 0.0)
+                    space[i] = beside * beside * (1.0 / (CLEAR_SIDE * CLEAR_SIDE))
+                    path = 1.0 - beside / IN_PATH_FADE
+                    in_path[i] = max(path, 0.0)
+                    touching[i] = 1.0 if distance < width else 0.0
+                    towards = d1[k, i] - other_d1 if aside > 0.0 else other_d1 - d1[k, i]
+                    towards = max(towards, 0.0)
+                    rate = towards / (max(beside, SMALLEST_SIDE_GAP))
+                    closing[i] = rate * rate
+            if gap < clear:
+                shortfall = 1.0 - (gap / clear) * (gap / clear)
+                for i in range(n_lateral):
+                    missing = shortfall - space[i]
+                    combined[CLEARANCE, j, i] += max(missing, 0.0)
+            alongside = 1.0 - gap / (ALONGSIDE_TIME * max(s1[k, j], SLOWEST))
+            if alongside > 0.0:
+                for i in range(n_lateral):
+                    combined[CLOSING, j, i] += alongside * closing[i]
+            if gap == 0.0:
+                for i in range(n_lateral):
+                    combined[COLLISION, j, i] += touching[i]
+            if matters:
+                rate = approach / max(gap, SMALLEST_GAP)
+                urgency = min(rate * rate, LARGEST_URGENCY)
+                row = LEADER if ahead > 0.0 else FOLLOWER
+                for i in range(n_lateral):
+                    value = urgency * in_path[i]
+                    combined[row, j, i] = max(combined[row, j, i], value)
+
+
+@njit(cache=True)
+def costs_of(lateral: Any, longitudinal: Any, combined: Any, weights: Any, costs: Any) -> None:
+    """J of all candidates, shape (n_longitudinal, n_lateral), from their features and the weights (12,) of base and P1..P11."""
+    n_longitudinal, n_lateral = combined.shape[1], combined.shape[2]
+    for j in range(n_longitudinal):
+        along = longitudinal[LONGITUDINAL_BASE, j] + weights[1] * longitudinal[LONGITUDINAL_JERK, j]
+        for i in range(n_lateral):
+            aside = (
+                lateral[LATERAL_BASE, i]
+                + weights[1] * lateral[LATERAL_JERK, i]
+                + weights[3] * lateral[CENTRE, i]
+                + weights[5] * lateral[CONSISTENCY, i]
+                + weights[6] * lateral[ARRIVAL, i]
+                + weights[9] * lateral[BOUNDARY, i]
+            )
+            costs[j, i] = (
+                (along + aside)
+                + combined[COLLISION, j, i]
+                + weights[2] * combined[LATERAL_ACCELERATION, j, i]
+                + weights[4] * combined[HEADING, j, i]
+                + weights[7] * combined[CLEARANCE, j, i]
+                + weights[8] * combined[LEADER, j, i]
+                + weights[10] * combined[CLOSING, j, i]
+                + weights[11] * combined[FOLLOWER, j, i]
+            )
+
+
+@njit(cache=True)
+def cheapest(costs: Any, infeasible: Any) -> int:
+    """The lowest index among the candidates of lowest cost that are not known to be infeasible; -1 where none is left."""
+    best = -1
+    lowest = np.inf
+    flat = costs.ravel()
+    for candidate in range(len(flat)):
+        if flat[candidate] < lowest and not infeasible[candidate]:
+            best, lowest = candidate, flat[candidate]
+    return best
+
+
+@njit(cache=True)
+def motion_at(road: Any, quintics: Any, quartics: Any, i: int, j: int, t: float, row: Any) -> float:
+    """Writes x, y, heading, curvature, speed, acceleration at time t of candidate (i, j) to row[1:7]; returns d.
+
+    Frenet's formulas as in `domain.roads.to_frenet`, solved for velocity and acceleration.
+    """
+    d, d1, d2 = lateral_at(quintics, i, t)
+    s, s1, s2, _ = longitudinal_at(quartics, j, t)
+    x, y, heading, curvature, bend = road_at(road, s)
+    stretch = 1.0 - curvature * d
+    forward = s1 * stretch
+    speed = hypot(forward, d1)
+    tangential = s2 * stretch - s1 * (bend * s1 * d + 2.0 * curvature * d1)
+    normal = d2 + curvature * s1 * s1 * stretch
+    row[1] = x - d * sin(heading)
+    row[2] = y + d * cos(heading)
+    if speed < 0.1:  # at a standstill the course has no meaning
+        row[3], row[4], row[5], row[6] = heading, curvature, speed, tangential
+        return d
+    row[3] = heading + atan2(d1, forward)
+    row[4] = (forward * normal - d1 * tangential) / (speed * speed * speed)
+    row[5] = speed
+    row[6] = (forward * tangential + d1 * normal) / speed
+    return d
+
+
+@njit(cache=True)
+def is_feasible(road: Any, scene: Any, quintics: Any, quartics: Any, i: int, j: int) -> bool:
+    """False where a candidate turns, brakes or accelerates too hard, drives backwards, or leaves the road (farther than it is off)."""
+    row = np.empty(7)
+    lowest, highest = min(scene[5], quintics[0, i]), max(scene[6], quintics[0, i])
+    for k in range(POINTS):
+        t = (k + 0.5) * INTERVAL
+        d = motion_at(road, quintics, quartics, i, j, t, row)
+        _, s1, _, _ = longitudinal_at(quartics, j, t)
+        if (
+            s1 < 0.0
+            or not lowest <= d <= highest
+            or abs(row[4]) > LARGEST_CURVATURE
+            or abs(row[4]) * row[5] * row[5] > LARGEST_SIDE_ACCELERATION
+            or not -LARGEST_BRAKING <= row[6] <= LARGEST_THRUST
+        ):
+            return False
+    return True
+
+
+@njit(cache=True)
+def plan(
+    road: Any, scene: Any, scales: Any, lateral_ends: Any, longitudinal_ends: Any, weights: Any, ego: Any, neighbours: Any,
+    elapsed: float, memory: Any, lateral: Any, longitudinal: Any, combined: Any, infeasible: Any, trajectory: Any,
+) -> int:  # fmt: skip
+    """One plan: writes features, the candidates found infeasible (n,), the trajectory (rows, 7) and the new memory.
+
+    Returns the chosen candidate, -1 where no cost is a number. Candidates are checked in the order of their cost until one is
+    feasible; where none is, the cheapest is driven all the same: braking and steering at the limit is the vehicle's affair then.
+    """
+    n_lateral, n_longitudinal = lateral_ends.shape[1], longitudinal_ends.shape[1]
+    quintics, quartics = np.empty((8, n_lateral)), np.empty((7, n_longitudinal))
+    start = np.empty(6)
+    stitched = start_of(ego, memory, elapsed, start)
+    rest = memory[8] - elapsed if stitched else 0.0
+    fit(road, lateral_ends, longitudinal_ends, start, rest, memory, quintics, quartics)
+    evaluate(road, scene, scales, start, neighbours, memory, elapsed, quintics, quartics, lateral, longitudinal, combined)
+    costs = np.empty((n_longitudinal, n_lateral))
+    costs_of(lateral, longitudinal, combined, weights, costs)
+
+    infeasible[:] = False
+    cheapest_of_all = cheapest(costs, infeasible)
+    if cheapest_of_all < 0:
+        return -1
+    chosen = cheapest_of_all
+    while chosen >= 0 and not is_feasible(road, scene, quintics, quartics, chosen % n_lateral, chosen // n_lateral):
+        infeasible[chosen] = True
+        chosen = cheapest(costs, infeasible)
+    if chosen < 0:
+        chosen = cheapest_of_all
+    i, j = chosen % n_lateral, chosen // n_lateral
+    for row in range(len(trajectory)):
+        t = row * scene[7]
+        trajectory[row, 0] = t
+        motion_at(road, quintics, quartics, i, j, t, trajectory[row])
+    memory[0] = 1.0
+    memory[1:9] = quintics[:, i]
+    memory[9:16] = quartics[:, j]
+    return chosen

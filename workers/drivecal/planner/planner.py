@@ -1,0 +1,131 @@
+"""The planner at work in one scenario: prepares the kernel's arrays once, then one kernel call per plan."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.domain.roads import reference_line
+from drivecal.domain.scenarios import Scenario
+from drivecal.planner import kernel
+from drivecal.planner.candidates import desired_speeds, lateral_ends, longitudinal_ends
+from drivecal.planner.cost import scales, weights
+from drivecal.plugins.ports import Observation
+
+Floats = npt.NDArray[np.float64]
+
+PERIOD = 0.2
+"""s between two plans."""
+TRAJECTORY = 2.4
+"""s of trajectory handed to the vehicle: the period and what its controller looks ahead."""
+CURB = 0.1
+"""m that every candidate stays away from the road's edges."""
+
+_COMBINED = {kernel.LATERAL_ACCELERATION: 2, kernel.HEADING: 4, kernel.CLEARANCE: 7, kernel.LEADER: 8, kernel.CLOSING: 10}
+_COMBINED |= {kernel.FOLLOWER: 11, kernel.COLLISION: 0}
+_LATERAL = {kernel.LATERAL_BASE: 0, kernel.LATERAL_JERK: 1, kernel.CENTRE: 3, kernel.CONSISTENCY: 5}
+_LATERAL |= {kernel.ARRIVAL: 6, kernel.BOUNDARY: 9}
+_LONGITUDINAL = {kernel.LONGITUDINAL_BASE: 0, kernel.LONGITUDINAL_JERK: 1}
+
+
+class FrenetPlanner:
+    """Decides every 0.2 s for the candidate of lowest cost (Werling et al. 2010).
+
+    A plan starts on the plan before while the vehicle follows it closely (`kernel.LARGEST_DEVIATIONS`), so that what is driven is
+    one smooth curve; else where the vehicle is. The features of the last plan stay readable: J = features @ weights.
+    """
+
+    period = PERIOD
+
+    def __init__(self, scenario: Scenario) -> None:
+        """Raises InvalidInputError where the scenario's step does not divide the planning period."""
+        per_plan = round(PERIOD / scenario.step)
+        if per_plan < 1 or abs(per_plan * scenario.step - PERIOD) > 1e-9:
+            raise InvalidInputError(
+                Problem(
+                    "step", f"{scenario.step} s does not divide the planning period", f"give {PERIOD} s over a whole number"
+                )
+            )
+        road, task, ego = scenario.road, scenario.task, scenario.ego
+        line = reference_line(road)
+        self._road = np.ascontiguousarray(np.column_stack([line, desired_speeds(task, line[:, 0])]))
+        space = 0.5 * ego.width + CURB
+        self._scenes, self._lateral_ends = [], []
+        for wanted, other in ((task.start_lane, task.target_lane), (task.target_lane, task.start_lane)):
+            geometry = [wanted * road.lane_width, road.lane_width, road.lanes - 1, 0.5 * ego.length, 0.5 * ego.width]
+            self._scenes.append(np.array([*geometry, road.right_edge + space, road.left_edge - space, scenario.step]))
+            self._lateral_ends.append(lateral_ends(road.lane_width, wanted, other))
+        self._change_after = task.lane_change_after
+        self._longitudinal_ends = longitudinal_ends()
+        self._scales = scales()
+        self._rows = round(TRAJECTORY / scenario.step) + 1
+
+        n_lateral, n_longitudinal = self._lateral_ends[0].shape[1], self._longitudinal_ends.shape[1]
+        self.n_candidates = n_lateral * n_longitudinal
+        self._lateral = np.zeros((6, n_lateral))
+        self._longitudinal = np.zeros((2, n_longitudinal))
+        self._combined = np.zeros((7, n_longitudinal, n_lateral))
+        self.infeasible: npt.NDArray[np.bool_] = np.zeros(self.n_candidates, dtype=np.bool_)
+        """The candidates of the last plan that were cheaper than the chosen one but cannot be driven, shape (n_candidates,)."""
+        self.chosen = -1
+        """The candidate of the last plan that is driven: index = longitudinal index * 32 + lateral index."""
+        self._memory = np.zeros(16)
+        self._weights = np.zeros(12)
+        self._planned_at = 0.0
+
+    def reset(self, parameters: Sequence[float]) -> None:
+        """Starts a new run with the values of P1..P11."""
+        self._weights = weights(parameters)
+        self._memory = np.zeros(16)
+        self._planned_at = 0.0
+        self.chosen = -1
+
+    def plan(self, observation: Observation) -> Floats:
+        """The trajectory to follow, shape (25, 7) at a step of 0.1 s: t, x, y, heading, curvature, speed, acceleration.
+
+        Raises ValueError where the observation holds no usable numbers.
+        """
+        trajectory = np.empty((self._rows, 7))
+        wanted = 1 if observation.time >= self._change_after else 0
+        self.chosen = kernel.plan(
+            self._road,
+            self._scenes[wanted],
+            self._scales,
+            self._lateral_ends[wanted],
+            self._longitudinal_ends,
+            self._weights,
+            observation.ego,
+            observation.neighbours,
+            observation.time - self._planned_at,
+            self._memory,
+            self._lateral,
+            self._longitudinal,
+            self._combined,
+            self.infeasible,
+            trajectory,
+        )
+        if self.chosen < 0:
+            raise ValueError(f"no plan has a cost: the observation at {observation.time} s must hold finite numbers only")
+        self._planned_at = observation.time
+        return trajectory
+
+    def features(self) -> Floats:
+        """The features of the last plan's candidates, shape (n_candidates, 12): base, then the terms P1..P11."""
+        n_longitudinal, n_lateral = self._combined.shape[1:]
+        features = np.zeros((n_longitudinal, n_lateral, 12))
+        for row, column in _LONGITUDINAL.items():
+            features[:, :, column] += self._longitudinal[row][:, None]
+        for row, column in _LATERAL.items():
+            features[:, :, column] += self._lateral[row]
+        for row, column in _COMBINED.items():
+            features[:, :, column] += self._combined[row]
+        return features.reshape(-1, 12)
+
+    def costs(self, parameters: Sequence[float]) -> Floats:
+        """What the last plan's candidates cost with the values of P1..P11, shape (n_candidates,), in the planner's own arithmetic."""
+        costs = np.empty(self._combined.shape[1:])
+        kernel.costs_of(self._lateral, self._longitudinal, self._combined, weights(parameters), costs)
+        return costs.ravel()
