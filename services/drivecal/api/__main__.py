@@ -1,0 +1,33 @@
+"""Runs the API alone: `python -m drivecal.api --host 127.0.0.1 --port 8000`. `drivecal serve` starts it together with the dispatcher."""
+
+from __future__ import annotations
+
+import argparse
+
+import uvicorn
+
+from drivecal.api.app import create_app
+from drivecal.campaigns.settings import load_settings
+
+
+def main() -> None:
+    """Serves until SIGTERM or SIGINT."""
+    parser = argparse.ArgumentParser(
+        prog="python -m drivecal.api", description="Serves the API; settings come from DRIVECAL_*."
+    )
+    parser.add_argument("--host", default="127.0.0.1")
+    parser.add_argument("--port", type=int, default=8000)
+    arguments = parser.parse_args()
+    app = create_app(load_settings())
+    uvicorn.run(
+        app,
+        host=arguments.host,
+        port=arguments.port,
+        log_level="warning",
+        server_header=False,
+        timeout_graceful_shutdown=5,
+    )
+
+
+if __name__ == "__main__":
+    main()

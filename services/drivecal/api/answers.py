@@ -1,0 +1,128 @@
+"""Makes answers of what is stored."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import datetime
+from typing import Any
+
+from drivecal.contracts.campaign import Campaign, Seconds
+from drivecal.contracts.evaluation import EvaluatedCell, Evaluation
+from drivecal.contracts.inventory import InfluenceRow
+from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.influence import Influence
+from drivecal.domain.setups import canonical_json, digest
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.results import StoredEvaluation
+
+ROOT = "/api/v1"
+BEFORE_PARAMETERS = ("id", "stage", "iteration", "individual", "scenario")
+AFTER_PARAMETERS = ("outcome", "score", "rating", "reference", "audited", "agrees", "failure", "milliseconds", "worker")
+
+
+def campaign_answer(stored: StoredCampaign, now: datetime) -> Campaign:
+    """A campaign as clients see it at the moment `now`. One that is asked to cancel counts as cancelling already."""
+    asked = stored.requested_action == "cancel" and not stored.state.ended
+    wall = 0.0 if stored.started_at is None else ((stored.ended_at or now) - stored.started_at).total_seconds()
+    return Campaign(
+        id=stored.id,
+        name=stored.name,
+        state=CampaignState.CANCELLING if asked else stored.state,
+        degraded=stored.degraded,
+        stage=stored.stage,
+        iteration=stored.iteration,
+        progress=stored.progress,
+        cells=stored.cells,
+        error_rate=dict(stored.error_rate),
+        best=stored.best,
+        baseline=stored.baseline,
+        seconds=Seconds(wall=max(0.0, wall), simulating=stored.simulating_seconds),
+        error=stored.error,
+        notes=list(stored.notes),
+        rerun_of=stored.rerun_of,
+        created_at=stored.created_at,
+        started_at=stored.started_at,
+        ended_at=stored.ended_at,
+        spec=dict(stored.spec),
+        links=_links(stored),
+    )
+
+
+def etag(campaign: Campaign) -> str:
+    """Changes with everything in the answer but the time that passes by itself, hence weak."""
+    document = campaign.model_dump(mode="json", exclude={"seconds": {"wall"}})
+    return f'W/"{digest(canonical_json(document).encode())}"'
+
+
+def _links(stored: StoredCampaign) -> dict[str, str]:
+    if stored.kind == "evaluation":
+        return {"self": f"{ROOT}/evaluations/{stored.id}"}
+    here = f"{ROOT}/campaigns/{stored.id}"
+    links = {"self": here} | {table: f"{here}/{table}" for table in ("generations", "evaluations", "solutions", "influence")}
+    if stored.influence_map_id is not None:
+        links["influence_map"] = f"{ROOT}/influence-maps/{stored.influence_map_id}"
+    if stored.rerun_of is not None:
+        links["rerun_of"] = f"{ROOT}/campaigns/{stored.rerun_of}"
+    return links
+
+
+def evaluation_row(stored: StoredEvaluation) -> dict[str, Any]:
+    """One row of the table `evaluations`: parameters are columns of their own."""
+    row: dict[str, Any] = {name: getattr(stored, name) for name in BEFORE_PARAMETERS}
+    row |= {parameter_column(name): value for name, value in stored.parameters.items()}
+    return row | {name: getattr(stored, name) for name in AFTER_PARAMETERS}
+
+
+def parameter_column(name: str) -> str:
+    """The column of a parameter, out of the way of the table's own columns."""
+    return f"parameter_{name}" if name in BEFORE_PARAMETERS or name in AFTER_PARAMETERS else name
+
+
+def evaluated_cell(stored: StoredEvaluation, metrics: Mapping[str, float] | None) -> EvaluatedCell:
+    """One cell of a single evaluation."""
+    return EvaluatedCell(
+        id=stored.id,
+        scenario=stored.scenario,
+        outcome=stored.outcome,
+        score=stored.score,
+        rating=stored.rating,
+        reference=stored.reference,
+        failure=stored.failure,
+        milliseconds=stored.milliseconds,
+        worker=stored.worker,
+        metrics=None if metrics is None else dict(metrics),
+    )
+
+
+def evaluation_answer(stored: StoredCampaign, items: list[EvaluatedCell]) -> Evaluation:
+    """A single evaluation as clients see it."""
+    scenario = stored.spec["scenario"]
+    scores = [item.score for item in items if item.score is not None]
+    complete = bool(items) and len(scores) == len(items)
+    only = items[0] if scenario is not None and items else None
+    return Evaluation(
+        id=stored.id,
+        state=stored.state,
+        parameters=stored.spec["parameters"],
+        scenario=scenario,
+        objective=sum(scores) / len(scores) if complete else None,
+        items=items,
+        outcome=only.outcome if only else None,
+        score=only.score if only else None,
+        rating=only.rating if only else None,
+        failure=only.failure if only else None,
+        metrics=only.metrics if only else None,
+        error=stored.error,
+        links={"self": f"{ROOT}/evaluations/{stored.id}"},
+    )
+
+
+def influence_row(scenario: str, parameter: str, influence: Influence) -> InfluenceRow:
+    """One row of an influence map."""
+    return InfluenceRow(
+        scenario=scenario,
+        parameter=parameter,
+        influential=influence.influential,
+        lower=None if influence.lower is None else float(influence.lower),
+        upper=None if influence.upper is None else float(influence.upper),
+    )

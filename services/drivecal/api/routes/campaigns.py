@@ -1,0 +1,113 @@
+"""Campaigns: submit, read, steer, run again."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Header, Response
+from fastapi.responses import JSONResponse
+
+from drivecal.api import submission
+from drivecal.api.answers import ROOT, campaign_answer, etag
+from drivecal.api.bodies import StrictRoute
+from drivecal.api.dependencies import DatabaseDependency, IdempotencyKey
+from drivecal.api.queries import CampaignsQuery, SubmissionQuery
+from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns
+from drivecal.contracts.specification import CampaignSpecification, RerunSpecification
+from drivecal.storage import campaigns
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.database import Database
+from drivecal.storage.types import now
+
+router = APIRouter(prefix="/campaigns", tags=["campaigns"], route_class=StrictRoute)
+
+SECONDS_BETWEEN_POLLS = 1
+"""What a client that follows a running campaign is asked to wait."""
+
+
+@router.post("", status_code=202, responses={200: {"model": ExpectedRuns}, 202: {"model": Campaign}}, response_model=None)
+def submit(
+    specification: CampaignSpecification,
+    query: SubmissionQuery,
+    response: Response,
+    database: DatabaseDependency,
+    idempotency_key: IdempotencyKey = None,
+) -> Campaign | ExpectedRuns:
+    """Queues a campaign; with `validate_only=true` checks it, counts its runs and stores nothing."""
+    if query.validate_only:
+        response.status_code = 200
+        return submission.expected(database, specification)
+    return _accepted(response, submission.submit(database, specification, idempotency_key))
+
+
+@router.get("")
+def list_campaigns(query: CampaignsQuery, database: DatabaseDependency) -> CampaignPage:
+    """Campaigns, newest first."""
+    with database.read() as connection:
+        found, following = campaigns.page(connection, state=query.state, limit=query.limit, cursor=query.cursor)
+    moment = now()
+    return CampaignPage(items=[campaign_answer(one, moment) for one in found], next_cursor=following)
+
+
+@router.get("/{campaign_id}", response_model=Campaign, responses={304: {"description": "Not changed since"}})
+def read(
+    campaign_id: str, database: DatabaseDependency, if_none_match: Annotated[str | None, Header(max_length=10_000)] = None
+) -> Response:
+    """One campaign. Send its `ETag` back as `If-None-Match` to be told 304 while nothing changed."""
+    with database.read() as connection:
+        stored = campaigns.get(connection, campaign_id)
+    campaign = campaign_answer(stored, now())
+    tag = etag(campaign)
+    headers = {"ETag": tag, "Cache-Control": "no-cache"}
+    if not stored.state.ended:
+        headers["Retry-After"] = str(SECONDS_BETWEEN_POLLS)
+    if if_none_match is not None and _matches(if_none_match, tag):
+        return Response(status_code=304, headers=headers)
+    return JSONResponse(campaign.model_dump(mode="json"), headers=headers)
+
+
+@router.post("/{campaign_id}/pause", status_code=202)
+def pause(campaign_id: str, response: Response, database: DatabaseDependency) -> Campaign:
+    """Asks for a campaign to rest; what is being simulated is finished and kept. Asking again changes nothing."""
+    return _asked(database, campaign_id, "pause", response)
+
+
+@router.post("/{campaign_id}/resume", status_code=202)
+def resume(campaign_id: str, response: Response, database: DatabaseDependency) -> Campaign:
+    """Asks for a paused campaign to go on. Asking again changes nothing."""
+    return _asked(database, campaign_id, "resume", response)
+
+
+@router.post("/{campaign_id}/cancel", status_code=202)
+def cancel(campaign_id: str, response: Response, database: DatabaseDependency) -> Campaign:
+    """Asks for a campaign to end; finished results are kept. Asking again changes nothing."""
+    return _asked(database, campaign_id, "cancel", response)
+
+
+@router.post("/{campaign_id}/rerun", status_code=202)
+def rerun(
+    campaign_id: str,
+    changes: RerunSpecification,
+    response: Response,
+    database: DatabaseDependency,
+    idempotency_key: IdempotencyKey = None,
+) -> Campaign:
+    """Queues a new campaign on the references and the influence map of an ended one."""
+    return _accepted(response, submission.rerun(database, campaign_id, changes, idempotency_key))
+
+
+def _asked(database: Database, campaign_id: str, action: campaigns.Action, response: Response) -> Campaign:
+    with database.transaction() as connection:
+        stored = campaigns.request_action(connection, campaign_id, action)
+    return _accepted(response, stored)
+
+
+def _accepted(response: Response, stored: StoredCampaign) -> Campaign:
+    response.headers["Location"] = f"{ROOT}/campaigns/{stored.id}"
+    return campaign_answer(stored, now())
+
+
+def _matches(if_none_match: str, tag: str) -> bool:
+    """The weak comparison of RFC 9110, 8.8.3.2."""
+    given = {one.strip().removeprefix("W/") for one in if_none_match.split(",")}
+    return "*" in given or tag.removeprefix("W/") in given

@@ -1,0 +1,68 @@
+"""Influence maps: where a parameter can change the score of a scenario, and where not."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter, Response
+
+from drivecal.api.answers import ROOT, influence_row
+from drivecal.api.bodies import StrictRoute
+from drivecal.api.dependencies import DatabaseDependency
+from drivecal.api.queries import PageQuery
+from drivecal.campaigns.maps import map_from_document, map_to_document, resolve_map
+from drivecal.contracts.inventory import InfluenceMapAnswer, InfluenceMapPage
+from drivecal.contracts.specification import InfluenceMapSpecification
+from drivecal.storage import influence_maps
+from drivecal.storage.influence_maps import StoredInfluenceMap
+
+router = APIRouter(prefix="/influence-maps", tags=["influence maps"], route_class=StrictRoute)
+
+
+@router.post("", status_code=201)
+def post(specification: InfluenceMapSpecification, response: Response, database: DatabaseDependency) -> InfluenceMapAnswer:
+    """Stores a map, its bounds checked against the grid of its parameters. Campaigns name it in `sensitivity: {map: ID}`."""
+    influence_map = resolve_map(specification)
+    with database.transaction() as connection:
+        stored = influence_maps.insert(
+            connection,
+            name=specification.name,
+            source="expert",
+            driving_function=specification.driving_function,
+            parameters=specification.model_dump(mode="json")["parameters"],
+            scenarios=map_to_document(influence_map),
+        )
+    answer = _answer(stored, with_rows=True)
+    response.headers["Location"] = answer.links["self"]
+    return answer
+
+
+@router.get("")
+def list_maps(query: PageQuery, database: DatabaseDependency) -> InfluenceMapPage:
+    """Influence maps, newest first, without their rows."""
+    with database.read() as connection:
+        found, following = influence_maps.page(connection, limit=query.limit, cursor=query.cursor)
+    return InfluenceMapPage(items=[_answer(one, with_rows=False) for one in found], next_cursor=following)
+
+
+@router.get("/{map_id}")
+def read(map_id: str, database: DatabaseDependency) -> InfluenceMapAnswer:
+    """One influence map. A bound that is null is the parameter's own; what is not listed counts as influential."""
+    with database.read() as connection:
+        stored = influence_maps.get(connection, map_id)
+    return _answer(stored, with_rows=True)
+
+
+def _answer(stored: StoredInfluenceMap, *, with_rows: bool) -> InfluenceMapAnswer:
+    rows = [
+        influence_row(scenario, parameter, influence)
+        for scenario, listed in map_from_document(stored.scenarios).scenarios.items()
+        for parameter, influence in listed.items()
+    ]
+    return InfluenceMapAnswer(
+        id=stored.id,
+        name=stored.name,
+        source=stored.source,
+        driving_function=stored.driving_function,
+        created_at=stored.created_at,
+        rows=rows if with_rows else None,
+        links={"self": f"{ROOT}/influence-maps/{stored.id}"},
+    )

@@ -1,0 +1,194 @@
+"""What a campaign found, as pages of JSON or as whole tables in CSV and Parquet."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import asdict
+from typing import Any
+
+from fastapi import APIRouter, Response
+from fastapi.responses import JSONResponse
+
+from drivecal.api.answers import evaluation_row, influence_row, parameter_column
+from drivecal.api.bodies import StrictRoute
+from drivecal.api.dependencies import Accept, DatabaseDependency
+from drivecal.api.queries import SolutionsQuery, TableOf, TableQuery, form_of
+from drivecal.api.ranking import ranking
+from drivecal.api.tables import Column, Row, download
+from drivecal.campaigns.maps import map_from_document
+from drivecal.campaigns.problem import CalibrationProblem, function_names, resolve, resolve_evaluation
+from drivecal.contracts.campaign import Solution
+from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
+from drivecal.contracts.validation import validated
+from drivecal.domain.errors import ConflictError
+from drivecal.domain.influence import InfluenceMap
+from drivecal.storage import campaigns, cursors, generations, influence_maps, results
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.database import Database
+
+router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["results"], route_class=StrictRoute)
+
+ROWS_AT_A_TIME = 2000
+TABLE_ANSWERS: dict[int | str, dict[str, Any]] = {
+    200: {"content": {"text/csv": {}, "application/vnd.apache.parquet": {}}, "description": "A page, or the whole table"}
+}
+
+Page = tuple[Sequence[Row], str | None]
+Pages = Callable[[int, str | None], Page]
+"""Gives at most so many rows from a cursor on, and the cursor of what follows."""
+
+
+@router.get("/generations", responses=TABLE_ANSWERS)
+def list_generations(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
+    """The iterations of the calibration stage, in order."""
+    campaign = _campaign(database, campaign_id)
+
+    def pages(limit: int, cursor: str | None) -> Page:
+        with database.read() as connection:
+            found, following = generations.page(connection, campaign.sequence, limit=limit, cursor=cursor)
+        return [{"iteration": iteration, **asdict(figures)} for iteration, figures in found], following
+
+    numbers = ("best", "mean", "minimum")
+    names = ["iteration", *generations.Figures.__dataclass_fields__]
+    columns = [Column(name, "number" if name in numbers else "integer") for name in names]
+    return _answer(f"generations-{campaign.id}", query, accept, columns, pages)
+
+
+@router.get("/evaluations", responses=TABLE_ANSWERS)
+def list_evaluations(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
+    """One row per requested cell, ordered by stage, iteration, individual and scenario. `reference` is the evaluation that answered it,
+    or that its audit did not trust."""
+    campaign = _campaign(database, campaign_id)
+
+    def pages(limit: int, cursor: str | None) -> Page:
+        with database.read() as connection:
+            found, following = results.page(connection, campaign.sequence, limit=limit, cursor=cursor)
+        return [evaluation_row(one) for one in found], following
+
+    columns = [
+        Column("id", "integer"),
+        Column("stage", "text"),
+        Column("iteration", "integer"),
+        Column("individual", "integer"),
+        Column("scenario", "text"),
+        *(Column(parameter_column(name), "number") for name in _parameter_names(campaign)),
+        Column("outcome", "text"),
+        Column("score", "integer"),
+        Column("rating", "number"),
+        Column("reference", "integer"),
+        Column("audited", "truth"),
+        Column("agrees", "truth"),
+        Column("failure", "text"),
+        Column("milliseconds", "number"),
+        Column("worker", "text"),
+    ]
+    return _answer(f"evaluations-{campaign.id}", query, accept, columns, pages)
+
+
+@router.get("/solutions", responses=TABLE_ANSWERS)
+def list_solutions(campaign_id: str, query: SolutionsQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
+    """The evaluated parameter sets, best first, under the campaign's weights or others. Nothing is simulated for it."""
+    campaign = _campaign(database, campaign_id)
+    problem = _problem(campaign)
+    ranked = ranking(database, campaign, problem, query.weights)
+
+    def pages(limit: int, cursor: str | None) -> Page:
+        start = 0 if cursor is None else int(cursors.decode(cursor, int)[0])
+        rows = [_solution_row(one, flat=flat) for one in ranked.solutions(start, start + limit)]
+        following = start + limit
+        return rows, cursors.encode(following) if following < len(ranked) else None
+
+    flat = form_of(query, accept) != "json"
+    columns = [
+        Column("rank", "integer"),
+        Column("objective", "number"),
+        Column("rating", "number"),
+        *(Column(f"score_{name}", "integer") for name in ranked.scenarios),
+        *(Column(parameter_column(name), "number") for name in problem.space.names),
+        Column("iteration", "integer"),
+        Column("individual", "integer"),
+    ]
+    return _answer(f"solutions-{campaign.id}", query, accept, columns, pages)
+
+
+@router.get("/influence", responses=TABLE_ANSWERS)
+def list_influence(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
+    """The influence map that the campaign uses: one row per scenario and parameter, none where it uses no map."""
+    campaign = _campaign(database, campaign_id)
+    rows = _influence_rows(database, campaign)
+
+    def pages(limit: int, cursor: str | None) -> Page:
+        start = 0 if cursor is None else int(cursors.decode(cursor, int)[0])
+        following = start + limit
+        return rows[start:following], cursors.encode(following) if following < len(rows) else None
+
+    columns = [
+        Column("scenario", "text"),
+        Column("parameter", "text"),
+        Column("influential", "truth"),
+        Column("lower", "number"),
+        Column("upper", "number"),
+        Column("s_rel_intervals", "numbers"),
+        Column("mu", "number"),
+        Column("sigma", "number"),
+        Column("mu_star", "number"),
+    ]
+    return _answer(f"influence-{campaign.id}", query, accept, columns, pages)
+
+
+def _answer(name: str, query: TableOf, accept: str, columns: Sequence[Column], pages: Pages) -> Response:
+    form = form_of(query, accept)
+    if form == "json":
+        rows, following = pages(query.limit, query.cursor)
+        return JSONResponse({"items": list(rows), "next_cursor": following}, headers={"Vary": "Accept"})
+    return download(name, form, columns, _all(pages))
+
+
+def _all(pages: Pages) -> Iterator[Sequence[Row]]:
+    """Every page, each read in a transaction of its own, so that a slow reader holds no connection."""
+    cursor: str | None = None
+    while True:
+        rows, cursor = pages(ROWS_AT_A_TIME, cursor)
+        yield rows
+        if cursor is None:
+            return
+
+
+def _campaign(database: Database, campaign_id: str) -> StoredCampaign:
+    with database.read() as connection:
+        return campaigns.get(connection, campaign_id)
+
+
+def _problem(campaign: StoredCampaign) -> CalibrationProblem:
+    if campaign.kind != "calibration":
+        raise ConflictError(f"{campaign.id} is a single evaluation, which ranks nothing; GET /api/v1/evaluations/{campaign.id}")
+    return resolve(validated(CampaignSpecification, campaign.spec))
+
+
+def _parameter_names(campaign: StoredCampaign) -> Iterable[str]:
+    if campaign.kind == "calibration":
+        return _problem(campaign).space.names
+    specification = validated(EvaluationSpecification, campaign.spec)
+    return function_names(resolve_evaluation(specification).bench.driving_function)
+
+
+def _solution_row(solution: Solution, *, flat: bool) -> Row:
+    if not flat:
+        return solution.model_dump(mode="json")
+    row: dict[str, Any] = solution.model_dump(include={"rank", "objective", "rating", "iteration", "individual"})
+    row |= {f"score_{name}": score for name, score in solution.scores.items()}
+    return row | {parameter_column(name): value for name, value in solution.parameters.items()}
+
+
+def _influence_rows(database: Database, campaign: StoredCampaign) -> list[Row]:
+    if campaign.influence_map_id is None:
+        return []
+    with database.read() as connection:
+        stored = influence_maps.get(connection, campaign.influence_map_id)
+    influence_map: InfluenceMap = map_from_document(stored.scenarios)
+    problem = _problem(campaign)
+    return [
+        influence_row(scenario, parameter, influence_map.influence(scenario, parameter)).model_dump(mode="json")
+        for scenario in problem.scenarios
+        for parameter in problem.space.names
+    ]

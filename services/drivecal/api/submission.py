@@ -1,0 +1,115 @@
+"""Puts campaigns and evaluations into the queue: checked, once per Idempotency-Key, whole or not at all."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from pydantic import BaseModel
+from sqlalchemy import Connection
+
+from drivecal.campaigns.problem import resolve, resolve_evaluation
+from drivecal.contracts.campaign import ExpectedRuns
+from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, RerunSpecification
+from drivecal.contracts.validation import validated
+from drivecal.domain.errors import ConflictError, InvalidInputError, NotFoundError, Problem
+from drivecal.domain.setups import canonical_json, digest
+from drivecal.storage import campaigns, influence_maps
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.database import Database
+
+
+def submit(database: Database, specification: CampaignSpecification, key: str | None) -> StoredCampaign:
+    """Queues a campaign. Raises InvalidInputError for one that cannot run."""
+    resolve(specification)
+    with database.transaction() as connection:
+        return _queue(connection, specification, key, _digest("campaigns", specification))
+
+
+def expected(database: Database, specification: CampaignSpecification) -> ExpectedRuns:
+    """What a campaign would cost. Raises InvalidInputError as `submit` does."""
+    problem = resolve(specification)
+    with database.read() as connection:
+        _influence_map(connection, specification)
+    return problem.expected_runs()
+
+
+def rerun(database: Database, first_id: str, changes: RerunSpecification, key: str | None) -> StoredCampaign:
+    """Queues a campaign like an ended one but for `changes`. Raises ConflictError while the first is not ended."""
+    with database.read() as connection:
+        first = campaigns.get(connection, first_id)
+    if first.kind != "calibration":
+        raise ConflictError(f"{first_id} is a single evaluation, which has no weights; post another one to /api/v1/evaluations")
+    if not first.state.ended:
+        raise ConflictError(f"campaign {first_id} is {first.state}; rerun it when it has ended, or cancel it first")
+    specification = validated(CampaignSpecification, _changed(first, changes))
+    resolve(specification)
+    with database.transaction() as connection:
+        return _queue(connection, specification, key, _digest(f"campaigns/{first_id}/rerun", changes), rerun_of=first_id)
+
+
+def evaluate(database: Database, specification: EvaluationSpecification, key: str | None) -> StoredCampaign:
+    """Queues a single evaluation. Raises InvalidInputError for one that cannot run."""
+    resolve_evaluation(specification)
+    with database.transaction() as connection:
+        return campaigns.insert(
+            connection,
+            name="evaluation",
+            spec=specification.model_dump(mode="json"),
+            kind="evaluation",
+            idempotency_key=key,
+            body_digest=_digest("evaluations", specification),
+        )
+
+
+def _queue(
+    connection: Connection, specification: CampaignSpecification, key: str | None, body: str, rerun_of: str | None = None
+) -> StoredCampaign:
+    return campaigns.insert(
+        connection,
+        name=specification.name,
+        spec=specification.model_dump(mode="json"),
+        influence_map_id=_influence_map(connection, specification),
+        rerun_of=rerun_of,
+        idempotency_key=key,
+        body_digest=body,
+    )
+
+
+def _influence_map(connection: Connection, specification: CampaignSpecification) -> str | None:
+    """The id of the map that a campaign names. Raises InvalidInputError where there is none or it speaks of another function."""
+    if specification.sensitivity is None:
+        return None
+    field = "sensitivity.map"
+    try:
+        stored = influence_maps.get(connection, specification.sensitivity.map)
+    except NotFoundError as error:
+        raise InvalidInputError(Problem(field, str(error), "GET /api/v1/influence-maps lists what there is")) from error
+    if stored.driving_function != specification.driving_function:
+        message = f"the map is about the driving function {stored.driving_function!r}"
+        raise InvalidInputError(Problem(field, message, f"name a map of {specification.driving_function!r}"))
+    return stored.id
+
+
+def _changed(first: StoredCampaign, changes: RerunSpecification) -> dict[str, Any]:
+    """The first campaign's specification with the changes; its influence map, wherever it came from, is taken over."""
+    document = dict(first.spec)
+    document["weights"] = dict(changes.weights)
+    document["name"] = changes.name or f"{first.name[:190]} (rerun)"
+    for section in ("optimizer", "reduction"):
+        given: BaseModel | None = getattr(changes, section)
+        if given is not None:
+            document[section] = _merged(document[section], given.model_dump(mode="json", exclude_unset=True))
+    if first.influence_map_id is not None:
+        document["sensitivity"] = {"map": first.influence_map_id}
+    return document
+
+
+def _merged(before: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Another kind of optimizer has settings of its own, so nothing of the first one's is kept for it."""
+    keep = changes.get("kind", before.get("kind")) == before.get("kind")
+    return {**(before if keep else {}), **changes}
+
+
+def _digest(path: str, body: BaseModel) -> str:
+    return digest(canonical_json({"path": path, "body": body.model_dump(mode="json")}).encode())
