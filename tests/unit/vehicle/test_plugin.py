@@ -21,10 +21,9 @@ def test_it_creates_a_model_with_the_values_given() -> None:
     assert model.parameters == NOMINAL
 
 
-def test_the_coordinator_can_load_it_and_the_evaluator_without_numba_and_scipy() -> None:
+def test_the_coordinator_can_load_it_without_numba_and_scipy() -> None:
     program = """
 import sys
-from drivecal.comfort.plugin import REFERENCE
 from drivecal.vehicle.plugin import SINGLE_TRACK
 assert not {"numba", "scipy"} & set(sys.modules)
 """

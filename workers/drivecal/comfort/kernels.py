@@ -1,4 +1,4 @@
-"""The comfort metrics' numba kernels. They call each other and therefore live in one module."""
+"""The comfort metrics' numba kernels, each one pass over a series."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from drivecal.plugins.ports import Floats
 
 
 @njit(cache=True)
-def peaks(signal: Floats, window: int, spacing: float) -> tuple[float, float]:
-    """Largest absolute moving average of `signal` and of its derivative over `window` samples that are `spacing` seconds apart.
+def peaks(signal: Floats, window: int, rate: float) -> tuple[float, float]:
+    """Largest absolute moving average of `signal`, and of its derivative, over `window` samples at `rate` Hz.
 
-    The average of the derivative over a window is the difference of its ends over its length. A signal shorter than the window is
-    one window.
+    The average of a derivative is the difference of the ends over the time between them: jumps between single samples, as where a new
+    plan sets in, count no more than they move the acceleration for good. A signal shorter than the window is one window.
     """
     n = signal.shape[0]
     window = min(window, n)
@@ -26,16 +26,16 @@ def peaks(signal: Floats, window: int, spacing: float) -> tuple[float, float]:
     for i in range(window, n):
         total += signal[i] - signal[i - window]
         largest = max(largest, abs(total))
-    steepest = 0.0
     reach = min(window, n - 1)
+    steepest = 0.0
     for i in range(reach, n):
         steepest = max(steepest, abs(signal[i] - signal[i - reach]))
-    return largest / window, steepest / (max(reach, 1) * spacing)
+    return largest / window, steepest * rate / max(reach, 1)
 
 
 @njit(cache=True)
 def root_mean_square(signal: Floats) -> float:
-    """sqrt(<signal^2>)."""
+    """sqrt(<signal^2>), summed in one order on every machine (a BLAS is not that careful)."""
     total = 0.0
     for value in signal:
         total += value * value
@@ -79,7 +79,7 @@ def reversals(angle: Floats, gap: float) -> int:
 
 
 @njit(cache=True)
-def overshoot(offset: Floats, noticeable: float, centred: float, settled: float) -> float:
+def overshoot(offset: Floats, noticeable: float, centred: float, settled: int) -> float:
     """How far (m) a swing back to the centre went beyond it.
 
     An excursion begins when |offset| reaches `noticeable`; what follows on the other side is overshoot until the offset has stayed below
@@ -98,42 +98,3 @@ def overshoot(offset: Floats, noticeable: float, centred: float, settled: float)
         elif value <= -noticeable:
             side = -1.0
     return largest
-
-
-@njit(cache=True)
-def measure(
-    dynamics: Floats,
-    offset: Floats,
-    horizontal: Floats,
-    sickness: Floats,
-    spacing: float,
-    window: int,
-    gap: float,
-    swing: tuple[float, float, float],
-    out: Floats,
-) -> None:
-    """All metrics of one run into `out`, shape (16,), in the order of `metrics.NAMES`; `swing`: the three arguments of `overshoot`."""
-    n = dynamics.shape[0]
-    longitudinal = dynamics[:, 1].copy()
-    lateral = dynamics[:, 2].copy()
-    duration = n * spacing
-    out[0], out[1] = peaks(lateral, window, spacing)
-    out[2], out[3] = peaks(longitudinal, window, spacing)
-    out[4] = root_mean_square(lateral)
-    out[5] = root_mean_square(longitudinal)
-    largest = 0.0
-    for rate in dynamics[:, 3]:
-        largest = max(largest, abs(rate))
-    out[6] = largest
-    out[7] = root_mean_square(offset)
-    largest = 0.0
-    for distance in offset:
-        largest = max(largest, abs(distance))
-    out[8] = largest
-    out[9] = overshoot(offset, swing[0], swing[1], swing[2])
-    out[10] = reversals(dynamics[:, 4], gap) * 60.0 / duration
-    out[11] = weighted_root_mean_square(longitudinal, horizontal)
-    out[12] = weighted_root_mean_square(lateral, horizontal)
-    out[13] = math.sqrt(out[11] * out[11] + out[12] * out[12])
-    out[14] = weighted_root_mean_square(longitudinal, sickness) * math.sqrt(duration)
-    out[15] = weighted_root_mean_square(lateral, sickness) * math.sqrt(duration)
