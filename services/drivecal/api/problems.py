@@ -129,7 +129,7 @@ async def _http_error(request: Request, error: Exception) -> Response:
     if error.status_code == HTTPStatus.NOT_FOUND and detail == HTTPStatus.NOT_FOUND.phrase:
         detail = f"there is nothing at {shown(request.url.path)}; see /docs for what there is"
     if error.status_code == HTTPStatus.METHOD_NOT_ALLOWED:
-        detail = f"{request.method} is not possible here; possible: {(error.headers or {}).get('Allow', 'see /docs')}"
+        detail = f"{request.method} is not possible here; see /docs for what is"
     return problem_response(request, error.status_code, detail, headers=error.headers)
 
 

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import json
 import math
-from typing import NoReturn
+from collections.abc import Sequence
 
 from drivecal.domain.errors import InvalidInputError, Problem
 
 DEEPEST = 32
 """Nesting beyond this is refused; the deepest document that drivecal understands needs six levels."""
+_TOO_DEEP = Problem("", f"the document is nested deeper than {DEEPEST} levels", "send a flatter one")
 
 
 def loads(content: bytes) -> object:
@@ -27,39 +28,52 @@ def loads(content: bytes) -> object:
     if not text.strip():
         raise InvalidInputError(Problem("", "the document is empty", "send a JSON object, e.g. {}"))
     try:
-        document = json.loads(
-            text, object_pairs_hook=_object, parse_constant=_no_constant, parse_float=_finite, parse_int=_integer
-        )
+        document = json.loads(text, object_pairs_hook=_object, parse_int=_integer)
     except json.JSONDecodeError as error:
         where = f"line {error.lineno}, column {error.colno}"
         raise InvalidInputError(Problem("", f"no valid JSON: {error.msg} at {where}", "correct the document there")) from error
     except RecursionError as error:
-        raise _too_deep() from error
+        raise InvalidInputError(_TOO_DEEP) from error
     check_plain(document)
     return document
 
 
 def check_plain(document: object) -> None:
-    """Raises InvalidInputError where plain data is nested too deeply or holds text that is no Unicode text."""
-    waiting: list[tuple[object, int]] = [(document, 1)]
+    """Raises InvalidInputError, naming the field, where plain data is nested too deeply, holds a number that is not finite, or text
+    that is no Unicode text."""
+    waiting: list[tuple[object, tuple[str | int, ...]]] = [(document, ())]
     while waiting:
-        value, depth = waiting.pop()
+        value, path = waiting.pop()
         if isinstance(value, str):
-            _check_text(value)
+            _check_text(value, path)
+        elif isinstance(value, float) and not math.isfinite(value):
+            message = "NaN is no JSON number" if math.isnan(value) else "the number is not finite, or too large"
+            raise InvalidInputError(Problem(field_name(path), message, "give a finite number, or null"))
         elif isinstance(value, (dict, list)):
-            if depth > DEEPEST:
-                raise _too_deep()
-            children = [*value.keys(), *value.values()] if isinstance(value, dict) else value
-            waiting.extend((child, depth + 1) for child in children)
+            if len(path) >= DEEPEST:
+                raise InvalidInputError(_TOO_DEEP)
+            if isinstance(value, dict):
+                for key in value:
+                    _check_text(key, path)
+            waiting.extend(
+                (child, (*path, key)) for key, child in (value.items() if isinstance(value, dict) else enumerate(value))
+            )
 
 
-def _check_text(value: str) -> None:
+def field_name(path: Sequence[int | str]) -> str:
+    """`optimizer.population`, `parameters[0].lower`."""
+    name = ""
+    for part in path:
+        name += f"[{part}]" if isinstance(part, int) else f".{shown(part)}" if name else shown(part)
+    return name
+
+
+def _check_text(value: str, path: Sequence[int | str]) -> None:
     try:
         value.encode()
     except UnicodeEncodeError as error:
-        raise InvalidInputError(
-            Problem("", f"{value!a} holds half of a surrogate pair", "send whole Unicode characters")
-        ) from error
+        message = f"{value!a} holds half of a surrogate pair"
+        raise InvalidInputError(Problem(field_name(path), message, "send whole Unicode characters")) from error
 
 
 def _object(pairs: list[tuple[str, object]]) -> dict[str, object]:
@@ -73,21 +87,9 @@ def _object(pairs: list[tuple[str, object]]) -> dict[str, object]:
     return document
 
 
-def _no_constant(name: str) -> NoReturn:
-    raise InvalidInputError(Problem("", f"{name} is no JSON number", "give a finite number, or null"))
-
-
-def _finite(digits: str) -> float:
-    value = float(digits)
-    if not math.isfinite(value):
-        raise InvalidInputError(Problem("", f"{shown(digits)} is too large for a number", "give a smaller number"))
-    return value
-
-
-def _integer(digits: str) -> int:
-    if len(digits) > 100:
-        raise InvalidInputError(Problem("", f"an integer of {len(digits)} digits is too large", "give a smaller number"))
-    return int(digits)
+def _integer(digits: str) -> float:
+    """Integers that no field can hold become infinite, so that their field can be named."""
+    return int(digits) if len(digits) <= 100 else math.inf
 
 
 def shown(value: object, longest: int = 60) -> str:
@@ -99,7 +101,3 @@ def shown(value: object, longest: int = 60) -> str:
     else:
         text = "an object" if isinstance(value, dict) else "a list" if isinstance(value, list) else ascii(value)
     return text if len(text) <= longest else text[: longest - 1] + "…"
-
-
-def _too_deep() -> InvalidInputError:
-    return InvalidInputError(Problem("", f"the document is nested deeper than {DEEPEST} levels", "send a flatter one"))

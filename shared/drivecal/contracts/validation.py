@@ -8,7 +8,7 @@ from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
 
-from drivecal.contracts.strict_json import shown
+from drivecal.contracts.strict_json import field_name, shown
 from drivecal.domain.errors import InvalidInputError, Problem
 
 Specification = TypeVar("Specification", bound=BaseModel)
@@ -125,14 +125,6 @@ def problem(field: str, detail: Detail) -> Problem:
         message, _, remedy = str(context["error"]).partition("; ")
         return Problem(field, message, remedy)
     return Problem(field, f"{given} does not fit", detail["msg"])
-
-
-def field_name(path: Sequence[int | str]) -> str:
-    """`optimizer.population`, `parameters[0].lower`."""
-    name = ""
-    for part in path:
-        name += f"[{part}]" if isinstance(part, int) else f".{shown(part)}" if name else shown(part)
-    return name
 
 
 def _known(model: type[BaseModel], path: Sequence[int | str]) -> list[str]:
