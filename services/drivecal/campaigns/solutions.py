@@ -67,6 +67,10 @@ class Standing:
         equal = sum(1 for one in self._solutions.values() if abs(one.objective - best.objective) <= EQUAL)
         return best, equal
 
+    def get(self, parameter_set: int) -> Solution | None:
+        """A parameter set's solution, None where a result is missing; `parameter_set` is its id."""
+        return self._solutions.get(parameter_set)
+
     def _solution(self, number: int) -> Solution | None:
         cells = self._answers[number]
         objective = rating = 0.0

@@ -1,0 +1,271 @@
+"""The calibration stage: asks the optimizer, plans the population, books the answers, tells the optimizer; iteration by iteration."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+
+import numpy as np
+from sqlalchemy import Connection
+
+from drivecal.campaigns.ledger import Ledger, Work
+from drivecal.campaigns.planning import View, plan_population, sync_reference_keys
+from drivecal.campaigns.problem import CalibrationProblem
+from drivecal.campaigns.scheduler import Completed
+from drivecal.campaigns.selfcheck import error_rates
+from drivecal.campaigns.solutions import Solution, Standing
+from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, Progress
+from drivecal.domain.campaigns import Stage
+from drivecal.domain.parameters import ParameterSet
+from drivecal.plugins.ports import Optimizer, Proposal
+from drivecal.reduction.assignment import Policy
+from drivecal.storage import campaigns, evaluations, generations, parameter_sets, results
+from drivecal.storage.campaigns import Snapshot, StoredCampaign
+from drivecal.storage.database import Database
+from drivecal.storage.generations import Figures
+
+_COUNTED = ("proposed", "carried_over", "requested", "repeated", "reused", "certified", "simulated", "failed", "audited")
+
+
+class Calibration:
+    """One campaign's calibration stage. `work` gives cells to simulate, `record` takes what became of them.
+
+    All state is in the database after every call, so that a new object on the same campaign goes on exactly as this one would.
+    """
+
+    def __init__(
+        self,
+        database: Database,
+        campaign: StoredCampaign,
+        problem: CalibrationProblem,
+        view: View,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._database = database
+        self._campaign = campaign
+        self._problem = problem
+        self._view = view
+        self._ledger = Ledger(view, campaign.cells, campaign.simulating_seconds)
+        self._standing = Standing(problem.weights)
+        self._error_rate: dict[str, ErrorRate] = dict(campaign.error_rate)
+        self._notes = problem.notes
+        self._best, self._baseline = campaign.best, campaign.baseline
+        population = problem.specification.optimizer.population
+        self._scores = np.full((population, len(problem.scenarios)), np.nan)
+        self._ratings = np.full((population, len(problem.scenarios)), np.nan)
+        self._before = CellCounts()
+        self._iteration: int | None = None
+        self._proposal: Proposal | None = None
+        self._optimizer: Optimizer | None = None
+        self._clock = clock
+        self._started, self._done_before = clock(), campaign.cells.requested
+        self.finished = False
+        self.degraded: str | None = None
+
+    def work(self) -> list[Work]:
+        """What to simulate next; empty where answers are awaited or the stage is `finished`."""
+        if self._optimizer is None:
+            work = self._resume()
+            if self._ledger.waiting:
+                return work
+        while not self._ledger.waiting and not self.finished:
+            if self._proposal is not None:
+                self._tell()
+            if self._iteration is not None and self._iteration + 1 >= self._problem.specification.optimizer.iterations:
+                self.finished = True
+                return []
+            work = self._ask()
+            if work:
+                return work
+        return []
+
+    def record(self, completed: Sequence[Completed]) -> list[Work]:
+        """Writes results down, in one transaction with the counters that they change; gives what is to be simulated instead of cells
+        whose leader has no result."""
+        with self._database.transaction() as connection:
+            work = self._ledger.record(connection, completed)
+            self._save(connection)
+        return work
+
+    def _resume(self) -> list[Work]:
+        """Takes up the last generation as it was, or starts with the first."""
+        problem = self._problem
+        sync_reference_keys(self._database, self._view)
+        with self._database.transaction() as connection:
+            last = generations.last(connection, self._campaign.sequence)
+            if last is None or last.optimizer_state is None:
+                start = None
+                if problem.baseline is not None:
+                    start = problem.space.indices(problem.baseline.values)[np.newaxis, :]
+                self._optimizer = problem.optimizer.create(problem.optimizer_settings, problem.space.n_values, start)
+                self._remember_baseline(connection)
+                return []
+            self._optimizer = problem.optimizer.restore(
+                problem.optimizer_settings, problem.space.n_values, last.optimizer_state
+            )
+            self._iteration = last.iteration
+            self._proposal = Proposal(np.array(last.population, dtype=np.int64), np.array(last.changed, dtype=np.bool_))
+            self._before = self._counts_of_finished(connection, last.iteration)
+            self._take_in(connection, iterations=range(last.iteration))
+            work = self._ledger.load(connection, share_runs=self._shares_runs)
+            self._save(connection)
+        return work
+
+    def _ask(self) -> list[Work]:
+        """Commits the next population with its assignment and the optimizer's state, before anything is dispatched."""
+        if self._optimizer is None:
+            raise RuntimeError("the stage has not been taken up")
+        problem, specification = self._problem, self._problem.specification
+        proposal = self._optimizer.ask()
+        iteration = 0 if self._iteration is None else self._iteration + 1
+        changed = [int(index) for index in np.flatnonzero(proposal.changed)]
+        sets = problem.space.parameter_sets(proposal.population[changed])
+        stopped = [scenario for scenario, rate in self._error_rate.items() if rate.stopped]
+        reduction = specification.reduction
+        policy = Policy(reduction.mode, reduction.audit, specification.optimizer.seed, stopped)
+        carried_over = (len(proposal.changed) - len(changed)) * len(problem.scenarios)
+        with self._database.transaction() as connection:
+            individuals = list(zip(changed, sets, strict=True))
+            cells = plan_population(connection, self._view, policy, Stage.CALIBRATION, iteration, individuals)
+            self._ledger.request(connection, cells, carried_over)
+            self._iteration, self._proposal = iteration, proposal
+            work = self._ledger.load(connection, share_runs=self._shares_runs)
+            generations.insert(
+                connection,
+                self._campaign.sequence,
+                iteration,
+                figures=self._figures(),
+                population=proposal.population.tolist(),
+                changed=proposal.changed.tolist(),
+                optimizer_state=self._optimizer.state(),
+            )
+            self._save(connection)
+        return work
+
+    def _tell(self) -> None:
+        """Closes an iteration: every cell has its answer."""
+        if self._optimizer is None or self._iteration is None:
+            raise RuntimeError("the stage has not been taken up")
+        with self._database.transaction() as connection:
+            self._take_in(connection, iterations=[self._iteration])
+            objectives, ratings = self._weighted(self._scores), self._weighted(self._ratings)
+            evaluations.settle_audits(connection, self._campaign.sequence, Stage.CALIBRATION, self._iteration)
+            counts = results.count_audits(connection, self._campaign.sequence)
+            limit = self._problem.specification.reduction.max_error
+            self._error_rate = error_rates(counts, self._error_rate, self._problem.scenarios, limit)
+            self._describe_best(connection)
+            figures = self._figures(objectives)
+            generations.finish(connection, self._campaign.sequence, self._iteration, figures, objectives.tolist())
+            self._save(connection)
+        self._before = self._ledger.counts
+        self._optimizer.tell(objectives, ratings)
+        self._proposal = None
+
+    @property
+    def _shares_runs(self) -> bool:
+        return self._problem.specification.reduction.mode != "off"
+
+    def _take_in(self, connection: Connection, iterations: range | list[int]) -> None:
+        """Reads the answers of iterations: each individual keeps those of the iteration that requested it last."""
+        columns = {scenario: column for column, scenario in enumerate(self._problem.scenarios)}
+        only = iterations[0] if len(iterations) == 1 else None
+        wanted = set(iterations)
+        answers = results.answers(connection, self._campaign.sequence, Stage.CALIBRATION, only) if wanted else ()
+        taken = [answer for answer in answers if answer.iteration in wanted]
+        for answer in taken:
+            cell = answer.individual, columns[answer.scenario]
+            self._scores[cell] = np.nan if answer.score is None else answer.score
+            self._ratings[cell] = np.nan if answer.rating is None else answer.rating
+        self._standing.add(taken)
+
+    def _weighted(
+        self, values: np.ndarray[tuple[int, int], np.dtype[np.float64]]
+    ) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+        """Equation 6, shape (population,), added in the order of the scenarios; NaN for individuals without a result."""
+        total = np.zeros(len(values))
+        for column, weight in enumerate(self._problem.weights.values()):
+            total += weight * values[:, column]
+        return total
+
+    def _figures(self, objectives: np.ndarray[tuple[int], np.dtype[np.float64]] | None = None) -> Figures:
+        now, before = self._ledger.counts, self._before
+        counted = {name: getattr(now, name) - getattr(before, name) for name in _COUNTED}
+        if objectives is None:
+            return Figures(**counted)
+        best = self._standing.best()
+        known = objectives[~np.isnan(objectives)]
+        return Figures(
+            **counted,
+            best=None if best is None else best[0].objective,
+            mean=float(known.mean()) if known.size else None,
+            minimum=float(known.min()) if known.size else None,
+            alternatives=0 if best is None else best[1],
+        )
+
+    def _counts_of_finished(self, connection: Connection, iterations: int) -> CellCounts:
+        """The sum over the iterations before this one."""
+        total = dict.fromkeys(_COUNTED, 0)
+        finished, _ = generations.page(connection, self._campaign.sequence, limit=max(iterations, 1))
+        for iteration, figures in finished:
+            for name in _COUNTED:
+                total[name] += asdict(figures)[name] if iteration < iterations else 0
+        return CellCounts(**total)
+
+    def _describe_best(self, connection: Connection) -> None:
+        found = self._standing.best()
+        if found is not None:
+            solution, alternatives = found
+            parameters = parameter_sets.load(connection, [solution.parameter_set])[solution.parameter_set]
+            self._best = Best(
+                objective=solution.objective,
+                parameters=parameters.floats,
+                scores=dict(solution.scores),
+                alternatives=alternatives,
+            )
+        self._remember_baseline(connection)
+
+    def _remember_baseline(self, connection: Connection) -> None:
+        baseline: ParameterSet | None = self._problem.baseline
+        if baseline is None:
+            return
+        (number,) = parameter_sets.ensure(connection, [baseline])
+        solution: Solution | None = self._standing.get(number)
+        none_yet: dict[str, int | None] = dict.fromkeys(self._problem.scenarios)
+        self._baseline = Baseline(
+            objective=None if solution is None else solution.objective,
+            parameters=baseline.floats,
+            scores=none_yet if solution is None else dict(solution.scores),
+        )
+
+    def _save(self, connection: Connection) -> None:
+        counts = self._ledger.counts
+        notes = list(self._notes)
+        for scenario, rate in self._error_rate.items():
+            if rate.stopped:
+                notes.append(f"reuse in {scenario} was stopped: {rate.wrong} of {rate.audited} audited cells were wrong")
+        if self._ledger.contradictions:
+            notes.append(f"{self._ledger.contradictions} simulations gave other bits than the stored run of the same cell")
+        campaigns.save_progress(
+            connection,
+            self._campaign.sequence,
+            Snapshot(
+                stage=Stage.CALIBRATION,
+                iteration=self._iteration,
+                cells=counts,
+                progress=self._progress(counts),
+                error_rate=self._error_rate,
+                best=self._best,
+                baseline=self._baseline,
+                simulating_seconds=self._ledger.simulating_seconds,
+                notes=notes,
+                degraded=self.degraded,
+            ),
+        )
+
+    def _progress(self, counts: CellCounts) -> Progress:
+        total = self._problem.expected_runs().calibration_at_most
+        done = counts.requested - self._done_before
+        left = max(total - counts.requested, 0)
+        eta = (self._clock() - self._started) / done * left if done else None
+        return Progress(done=counts.requested, total=counts.requested + left, eta_seconds=eta)

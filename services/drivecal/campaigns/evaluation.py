@@ -1,0 +1,68 @@
+"""A single evaluation: one parameter set in one or more scenarios, through the same table and the same workers as a campaign."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from drivecal.campaigns.ledger import Ledger, Work
+from drivecal.campaigns.planning import View, plan_population
+from drivecal.campaigns.problem import EvaluationProblem
+from drivecal.campaigns.scheduler import Completed
+from drivecal.contracts.campaign import Progress
+from drivecal.domain.campaigns import Stage
+from drivecal.reduction.assignment import Policy
+from drivecal.storage import campaigns
+from drivecal.storage.campaigns import Snapshot, StoredCampaign
+from drivecal.storage.database import Database
+
+
+class SingleEvaluation:
+    """Gives and takes work as `Calibration` does. Answers come from equal parameter sets or from a simulation, never by reuse."""
+
+    def __init__(self, database: Database, campaign: StoredCampaign, problem: EvaluationProblem, view: View) -> None:
+        self._database = database
+        self._campaign = campaign
+        self._problem = problem
+        self._view = view
+        self._ledger = Ledger(view, campaign.cells, campaign.simulating_seconds)
+        self._loaded = False
+        self.finished = False
+        self.degraded: str | None = None
+
+    def work(self) -> list[Work]:
+        """What to simulate; empty where answers are awaited or everything is `finished`."""
+        work: list[Work] = []
+        if not self._loaded:
+            with self._database.transaction() as connection:
+                if self._campaign.cells.proposed == 0:
+                    individuals = [(0, self._problem.parameter_set)]
+                    policy = Policy("exact")
+                    cells = plan_population(connection, self._view, policy, Stage.CALIBRATION, 0, individuals)
+                    self._ledger.request(connection, cells, carried_over=0)
+                work = self._ledger.load(connection, share_runs=True)
+                campaigns.save_progress(connection, self._campaign.sequence, self._snapshot())
+            self._loaded = True
+        self.finished = self._ledger.waiting == 0
+        return work
+
+    def record(self, completed: Sequence[Completed]) -> list[Work]:
+        """Writes results down."""
+        with self._database.transaction() as connection:
+            work = self._ledger.record(connection, completed)
+            campaigns.save_progress(connection, self._campaign.sequence, self._snapshot())
+        return work
+
+    def _snapshot(self) -> Snapshot:
+        counts = self._ledger.counts
+        return Snapshot(
+            stage=Stage.CALIBRATION,
+            iteration=0,
+            cells=counts,
+            progress=Progress(done=counts.requested, total=counts.proposed),
+            error_rate={},
+            best=None,
+            baseline=None,
+            simulating_seconds=self._ledger.simulating_seconds,
+            notes=(),
+            degraded=self.degraded,
+        )

@@ -1,0 +1,215 @@
+"""Books the cells of one campaign that wait for their answers, and writes down what comes back.
+
+The rows in the database are the truth: a ledger is loaded from them after every assignment, and just so after a crash.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from sqlalchemy import Connection
+
+from drivecal.campaigns.planning import View, ensure_setups
+from drivecal.campaigns.scheduler import Completed
+from drivecal.contracts.campaign import CellCounts
+from drivecal.contracts.work import Cell, SetupRequest
+from drivecal.domain.errors import ConflictError
+from drivecal.domain.evaluations import Donor, Outcome
+from drivecal.storage import evaluations, runs
+from drivecal.storage.evaluations import COPIES, Answer, NewEvaluation, PendingEvaluation
+from drivecal.storage.runs import NewRun, StoredRun
+
+
+@dataclass(frozen=True, slots=True)
+class Work:
+    """Cells of one setup to simulate; a cell's id is that of its evaluation."""
+
+    setup: SetupRequest
+    cells: tuple[Cell, ...]
+
+
+class Ledger:
+    """Of one campaign. Every method that changes rows works inside the caller's transaction; the counts change with them, so a
+    ledger whose transaction failed is thrown away and loaded anew."""
+
+    def __init__(self, view: View, counts: CellCounts, simulating_seconds: float) -> None:
+        self._view = view
+        self._counts = Counter(counts.model_dump())
+        self._pending: dict[int, PendingEvaluation] = {}
+        self._copies: dict[int, list[PendingEvaluation]] = {}
+        self.simulating_seconds = simulating_seconds
+        self.contradictions = 0
+        """Simulations that gave other bits than the stored run of the same setup and parameter set."""
+
+    @property
+    def counts(self) -> CellCounts:
+        """The cells by outcome, of the whole stage."""
+        return CellCounts(**self._counts)
+
+    @property
+    def waiting(self) -> int:
+        """Cells without an answer."""
+        return len(self._pending)
+
+    def request(self, connection: Connection, cells: Sequence[NewEvaluation], carried_over: int) -> None:
+        """Stores a planned population. Copies of stored results have their answer at once."""
+        evaluations.insert(connection, self._view.campaign, cells)
+        self._counts["proposed"] += len(cells) + carried_over
+        self._counts["carried_over"] += carried_over
+        for cell in cells:
+            if cell.plan in COPIES and cell.donor is not None:
+                self._count(cell.plan)
+            else:
+                self._counts["pending"] += 1
+
+    def load(self, connection: Connection, *, share_runs: bool) -> list[Work]:
+        """Reads what waits for an answer; gives what is to be simulated.
+
+        With `share_runs`, a cell that another campaign has simulated meanwhile takes that run: it counts as simulated all the same, for
+        the campaign did not see it when it planned. Raises ConflictError where the cells were planned by another version.
+        """
+        self._pending = {one.id: one for one in evaluations.pending(connection, self._view.campaign)}
+        self._copies = {}
+        for one in self._pending.values():
+            if one.plan in COPIES and one.reference is not None:
+                self._copies.setdefault(one.reference, []).append(one)
+        self._refuse_other_versions(connection)
+        if share_runs:
+            self._share_runs(connection)
+        return self._work([one for one in self._pending.values() if one.plan is Outcome.SIMULATED])
+
+    def record(self, connection: Connection, completed: Sequence[Completed]) -> list[Work]:
+        """Writes down what became of simulated cells, and of those that waited for them; gives what has to be simulated instead."""
+        answers: list[Answer] = []
+        orphans: list[PendingEvaluation] = []
+        finished: list[tuple[PendingEvaluation, Completed]] = []
+        for one in completed:
+            cell = self._pending.get(one.result.id)
+            if cell is None:  # answered already, by an earlier attempt
+                continue
+            if one.result.breakdown is None:
+                finished.append((cell, one))
+            else:
+                orphans += self._break_down(cell, one, answers)
+        stored = runs.insert_results(connection, [self._new_run(cell, one) for cell, one in finished])
+        for (cell, one), run in zip(finished, stored, strict=True):
+            self._simulated(cell, one, run, answers)
+        evaluations.answer(connection, answers)
+        evaluations.simulate_instead(connection, [one.id for one in orphans])
+        return self._work(orphans)
+
+    def _work(self, cells: Sequence[PendingEvaluation]) -> list[Work]:
+        by_scenario: dict[str, list[Cell]] = {}
+        for one in cells:
+            by_scenario.setdefault(one.scenario, []).append(Cell(one.id, one.parameters.floats))
+        return [Work(self._view.bench.requests[scenario], tuple(listed)) for scenario, listed in by_scenario.items()]
+
+    def _share_runs(self, connection: Connection) -> None:
+        wanted: dict[int, list[PendingEvaluation]] = {}
+        for one in self._pending.values():
+            if one.plan is Outcome.SIMULATED:
+                wanted.setdefault(one.setup_id, []).append(one)
+        answers: list[Answer] = []
+        for setup_id, cells in wanted.items():
+            ids = [one.parameter_set_id for one in cells]
+            found = runs.look_up_exact(connection, setup_id, ids, self._view.bench.evaluator_id, watermark=sys.maxsize)
+            for cell in cells:
+                if cell.parameter_set_id in found:
+                    self._answer(cell, found[cell.parameter_set_id], answers)
+        evaluations.answer(connection, answers)
+
+    def _simulated(self, cell: PendingEvaluation, one: Completed, run: StoredRun, answers: list[Answer]) -> None:
+        if one.result.score is None or one.result.rating is None:
+            raise ValueError(f"the worker gave no score for evaluation {cell.id}")
+        self.contradictions += not run.agrees
+        self.simulating_seconds += one.result.milliseconds / 1000
+        donor = Donor(cell.id, run.id, one.result.score, one.result.rating, one.result.failure)
+        self._answer(cell, donor, answers, one)
+
+    def _answer(
+        self, cell: PendingEvaluation, result: Donor, answers: list[Answer], simulation: Completed | None = None
+    ) -> None:
+        """Answers a cell by its own result, and the copies that waited for it."""
+        for one in (cell, *self._copies.pop(cell.id, ())):
+            own = simulation if one is cell else None
+            answers.append(
+                Answer(
+                    id=one.id,
+                    outcome=one.plan,
+                    score=result.score,
+                    rating=result.rating,
+                    run_id=result.run,
+                    failure=result.failure,
+                    milliseconds=None if own is None else own.result.milliseconds,
+                    worker=None if own is None else own.worker,
+                    attempts=0 if own is None else own.attempts,
+                )
+            )
+            self._close(one, one.plan)
+
+    def _break_down(self, cell: PendingEvaluation, one: Completed, answers: list[Answer]) -> list[PendingEvaluation]:
+        """The cell has no result after all attempts. Copies of the same parameter set share its fate; the others are orphans."""
+        orphans: list[PendingEvaluation] = []
+        for other in (cell, *self._copies.pop(cell.id, ())):
+            if other.plan is Outcome.REUSED:
+                orphans.append(other)
+                continue
+            answers.append(
+                Answer(
+                    id=other.id,
+                    outcome=Outcome.FAILED,
+                    score=None,
+                    rating=None,
+                    run_id=None,
+                    failure=one.result.breakdown,
+                    milliseconds=one.result.milliseconds if other is cell else None,
+                    worker=one.worker if other is cell else None,
+                    attempts=one.attempts if other is cell else 0,
+                )
+            )
+            self._close(other, Outcome.FAILED)
+        for position, other in enumerate(orphans):
+            orphans[position] = self._pending[other.id] = replace(other, plan=Outcome.SIMULATED, reference=None)
+        return orphans
+
+    def _close(self, cell: PendingEvaluation, outcome: Outcome) -> None:
+        del self._pending[cell.id]
+        self._counts["pending"] -= 1
+        self._count(outcome)
+        if outcome is Outcome.SIMULATED and cell.audited:
+            self._counts["audited"] += 1
+
+    def _count(self, outcome: Outcome) -> None:
+        self._counts["requested"] += 1
+        self._counts[outcome.value] += 1
+
+    def _new_run(self, cell: PendingEvaluation, one: Completed) -> NewRun:
+        if one.result.score is None or one.result.rating is None:
+            raise ValueError(f"the worker gave no score for evaluation {cell.id}")
+        return NewRun(
+            setup_id=cell.setup_id,
+            parameter_set_id=cell.parameter_set_id,
+            metrics=one.result.metrics,
+            failure=one.result.failure,
+            milliseconds=one.result.milliseconds,
+            worker=one.worker,
+            evaluator=self._view.bench.evaluator_id,
+            score=one.result.score,
+            rating=one.result.rating,
+            evaluation_id=cell.id,
+            campaign_sequence=self._view.campaign,
+            stage=cell.stage,
+            iteration=cell.iteration,
+            individual=cell.individual,
+        )
+
+    def _refuse_other_versions(self, connection: Connection) -> None:
+        setup_ids = ensure_setups(connection, self._view.bench)
+        if any(setup_ids.get(one.scenario) != one.setup_id for one in self._pending.values()):
+            raise ConflictError(
+                "the campaign was started with another version of a scenario, the driving function, the vehicle or the simulator; "
+                "submit it again: what was simulated before counts for the old version only"
+            )
