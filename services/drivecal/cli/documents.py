@@ -62,7 +62,7 @@ class _Loader(yaml.SafeLoader):
     yaml_implicit_resolvers: dict[str, list[tuple[str, re.Pattern[str]]]] = {}  # noqa: RUF012  # PyYAML declares it this way
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
-        event: Any = self.peek_event()  # type: ignore[no-untyped-call]
+        event: Any = self.peek_event()  # type: ignore[no-untyped-call]  # PyYAML ships no type for it
         if isinstance(event, yaml.AliasEvent):
             raise _refusal("aliases are not supported", event.start_mark, "write the value out")
         if getattr(event, "tag", None) is not None:

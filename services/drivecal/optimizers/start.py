@@ -20,7 +20,7 @@ def start_population(
     `halton` is the plain sequence without its first point, the corner of the space; it is the same for every seed (Section IV-B starts
     both optimizers from one such population per size). Raises ValueError where `given` has more rows than fit.
     """
-    from scipy.stats import qmc  # noqa: PLC0415  takes more than a second, which commands that only look things up need not pay
+    from scipy.stats import qmc  # takes more than a second, which commands that only look things up need not pay
 
     expert = np.empty((0, len(n_values)), dtype=np.int64) if given is None else given
     count = size - len(expert)

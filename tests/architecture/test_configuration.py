@@ -1,0 +1,93 @@
+"""Dependencies are locked, and the tools that guard the code are set as strictly as they claim."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+from tests.support.tree import PROJECT, modules, shown
+
+LOCK = PROJECT / "deploy" / "requirements.lock"
+
+
+@cache
+def project() -> dict[str, Any]:
+    with (PROJECT / "pyproject.toml").open("rb") as file:
+        return tomllib.load(file)
+
+
+def declared() -> list[Requirement]:
+    table = project()
+    lists = [table["project"]["dependencies"], *table["project"]["optional-dependencies"].values()]
+    lists += table["dependency-groups"].values()
+    lists.append(table["build-system"]["requires"])
+    return [Requirement(entry) for entries in lists for entry in entries]
+
+
+@cache
+def locked() -> dict[str, list[tuple[str, int]]]:
+    """Version and number of hashes of each locked package, by name; several where platforms differ."""
+    found: dict[str, list[tuple[str, int]]] = {}
+    entries = LOCK.read_text(encoding="utf-8").replace("\\\n", " ").splitlines()
+    for entry in entries:
+        if entry.strip() and not entry.lstrip().startswith("#"):
+            requirement, *hashes = entry.split("--hash=")
+            name, version = re.fullmatch(r"([A-Za-z0-9_.-]+)(?:\[[^]]*\])?==([^\s;]+)\s*(?:;.*)?", requirement.strip()).groups()  # type: ignore[union-attr]
+            found.setdefault(canonicalize_name(name), []).append((version, len(hashes)))
+    return found
+
+
+@pytest.mark.parametrize("requirement", declared(), ids=str)
+def test_what_is_declared_is_locked_at_a_version_that_fits(requirement: Requirement) -> None:
+    versions = [version for version, _ in locked().get(canonicalize_name(requirement.name), [])]
+    assert versions, f"{requirement.name} is not locked; run make lock"
+    assert all(requirement.specifier.contains(version) for version in versions)
+
+
+def test_everything_locked_is_locked_by_its_hash() -> None:
+    assert locked()
+    assert [name for name, entries in locked().items() if not all(hashes for _, hashes in entries)] == []
+
+
+def test_the_lock_names_no_place_to_download_from() -> None:
+    assert not re.search(r"https?://|^-i |--index-url|--find-links", LOCK.read_text(encoding="utf-8"), re.MULTILINE)
+
+
+def test_types_are_checked_strictly_and_everywhere() -> None:
+    mypy = project()["tool"]["mypy"]
+    assert mypy["strict"]
+    assert mypy["explicit_package_bases"]
+    assert set(mypy["files"]) == {"shared", "services", "workers", "tests"}
+    assert set(mypy["mypy_path"]) >= {"shared", "services", "workers"}
+    relaxed = {key for override in mypy.get("overrides", []) for key in override} - {"module"}
+    assert relaxed <= {"ignore_missing_imports", "follow_untyped_imports", "disallow_untyped_decorators"}
+
+
+def test_the_linter_knows_the_three_roots() -> None:
+    assert project()["tool"]["ruff"]["src"] == ["shared", "services", "workers"]
+    assert project()["tool"]["hatch"]["build"]["dev-mode-dirs"] == ["shared", "services", "workers"]
+
+
+def test_every_rule_of_the_linter_that_is_off_has_its_reason_beside_it() -> None:
+    text = (PROJECT / "pyproject.toml").read_text(encoding="utf-8")
+    section = text[text.index("\nignore = [") : text.index("[tool.mypy]")]
+    rules = [line for line in section.splitlines() if re.search(r'"[A-Z]+[0-9]*"', line)]
+    assert rules
+    assert [line for line in rules if "#" not in line] == []
+
+
+@pytest.mark.parametrize("path", modules(), ids=shown)
+def test_every_exception_in_the_code_names_its_rule_and_its_reason(path: Path) -> None:
+    """`# noqa: RULE  why` and `# type: ignore[rule]  # why`."""
+    lines = path.read_text(encoding="utf-8").splitlines()
+    exceptions = [line for line in lines if re.search(r"#\s*(noqa|type:\s*ignore)", line)]
+    reasoned = re.compile(
+        r"# noqa: [A-Z]+[0-9]+(, [A-Z]+[0-9]+)*\s+(# )?\S+ \S|# type: ignore\[[a-z-]+(, [a-z-]+)*\]\s+# \S+ \S"
+    )
+    assert [line.strip() for line in exceptions if not reasoned.search(line)] == []

@@ -1,0 +1,133 @@
+"""The import rules in pyproject.toml: they name every package, and each finds what it forbids."""
+
+from __future__ import annotations
+
+import ast
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.support.tree import PROJECT, ROOTS, modules, packages, parsed, shown
+
+SHARED, SERVICES, WORKERS = ROOTS
+
+DRIVER = """
+import sys
+roots, config = sys.argv[1:-1], sys.argv[-1]
+sys.path[:] = roots + [entry for entry in sys.path if not entry.rstrip('/').endswith(('/shared', '/services', '/workers'))]
+from importlinter.cli import lint_imports
+sys.exit(lint_imports(config_filename=config, no_cache=True, no_logo=True))
+"""
+"""Lints the namespace package of other roots than those that are installed."""
+
+PLANTED = {
+    "The coordinator's imports point down": ("services/drivecal/storage", "import drivecal.campaigns"),
+    "The workers' imports point down": ("workers/drivecal/comfort", "import drivecal.episode"),
+    "What both sides speak knows neither side": ("shared/drivecal/plugins", "import drivecal.vehicle.plugin"),
+    "The coordinator reaches the workers through its Ray backend only": ("services/drivecal/cli", "import drivecal.runtime"),
+    "The workers do not know the coordinator": ("workers/drivecal/runtime", "from drivecal.reduction import keys"),
+    "Only drivecal.traffic speaks to SUMO": ("workers/drivecal/episode", "import libsumo"),
+    "No database and no web server beside the simulation": (
+        "workers/drivecal/planner",
+        "def late():\n    import sqlalchemy.orm",
+    ),
+    "No simulator and no compiler in the coordinator": ("services/drivecal/api", "from numba import njit"),
+    "Optimizers and the reduction are pure": ("services/drivecal/optimizers", "import httpx"),
+    "The domain stands on the standard library and numpy": ("shared/drivecal/domain", "import pydantic"),
+}
+"""For each rule a folder and what a module in it must not say."""
+
+
+def rules() -> list[dict[str, Any]]:
+    with (PROJECT / "pyproject.toml").open("rb") as file:
+        found: list[dict[str, Any]] = tomllib.load(file)["tool"]["importlinter"]["contracts"]
+    return found
+
+
+def rule(name: str) -> dict[str, Any]:
+    return next(one for one in rules() if one["name"] == name)
+
+
+def lint(tree: Path) -> subprocess.CompletedProcess[str]:
+    roots = [str(tree / name) for name in ("shared", "services", "workers")]
+    command = [sys.executable, "-c", DRIVER, *roots, "pyproject.toml"]
+    return subprocess.run(command, cwd=tree, capture_output=True, text=True, check=False)
+
+
+@pytest.fixture(scope="module")
+def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The project's modules and rules in another place."""
+    tree = tmp_path_factory.mktemp("tree")
+    shutil.copy(PROJECT / "pyproject.toml", tree)
+    for path in modules():
+        target = tree / path.relative_to(PROJECT)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(path, target)
+    return tree
+
+
+def test_every_rule_is_kept_and_every_rule_finds_what_is_planted(copy: Path) -> None:
+    clean = lint(copy)
+    assert clean.returncode == 0, clean.stdout + clean.stderr
+    assert {one["name"] for one in rules()} == set(PLANTED)
+    for number, (folder, statement) in enumerate(PLANTED.values()):
+        (copy / folder / f"planted{number}.py").write_text(f"{statement}\n")
+    broken = lint(copy)
+    assert broken.returncode == 1
+    for number, name in enumerate(PLANTED):
+        assert f"{name} BROKEN" in broken.stdout
+        assert re.search(rf"\.planted{number}\b", broken.stdout), name
+
+
+def test_the_layers_name_every_package() -> None:
+    def named(name: str) -> set[str]:
+        return {package for layer in rule(name)["layers"] for package in re.split(r"\s*[:|]\s*", layer)}
+
+    assert named("The coordinator's imports point down") == packages(SERVICES) | packages(SHARED)
+    assert named("The workers' imports point down") == packages(WORKERS) | packages(SHARED)
+
+
+@pytest.mark.parametrize(
+    ("name", "source", "forbidden"),
+    [
+        ("What both sides speak knows neither side", packages(SHARED), packages(SERVICES) | packages(WORKERS)),
+        ("The coordinator reaches the workers through its Ray backend only", packages(SERVICES), packages(WORKERS)),
+        ("The workers do not know the coordinator", packages(WORKERS), packages(SERVICES)),
+        ("No database and no web server beside the simulation", packages(WORKERS), {"sqlalchemy", "fastapi"}),
+        ("No simulator and no compiler in the coordinator", packages(SERVICES), {"libsumo", "numba"}),
+    ],
+)
+def test_a_rule_between_roots_names_every_package(name: str, source: set[str], forbidden: set[str]) -> None:
+    assert set(rule(name)["source_modules"]) == source
+    assert set(rule(name)["forbidden_modules"]) >= forbidden
+
+
+def test_the_ray_backend_is_the_only_exception() -> None:
+    exceptions = [exception for one in rules() for exception in one.get("ignore_imports", [])]
+    assert {exception.split(" -> ")[0] for exception in exceptions} == {"drivecal.campaigns.ray_backend"}
+
+
+def imported(tree: ast.Module) -> set[str]:
+    """The top-level names of all that a module imports, wherever in it."""
+    found: set[str] = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            found.add("." * node.level + (node.module or ""))
+    return {name.split(".")[0] for name in found}
+
+
+@pytest.mark.parametrize("path", [path for path in modules() if SHARED / "domain" in path.parents], ids=shown)
+def test_the_domain_imports_nothing_that_no_rule_thought_of(path: Path) -> None:
+    assert imported(parsed(path)) <= sys.stdlib_module_names | {"numpy", "drivecal"}
+
+
+@pytest.mark.parametrize("path", modules(), ids=shown)
+def test_imports_are_absolute_so_that_the_rules_see_them(path: Path) -> None:
+    assert "" not in imported(parsed(path))

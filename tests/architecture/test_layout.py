@@ -1,0 +1,94 @@
+"""Three folders, one import name: how the tree has to look for that to work."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+from collections import Counter
+from pathlib import Path
+
+import pytest
+from tests.support.tree import PROJECT, ROOTS, modules, packages, parsed, shown
+
+LONGEST = 400
+LONGER = {"workers/drivecal/planner/kernel.py": 600}
+"""Numba's cache does not notice edits in imported modules, so jitted functions that call each other stay in one."""
+TOP_LEVEL = {
+    "services", "workers", "shared", "deploy", "tests", "docker-compose.yml", "pyproject.toml", "README.md", "Makefile", "LICENSE",
+    "CHANGELOG.md",
+}  # fmt: skip
+HOOKS = {"process_bind_param", "process_result_value"}
+"""Methods that a library calls and documents."""
+BUILT = {"build", "dist"}
+"""What tools make and git ignores."""
+
+every_module = pytest.mark.parametrize("path", modules(), ids=shown)
+every_package = pytest.mark.parametrize("name", sorted(name for root in ROOTS for name in packages(root)))
+
+
+def test_the_top_level_holds_what_the_floor_plan_names_and_nothing_else() -> None:
+    found = {path.name for path in PROJECT.iterdir() if not path.name.startswith(".")}
+    assert found - BUILT <= TOP_LEVEL
+
+
+@pytest.mark.parametrize("root", ROOTS, ids=shown)
+def test_a_root_holds_packages_only(root: Path) -> None:
+    """An `__init__.py` here would hide the other two roots; a module here would belong to nobody."""
+    assert [path.name for path in root.iterdir() if path.is_file()] == []
+
+
+def test_no_two_roots_own_the_same_package() -> None:
+    owners = Counter(name for root in ROOTS for name in packages(root))
+    assert [name for name, count in owners.items() if count > 1] == []
+
+
+@every_package
+def test_a_package_is_typed_and_says_what_it_is_for(name: str) -> None:
+    package = importlib.import_module(name)
+    assert package.__file__ is not None
+    assert (Path(package.__file__).parent / "py.typed").is_file()
+    assert package.__doc__
+
+
+@every_package
+def test_a_package_is_imported_from_this_tree(name: str) -> None:
+    """Else every other test here would look at the wrong files."""
+    (folder,) = importlib.import_module(name).__path__
+    assert Path(folder).parent in ROOTS
+
+
+@every_module
+def test_a_folder_of_modules_is_a_package(path: Path) -> None:
+    assert (path.parent / "__init__.py").is_file()
+
+
+@every_module
+def test_a_module_can_be_read_in_one_sitting(path: Path) -> None:
+    assert len(path.read_text(encoding="utf-8").splitlines()) <= LONGER.get(shown(path), LONGEST)
+
+
+@every_module
+def test_whatever_is_public_is_documented(path: Path) -> None:
+    tree = parsed(path)
+    missing = [] if ast.get_docstring(tree) else ["the module"]
+    missing += undocumented(tree, "")
+    assert missing == []
+
+
+def undocumented(node: ast.Module | ast.ClassDef, prefix: str) -> list[str]:
+    """Public classes, functions and methods without a docstring; what is inside a function or starts with _ is nobody's business."""
+    found: list[str] = []
+    for child in node.body:
+        if isinstance(child, (ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)) and not child.name.startswith("_"):
+            if not ast.get_docstring(child) and child.name not in HOOKS:
+                found.append(prefix + child.name)
+            if isinstance(child, ast.ClassDef):
+                found += undocumented(child, f"{prefix}{child.name}.")
+    return found
+
+
+def test_undocumented_things_would_be_found() -> None:
+    source = (
+        '"""Doc."""\nclass A:\n  "A."\n  def b(self): ...\n  def _c(self): ...\nasync def d():\n  def e(): ...\nclass _F: ...\n'
+    )
+    assert undocumented(ast.parse(source), "") == ["A.b", "d"]

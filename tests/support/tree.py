@@ -1,0 +1,31 @@
+"""The source tree, for tests about its shape."""
+
+from __future__ import annotations
+
+import ast
+from functools import cache
+from pathlib import Path
+
+PROJECT = Path(__file__).parents[2]
+ROOTS = tuple(PROJECT / name / "drivecal" for name in ("shared", "services", "workers"))
+
+
+def packages(root: Path) -> set[str]:
+    """The import names of a root's packages, e.g. `drivecal.planner`."""
+    return {f"drivecal.{folder.name}" for folder in root.iterdir() if folder.is_dir() and folder.name != "__pycache__"}
+
+
+def modules() -> list[Path]:
+    """Every Python file of the three roots."""
+    return sorted(path for root in ROOTS for path in root.rglob("*.py"))
+
+
+def shown(path: Path) -> str:
+    """A path as a test's name shows it."""
+    return path.relative_to(PROJECT).as_posix()
+
+
+@cache
+def parsed(path: Path) -> ast.Module:
+    """The syntax tree of a file."""
+    return ast.parse(path.read_text(encoding="utf-8"), filename=str(path))
