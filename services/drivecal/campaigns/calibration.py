@@ -61,7 +61,6 @@ class Calibration:
         self._clock = clock
         self._started, self._done_before = clock(), campaign.cells.requested
         self.finished = False
-        self.degraded: str | None = None
 
     def work(self) -> list[Work]:
         """What to simulate next; empty where answers are awaited or the stage is `finished`."""
@@ -259,7 +258,6 @@ class Calibration:
                 baseline=self._baseline,
                 simulating_seconds=self._ledger.simulating_seconds,
                 notes=notes,
-                degraded=self.degraded,
             ),
         )
 

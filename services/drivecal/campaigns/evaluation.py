@@ -27,7 +27,6 @@ class SingleEvaluation:
         self._ledger = Ledger(view, campaign.cells, campaign.simulating_seconds)
         self._loaded = False
         self.finished = False
-        self.degraded: str | None = None
 
     def work(self) -> list[Work]:
         """What to simulate; empty where answers are awaited or everything is `finished`."""
@@ -64,5 +63,4 @@ class SingleEvaluation:
             baseline=None,
             simulating_seconds=self._ledger.simulating_seconds,
             notes=(),
-            degraded=self.degraded,
         )

@@ -67,7 +67,6 @@ class Snapshot:
     baseline: Baseline | None
     simulating_seconds: float
     notes: Collection[str]
-    degraded: str | None
 
 
 def insert(
@@ -242,9 +241,15 @@ def save_progress(connection: Connection, sequence: int, snapshot: Snapshot) -> 
         baseline=None if snapshot.baseline is None else snapshot.baseline.model_dump(mode="json"),
         simulating_seconds=snapshot.simulating_seconds,
         notes=list(snapshot.notes),
-        degraded=snapshot.degraded,
     )
     connection.execute(statement)
+
+
+def degrade(connection: Connection, sequences: Collection[int], reason: str | None) -> None:
+    """Says of running campaigns why they go on more slowly, or not at all, for now; None where all is well."""
+    if sequences:
+        changed = campaigns.c.sequence.in_(list(sequences)) & campaigns.c.degraded.is_distinct_from(reason)
+        connection.execute(update(campaigns).where(changed).values(degraded=reason))
 
 
 def end(connection: Connection, sequence: int, state: CampaignState, error: str | None = None) -> bool:
