@@ -83,7 +83,7 @@ def state_text(campaign: Campaign) -> str:
     """The state with what belongs to it, on one line."""
     parts = [campaign.state]
     if campaign.stage and campaign.state == "running":
-        parts.append(campaign.stage if campaign.iteration is None else f"{campaign.stage}, iteration {campaign.iteration}")
+        parts.append(campaign.stage if campaign.iteration is None else f"{campaign.stage}, iteration {campaign.iteration + 1}")
     if campaign.progress.total and campaign.state != "succeeded":
         parts.append(f"{campaign.progress.done:,} of {campaign.progress.total:,} cells")
     if campaign.progress.eta_seconds is not None and campaign.state == "running":

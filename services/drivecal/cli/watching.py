@@ -117,7 +117,7 @@ def _where(campaign: Campaign) -> str:
     iterations = campaign.spec.get("optimizer", {}).get("iterations")
     if campaign.iteration is None or iterations is None:
         return campaign.stage
-    return f"{campaign.stage} {campaign.iteration}/{iterations}"
+    return f"{campaign.stage} {campaign.iteration + 1}/{iterations}"
 
 
 def _detail(campaign: Campaign) -> str:

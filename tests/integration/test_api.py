@@ -1,0 +1,393 @@
+"""The API over real HTTP on a real SQLite file; what the dispatcher would store is stored by hand."""
+
+from __future__ import annotations
+
+import csv
+import io
+import uuid
+from collections.abc import Iterator
+from typing import Any
+
+import httpx
+import pyarrow.parquet as pq
+import pytest
+from tests.support.found import METRICS, carry_out, carry_out_evaluation
+from tests.support.server import RunningApi, serving
+
+from drivecal.domain.campaigns import CampaignState
+from drivecal.storage import campaigns, processes
+from drivecal.storage.types import now
+
+SMALL: dict[str, Any] = {"name": "small", "optimizer": {"population": 10, "iterations": 3}}
+MIDDLE = {"P1": 0, "P2": 1, "P3": 100, "P4": 1000, "P5": 750, "P6": 0.5, "P7": 100, "P8": 1000, "P9": 5, "P10": 10, "P11": 100}
+
+
+@pytest.fixture(scope="module")
+def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
+    with serving(f"sqlite:///{tmp_path_factory.mktemp('api') / 'drivecal.db'}") as running:
+        yield running
+
+
+def submit(api: RunningApi, specification: dict[str, Any] | None = None, **headers: str) -> dict[str, Any]:
+    response = api.http.post("/api/v1/campaigns", json=specification or SMALL, headers=headers)
+    assert response.status_code == 202, response.text
+    campaign: dict[str, Any] = response.json()
+    return campaign
+
+
+def problem_of(response: httpx.Response, status: int) -> dict[str, Any]:
+    assert response.status_code == status, response.text
+    assert response.headers["content-type"] == "application/problem+json"
+    document: dict[str, Any] = response.json()
+    assert document["status"] == status
+    assert document["title"]
+    assert document["detail"]
+    return document
+
+
+def test_a_submitted_campaign_is_accepted_and_found_at_its_location(api: RunningApi) -> None:
+    response = api.http.post("/api/v1/campaigns", json=SMALL)
+    assert response.status_code == 202
+    campaign = response.json()
+    assert response.headers["location"] == f"/api/v1/campaigns/{campaign['id']}" == campaign["links"]["self"]
+    found = api.http.get(response.headers["location"]).json()
+    assert found == campaign
+    assert found["state"] == "queued"
+    assert found["spec"]["optimizer"]["population"] == 10
+    assert found["spec"]["reduction"]["audit"] == 0.02, "defaults are filled in"
+    assert set(found["cells"]) >= {"proposed", "carried_over", "pending", "requested", "repeated", "reused", "certified"}
+
+
+def test_a_dry_run_counts_and_stores_nothing(api: RunningApi) -> None:
+    before = api.http.get("/api/v1/campaigns?limit=1").json()["items"]
+    response = api.http.post("/api/v1/campaigns?validate_only=true", json=SMALL | {"weights": {"S1": 0}})
+    assert response.status_code == 200
+    assert response.json()["calibration_proposed"] == 10 * 3 * 5
+    assert 10 * 5 <= response.json()["calibration_at_most"] < 10 * 3 * 5
+    assert "S1" in response.json()["notes"][0]
+    assert api.http.get("/api/v1/campaigns?limit=1").json()["items"] == before
+
+
+def test_the_same_idempotency_key_gives_the_same_campaign_once(api: RunningApi) -> None:
+    key = uuid.uuid4().hex
+    first = submit(api, SMALL, **{"Idempotency-Key": key})
+    assert submit(api, SMALL, **{"Idempotency-Key": key})["id"] == first["id"]
+    other = api.http.post("/api/v1/campaigns", json=SMALL | {"name": "other"}, headers={"Idempotency-Key": key})
+    assert first["id"] in problem_of(other, 409)["detail"]
+    evaluation = {"parameters": MIDDLE}
+    problem_of(api.http.post("/api/v1/evaluations", json=evaluation, headers={"Idempotency-Key": key}), 409)
+
+
+def test_an_etag_spares_what_has_not_changed(api: RunningApi) -> None:
+    campaign = submit(api)
+    url = f"/api/v1/campaigns/{campaign['id']}"
+    response = api.http.get(url)
+    tag = response.headers["etag"]
+    assert float(response.headers["retry-after"]) > 0
+    again = api.http.get(url, headers={"If-None-Match": f'"other", {tag}'})
+    assert again.status_code == 304
+    assert again.content == b""
+    assert api.http.get(url, headers={"If-None-Match": '"other"'}).status_code == 200
+    carried = carry_out(api.database, campaign["id"])
+    changed = api.http.get(url, headers={"If-None-Match": tag})
+    assert changed.status_code == 200
+    assert changed.json()["state"] == "succeeded"
+    assert changed.json()["best"]["parameters"] == carried.sets[-1].floats
+    assert "retry-after" not in changed.headers
+
+
+def test_time_that_passes_does_not_change_the_etag_of_a_running_campaign(api: RunningApi) -> None:
+    campaign = submit(api)
+    carry_out(api.database, campaign["id"], end=False)
+    first, second = (api.http.get(campaign["links"]["self"]) for _ in range(2))
+    assert second.json()["seconds"]["wall"] > first.json()["seconds"]["wall"] > 0
+    assert second.headers["etag"] == first.headers["etag"]
+
+
+def test_campaigns_are_listed_newest_first_in_pages(api: RunningApi) -> None:
+    ids = [submit(api)["id"] for _ in range(3)]
+    page = api.http.get("/api/v1/campaigns?limit=2").json()
+    assert [one["id"] for one in page["items"]] == [ids[2], ids[1]]
+    following = api.http.get("/api/v1/campaigns", params={"limit": 1, "cursor": page["next_cursor"]}).json()
+    assert [one["id"] for one in following["items"]] == [ids[0]]
+
+
+def test_campaigns_are_listed_by_state(api: RunningApi) -> None:
+    campaign = submit(api)
+    with api.database.transaction() as connection:
+        sequence = campaigns.get(connection, campaign["id"]).sequence
+        campaigns.end(connection, sequence, CampaignState.FAILED, "Ray is gone")
+    found = api.http.get("/api/v1/campaigns?state=failed").json()["items"]
+    assert [(one["id"], one["error"]) for one in found] == [(campaign["id"], "Ray is gone")]
+
+
+def test_cancelling_is_accepted_once_and_again(api: RunningApi) -> None:
+    campaign = submit(api)
+    for _ in range(2):
+        response = api.http.post(f"/api/v1/campaigns/{campaign['id']}/cancel")
+        assert response.status_code == 202
+        assert response.json()["state"] == "cancelled"
+    problem_of(api.http.post(f"/api/v1/campaigns/{campaign['id']}/resume"), 409)
+
+
+def test_a_running_campaign_that_is_asked_to_cancel_is_cancelling(api: RunningApi) -> None:
+    campaign = submit(api)
+    carry_out(api.database, campaign["id"], end=False)
+    assert api.http.post(f"/api/v1/campaigns/{campaign['id']}/cancel").json()["state"] == "cancelling"
+    with api.database.read() as connection:
+        assert campaigns.get(connection, campaign["id"]).requested_action == "cancel"
+
+
+def test_a_queued_campaign_is_paused_and_resumed(api: RunningApi) -> None:
+    campaign = submit(api)
+    assert api.http.post(f"/api/v1/campaigns/{campaign['id']}/pause").json()["state"] == "paused"
+    assert api.http.post(f"/api/v1/campaigns/{campaign['id']}/resume").json()["state"] == "queued"
+
+
+def test_a_rerun_takes_over_everything_but_what_is_changed(api: RunningApi) -> None:
+    first = submit(api, SMALL | {"optimizer": {"population": 10, "iterations": 3, "seed": 7}, "fixed": {"P9": 5}})
+    url = f"/api/v1/campaigns/{first['id']}/rerun"
+    assert "is queued" in problem_of(api.http.post(url, json={"weights": {"S1": 2}}), 409)["detail"]
+    carry_out(api.database, first["id"])
+    response = api.http.post(url, json={"weights": {"S1": 2}, "optimizer": {"iterations": 4}})
+    assert response.status_code == 202
+    second = response.json()
+    assert response.headers["location"] == second["links"]["self"] != first["links"]["self"]
+    assert second["rerun_of"] == first["id"]
+    assert second["name"] == "small (rerun)"
+    assert second["spec"]["weights"] == {"S1": 2}
+    expected = first["spec"]["optimizer"] | {"iterations": 4}
+    assert second["spec"]["optimizer"] == expected
+    assert second["spec"]["fixed"] == {"P9": 5}
+
+
+def test_a_rerun_with_impossible_weights_is_refused(api: RunningApi) -> None:
+    first = submit(api)
+    carry_out(api.database, first["id"])
+    url = f"/api/v1/campaigns/{first['id']}/rerun"
+    nothing = api.http.post(url, json={"weights": dict.fromkeys(["S1", "S2", "S3", "S4", "S5", "S6"], 0)})
+    assert problem_of(nothing, 422)["errors"][0]["field"] == "weights"
+    unknown = api.http.post(url, json={"weights": {"S7": 1}})
+    assert problem_of(unknown, 422)["errors"][0]["field"] == "weights.S7"
+    missing = api.http.post(url, json={})
+    assert problem_of(missing, 422)["errors"][0]["field"] == "weights"
+
+
+def test_the_rows_of_a_campaign_come_in_pages_and_whole(api: RunningApi) -> None:
+    campaign = submit(api, SMALL | {"catalogue": ["S1", "S4"]})
+    carried = carry_out(api.database, campaign["id"], individuals=5)
+    url = f"/api/v1/campaigns/{campaign['id']}/evaluations"
+    first = api.http.get(url, params={"limit": 6}).json()
+    rest = api.http.get(url, params={"limit": 6, "cursor": first["next_cursor"]}).json()
+    rows = first["items"] + rest["items"]
+    assert rest["next_cursor"] is None
+    assert [(row["individual"], row["scenario"]) for row in rows] == [(i, s) for i in range(5) for s in ("S1", "S4")]
+    names = ["id", "stage", "iteration", "individual", "scenario", *carried.problem.space.names]
+    names += ["outcome", "score", "rating", "reference", "audited", "agrees", "failure", "milliseconds", "worker"]
+    assert list(rows[0]) == names
+    assert rows[2]["P1"] == -14.5
+    assert (rows[2]["outcome"], rows[2]["score"], rows[2]["agrees"]) == ("simulated", 1, None)
+
+    text = api.http.get(url, params={"format": "csv"})
+    assert text.headers["content-type"].startswith("text/csv")
+    assert text.text == api.http.get(url, headers={"Accept": "text/csv"}).text
+    table = list(csv.DictReader(io.StringIO(text.text)))
+    assert list(table[0]) == names
+    assert [row["id"] for row in table] == [str(row["id"]) for row in rows]
+    assert (table[2]["P1"], table[2]["audited"], table[2]["reference"]) == ("-14.5", "false", "")
+
+    parquet = pq.read_table(io.BytesIO(api.http.get(url, params={"format": "parquet"}).content))
+    assert parquet.column_names == names
+    assert parquet.to_pylist() == rows
+
+
+def test_generations_are_shown_in_order(api: RunningApi) -> None:
+    campaign = submit(api)
+    carry_out(api.database, campaign["id"])
+    url = f"/api/v1/campaigns/{campaign['id']}/generations"
+    [row] = api.http.get(url).json()["items"]
+    assert (row["iteration"], row["simulated"], row["best"]) == (0, 30, 3.5)
+    [line] = csv.DictReader(io.StringIO(api.http.get(url, params={"format": "csv"}).text))
+    assert {name: line[name] for name in ("iteration", "requested", "mean")} == {
+        "iteration": "0",
+        "requested": "30",
+        "mean": "3.0",
+    }
+
+
+def test_solutions_are_ranked_by_any_weights(api: RunningApi) -> None:
+    campaign = submit(api, SMALL | {"catalogue": ["S1", "S4"]})
+    carried = carry_out(api.database, campaign["id"], individuals=5)
+    url = f"/api/v1/campaigns/{campaign['id']}/solutions"
+    best = api.http.get(url, params={"limit": 1}).json()["items"][0]
+    assert best["parameters"] == carried.sets[4].floats
+    assert (best["rank"], best["objective"], best["scores"]) == (1, 3.5, {"S1": 4, "S4": 3})
+    heavier = api.http.get(url, params={"weights": "S1=3,S4=1"}).json()["items"]
+    assert heavier[0]["objective"] == pytest.approx(3.75)
+    assert [one["scores"]["S1"] for one in heavier] == [4, 3, 2, 1, 0]
+    alone = api.http.get(url, params={"weights": "S1=0"}).json()["items"]
+    assert {one["objective"] for one in alone} == {3.0}, "a scenario that is not named has weight 1"
+    lines = list(csv.DictReader(io.StringIO(api.http.get(url, params={"format": "csv", "limit": 1}).text)))
+    assert [line["score_S1"] for line in lines] == ["4", "3", "2", "1", "0"], "the whole table"
+    assert lines[0]["P1"] == "-13.0"
+
+
+def test_solutions_come_in_pages(api: RunningApi) -> None:
+    campaign = submit(api)
+    carry_out(api.database, campaign["id"], individuals=5)
+    url = f"/api/v1/campaigns/{campaign['id']}/solutions"
+    ranks, cursor = [], None
+    for _ in range(3):
+        page = api.http.get(url, params={"limit": 2} | ({"cursor": cursor} if cursor else {})).json()
+        ranks += [one["rank"] for one in page["items"]]
+        cursor = page["next_cursor"]
+    assert (ranks, cursor) == ([1, 2, 3, 4, 5], None)
+
+
+@pytest.mark.parametrize(
+    ("weights", "field"),
+    [
+        ("S1=-1", "weights.S1"),
+        ("S9=1", "weights.S9"),
+        ("S1=nan", "weights S1"),
+        ("S1", "weights"),
+        ("S1=0,S4=0", "weights"),
+        ("", "weights"),
+    ],
+)
+def test_weights_that_rank_nothing_are_refused(api: RunningApi, weights: str, field: str) -> None:
+    campaign = submit(api, SMALL | {"catalogue": ["S1", "S4"]})
+    response = api.http.get(f"/api/v1/campaigns/{campaign['id']}/solutions", params={"weights": weights})
+    assert problem_of(response, 422)["errors"][0]["field"] == field
+
+
+def test_an_influence_map_is_stored_named_and_shown(api: RunningApi) -> None:
+    document = {"name": "mine", "scenarios": {"S1": {"P1": {"lower": -10, "upper": 3.5}, "P2": {"influential": False}}}}
+    response = api.http.post("/api/v1/influence-maps", json=document)
+    assert response.status_code == 201
+    posted = response.json()
+    assert api.http.get(response.headers["location"]).json() == posted
+    assert [(row["parameter"], row["influential"], row["lower"], row["upper"]) for row in posted["rows"]] == [
+        ("P1", True, -10, 3.5),
+        ("P2", False, None, None),
+    ]
+    assert api.http.get("/api/v1/influence-maps").json()["items"][0]["id"] == posted["id"]
+
+    campaign = submit(api, SMALL | {"catalogue": ["S1", "S4"], "sensitivity": {"map": posted["id"]}})
+    url = f"/api/v1/campaigns/{campaign['id']}/influence"
+    rows = api.http.get(url).json()["items"]
+    assert len(rows) == 2 * 11
+    assert rows[0] == posted["rows"][0]
+    assert rows[-1]["influential"], "what a map does not list counts as influential"
+    lines = list(csv.DictReader(io.StringIO(api.http.get(url, params={"format": "csv"}).text)))
+    assert lines[0] | {"s_rel_intervals": ""} == dict.fromkeys(lines[0], "") | {
+        "scenario": "S1",
+        "parameter": "P1",
+        "influential": "true",
+        "lower": "-10.0",
+        "upper": "3.5",
+    }
+    parquet = pq.read_table(io.BytesIO(api.http.get(url, params={"format": "parquet"}).content))
+    assert parquet.to_pylist() == rows
+
+
+def test_a_campaign_without_a_map_has_no_influence_rows(api: RunningApi) -> None:
+    campaign = submit(api)
+    assert api.http.get(f"/api/v1/campaigns/{campaign['id']}/influence").json() == {"items": [], "next_cursor": None}
+
+
+def test_map_bounds_off_the_grid_are_refused_with_the_nearest_values(api: RunningApi) -> None:
+    document = {"scenarios": {"S1": {"P1": {"lower": -10.2}}, "S9": {}}}
+    errors = problem_of(api.http.post("/api/v1/influence-maps", json=document), 422)["errors"]
+    assert {error["field"] for error in errors} == {"scenarios.S1.P1.lower", "scenarios.S9"}
+    assert "-10.5 or -10" in errors[0]["remedy"]
+
+
+def test_an_unknown_map_is_refused_when_the_campaign_is_submitted_or_tried(api: RunningApi) -> None:
+    document = SMALL | {"sensitivity": {"map": uuid.uuid4().hex}}
+    for url in ("/api/v1/campaigns", "/api/v1/campaigns?validate_only=true"):
+        assert problem_of(api.http.post(url, json=document), 422)["errors"][0]["field"] == "sensitivity.map"
+
+
+def test_a_single_evaluation_shows_its_scenario_at_the_top(api: RunningApi) -> None:
+    response = api.http.post("/api/v1/evaluations", json={"parameters": MIDDLE, "scenario": "S2"})
+    assert response.status_code == 202
+    queued = response.json()
+    assert (queued["state"], queued["items"], queued["outcome"]) == ("queued", [], None)
+    carry_out_evaluation(api.database, queued["id"])
+    found = api.http.get(response.headers["location"]).json()
+    assert (found["state"], found["scenario"], found["outcome"], found["score"]) == ("succeeded", "S2", "simulated", 0)
+    assert found["metrics"] == METRICS
+    assert found["parameters"] == MIDDLE
+    row = api.http.get(f"/api/v1/evaluations/{found['items'][0]['id']}").json()
+    assert (row["scenario"], row["P1"], row["metrics"]) == ("S2", 0, METRICS)
+
+
+def test_an_evaluation_of_all_scenarios_has_their_mean_score(api: RunningApi) -> None:
+    queued = api.http.post("/api/v1/evaluations", json={"parameters": MIDDLE}).json()
+    carry_out_evaluation(api.database, queued["id"])
+    found = api.http.get(f"/api/v1/evaluations/{queued['id']}").json()
+    assert [item["scenario"] for item in found["items"]] == ["S1", "S2", "S3", "S4", "S5", "S6"]
+    assert found["objective"] == pytest.approx(15 / 6)
+    assert found["outcome"] is None
+    assert queued["id"] not in {one["id"] for one in api.http.get("/api/v1/campaigns?limit=1000").json()["items"]}
+
+
+def test_an_evaluation_that_cannot_run_is_refused_by_field(api: RunningApi) -> None:
+    missing = {name: value for name, value in MIDDLE.items() if name != "P3"}
+    document = {"parameters": missing | {"P1": 0.0000000001, "P99": 1}, "scenario": "S9"}
+    errors = problem_of(api.http.post("/api/v1/evaluations", json=document), 422)["errors"]
+    assert {error["field"] for error in errors} == {"scenario", "parameters.P1", "parameters.P3", "parameters.P99"}
+
+
+def test_the_inventory_lists_scenarios_parameters_and_references(api: RunningApi) -> None:
+    scenarios = api.http.get("/api/v1/scenarios").json()["items"]
+    assert [one["id"] for one in scenarios if one["catalogue"] == "highway"] == ["S1", "S2", "S3", "S4", "S5", "S6"]
+    spaces = {one["name"]: one["parameters"] for one in api.http.get("/api/v1/parameters").json()["items"]}
+    first = spaces["highway"][0]
+    assert (first["name"], first["lower"], first["upper"], first["step"]) == ("P1", -15, 14, 0.5)
+    assert [one["n_values"] for one in spaces["highway_table9"]] == [2**k for k in (6, 5, 8, 11, 4, 4, 8, 11, 5, 5, 8)]
+    carry_out(api.database, submit(api)["id"])
+    references = api.http.get("/api/v1/references").json()["items"]
+    assert all(one["runs"] > 0 for one in references if one["scenario"] in {"S1", "S6"})
+
+
+def test_readiness_says_what_is_missing(tmp_path_factory: pytest.TempPathFactory) -> None:
+    with serving(f"sqlite:///{tmp_path_factory.mktemp('ready') / 'drivecal.db'}") as api:
+        assert api.http.get("/healthz").json() == {"status": "alive"}
+        response = api.http.get("/readyz")
+        assert (response.status_code, response.json()["problems"]) == (503, ["no dispatcher has started yet"])
+        detail = {"workers": [{"id": "worker 1", "node": "here", "pid": 5, "state": "idle", "cells": 3}]}
+        with api.database.transaction() as connection:
+            processes.heartbeat(connection, "dispatcher", 1, now(), detail)
+        assert api.http.get("/readyz").json() == {"ready": True, "problems": []}
+        assert api.http.get("/api/v1/workers").json()["items"] == [
+            {"id": "worker 1", "node": "here", "state": "idle", "cells": 3}
+        ]
+        with api.database.transaction() as connection:
+            processes.heartbeat(connection, "dispatcher", 1, now(), detail | {"degraded": "Ray does not answer"})
+        assert api.http.get("/readyz").json()["problems"] == ["Ray does not answer"]
+
+
+def test_a_database_that_is_gone_is_said_to_be_unavailable(tmp_path_factory: pytest.TempPathFactory) -> None:
+    folder = tmp_path_factory.mktemp("gone")
+    with serving(f"sqlite:///{folder / 'drivecal.db'}") as api:
+        api.database.dispose()
+        for file in folder.iterdir():
+            file.unlink()
+        folder.rmdir()
+        response = api.http.get("/api/v1/campaigns")
+        assert problem_of(response, 503)
+        assert int(response.headers["retry-after"]) > 0
+        assert api.http.get("/readyz").status_code == 503
+        assert api.http.get("/healthz").status_code == 200
+        folder.mkdir()
+
+
+def test_the_openapi_document_names_bodies_answers_and_problems(api: RunningApi) -> None:
+    document = api.http.get("/openapi.json").json()
+    submit_call = document["paths"]["/api/v1/campaigns"]["post"]
+    assert submit_call["requestBody"]["content"]["application/json"]["schema"] == {
+        "$ref": "#/components/schemas/CampaignSpecification"
+    }
+    assert "application/problem+json" in submit_call["responses"]["422"]["content"]

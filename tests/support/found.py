@@ -1,0 +1,141 @@
+"""Campaigns as a dispatcher leaves them, without one: what the API has to show."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from sqlalchemy import Connection
+
+from drivecal.campaigns.problem import CalibrationProblem, resolve, resolve_evaluation
+from drivecal.contracts.campaign import Best, CellCounts, ErrorRate, Progress
+from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
+from drivecal.contracts.validation import validated
+from drivecal.domain.campaigns import CampaignState, Stage
+from drivecal.domain.evaluations import Outcome
+from drivecal.domain.parameters import ParameterSet
+from drivecal.storage import campaigns, evaluations, generations, parameter_sets, runs, setups
+from drivecal.storage.campaigns import Snapshot, StoredCampaign
+from drivecal.storage.database import Database
+from drivecal.storage.evaluations import Answer, NewEvaluation
+from drivecal.storage.runs import NewRun
+
+METRICS = {"peak_lateral_acceleration_mps2": 1.25, "peak_lateral_jerk_mps3": 0.1}
+
+
+@dataclass(frozen=True)
+class Carried:
+    """A campaign whose first generation is answered: every cell simulated."""
+
+    campaign: StoredCampaign
+    problem: CalibrationProblem
+    sets: list[ParameterSet]
+
+
+def carry_out(database: Database, campaign_id: str, individuals: int = 5, *, end: bool = True) -> Carried:
+    """Answers a first generation of `individuals` sets: individual i scores i % 8 in the first scenario and 3 in the others."""
+    with database.transaction() as connection:
+        campaign = campaigns.get(connection, campaign_id)
+        problem = resolve(validated(CampaignSpecification, campaign.spec))
+        campaigns.start(connection, campaign.sequence)
+        population = [[i, *([0] * (len(problem.space.searched) - 1))] for i in range(individuals)]
+        sets = [problem.space.parameter_set(row) for row in population]
+        _simulate(connection, campaign, problem, sets)
+        cells = len(sets) * len(problem.scenarios)
+        figures = generations.Figures(proposed=cells, requested=cells, simulated=cells, best=3.5, mean=3.0, minimum=2.5)
+        generations.insert(
+            connection,
+            campaign.sequence,
+            0,
+            figures=figures,
+            population=population,
+            changed=[True] * individuals,
+            optimizer_state={},
+        )
+        generations.finish(connection, campaign.sequence, 0, figures, [3.0] * individuals)
+        best = Best(objective=3.5, parameters=sets[-1].floats, scores=dict.fromkeys(problem.scenarios, 3), alternatives=1)
+        snapshot = Snapshot(
+            stage=Stage.CALIBRATION,
+            iteration=0,
+            cells=CellCounts(proposed=cells, requested=cells, simulated=cells),
+            progress=Progress(done=cells, total=cells, eta_seconds=0.0),
+            error_rate={name: ErrorRate() for name in problem.scenarios},
+            best=best,
+            baseline=None,
+            simulating_seconds=1.5,
+            notes=problem.notes,
+        )
+        campaigns.save_progress(connection, campaign.sequence, snapshot)
+        if end:
+            campaigns.end(connection, campaign.sequence, CampaignState.SUCCEEDED)
+        return Carried(campaigns.get(connection, campaign_id), problem, sets)
+
+
+def _simulate(connection: Connection, campaign: StoredCampaign, problem: CalibrationProblem, sets: list[ParameterSet]) -> None:
+    setup_ids = dict(
+        zip(
+            problem.scenarios,
+            setups.ensure(connection, [problem.bench.setups[name] for name in problem.scenarios]),
+            strict=True,
+        )
+    )
+    ids = parameter_sets.ensure(connection, sets)
+    cells = [
+        NewEvaluation(Stage.CALIBRATION, 0, individual, scenario, setup_ids[scenario], parameter_set, Outcome.SIMULATED)
+        for individual, parameter_set in enumerate(ids)
+        for scenario in problem.scenarios
+    ]
+    evaluation_ids = evaluations.insert(connection, campaign.sequence, cells)
+    _answer(connection, campaign, cells, evaluation_ids, problem.bench.evaluator_id, problem.scenarios[0])
+
+
+def _answer(
+    connection: Connection,
+    campaign: StoredCampaign,
+    cells: list[NewEvaluation],
+    evaluation_ids: list[int],
+    evaluator: str,
+    first: str,
+) -> None:
+    new = [
+        NewRun(
+            setup_id=cell.setup_id,
+            parameter_set_id=cell.parameter_set_id,
+            metrics=METRICS,
+            failure=None,
+            milliseconds=7.5,
+            worker="worker 1",
+            evaluator=evaluator,
+            score=cell.individual % 8 if cell.scenario == first else 3,
+            rating=(cell.individual % 8 if cell.scenario == first else 3) + 0.125,
+            evaluation_id=evaluation,
+            campaign_sequence=campaign.sequence,
+            stage=cell.stage,
+            iteration=cell.iteration,
+            individual=cell.individual,
+        )
+        for cell, evaluation in zip(cells, evaluation_ids, strict=True)
+    ]
+    stored = runs.insert_results(connection, new)
+    answers = [
+        Answer(evaluation, Outcome.SIMULATED, run.score, run.rating, at.id, None, 7.5, "worker 1", 1)
+        for evaluation, run, at in zip(evaluation_ids, new, stored, strict=True)
+    ]
+    evaluations.answer(connection, answers)
+
+
+def carry_out_evaluation(database: Database, evaluation_id: str) -> None:
+    """Answers a single evaluation: score 3 everywhere but 0 in its first scenario."""
+    with database.transaction() as connection:
+        campaign = campaigns.get(connection, evaluation_id)
+        problem = resolve_evaluation(validated(EvaluationSpecification, campaign.spec))
+        campaigns.start(connection, campaign.sequence)
+        names = list(problem.bench.setups)
+        setup_ids = setups.ensure(connection, list(problem.bench.setups.values()))
+        [parameter_set] = parameter_sets.ensure(connection, [problem.parameter_set])
+        cells = [
+            NewEvaluation(Stage.CALIBRATION, 0, 0, name, setup, parameter_set, Outcome.SIMULATED)
+            for name, setup in zip(names, setup_ids, strict=True)
+        ]
+        ids = evaluations.insert(connection, campaign.sequence, cells)
+        _answer(connection, campaign, cells, ids, problem.bench.evaluator_id, names[0])
+        campaigns.end(connection, campaign.sequence, CampaignState.SUCCEEDED)

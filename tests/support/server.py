@@ -1,0 +1,58 @@
+"""The API over real HTTP, on a database of its own."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import httpx
+import uvicorn
+
+from drivecal.api.app import create_app
+from drivecal.campaigns.settings import load_settings
+from drivecal.storage.database import Database
+
+
+@dataclass(frozen=True)
+class RunningApi:
+    """A server at `url`, the client that speaks to it, and its database."""
+
+    url: str
+    http: httpx.Client
+    database: Database
+
+
+def free_port() -> int:
+    """A port that nothing listens on at the moment."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+    return port
+
+
+@contextmanager
+def serving(database_url: str) -> Iterator[RunningApi]:
+    """The API on a free loopback port until the block is left."""
+    database = Database.open(database_url)
+    database.upgrade()
+    port = free_port()
+    app = create_app(load_settings(database_url=database_url))
+    server = uvicorn.Server(uvicorn.Config(app, host="127.0.0.1", port=port, log_level="error", timeout_graceful_shutdown=5))
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    while not server.started:
+        if not thread.is_alive():
+            raise RuntimeError("the server ended before it was ready")
+        time.sleep(0.01)
+    url = f"http://127.0.0.1:{port}"
+    try:
+        with httpx.Client(base_url=url, timeout=30) as http:
+            yield RunningApi(url, http, database)
+    finally:
+        server.should_exit = True
+        thread.join()
+        database.dispose()
