@@ -5,7 +5,7 @@ a stored planning state. Lateral and longitudinal plans are sampled once each; a
 longitudinal index * n_lateral + lateral index. Inner loops run over lateral plans, side by side in memory, so that they vectorise.
 
 Arrays (float64, SI units, C order):
-road (n, 6): s, x, y, heading, curvature (as from `domain.roads.reference_line`), desired speed
+road (n, 8): s, x, y, heading, curvature (as from `domain.roads.reference_line`), desired speed, cosine and sine of the heading
 scene (8,): wanted lane's centre, lane width, last lane, half length and half width of the ego vehicle, lowest and highest allowed d,
     time step of the trajectory
 scales (16,): see `cost.scales`
@@ -23,6 +23,9 @@ from typing import Any
 
 import numpy as np
 from numba import njit
+
+compiled = njit(cache=True, error_model="numpy")
+"""Python's error model checks every division for zero, and a loop that may raise is not vectorised."""
 
 POINTS = 30
 INTERVAL = 0.25
@@ -64,8 +67,8 @@ LARGEST_URGENCY = 1.0
 """P8, P11: m beside touching at which a vehicle is no longer in the way; m, shorter gaps count as this; 1/s², TTC below 1 s."""
 DRIFT_TIME = 1.0
 """s: time constant with which a neighbour's lateral speed is expected to die out; along the road it goes on as it is."""
-SLOWEST = 1.0
-"""m/s: for divisions by speed."""
+SLOWEST, STANDSTILL = 1.0, 0.1
+"""m/s: the least speed for divisions by it; below the other one the course has no meaning and is the road's."""
 
 LARGEST_CURVATURE = 0.1
 LARGEST_SIDE_ACCELERATION = 5.0
@@ -73,40 +76,40 @@ LARGEST_BRAKING, LARGEST_THRUST = 6.0, 4.0
 """1/m and m/s²: beyond them a candidate is infeasible."""
 
 
-@njit(cache=True)
-def road_at(road: Any, s: float) -> tuple[float, float, float, float, float]:
-    """x, y, heading, curvature and its change by s of the reference line: `domain.roads.pose_on`, operation by operation."""
+@compiled
+def point_of(road: Any, s: float) -> tuple[float, float, float]:
+    """x, y and heading of the reference line at arc length s: as in `domain.roads.pose_on`."""
     spacing = road[1, 0]
     last = len(road) - 1
     if s < 0.0 or s > last * spacing:
         row, ahead = (0, s) if s < 0.0 else (last, s - last * spacing)
-        heading = road[row, 3]
-        return road[row, 1] + ahead * cos(heading), road[row, 2] + ahead * sin(heading), heading, 0.0, 0.0
+        return road[row, 1] + ahead * road[row, 6], road[row, 2] + ahead * road[row, 7], road[row, 3]
     row = min(int(s / spacing), last - 1)
-    heading0, heading1, curvature0 = road[row, 3], road[row + 1, 3], road[row, 4]
     u = s - road[row, 0]
-    bend = (road[row + 1, 4] - curvature0) / spacing
     w = u / spacing
     from_start, from_end = w * (1.0 - w) ** 2 * spacing, w * w * (w - 1.0) * spacing
     blend = w * w * (3.0 - 2.0 * w)
-    x = road[row, 1] + blend * (road[row + 1, 1] - road[row, 1]) + from_start * cos(heading0) + from_end * cos(heading1)
-    y = road[row, 2] + blend * (road[row + 1, 2] - road[row, 2]) + from_start * sin(heading0) + from_end * sin(heading1)
-    return x, y, heading0 + u * (curvature0 + 0.5 * bend * u), curvature0 + bend * u, bend
+    x0, y0, x1, y1 = road[row, 1], road[row, 2], road[row + 1, 1], road[row + 1, 2]
+    x = x0 + blend * (x1 - x0) + from_start * road[row, 6] + from_end * road[row + 1, 6]
+    y = y0 + blend * (y1 - y0) + from_start * road[row, 7] + from_end * road[row + 1, 7]
+    bend = (road[row + 1, 4] - road[row, 4]) / spacing
+    return x, y, road[row, 3] + u * (road[row, 4] + 0.5 * bend * u)
 
 
-@njit(cache=True)
-def road_ahead(road: Any, s: float) -> tuple[float, float]:
-    """Curvature and desired speed at s."""
+@compiled
+def road_ahead(road: Any, s: float) -> tuple[float, float, float]:
+    """Curvature, its change by s, and the desired speed at s."""
     spacing = road[1, 0]
     last = len(road) - 1
     if s < 0.0 or s > last * spacing:
-        return 0.0, road[0 if s < 0.0 else last, 5]
+        return 0.0, 0.0, road[0 if s < 0.0 else last, 5]
     row = min(int(s / spacing), last - 1)
-    w = s / spacing - row
-    return road[row, 4] + w * (road[row + 1, 4] - road[row, 4]), road[row, 5] + w * (road[row + 1, 5] - road[row, 5])
+    u = s - road[row, 0]
+    bend = (road[row + 1, 4] - road[row, 4]) / spacing
+    return road[row, 4] + u * bend, bend, road[row, 5] + u / spacing * (road[row + 1, 5] - road[row, 5])
 
 
-@njit(cache=True)
+@compiled
 def lateral_at(quintics: Any, i: int, t: float) -> tuple[float, float, float]:
     """d, d', d'' of lateral plan i at time t; it stays at its end."""
     if t >= quintics[7, i]:
@@ -119,7 +122,7 @@ def lateral_at(quintics: Any, i: int, t: float) -> tuple[float, float, float]:
     return d, d1, 2.0 * c2 + t * (6.0 * c3 + t * (12.0 * c4 + t * 20.0 * c5))
 
 
-@njit(cache=True)
+@compiled
 def longitudinal_at(quartics: Any, j: int, t: float) -> tuple[float, float, float, float]:
     """s, s', s'', s''' of longitudinal plan j at time t; it keeps its end speed."""
     end = quartics[6, j]
@@ -133,7 +136,7 @@ def longitudinal_at(quartics: Any, j: int, t: float) -> tuple[float, float, floa
     return s, s1, 2.0 * c2 + t * (6.0 * c3 + t * 12.0 * c4), 6.0 * c3 + t * 24.0 * c4
 
 
-@njit(cache=True)
+@compiled
 def fit_quintic(quintics: Any, i: int, d: float, d1: float, d2: float, end: float, horizon: float) -> None:
     """Plan i: from (d, d', d'') to (end, 0, 0) in `horizon` seconds with the least jerk."""
     rest = end - (d + horizon * (d1 + 0.5 * horizon * d2))
@@ -146,7 +149,7 @@ def fit_quintic(quintics: Any, i: int, d: float, d1: float, d2: float, end: floa
     quintics[6, i], quintics[7, i] = end, horizon
 
 
-@njit(cache=True)
+@compiled
 def fit_quartic(quartics: Any, j: int, s: float, s1: float, s2: float, speed: float, horizon: float) -> None:
     """Plan j: from (s, s', s'') to the end speed without acceleration in `horizon` seconds with the least jerk."""
     rest = speed - s1 - horizon * s2
@@ -156,7 +159,7 @@ def fit_quartic(quartics: Any, j: int, s: float, s1: float, s2: float, speed: fl
     quartics[5, j], quartics[6, j] = speed, horizon
 
 
-@njit(cache=True)
+@compiled
 def start_of(ego: Any, memory: Any, elapsed: float, start: Any) -> bool:
     """Writes where the plan starts: on the plan before where the vehicle is close to it (True), else as measured."""
     start[:] = ego
@@ -175,7 +178,7 @@ def start_of(ego: Any, memory: Any, elapsed: float, start: Any) -> bool:
     return True
 
 
-@njit(cache=True)
+@compiled
 def fit(
     road: Any, lateral_ends: Any, longitudinal_ends: Any, start: Any, rest: float, memory: Any, quintics: Any, quartics: Any
 ) -> None:
@@ -187,22 +190,22 @@ def fit(
         fit_quintic(quintics, last, start[3], start[4], start[5], memory[7], rest)
     else:
         fit_quintic(quintics, last, start[3], start[4], start[5], lateral_ends[0, last], lateral_ends[1, last])
-    _, limit = road_ahead(road, start[0])
+    _, _, limit = road_ahead(road, start[0])
     for j in range(longitudinal_ends.shape[1]):
         horizon = longitudinal_ends[1, j]
-        _, desired = road_ahead(road, start[0] + start[1] * horizon)
-        _, desired = road_ahead(road, start[0] + 0.5 * (start[1] + min(limit, desired)) * horizon)
+        _, _, desired = road_ahead(road, start[0] + start[1] * horizon)
+        _, _, desired = road_ahead(road, start[0] + 0.5 * (start[1] + min(limit, desired)) * horizon)
         speed = max(min(limit, desired) + longitudinal_ends[0, j], 0.0)
         fit_quartic(quartics, j, start[0], start[1], start[2], speed, horizon)
 
 
-@njit(cache=True)
+@compiled
 def on_grid(raw: float, scale: float) -> float:
     """The feature of a raw quantity: scaled, then rounded to the grid of features."""
     return float(np.floor(raw * (scale * FEATURE_GRID) + 0.5) * (1.0 / FEATURE_GRID))
 
 
-@njit(cache=True)
+@compiled
 def evaluate(
     road: Any, scene: Any, scales: Any, start: Any, neighbours: Any, memory: Any, elapsed: float, quintics: Any, quartics: Any,
     lateral: Any, longitudinal: Any, combined: Any,
@@ -257,13 +260,13 @@ def evaluate(
         lateral[ARRIVAL, i] = on_grid(lateral[ARRIVAL, i], scales[6] * INTERVAL)
         lateral[BOUNDARY, i] = on_grid(lateral[BOUNDARY, i], scales[9] / POINTS)
 
-    _, limit = road_ahead(road, start[0])
+    _, _, limit = road_ahead(road, start[0])
     for j in range(n_longitudinal):
         error_sum, acceleration_sum, jerk_sum = 0.0, 0.0, 0.0
         for k in range(POINTS):
             along, speed, acceleration, jerk = longitudinal_at(quartics, j, (k + 0.5) * INTERVAL)
             s[k, j], s1[k, j] = along, speed
-            curvature, desired = road_ahead(road, along)
+            curvature, _, desired = road_ahead(road, along)
             error = speed - min(limit, desired)
             error_sum += error * error
             acceleration_sum += acceleration * acceleration
@@ -291,7 +294,7 @@ def evaluate(
             combined[FOLLOWER, j, i] = on_grid(combined[FOLLOWER, j, i], scales[11])
 
 
-@njit(cache=True)
+@compiled
 def look_at(scene: Any, start: Any, neighbour: Any, d: Any, d1: Any, s: Any, s1: Any, combined: Any) -> None:
     """Adds what one neighbour means for each candidate: COLLISION, CLEARANCE, LEADER, CLOSING and FOLLOWER, unscaled.
 
@@ -355,7 +358,7 @@ def look_at(scene: Any, start: Any, neighbour: Any, d: Any, d1: Any, s: Any, s1:
                     combined[row, j, i] = max(combined[row, j, i], value)
 
 
-@njit(cache=True)
+@compiled
 def costs_of(lateral: Any, longitudinal: Any, combined: Any, weights: Any, costs: Any) -> None:
     """J of all candidates, shape (n_longitudinal, n_lateral), from their features and the weights (12,) of base and P1..P11."""
     n_longitudinal, n_lateral = combined.shape[1], combined.shape[2]
@@ -382,7 +385,7 @@ def costs_of(lateral: Any, longitudinal: Any, combined: Any, weights: Any, costs
             )
 
 
-@njit(cache=True)
+@compiled
 def cheapest(costs: Any, infeasible: Any) -> int:
     """The lowest index among the candidates of lowest cost that are not known to be infeasible; -1 where none is left."""
     best = -1
@@ -394,69 +397,88 @@ def cheapest(costs: Any, infeasible: Any) -> int:
     return best
 
 
-@njit(cache=True)
-def motion_at(road: Any, quintics: Any, quartics: Any, i: int, j: int, t: float, row: Any) -> float:
-    """Writes x, y, heading, curvature, speed, acceleration at time t of candidate (i, j) to row[1:7]; returns d.
+@compiled
+def motion_at(
+    road: Any, quintics: Any, quartics: Any, i: int, j: int, t: float
+) -> tuple[float, float, float, float, float, float, float]:
+    """s, d, d', speed along the road, curvature of the path, speed, acceleration of candidate (i, j) at time t.
 
     Frenet's formulas as in `domain.roads.to_frenet`, solved for velocity and acceleration.
     """
     d, d1, d2 = lateral_at(quintics, i, t)
     s, s1, s2, _ = longitudinal_at(quartics, j, t)
-    x, y, heading, curvature, bend = road_at(road, s)
+    curvature, bend, _ = road_ahead(road, s)
     stretch = 1.0 - curvature * d
     forward = s1 * stretch
-    speed = hypot(forward, d1)
     tangential = s2 * stretch - s1 * (bend * s1 * d + 2.0 * curvature * d1)
     normal = d2 + curvature * s1 * s1 * stretch
-    row[1] = x - d * sin(heading)
-    row[2] = y + d * cos(heading)
-    if speed < 0.1:  # at a standstill the course has no meaning
-        row[3], row[4], row[5], row[6] = heading, curvature, speed, tangential
-        return d
-    row[3] = heading + atan2(d1, forward)
-    row[4] = (forward * normal - d1 * tangential) / (speed * speed * speed)
-    row[5] = speed
-    row[6] = (forward * tangential + d1 * normal) / speed
-    return d
+    speed = hypot(forward, d1)
+    if speed < STANDSTILL:
+        return s, d, 0.0, forward, curvature, speed, tangential
+    path = (forward * normal - d1 * tangential) / (speed * speed * speed)
+    return s, d, d1, forward, path, speed, (forward * tangential + d1 * normal) / speed
 
 
-@njit(cache=True)
+@compiled
 def is_feasible(road: Any, scene: Any, quintics: Any, quartics: Any, i: int, j: int) -> bool:
-    """False where a candidate turns, brakes or accelerates too hard, drives backwards, or leaves the road (farther than it is off)."""
-    row = np.empty(7)
+    """False where a candidate turns, brakes or accelerates too hard, drives backwards, or leaves the road farther than it is off."""
     lowest, highest = min(scene[5], quintics[0, i]), max(scene[6], quintics[0, i])
     for k in range(POINTS):
-        t = (k + 0.5) * INTERVAL
-        d = motion_at(road, quintics, quartics, i, j, t, row)
-        _, s1, _, _ = longitudinal_at(quartics, j, t)
+        _, d, _, forward, curvature, speed, acceleration = motion_at(road, quintics, quartics, i, j, (k + 0.5) * INTERVAL)
         if (
-            s1 < 0.0
+            forward < 0.0
             or not lowest <= d <= highest
-            or abs(row[4]) > LARGEST_CURVATURE
-            or abs(row[4]) * row[5] * row[5] > LARGEST_SIDE_ACCELERATION
-            or not -LARGEST_BRAKING <= row[6] <= LARGEST_THRUST
+            or abs(curvature) > LARGEST_CURVATURE
+            or abs(curvature) * speed * speed > LARGEST_SIDE_ACCELERATION
+            or not -LARGEST_BRAKING <= acceleration <= LARGEST_THRUST
         ):
             return False
     return True
 
 
-@njit(cache=True)
+@compiled
+def trace(road: Any, quintics: Any, quartics: Any, i: int, j: int, step: float, trajectory: Any) -> None:
+    """Writes candidate (i, j) as the Cartesian trajectory of `ports.Planner.plan`, shape (rows, 7)."""
+    for row in range(len(trajectory)):
+        t = row * step
+        s, d, d1, forward, curvature, speed, acceleration = motion_at(road, quintics, quartics, i, j, t)
+        x, y, heading = point_of(road, s)
+        trajectory[row, 0] = t
+        trajectory[row, 1] = x - d * sin(heading)
+        trajectory[row, 2] = y + d * cos(heading)
+        trajectory[row, 3] = heading + (atan2(d1, forward) if d1 != 0.0 else 0.0)
+        trajectory[row, 4], trajectory[row, 5], trajectory[row, 6] = curvature, speed, acceleration
+
+
+@compiled
+def consider(
+    road: Any, scene: Any, scales: Any, lateral_ends: Any, longitudinal_ends: Any, ego: Any, neighbours: Any, elapsed: float,
+    memory: Any, quintics: Any, quartics: Any, lateral: Any, longitudinal: Any, combined: Any,
+) -> None:  # fmt: skip
+    """Writes plans and features of all candidates; changes nothing else."""
+    start = np.empty(6)
+    stitched = start_of(ego, memory, elapsed, start)
+    rest = memory[8] - elapsed if stitched else 0.0
+    fit(road, lateral_ends, longitudinal_ends, start, rest, memory, quintics, quartics)
+    evaluate(road, scene, scales, start, neighbours, memory, elapsed, quintics, quartics, lateral, longitudinal, combined)
+
+
+@compiled
 def plan(
     road: Any, scene: Any, scales: Any, lateral_ends: Any, longitudinal_ends: Any, weights: Any, ego: Any, neighbours: Any,
     elapsed: float, memory: Any, lateral: Any, longitudinal: Any, combined: Any, infeasible: Any, trajectory: Any,
 ) -> int:  # fmt: skip
-    """One plan: writes features, the candidates found infeasible (n,), the trajectory (rows, 7) and the new memory.
+    """One plan: writes features, the candidates found infeasible (n,), the trajectory and the new memory.
 
     Returns the chosen candidate, -1 where no cost is a number. Candidates are checked in the order of their cost until one is
     feasible; where none is, the cheapest is driven all the same: braking and steering at the limit is the vehicle's affair then.
     """
     n_lateral, n_longitudinal = lateral_ends.shape[1], longitudinal_ends.shape[1]
     quintics, quartics = np.empty((8, n_lateral)), np.empty((7, n_longitudinal))
-    start = np.empty(6)
-    stitched = start_of(ego, memory, elapsed, start)
-    rest = memory[8] - elapsed if stitched else 0.0
-    fit(road, lateral_ends, longitudinal_ends, start, rest, memory, quintics, quartics)
-    evaluate(road, scene, scales, start, neighbours, memory, elapsed, quintics, quartics, lateral, longitudinal, combined)
+    consider(
+        road, scene, scales, lateral_ends, longitudinal_ends, ego, neighbours, elapsed,
+        memory, quintics, quartics, lateral, longitudinal, combined,
+    )  # fmt: skip
     costs = np.empty((n_longitudinal, n_lateral))
     costs_of(lateral, longitudinal, combined, weights, costs)
 
@@ -471,10 +493,7 @@ def plan(
     if chosen < 0:
         chosen = cheapest_of_all
     i, j = chosen % n_lateral, chosen // n_lateral
-    for row in range(len(trajectory)):
-        t = row * scene[7]
-        trajectory[row, 0] = t
-        motion_at(road, quintics, quartics, i, j, t, trajectory[row])
+    trace(road, quintics, quartics, i, j, scene[7], trajectory)
     memory[0] = 1.0
     memory[1:9] = quintics[:, i]
     memory[9:16] = quartics[:, j]

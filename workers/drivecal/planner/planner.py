@@ -51,7 +51,8 @@ class FrenetPlanner:
             )
         road, task, ego = scenario.road, scenario.task, scenario.ego
         line = reference_line(road)
-        self._road = np.ascontiguousarray(np.column_stack([line, desired_speeds(task, line[:, 0])]))
+        s, heading = line[:, 0], line[:, 3]
+        self._road = np.ascontiguousarray(np.column_stack([line, desired_speeds(task, s), np.cos(heading), np.sin(heading)]))
         space = 0.5 * ego.width + CURB
         self._scenes, self._lateral_ends = [], []
         for wanted, other in ((task.start_lane, task.target_lane), (task.target_lane, task.start_lane)):
@@ -89,7 +90,7 @@ class FrenetPlanner:
         Raises ValueError where the observation holds no usable numbers.
         """
         trajectory = np.empty((self._rows, 7))
-        wanted = 1 if observation.time >= self._change_after else 0
+        wanted = self._wanted(observation.time)
         self.chosen = kernel.plan(
             self._road,
             self._scenes[wanted],
@@ -112,9 +113,29 @@ class FrenetPlanner:
         self._planned_at = observation.time
         return trajectory
 
-    def features(self) -> Floats:
-        """The features of the last plan's candidates, shape (n_candidates, 12): base, then the terms P1..P11."""
+    def features(self, observation: Observation) -> Floats:
+        """The features of all candidates at this moment, shape (n_candidates, 12): base, then the terms P1..P11. Changes nothing.
+
+        `plan` would take the candidate of lowest `features @ cost.weights(parameters)` that is feasible.
+        """
+        wanted = self._wanted(observation.time)
         n_longitudinal, n_lateral = self._combined.shape[1:]
+        kernel.consider(
+            self._road,
+            self._scenes[wanted],
+            self._scales,
+            self._lateral_ends[wanted],
+            self._longitudinal_ends,
+            observation.ego,
+            observation.neighbours,
+            observation.time - self._planned_at,
+            self._memory,
+            np.empty((8, n_lateral)),
+            np.empty((7, n_longitudinal)),
+            self._lateral,
+            self._longitudinal,
+            self._combined,
+        )
         features = np.zeros((n_longitudinal, n_lateral, 12))
         for row, column in _LONGITUDINAL.items():
             features[:, :, column] += self._longitudinal[row][:, None]
@@ -124,8 +145,6 @@ class FrenetPlanner:
             features[:, :, column] += self._combined[row]
         return features.reshape(-1, 12)
 
-    def costs(self, parameters: Sequence[float]) -> Floats:
-        """What the last plan's candidates cost with the values of P1..P11, shape (n_candidates,), in the planner's own arithmetic."""
-        costs = np.empty(self._combined.shape[1:])
-        kernel.costs_of(self._lateral, self._longitudinal, self._combined, weights(parameters), costs)
-        return costs.ravel()
+    def _wanted(self, time: float) -> int:
+        """0 while the start lane is wanted, 1 once the target lane is."""
+        return 1 if time >= self._change_after else 0
