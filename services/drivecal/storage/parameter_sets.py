@@ -18,7 +18,10 @@ def ensure(connection: Connection, given: Sequence[ParameterSet]) -> list[int]:
     """The ids of parameter sets, in order; those that are new are stored. Safe beside others that store the same sets."""
     keys = [one.key for one in given]
     ids = _ids(connection, list(dict.fromkeys(keys)))
-    missing = {key: one.to_json() for key, one in zip(keys, given, strict=True) if key not in ids}
+    missing: dict[bytes, str] = {}
+    for key, one in zip(keys, given, strict=True):
+        if key not in ids and key not in missing:
+            missing[key] = one.to_json()
     if missing:
         # Sorted, so that two transactions that store the same sets wait for each other instead of deadlocking.
         rows = [{"key": key, "parameter_values": missing[key]} for key in sorted(missing)]

@@ -1,0 +1,273 @@
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from datetime import UTC
+from typing import get_args
+
+import pytest
+from tests.support.storage import campaign, new_run, sample_set_ids, setup_id
+
+from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, Progress
+from drivecal.domain.campaigns import CampaignState, Stage
+from drivecal.domain.errors import ConflictError, InvalidInputError, NotFoundError
+from drivecal.storage import campaigns, influence_maps, runs
+from drivecal.storage.campaigns import Action, Snapshot
+from drivecal.storage.database import Database
+
+QUEUED, RUNNING, PAUSED = CampaignState.QUEUED, CampaignState.RUNNING, CampaignState.PAUSED
+CANCELLING, CANCELLED, SUCCEEDED = CampaignState.CANCELLING, CampaignState.CANCELLED, CampaignState.SUCCEEDED
+
+
+def test_a_campaign_is_found_by_its_id_and_by_its_number(database: Database) -> None:
+    with database.transaction() as connection:
+        stored = campaign(connection)
+    with database.read() as connection:
+        assert campaigns.get(connection, stored.id) == stored
+        assert campaigns.by_sequence(connection, stored.sequence) == stored
+    assert stored.state is QUEUED
+    assert stored.created_at.tzinfo is UTC
+
+
+@pytest.mark.parametrize("unknown", ["0" * 32, "", "x", "\0", "\ud800", "' OR 1=1", "0" * 10_000])
+def test_a_campaign_that_is_not_there_is_not_found_whatever_is_asked_for(database: Database, unknown: str) -> None:
+    with database.transaction() as connection:
+        campaign(connection)
+        with pytest.raises(NotFoundError, match="there is no campaign"):
+            campaigns.get(connection, unknown)
+        with pytest.raises(NotFoundError, match="there is no campaign"):
+            campaigns.request_action(connection, unknown, "cancel")
+    with database.read() as connection, pytest.raises(NotFoundError):
+        campaigns.by_sequence(connection, 10**6)
+
+
+def test_the_same_key_and_body_give_the_same_campaign(database: Database) -> None:
+    def post() -> str:
+        with database.transaction() as connection:
+            return campaigns.insert(connection, name="a", spec={}, idempotency_key="key", body_digest="body").id
+
+    assert post() == post()
+    with database.read() as connection:
+        assert len(campaigns.active(connection)) == 1
+
+
+def test_the_same_key_with_another_body_is_a_conflict(database: Database) -> None:
+    with database.transaction() as connection:
+        campaigns.insert(connection, name="a", spec={}, idempotency_key="key", body_digest="body")
+    with pytest.raises(ConflictError, match="use a new key for a new request"), database.transaction() as connection:
+        campaigns.insert(connection, name="b", spec={}, idempotency_key="key", body_digest="another body")
+    with database.read() as connection:
+        assert [one.name for one in campaigns.active(connection)] == ["a"]
+
+
+def test_campaigns_without_a_key_are_never_the_same(database: Database) -> None:
+    with database.transaction() as connection:
+        assert campaign(connection).id != campaign(connection).id
+
+
+def test_fifty_parallel_posts_with_one_key_make_one_campaign(database: Database) -> None:
+    def post(number: int) -> str:
+        with database.transaction() as connection:
+            body = "body" if number % 2 else "another body"
+            return campaigns.insert(connection, name="a", spec={}, idempotency_key="key", body_digest=body).id
+
+    def outcome(number: int) -> str:
+        try:
+            return post(number)
+        except ConflictError:
+            return "conflict"
+
+    with ThreadPoolExecutor(50) as pool:
+        outcomes = list(pool.map(outcome, range(50)))
+    with database.read() as connection:
+        (stored,) = campaigns.active(connection)
+    assert {outcomes.count("conflict"), outcomes.count(stored.id)} == {25}
+
+
+def test_the_list_is_newest_first_and_pages_are_complete_whatever_comes_in_between(database: Database) -> None:
+    with database.transaction() as connection:
+        for number in range(5):
+            campaign(connection, str(number))
+        campaigns.insert(connection, name="single", spec={}, kind="evaluation")
+        first, cursor = campaigns.page(connection, limit=2)
+        campaign(connection, "newer")
+        second, cursor = campaigns.page(connection, limit=2, cursor=cursor)
+        third, last = campaigns.page(connection, limit=2, cursor=cursor)
+        singles, _ = campaigns.page(connection, kind="evaluation")
+    assert [[one.name for one in page] for page in (first, second, third)] == [["4", "3"], ["2", "1"], ["0"]]
+    assert last is None
+    assert [one.name for one in singles] == ["single"]
+
+
+def test_the_list_can_be_narrowed_to_a_state(database: Database) -> None:
+    with database.transaction() as connection:
+        first, _ = campaign(connection, "first"), campaign(connection, "second")
+        campaigns.start(connection, first.sequence)
+        found, _ = campaigns.page(connection, state=RUNNING)
+    assert [one.name for one in found] == ["first"]
+
+
+def test_a_cursor_of_another_list_is_refused_by_name(database: Database) -> None:
+    with database.read() as connection, pytest.raises(InvalidInputError, match="cursor"):
+        campaigns.page(connection, cursor="WzEsMl0")
+
+
+def test_active_campaigns_are_those_that_have_not_ended_oldest_first(database: Database) -> None:
+    with database.transaction() as connection:
+        stored = [campaign(connection, str(number)) for number in range(3)]
+        campaigns.end(connection, stored[1].sequence, SUCCEEDED)
+        assert [one.name for one in campaigns.active(connection)] == ["0", "2"]
+
+
+def test_a_started_campaign_sees_what_was_stored_until_then(database: Database) -> None:
+    with database.transaction() as connection:
+        queued = campaign(connection)
+        (set_id,) = sample_set_ids(connection, 1)
+        runs.insert_results(connection, [new_run(setup_id(connection), set_id)])
+        started = campaigns.start(connection, queued.sequence)
+        assert started is not None
+        assert started.state is RUNNING
+        assert started.watermark == runs.largest_id(connection) == 1
+        assert started.started_at is not None
+        assert campaigns.start(connection, queued.sequence) is None, "it is queued no more"
+
+
+def test_progress_is_written_and_read_back_whole(database: Database) -> None:
+    snapshot = Snapshot(
+        stage=Stage.CALIBRATION,
+        iteration=3,
+        cells=CellCounts(proposed=10, pending=4, requested=6, simulated=6, audited=1),
+        progress=Progress(done=6, total=10, eta_seconds=1.5),
+        error_rate={"S1": ErrorRate(audited=1, upper_95=0.975)},
+        best=Best(objective=5.67, parameters={"P1": 0.5}, scores={"S1": 6}, alternatives=2),
+        baseline=Baseline(objective=None, parameters={"P1": 0.25}, scores={"S1": None}),
+        simulating_seconds=12.5,
+        notes=["S2 has weight 0"],
+    )
+    with database.transaction() as connection:
+        sequence = campaign(connection).sequence
+        campaigns.save_progress(connection, sequence, snapshot)
+        stored = campaigns.by_sequence(connection, sequence)
+    for name in ("stage", "iteration", "cells", "progress", "error_rate", "best", "baseline", "simulating_seconds"):
+        assert getattr(stored, name) == getattr(snapshot, name), name
+    assert stored.notes == ("S2 has weight 0",)
+
+
+def test_a_campaign_says_why_it_does_not_go_on(database: Database) -> None:
+    with database.transaction() as connection:
+        first, second = campaign(connection).sequence, campaign(connection).sequence
+        campaigns.degrade(connection, [first], "no workers")
+        campaigns.degrade(connection, [], "nothing")
+        assert [one.degraded for one in campaigns.active(connection)] == ["no workers", None]
+        campaigns.degrade(connection, [first, second], None)
+        assert [one.degraded for one in campaigns.active(connection)] == [None, None]
+
+
+def test_a_campaign_names_its_map_and_the_campaign_it_repeats(database: Database) -> None:
+    with database.transaction() as connection:
+        influence_map = influence_maps.insert(
+            connection, name="m", source="expert", driving_function="frenet", parameters="highway", scenarios={}
+        )
+        first = campaigns.insert(connection, name="first", spec={}, influence_map_id=influence_map.id)
+        second = campaigns.insert(connection, name="second", spec={}, rerun_of=first.id)
+    assert (first.influence_map_id, second.rerun_of) == (influence_map.id, first.id)
+
+
+def test_a_campaign_ends_once(database: Database) -> None:
+    with database.transaction() as connection:
+        sequence = campaign(connection).sequence
+        campaigns.start(connection, sequence)
+        campaigns.request_action(connection, campaigns.by_sequence(connection, sequence).id, "cancel")
+        assert campaigns.end(connection, sequence, CampaignState.FAILED, "no workers")
+        assert not campaigns.end(connection, sequence, SUCCEEDED)
+        stored = campaigns.by_sequence(connection, sequence)
+    assert (stored.state, stored.error, stored.requested_action) == (CampaignState.FAILED, "no workers", None)
+    assert stored.ended_at is not None
+
+
+def test_a_state_changes_only_from_what_was_expected(database: Database) -> None:
+    with database.transaction() as connection:
+        sequence = campaign(connection).sequence
+        assert not campaigns.change_state(connection, sequence, {RUNNING}, PAUSED)
+        assert campaigns.by_sequence(connection, sequence).state is QUEUED
+        campaigns.start(connection, sequence)
+        assert campaigns.change_state(connection, sequence, {RUNNING, CANCELLING}, PAUSED)
+        assert campaigns.by_sequence(connection, sequence).state is PAUSED
+
+
+def test_executing_a_request_takes_it_back_but_not_a_newer_one(database: Database) -> None:
+    with database.transaction() as connection:
+        stored = campaign(connection)
+        campaigns.start(connection, stored.sequence)
+        campaigns.request_action(connection, stored.id, "pause")
+        campaigns.change_state(connection, stored.sequence, {RUNNING}, PAUSED)
+        assert campaigns.by_sequence(connection, stored.sequence).requested_action is None
+        campaigns.change_state(connection, stored.sequence, {PAUSED}, RUNNING)
+        campaigns.request_action(connection, stored.id, "pause")
+        campaigns.request_action(connection, stored.id, "cancel")
+        campaigns.change_state(connection, stored.sequence, {RUNNING}, PAUSED)
+        assert campaigns.by_sequence(connection, stored.sequence).requested_action == "cancel"
+
+
+REQUESTS: list[tuple[CampaignState, bool, Action, CampaignState, Action | None]] = [
+    # state, started, request -> state, requested action
+    (QUEUED, False, "cancel", CANCELLED, None),
+    (QUEUED, False, "pause", PAUSED, None),
+    (QUEUED, False, "resume", QUEUED, None),
+    (RUNNING, True, "cancel", RUNNING, "cancel"),
+    (RUNNING, True, "pause", RUNNING, "pause"),
+    (RUNNING, True, "resume", RUNNING, None),
+    (PAUSED, False, "cancel", CANCELLED, None),
+    (PAUSED, False, "pause", PAUSED, None),
+    (PAUSED, False, "resume", QUEUED, None),
+    (PAUSED, True, "cancel", CANCELLED, None),
+    (PAUSED, True, "pause", PAUSED, None),
+    (PAUSED, True, "resume", PAUSED, "resume"),
+    (CANCELLING, True, "cancel", CANCELLING, None),
+    (CANCELLED, True, "cancel", CANCELLED, None),
+]
+
+
+@pytest.mark.parametrize(("state", "started", "action", "expected", "asked"), REQUESTS)
+def test_a_request_is_executed_at_once_where_nothing_runs_and_left_to_the_dispatcher_where_something_does(
+    database: Database, state: CampaignState, *, started: bool, action: Action, expected: CampaignState, asked: Action | None
+) -> None:
+    with database.transaction() as connection:
+        stored = campaign(connection)
+        if started:
+            campaigns.start(connection, stored.sequence)
+        if state.ended:
+            campaigns.end(connection, stored.sequence, state)
+        else:
+            campaigns.change_state(connection, stored.sequence, set(CampaignState), state)
+        for _ in range(2):  # idempotent
+            after = campaigns.request_action(connection, stored.id, action)
+            assert (after.state, after.requested_action) == (expected, asked)
+        assert (after.ended_at is not None) == expected.ended
+
+
+@pytest.mark.parametrize(
+    ("state", "actions"),
+    [(SUCCEEDED, get_args(Action)), (CANCELLED, ("pause", "resume")), (CANCELLING, ("pause", "resume"))],
+)
+def test_a_request_that_comes_too_late_is_a_conflict(database: Database, state: CampaignState, actions: tuple[Action]) -> None:
+    with database.transaction() as connection:
+        stored = campaign(connection)
+        campaigns.start(connection, stored.sequence)
+        if state.ended:
+            campaigns.end(connection, stored.sequence, state)
+        else:
+            campaigns.change_state(connection, stored.sequence, {RUNNING}, state)
+        for action in actions:
+            with pytest.raises(ConflictError, match=f"too late to {action} it"):
+                campaigns.request_action(connection, stored.id, action)
+
+
+def test_resuming_takes_back_a_pause_that_was_not_executed_yet(database: Database) -> None:
+    with database.transaction() as connection:
+        stored = campaign(connection)
+        campaigns.start(connection, stored.sequence)
+        campaigns.request_action(connection, stored.id, "pause")
+        assert campaigns.request_action(connection, stored.id, "resume").requested_action is None
+        campaigns.request_action(connection, stored.id, "cancel")
+        with pytest.raises(ConflictError, match="being cancelled"):
+            campaigns.request_action(connection, stored.id, "resume")

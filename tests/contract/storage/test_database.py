@@ -1,0 +1,247 @@
+from __future__ import annotations
+
+import multiprocessing
+import sqlite3
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+from alembic.autogenerate import compare_metadata
+from alembic.migration import MigrationContext
+from sqlalchemy import text
+from tests.support.storage import campaign
+
+from drivecal.domain.errors import DatabaseError, UnavailableError
+from drivecal.storage import campaigns
+from drivecal.storage import database as database_module
+from drivecal.storage.database import Database
+from drivecal.storage.schema import REVISION_TABLE
+from drivecal.storage.tables import metadata
+
+
+def test_the_revisions_make_exactly_the_tables(database: Database) -> None:
+    with database.read() as connection:
+        context = MigrationContext.configure(connection, opts={"version_table": REVISION_TABLE, "compare_type": True})
+        assert compare_metadata(context, metadata) == []
+
+
+def test_a_new_database_is_usable_after_its_upgrade_and_a_second_one_changes_nothing(empty_url: str) -> None:
+    database = Database.open(empty_url)
+    database.upgrade()
+    with database.transaction() as connection:
+        stored = campaign(connection)
+    database.upgrade()
+    database.check()
+    with database.read() as connection:
+        assert campaigns.get(connection, stored.id) == stored
+    database.dispose()
+
+
+def test_several_processes_may_upgrade_a_new_database_at_once(empty_url: str) -> None:
+    with multiprocessing.get_context("spawn").Pool(3) as pool:
+        pool.map(_upgrade, [empty_url] * 3)
+    Database.open(empty_url).check()
+
+
+def _upgrade(url: str) -> None:
+    database = Database.open(url)
+    database.upgrade()
+    database.dispose()
+
+
+def test_a_transaction_that_raises_leaves_nothing_behind(database: Database) -> None:
+    def write() -> None:
+        with database.transaction() as connection:
+            campaign(connection)
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        write()
+    with database.read() as connection:
+        assert campaigns.page(connection) == ([], None)
+
+
+def test_a_reader_sees_one_state_however_long_it_reads(database: Database) -> None:
+    with database.read() as reader:
+        assert campaigns.active(reader) == []
+        with database.transaction() as writer:
+            campaign(writer)
+        assert campaigns.active(reader) == []
+    with database.read() as reader:
+        assert len(campaigns.active(reader)) == 1
+
+
+def test_a_reader_cannot_write(database: Database) -> None:
+    with pytest.raises(Exception, match=r"read-?only|cannot be opened for writing"), database.read() as connection:
+        campaign(connection)
+    with database.transaction() as connection:  # the same pooled connection writes again
+        campaign(connection)
+
+
+def test_writers_in_many_threads_wait_for_each_other(database: Database) -> None:
+    def write(number: int) -> None:
+        with database.transaction() as connection:
+            seen = len(campaigns.active(connection))  # reads first: upgrading a read lock would deadlock on SQLite
+            campaign(connection, f"{number} after {seen}")
+
+    with ThreadPoolExecutor(16) as pool:
+        list(pool.map(write, range(64)))
+    with database.read() as connection:
+        assert len(campaigns.active(connection)) == 64
+
+
+def test_json_columns_hold_null_in_place_of_numbers_that_json_does_not_know(database: Database) -> None:
+    spec = {"value": float("nan"), "list": [float("inf"), 1.5], "nested": {"a": -float("inf")}}
+    with database.transaction() as connection:
+        stored = campaigns.insert(connection, name="nan", spec=spec)
+        raw = connection.scalar(text("SELECT CAST(spec AS TEXT) FROM campaigns"))
+    assert stored.spec == {"value": None, "list": [None, 1.5], "nested": {"a": None}}
+    assert "nan" not in raw.lower()
+    assert "infinity" not in raw.lower()
+
+
+def test_json_columns_keep_the_order_of_names(database: Database) -> None:
+    with database.transaction() as connection:
+        stored = campaigns.insert(connection, name="order", spec={"S10": 1, "S2": 2, "B": 3, "A": 4})
+        assert list(campaigns.get(connection, stored.id).spec) == ["S10", "S2", "B", "A"]
+
+
+def test_a_database_that_is_not_migrated_is_refused_with_the_remedy(empty_url: str) -> None:
+    with pytest.raises(DatabaseError, match=r"run `drivecal db upgrade`|`drivecal db upgrade` creates it"):
+        Database.open(empty_url).check()
+
+
+def test_another_programs_database_is_refused_and_left_as_it_was(empty_url: str) -> None:
+    database = Database.open(empty_url)
+    with database.transaction() as connection:
+        connection.execute(text("CREATE TABLE moz_places (id INTEGER)"))
+    for use in (database.check, database.upgrade):
+        with pytest.raises(DatabaseError, match=r"another program's tables \(moz_places\)"):
+            use()
+    with database.read() as connection:
+        if connection.dialect.name == "sqlite":
+            assert connection.exec_driver_sql("PRAGMA journal_mode").scalar() == "delete"
+
+
+def test_another_programs_alembic_database_is_refused(empty_url: str) -> None:
+    database = Database.open(empty_url)
+    with database.transaction() as connection:
+        connection.execute(text("CREATE TABLE alembic_version (version_num TEXT)"))
+    with pytest.raises(DatabaseError, match="another program's tables"):
+        database.upgrade()
+
+
+def test_a_database_of_a_newer_drivecal_is_refused(database: Database) -> None:
+    with database.transaction() as connection:
+        connection.execute(text(f"UPDATE {REVISION_TABLE} SET version_num = '9999'"))
+    for use in (database.check, database.upgrade):
+        with pytest.raises(DatabaseError, match=r"newer drivecal \(revision 9999\)"):
+            use()
+
+
+@pytest.mark.parametrize("content", [b"This is no database." * 100, b"\x00" * 4096])
+def test_a_file_that_is_no_database_is_refused_and_left_as_it_was(tmp_path: Path, content: bytes) -> None:
+    file = tmp_path / "notes.txt"
+    file.write_bytes(content)
+    for use in (Database.open(f"sqlite:///{file}").check, Database.open(f"sqlite:///{file}").upgrade):
+        with pytest.raises(DatabaseError, match=r"notes\.txt is no SQLite database"):
+            use()
+    assert file.read_bytes() == content
+
+
+def test_a_damaged_database_is_called_damaged(migrated_sqlite: Path, tmp_path: Path) -> None:
+    file = tmp_path / "drivecal.db"
+    content = bytearray(migrated_sqlite.read_bytes())
+    content[100:4096] = b"\xff" * 3996
+    file.write_bytes(content)
+    with pytest.raises(DatabaseError, match="damaged SQLite database"):
+        Database.open(f"sqlite:///{file}").check()
+
+
+def test_a_missing_file_is_not_created_by_looking_for_it(tmp_path: Path) -> None:
+    file = tmp_path / "drivecal.db"
+    with pytest.raises(DatabaseError, match="there is no database"):
+        Database.open(f"sqlite:///{file}").check()
+    assert not file.exists()
+
+
+def test_a_folder_in_place_of_the_file_is_refused(tmp_path: Path) -> None:
+    for use in (Database.open(f"sqlite:///{tmp_path}").check, Database.open(f"sqlite:///{tmp_path}").upgrade):
+        with pytest.raises(DatabaseError, match="is a folder; name a file in it"):
+            use()
+
+
+def test_a_folder_that_cannot_be_created_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(DatabaseError, match=r"the folder .*file cannot be created"):
+        Database.open(f"sqlite:///{tmp_path / 'file' / 'drivecal.db'}").upgrade()
+
+
+def test_a_folder_without_the_right_to_write_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # For root every folder is writable, and tests run as root in containers: take the right away where it is asked for.
+    monkeypatch.setattr("drivecal.storage.schema.os.access", lambda *_: False)
+    with pytest.raises(DatabaseError, match="is not writable; give the user that runs drivecal the right"):
+        Database.open(f"sqlite:///{tmp_path / 'drivecal.db'}").upgrade()
+
+
+def test_an_unreachable_postgresql_is_named_without_the_password() -> None:
+    database = Database.open("postgresql://someone:s3cret@127.0.0.1:1/drivecal?password=s3cret")
+    for use in (database.check, database.upgrade):
+        with pytest.raises(DatabaseError, match="does not answer") as caught:
+            use()
+        assert "s3cret" not in str(caught.value)
+        assert "someone:***@127.0.0.1:1/drivecal" in str(caught.value)
+    with pytest.raises(UnavailableError, match="does not answer"), database.read():
+        pass
+
+
+def test_a_database_that_another_program_keeps_locked_is_unavailable(
+    migrated_sqlite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(database_module, "BUSY_SECONDS", 0)
+    file = tmp_path / "drivecal.db"
+    file.write_bytes(migrated_sqlite.read_bytes())
+    database = Database.open(f"sqlite:///{file}")
+    with closing(sqlite3.connect(file, isolation_level=None)) as other:
+        other.execute("BEGIN EXCLUSIVE")
+        with pytest.raises(UnavailableError, match="database is locked"), database.transaction():
+            pass
+    with database.transaction() as connection:
+        campaign(connection)
+
+
+def test_lost_connections_are_replaced(
+    make_postgres_database: Callable[[str | None], str], migrated_postgres: str, postgres_server: str
+) -> None:
+    database = Database.open(make_postgres_database(migrated_postgres))
+
+    def write() -> None:
+        with database.transaction() as connection:
+            pid = connection.scalar(text("SELECT pg_backend_pid()"))
+            with Database.open(postgres_server).transaction() as other:
+                other.execute(text("SELECT pg_terminate_backend(:pid)"), {"pid": pid})
+            campaign(connection)
+
+    with pytest.raises(UnavailableError):
+        write()
+    with database.transaction() as connection:
+        campaign(connection)
+    with database.read() as connection:
+        assert len(campaigns.active(connection)) == 1
+
+
+def test_sqlite_waits_for_the_disk_at_every_commit(migrated_sqlite: Path) -> None:
+    database = Database.open(f"sqlite:///{migrated_sqlite}")
+    with database.read() as connection:
+        values = [
+            connection.exec_driver_sql(f"PRAGMA {name}").scalar() for name in ("journal_mode", "synchronous", "foreign_keys")
+        ]
+    database.dispose()
+    assert values == ["wal", 2, 1]
+
+
+def test_rows_cannot_point_to_rows_that_are_not_there(database: Database) -> None:
+    with pytest.raises(Exception, match=r"(?i)foreign key"), database.transaction() as connection:
+        connection.execute(text("INSERT INTO ratings VALUES (1, 'reference 1', 1, 1.0)"))

@@ -1,0 +1,185 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from sqlalchemy.exc import IntegrityError
+from tests.support.storage import campaign, sample_set_ids, sample_sets, setup_id, simulate
+
+from drivecal.domain.campaigns import Stage
+from drivecal.domain.evaluations import Donor, Outcome
+from drivecal.storage import evaluations, results
+from drivecal.storage.database import Database
+from drivecal.storage.evaluations import Answer, NewEvaluation
+
+SIMULATED, REPEATED, REUSED, FAILED = Outcome.SIMULATED, Outcome.REPEATED, Outcome.REUSED, Outcome.FAILED
+
+
+def cell(individual: int, setup: int, parameter_set: int, **changes: object) -> NewEvaluation:
+    one = NewEvaluation(Stage.CALIBRATION, 0, individual, "S1", setup, parameter_set, SIMULATED)
+    return replace(one, **changes)  # type: ignore[arg-type]
+
+
+def test_a_population_gets_its_ids_in_order_and_waits(database: Database) -> None:
+    with database.transaction() as connection:
+        sequence, setup = campaign(connection).sequence, setup_id(connection)
+        sets = sample_set_ids(connection, 2500)
+        ids = evaluations.insert(connection, sequence, [cell(n, setup, one) for n, one in enumerate(sets)])
+    with database.read() as connection:
+        waiting = evaluations.pending(connection, sequence)
+    assert [one.id for one in waiting] == ids
+    assert [one.individual for one in waiting] == list(range(2500))
+    assert [one.parameters for one in waiting] == sample_sets(2500)
+    assert {(one.plan, one.reference, one.audited, one.attempts) for one in waiting} == {(SIMULATED, None, False, 0)}
+
+
+def test_a_copy_of_a_stored_result_has_its_answer_at_once(database: Database) -> None:
+    with database.transaction() as connection:
+        first, second = campaign(connection).sequence, campaign(connection).sequence
+        setup, sets = setup_id(connection), sample_set_ids(connection, 3)
+        (simulated,) = simulate(connection, first, [cell(0, setup, sets[0])], score=6, rating=5.75)
+        run = results.by_id(connection, simulated).run_id
+        assert run is not None
+        donor = Donor(simulated, run, 6, 5.75, None)
+        cells = [cell(0, setup, sets[0], plan=REPEATED, donor=donor), cell(1, setup, sets[1], plan=REUSED, donor=donor)]
+        audited = cell(2, setup, sets[2], donor=donor, audited=True)
+        ids = evaluations.insert(connection, second, [*cells, audited])
+        copies = [results.by_id(connection, one) for one in ids[:2]]
+        waiting = evaluations.pending(connection, second)
+    assert [one.outcome for one in copies] == [REPEATED, REUSED]
+    assert {(one.score, one.rating, one.run_id, one.reference) for one in copies} == {(6, 5.75, run, simulated)}
+    assert [(one.id, one.plan, one.reference, one.audited) for one in waiting] == [(ids[2], SIMULATED, simulated, True)]
+
+
+def test_a_cell_that_waits_for_another_of_its_population_names_it(database: Database) -> None:
+    with database.transaction() as connection:
+        sequence, setup = campaign(connection).sequence, setup_id(connection)
+        sets = sample_set_ids(connection, 2)
+        cells = [
+            cell(0, setup, sets[0]),
+            cell(1, setup, sets[0], plan=REPEATED, leader=0),
+            cell(2, setup, sets[1], leader=0, audited=True),
+        ]
+        ids = evaluations.insert(connection, sequence, cells)
+        waiting = evaluations.pending(connection, sequence)
+    assert [(one.plan, one.reference, one.audited) for one in waiting] == [
+        (SIMULATED, None, False),
+        (REPEATED, ids[0], False),
+        (SIMULATED, ids[0], True),
+    ]
+
+
+def test_a_failure_of_a_donor_is_copied_with_its_score(database: Database) -> None:
+    with database.transaction() as connection:
+        sequence, setup = campaign(connection).sequence, setup_id(connection)
+        (one,) = sample_set_ids(connection, 1)
+        (simulated,) = simulate(connection, sequence, [cell(0, setup, one)])
+        run = results.by_id(connection, simulated).run_id
+        assert run is not None
+        donor = Donor(simulated, run, 0, 0.0, "collision")
+        (copy,) = evaluations.insert(connection, sequence, [cell(1, setup, one, plan=REPEATED, donor=donor)])
+        assert results.by_id(connection, copy).failure == "collision"
+
+
+def test_an_answer_is_stored_once_and_a_late_one_changes_nothing(database: Database) -> None:
+    with database.transaction() as connection:
+        sequence, setup = campaign(connection).sequence, setup_id(connection)
+        ids = evaluations.insert(
+            connection, sequence, [cell(n, setup, one) for n, one in enumerate(sample_set_ids(connection, 3))]
+        )
+        broken = Answer(ids[0], FAILED, None, None, None, failure="hang", worker="w", attempts=3)
+        assert evaluations.answer(connection, [broken]) == 1
+        late = [replace(broken, id=one, outcome=SIMULATED, score=1, rating=1.0, failure=None) for one in ids[:2]]
+        assert evaluations.answer(connection, late) == 1
+        assert evaluations.answer(connection, []) == 0
+        first, second = (results.by_id(connection, one) for one in ids[:2])
+        assert [one.id for one in evaluations.pending(connection, sequence)] == [ids[2]]
+    assert (first.outcome, first.score, first.failure, first.attempts) == (FAILED, None, "hang", 3)
+    assert (second.outcome, second.score) == (SIMULATED, 1)
+
+
+def test_the_same_cell_of_a_population_cannot_be_stored_twice(database: Database) -> None:
+    with database.transaction() as connection:
+        sequence, setup = campaign(connection).sequence, setup_id(connection)
+        (one,) = sample_set_ids(connection, 1)
+    with pytest.raises(IntegrityError), database.transaction() as connection:
+        evaluations.insert(connection, sequence, [cell(0, setup, one), cell(0, setup, one)])
+
+
+def test_numpy_numbers_are_stored_as_numbers(database: Database) -> None:
+    with database.transaction() as connection:
+        sequence, setup = campaign(connection).sequence, setup_id(connection)
+        (one,) = sample_set_ids(connection, 1)
+        (stored,) = evaluations.insert(connection, sequence, [cell(np.int64(4), setup, one, iteration=np.int64(2))])  # type: ignore[arg-type]
+        found = results.by_id(connection, stored)
+        assert (found.iteration, found.individual) == (2, 4)
+
+
+def test_own_references_are_the_first_simulated_answers_in_the_order_of_the_campaign(database: Database) -> None:
+    key, other = b"k" * 16, b"o" * 16
+    with database.transaction() as connection:
+        sequence, setup = campaign(connection).sequence, setup_id(connection)
+        sets = sample_set_ids(connection, 6)
+        # Stored out of order; the certified first one, the copy and the pending cell must not hide it.
+        later = cell(1, setup, sets[0], iteration=1, reference_key=key)
+        first = cell(3, setup, sets[1], iteration=0, reference_key=key)
+        ids = simulate(connection, sequence, [later, first], score=4, rating=4.5)
+        run = results.by_id(connection, ids[0]).run_id
+        assert run is not None
+        copy = cell(0, setup, sets[2], plan=REUSED, reference_key=key, donor=Donor(ids[0], run, 4, 4.5, None))
+        pending = cell(1, setup, sets[3], reference_key=key)
+        failed = cell(2, setup, sets[4], reference_key=key)
+        others = evaluations.insert(connection, sequence, [copy, pending, failed])
+        evaluations.answer(connection, [Answer(others[2], FAILED, None, None, None, failure="crash")])
+        simulate(connection, sequence, [cell(9, setup, sets[5], scenario="S2", reference_key=other)])
+        simulate(connection, campaign(connection).sequence, [cell(0, setup, sets[5], reference_key=other)])
+
+        found = evaluations.own_references(connection, sequence, "S1", [key, other, b"x" * 16])
+        assert {name: one.evaluation for name, one in found.items()} == {key: ids[1]}
+        assert (found[key].score, found[key].rating, found[key].failure) == (4, 4.5, None)
+        exact = evaluations.own_exact(connection, sequence, "S1", sets)
+        assert {one: donor.evaluation for one, donor in exact.items()} == {sets[0]: ids[0], sets[1]: ids[1]}
+
+
+def test_the_sensitivity_stage_comes_before_calibration(database: Database) -> None:
+    key = b"k" * 16
+    with database.transaction() as connection:
+        sequence, setup = campaign(connection).sequence, setup_id(connection)
+        sets = sample_set_ids(connection, 2)
+        calibration = cell(0, setup, sets[0], iteration=0, reference_key=key)
+        sensitivity = cell(5, setup, sets[1], iteration=7, stage=Stage.SENSITIVITY, reference_key=key)
+        ids = simulate(connection, sequence, [calibration, sensitivity])
+        assert evaluations.own_references(connection, sequence, "S1", [key])[key].evaluation == ids[1]
+        assert [one.id for one in results.stream(connection, sequence)] == ids[::-1]
+
+
+def test_copies_of_a_cell_without_a_result_are_simulated_instead(database: Database) -> None:
+    with database.transaction() as connection:
+        sequence, setup = campaign(connection).sequence, setup_id(connection)
+        sets = sample_set_ids(connection, 3)
+        cells = [cell(0, setup, sets[0]), *(cell(n, setup, sets[n], plan=REUSED, leader=0) for n in (1, 2))]
+        leader, copy, answered = evaluations.insert(connection, sequence, cells)
+        broken = [Answer(one, FAILED, None, None, None, failure="hang") for one in (leader, answered)]
+        evaluations.answer(connection, broken)
+        evaluations.simulate_instead(connection, [copy, answered])
+        evaluations.simulate_instead(connection, [])
+        assert [(one.id, one.plan, one.reference) for one in evaluations.pending(connection, sequence)] == [
+            (copy, SIMULATED, None)
+        ]
+        assert results.by_id(connection, answered).reference == leader
+
+
+def test_audits_are_settled_by_comparing_the_score_with_the_donors(database: Database) -> None:
+    with database.transaction() as connection:
+        sequence, setup = campaign(connection).sequence, setup_id(connection)
+        sets = sample_set_ids(connection, 4)
+        simulate(connection, sequence, [cell(0, setup, sets[0])], score=5)
+        donor = evaluations.own_exact(connection, sequence, "S1", sets)[sets[0]]
+        first = [cell(n, setup, sets[n], iteration=1, donor=donor, audited=True) for n in (1, 2)]
+        (equal,) = simulate(connection, sequence, first[:1], score=5)
+        (other,) = simulate(connection, sequence, first[1:], score=4)
+        (later,) = simulate(connection, sequence, [cell(3, setup, sets[3], iteration=2, donor=donor, audited=True)], score=4)
+        evaluations.settle_audits(connection, sequence, Stage.CALIBRATION, 1)
+        agrees = {one.id: one.agrees for one in results.stream(connection, sequence) if one.iteration}
+    assert agrees == {equal: True, other: False, later: None}

@@ -1,0 +1,72 @@
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from decimal import Decimal
+
+from sqlalchemy import func, select
+from tests.support.storage import SETUP, sample_sets
+
+from drivecal.domain.parameters import ParameterSet
+from drivecal.storage import parameter_sets, setups, tables
+from drivecal.storage.database import Database
+
+
+def test_sets_are_stored_once_and_ids_come_in_the_order_of_the_sets(database: Database) -> None:
+    given = sample_sets(7000)  # more than one chunk of IN on SQLite
+    with database.transaction() as connection:
+        few = parameter_sets.ensure(connection, given[100:200])
+        ids = parameter_sets.ensure(connection, given)
+        again = parameter_sets.ensure(connection, [*reversed(given), given[0]])
+    assert ids[100:200] == few
+    assert again == [*reversed(ids), ids[0]]
+    assert len(set(ids)) == 7000
+    with database.read() as connection:
+        assert parameter_sets.load(connection, ids) == dict(zip(ids, given, strict=True))
+        assert parameter_sets.load(connection, [10**9]) == {}
+
+
+def test_a_set_is_the_same_in_any_order_of_names_and_keeps_its_exact_decimals(database: Database) -> None:
+    one = ParameterSet.of({"P1": Decimal("0.100000001"), "P2": Decimal("-999999.999999999")})
+    turned = ParameterSet.of({"P2": Decimal("-999999.999999999"), "P1": Decimal("0.100000001")})
+    with database.transaction() as connection:
+        ids = parameter_sets.ensure(connection, [one, turned])
+        assert ids[0] == ids[1]
+        assert parameter_sets.load(connection, ids) == {ids[0]: one}
+
+
+def test_threads_that_store_the_same_sets_get_the_same_ids(database: Database) -> None:
+    given = sample_sets(500)
+
+    def store(number: int) -> list[int]:
+        with database.transaction() as connection:
+            return parameter_sets.ensure(connection, given if number % 2 else given[::-1])
+
+    with ThreadPoolExecutor(8) as pool:
+        results = list(pool.map(store, range(8)))
+    assert {tuple(ids) if number % 2 else tuple(ids[::-1]) for number, ids in enumerate(results)} == {tuple(results[1])}
+    with database.read() as connection:
+        assert connection.scalar(select(func.count()).select_from(tables.parameter_sets)) == 500
+
+
+def test_setups_are_stored_once_with_all_that_decides_their_runs(database: Database) -> None:
+    other = replace(SETUP, vehicle_parameters={"mass_kg": 1500.0000000000002})
+    with database.transaction() as connection:
+        ids = setups.ensure(connection, [SETUP, other, SETUP])
+        assert setups.ensure(connection, [other]) == [ids[1]]
+        counts = setups.counts(connection)
+    assert ids[0] == ids[2] != ids[1]
+    assert {one.fingerprint: one.document for one in counts} == {one.fingerprint: one.document for one in (SETUP, other)}
+    assert [one.runs for one in counts] == [0, 0]
+
+
+def test_threads_that_store_the_same_setups_get_the_same_ids(database: Database) -> None:
+    given = [replace(SETUP, scenario=f"S{number}") for number in range(6)]
+
+    def store(number: int) -> list[int]:
+        with database.transaction() as connection:
+            return setups.ensure(connection, given if number % 2 else given[::-1])
+
+    with ThreadPoolExecutor(8) as pool:
+        results = list(pool.map(store, range(8)))
+    assert {tuple(ids) if number % 2 else tuple(ids[::-1]) for number, ids in enumerate(results)} == {tuple(results[1])}

@@ -1,0 +1,98 @@
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from datetime import UTC, datetime, timedelta
+
+import pytest
+from tests.contract.storage.conftest import Backend
+
+from drivecal.domain.errors import DatabaseError, UnavailableError
+from drivecal.storage import locks, processes
+from drivecal.storage.database import Database
+
+HOLD = "import sys, time; from drivecal.storage import locks; lock = locks.hold(sys.argv[1]); print('held', flush=True); time.sleep(60)"
+
+
+def test_a_process_is_known_by_its_last_heartbeat(database: Database) -> None:
+    began = datetime.now(UTC) - timedelta(seconds=5)
+    with database.transaction() as connection:
+        assert processes.read(connection, "dispatcher") is None
+        processes.heartbeat(connection, "dispatcher", 1, began, {"workers": []})
+        processes.heartbeat(connection, "dispatcher", 2, began, {"workers": [{"id": "w", "cells": 3}]})
+    with database.read() as connection:
+        stored = processes.read(connection, "dispatcher")
+    assert stored is not None
+    assert (stored.pid, stored.started_at, stored.detail) == (2, began, {"workers": [{"id": "w", "cells": 3}]})
+    assert timedelta(0) <= datetime.now(UTC) - stored.heartbeat_at < timedelta(minutes=1)
+
+
+def test_a_moment_without_a_time_zone_is_refused(database: Database) -> None:
+    with pytest.raises(Exception, match="names no time zone"), database.transaction() as connection:
+        processes.heartbeat(connection, "dispatcher", 1, datetime(2026, 1, 1), {})  # noqa: DTZ001  # that is what is refused
+
+
+def test_a_second_server_is_refused_and_told_who_holds_the_database(empty_url: str) -> None:
+    with locks.hold(empty_url) as lock:
+        with pytest.raises(
+            DatabaseError, match=rf"another drivecal server \(process {os.getpid()}\b.*stop it, or name another"
+        ):
+            locks.hold(empty_url)
+        lock.renew()
+    locks.hold(empty_url).release()
+
+
+def test_servers_of_different_databases_do_not_disturb_each_other(empty_url: str, url: str) -> None:
+    if empty_url == url:
+        url = url.replace("drivecal.db", "other.db")
+    with locks.hold(empty_url), locks.hold(url):
+        pass
+
+
+def test_a_killed_server_leaves_no_lock_behind(empty_url: str) -> None:
+    with subprocess.Popen([sys.executable, "-c", HOLD, empty_url], stdout=subprocess.PIPE, text=True) as server:
+        assert server.stdout is not None
+        assert server.stdout.readline() == "held\n"
+        with pytest.raises(DatabaseError, match=rf"process {server.pid}\b"):
+            locks.hold(empty_url)
+        server.send_signal(signal.SIGKILL)
+        server.wait()
+    deadline = datetime.now(UTC) + timedelta(seconds=30)  # PostgreSQL needs a moment to notice
+    while True:
+        try:
+            locks.hold(empty_url).release()
+            break
+        except DatabaseError:
+            assert datetime.now(UTC) < deadline
+
+
+def test_a_lock_lost_with_its_connection_is_taken_again_unless_another_server_has_it(backend: Backend, empty_url: str) -> None:
+    if backend == "sqlite":
+        pytest.skip("a file lock has no connection to lose")
+    first = locks.hold(empty_url)
+    _end_servers(empty_url)
+    first.renew()
+    with pytest.raises(DatabaseError):
+        locks.hold(empty_url)
+    _end_servers(empty_url)
+    with locks.hold(empty_url), pytest.raises(DatabaseError, match="another drivecal server"):
+        first.renew()
+    first.renew()
+    first.release()
+
+
+def _end_servers(url: str) -> None:
+    """Ends the sessions that hold the lock, as a restart of PostgreSQL would."""
+    from sqlalchemy import text
+
+    with Database.open(url).transaction() as connection:
+        connection.execute(
+            text("SELECT pg_terminate_backend(pid, 5000) FROM pg_stat_activity WHERE application_name LIKE 'drivecal server%'")
+        )
+
+
+def test_a_lock_on_an_unreachable_postgresql_is_unavailable() -> None:
+    with pytest.raises(UnavailableError, match="does not answer"):
+        locks.hold("postgresql://someone:s3cret@127.0.0.1:1/drivecal")

@@ -1,0 +1,119 @@
+from __future__ import annotations
+
+from itertools import product
+
+import pytest
+from tests.support.storage import campaign, sample_set_ids, setup_id, simulate
+
+from drivecal.domain.campaigns import Stage
+from drivecal.domain.errors import InvalidInputError, NotFoundError
+from drivecal.domain.evaluations import Donor, Outcome
+from drivecal.storage import cursors, evaluations, results
+from drivecal.storage.database import Database
+from drivecal.storage.evaluations import Answer, NewEvaluation
+from drivecal.storage.results import AuditCount, CellAnswer, StoredEvaluation
+
+CALIBRATION = Stage.CALIBRATION
+
+
+def place(one: StoredEvaluation) -> tuple[int, int, str]:
+    return one.iteration, one.individual, one.scenario
+
+
+def test_pages_and_stream_give_every_row_once_in_order(database: Database) -> None:
+    with database.transaction() as connection:
+        sequence, setup = campaign(connection).sequence, setup_id(connection)
+        (one,) = sample_set_ids(connection, 1)
+        places = list(product((1, 0), (2, 1, 0, 10), ("S2", "S10", "S1", "s1")))
+        cells = [NewEvaluation(CALIBRATION, i, n, scenario, setup, one, Outcome.SIMULATED) for i, n, scenario in places]
+        evaluations.insert(connection, sequence, cells)
+        evaluations.insert(connection, campaign(connection).sequence, cells)
+    found: list[StoredEvaluation] = []
+    cursor = None
+    with database.read() as connection:
+        while True:
+            page, cursor = results.page(connection, sequence, limit=5, cursor=cursor)
+            found.extend(page)
+            if cursor is None:
+                break
+        assert list(results.stream(connection, sequence)) == found
+    assert [place(one) for one in found] == sorted(places)
+    assert found[0].parameters == {"P1": 0.0, "P2": 5.0}
+    assert {type(value) for value in found[0].parameters.values()} == {float}
+
+
+@pytest.mark.parametrize(
+    "cursor", ["", "x", "W10", "WzEsMl0", cursors.encode(2, 0, 2**40, "S1"), cursors.encode(2, 0, 0, "S\0")]
+)
+def test_a_cursor_that_is_not_of_this_list_is_refused_by_name(database: Database, cursor: str) -> None:
+    with database.read() as connection, pytest.raises(InvalidInputError, match="cursor: it does not come from this list"):
+        results.page(connection, 1, cursor=cursor)
+
+
+def test_a_cursor_of_a_stage_that_does_not_exist_ends_the_list(database: Database) -> None:
+    with database.transaction() as connection:
+        sequence, setup = campaign(connection).sequence, setup_id(connection)
+        (one,) = sample_set_ids(connection, 1)
+        evaluations.insert(connection, sequence, [NewEvaluation(CALIBRATION, 0, 0, "S1", setup, one, Outcome.SIMULATED)])
+        assert results.page(connection, sequence, cursor=cursors.encode(77, 0, 0, "S1")) == ([], None)
+
+
+@pytest.mark.parametrize("unknown", [0, -1, 1, 2**63, 10**30])
+def test_an_evaluation_that_is_not_there_is_not_found(database: Database, unknown: int) -> None:
+    with database.read() as connection, pytest.raises(NotFoundError, match="there is no evaluation"):
+        results.by_id(connection, unknown)
+
+
+def test_outcomes_and_audits_are_counted(database: Database) -> None:
+    with database.transaction() as connection:
+        sequence, setup = campaign(connection).sequence, setup_id(connection)
+        sets = sample_set_ids(connection, 8)
+        cells = [NewEvaluation(CALIBRATION, 0, n, "S1", setup, one, Outcome.SIMULATED) for n, one in enumerate(sets[:2])]
+        first, second = simulate(connection, sequence, cells, score=5)
+        run = results.by_id(connection, first).run_id
+        assert run is not None
+        donor = Donor(first, run, 5, 5.25, None)
+        audits = [
+            NewEvaluation(CALIBRATION, 1, n, "S1", setup, one, Outcome.SIMULATED, donor=donor, audited=True)
+            for n, one in enumerate(sets[2:7])
+        ]
+        audited = evaluations.insert(connection, sequence, audits)
+        for one, score in zip(audited, (5, 4, 6, 2), strict=False):  # the last one is still pending
+            evaluations.answer(connection, [Answer(one, Outcome.SIMULATED, score, float(score), run)])
+        copy = NewEvaluation(CALIBRATION, 2, 0, "S1", setup, sets[7], Outcome.REUSED, donor=donor)
+        evaluations.insert(connection, sequence, [copy])
+        assert results.count_outcomes(connection, sequence, CALIBRATION) == {
+            Outcome.SIMULATED: 6,
+            Outcome.REUSED: 1,
+            None: 1,
+        }
+        assert results.count_outcomes(connection, sequence, Stage.SENSITIVITY) == {}
+        assert results.count_audits(connection, sequence) == [AuditCount("S1", audited=4, different=3, wrong=1)]
+        assert second != first
+
+
+def test_answers_say_whether_they_are_the_sets_own(database: Database) -> None:
+    with database.transaction() as connection:
+        sequence, setup = campaign(connection).sequence, setup_id(connection)
+        sets = sample_set_ids(connection, 3)
+        first = NewEvaluation(CALIBRATION, 0, 5, "S1", setup, sets[0], Outcome.SIMULATED)
+        simulate(connection, sequence, [first], score=5)
+        donor = evaluations.own_exact(connection, sequence, "S1", sets)[sets[0]]
+        copies = [
+            NewEvaluation(CALIBRATION, 0, 6, "S1", setup, sets[1], Outcome.REUSED, donor=donor),
+            NewEvaluation(CALIBRATION, 1, 0, "S1", setup, sets[0], Outcome.REPEATED, donor=donor),
+        ]
+        evaluations.insert(connection, sequence, copies)
+        waiting = [NewEvaluation(CALIBRATION, 1, n, "S2", setup, sets[n], Outcome.SIMULATED) for n in (0, 1)]
+        broken, _ = evaluations.insert(connection, sequence, waiting)
+        evaluations.answer(connection, [Answer(broken, Outcome.FAILED, None, None, None, failure="crash")])
+        everything = list(results.answers(connection, sequence, CALIBRATION))
+        assert everything == [
+            CellAnswer(sets[0], "S1", 5, 5.25, own=True, iteration=0, individual=5),
+            CellAnswer(sets[1], "S1", 5, 5.25, own=False, iteration=0, individual=6),
+            CellAnswer(sets[0], "S1", 5, 5.25, own=True, iteration=1, individual=0),
+            CellAnswer(sets[0], "S2", None, None, own=True, iteration=1, individual=0),
+        ]
+        assert {type(one.own) for one in everything} == {bool}
+        assert list(results.answers(connection, sequence, CALIBRATION, iteration=1)) == everything[2:]
+        assert list(results.answers(connection, sequence, Stage.SENSITIVITY)) == []

@@ -1,0 +1,112 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from sqlalchemy import func, select
+from tests.support.storage import EVALUATOR, new_run, sample_set_ids, setup_id
+
+from drivecal.domain.evaluations import Donor
+from drivecal.storage import runs, setups, tables
+from drivecal.storage.database import Database
+from drivecal.storage.runs import NewRun, StoredRun
+
+
+def test_results_are_found_by_setup_parameter_set_and_evaluator(database: Database) -> None:
+    with database.transaction() as connection:
+        s1, s2 = setup_id(connection, "S1"), setup_id(connection, "S2")
+        sets = sample_set_ids(connection, 6000)
+        stored = runs.insert_results(connection, [new_run(s1, one, evaluation=100 + number) for number, one in enumerate(sets)])
+        runs.insert_results(connection, [new_run(s2, sets[0], score=0, rating=0.0, failure="collision")])
+    with database.read() as connection:
+        found = runs.look_up_exact(connection, s1, sets, EVALUATOR, 10**9)
+        assert found == {
+            one: Donor(evaluation=100 + number, run=stored[number].id, score=5, rating=5.25, failure=None)
+            for number, one in enumerate(sets)
+        }
+        failed = runs.look_up_exact(connection, s2, sets, EVALUATOR, 10**9)
+        assert [(one.score, one.failure) for one in failed.values()] == [(0, "collision")]
+        assert runs.look_up_exact(connection, s1, sets, "learned 1", 10**9) == {}
+        assert [(one.scenario, one.runs) for one in setups.counts(connection)] == [("S1", 6000), ("S2", 1)]
+
+
+def test_runs_after_the_watermark_are_not_seen(database: Database) -> None:
+    with database.transaction() as connection:
+        setup = setup_id(connection)
+        sets = sample_set_ids(connection, 2)
+        assert runs.largest_id(connection) == 0
+        runs.insert_results(connection, [new_run(setup, sets[0])])
+        watermark = runs.largest_id(connection)
+        runs.insert_results(connection, [new_run(setup, sets[1])])
+        assert list(runs.look_up_exact(connection, setup, sets, EVALUATOR, watermark)) == [sets[0]]
+
+
+def test_the_first_result_of_a_cell_stays_and_an_equal_one_agrees(database: Database) -> None:
+    with database.transaction() as connection:
+        first = new_run(setup_id(connection), *sample_set_ids(connection, 1), evaluation=7)
+        late = replace(first, evaluation_id=8, worker="worker 2", milliseconds=9.0)
+        (stored,) = runs.insert_results(connection, [first])
+        assert stored == StoredRun(stored.id, evaluation_id=7, agrees=True)
+        assert runs.insert_results(connection, [late]) == [stored]
+        assert connection.scalar(select(func.count()).select_from(tables.runs)) == 1
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"metrics": {"peak_lateral_acceleration_mps2": 0.3, "offset_m": 1e-300}},  # one bit away from 0.1 + 0.2
+        {"metrics": {"peak_lateral_acceleration_mps2": 0.1 + 0.2}},
+        {"failure": "off_road"},
+        {"score": 4},
+        {"rating": 5.250000000000001},
+    ],
+)
+def test_a_result_that_differs_in_a_bit_does_not_agree_and_changes_nothing(
+    database: Database, change: dict[str, object]
+) -> None:
+    with database.transaction() as connection:
+        first = new_run(setup_id(connection), *sample_set_ids(connection, 1))
+        (stored,) = runs.insert_results(connection, [first])
+        assert runs.insert_results(connection, [replace(first, **change)]) == [replace(stored, agrees=False)]  # type: ignore[arg-type]
+        assert runs.insert_results(connection, [first]) == [stored]
+
+
+def test_two_results_of_one_cell_in_one_batch_are_stored_once(database: Database) -> None:
+    with database.transaction() as connection:
+        one = new_run(setup_id(connection), *sample_set_ids(connection, 1), evaluation=1)
+        first, second = runs.insert_results(connection, [one, replace(one, evaluation_id=2)])
+        assert first == second == StoredRun(first.id, evaluation_id=1, agrees=True)
+        first, second = runs.insert_results(connection, [one, replace(one, score=4)])
+        assert (first.agrees, second.agrees) == (True, False)
+
+
+def test_another_evaluator_adds_its_rating_to_the_stored_run(database: Database) -> None:
+    with database.transaction() as connection:
+        one = new_run(setup_id(connection), *sample_set_ids(connection, 1))
+        (stored,) = runs.insert_results(connection, [one])
+        assert runs.insert_results(connection, [replace(one, evaluator="learned 1", score=3, rating=3.0)]) == [stored]
+        found = runs.look_up_exact(connection, one.setup_id, [one.parameter_set_id], "learned 1", stored.id)
+        assert found == {one.parameter_set_id: Donor(1, stored.id, 3, 3.0, None)}
+
+
+def test_metrics_without_a_number_are_stored_as_null_and_agree_with_themselves(database: Database) -> None:
+    with database.transaction() as connection:
+        one = new_run(setup_id(connection), *sample_set_ids(connection, 1))
+        odd: NewRun = replace(one, metrics={"peak": float("nan"), "other": float("inf")})
+        assert runs.insert_results(connection, [odd])[0].agrees
+        assert runs.insert_results(connection, [odd])[0].agrees
+        assert connection.scalar(select(tables.runs.c.metrics)) == {"peak": None, "other": None}
+
+
+def test_no_results_are_no_error(database: Database) -> None:
+    with database.transaction() as connection:
+        assert runs.insert_results(connection, []) == []
+        assert runs.look_up_exact(connection, 1, [], EVALUATOR, 10) == {}
+
+
+def test_the_metrics_of_runs_are_read_back_bit_by_bit(database: Database) -> None:
+    with database.transaction() as connection:
+        setup = setup_id(connection)
+        stored = runs.insert_results(connection, [new_run(setup, one) for one in sample_set_ids(connection, 2)])
+        expected = {"peak_lateral_acceleration_mps2": 0.1 + 0.2, "offset_m": 1e-300}
+        assert runs.metrics(connection, [stored[0].id, 10**9]) == {stored[0].id: expected}

@@ -1,0 +1,114 @@
+"""Rows to test the storage with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from decimal import Decimal
+
+from sqlalchemy import Connection
+
+from drivecal.domain.campaigns import Stage
+from drivecal.domain.evaluations import Outcome
+from drivecal.domain.parameters import ParameterSet
+from drivecal.domain.setups import Setup
+from drivecal.storage import campaigns, evaluations, parameter_sets, runs, setups
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.evaluations import Answer, NewEvaluation
+from drivecal.storage.runs import NewRun
+
+EVALUATOR = "reference 1"
+SETUP = Setup(
+    scenario="S1",
+    scenario_digest="0",
+    driving_function="frenet",
+    driving_function_version="1",
+    vehicle="single_track",
+    vehicle_version="1",
+    vehicle_parameters={"mass_kg": 1500.0},
+    simulator="libsumo 1",
+    step_seconds=0.1,
+    seed=1,
+)
+
+
+def setup_id(connection: Connection, scenario: str = "S1") -> int:
+    """A stored setup of a scenario."""
+    return setups.ensure(connection, [replace(SETUP, scenario=scenario)])[0]
+
+
+def sample_sets(count: int) -> list[ParameterSet]:
+    """Different parameter sets: P1 = 0, 0.01, 0.02, ... and P2 = 5."""
+    return [ParameterSet.of({"P1": Decimal(number) / 100, "P2": Decimal(5)}) for number in range(count)]
+
+
+def sample_set_ids(connection: Connection, count: int) -> list[int]:
+    """The ids of `sample_sets`."""
+    return parameter_sets.ensure(connection, sample_sets(count))
+
+
+def campaign(connection: Connection, name: str = "campaign") -> StoredCampaign:
+    """A queued campaign."""
+    return campaigns.insert(connection, name=name, spec={"name": name})
+
+
+def new_run(
+    setup: int,
+    parameter_set: int,
+    *,
+    evaluation: int = 1,
+    campaign_sequence: int = 1,
+    stage: Stage = Stage.CALIBRATION,
+    iteration: int = 0,
+    individual: int = 0,
+    score: int = 5,
+    rating: float = 5.25,
+    failure: str | None = None,
+    evaluator: str = EVALUATOR,
+) -> NewRun:
+    """A simulated result."""
+    return NewRun(
+        setup_id=setup,
+        parameter_set_id=parameter_set,
+        metrics={"peak_lateral_acceleration_mps2": 0.1 + 0.2, "offset_m": 1e-300},
+        failure=failure,
+        milliseconds=7.0,
+        worker="worker 1",
+        evaluator=evaluator,
+        score=score,
+        rating=rating,
+        evaluation_id=evaluation,
+        campaign_sequence=campaign_sequence,
+        stage=stage,
+        iteration=iteration,
+        individual=individual,
+    )
+
+
+def simulate(
+    connection: Connection, sequence: int, cells: Sequence[NewEvaluation], *, score: int = 5, rating: float = 5.25
+) -> list[int]:
+    """Stores cells of a campaign, and the results of those that are to be simulated as if a worker had given them."""
+    ids = evaluations.insert(connection, sequence, cells)
+    simulated = [(one, cell) for one, cell in zip(ids, cells, strict=True) if cell.plan is Outcome.SIMULATED]
+    results = [
+        new_run(
+            cell.setup_id,
+            cell.parameter_set_id,
+            evaluation=one,
+            campaign_sequence=sequence,
+            stage=cell.stage,
+            iteration=cell.iteration,
+            individual=cell.individual,
+            score=score,
+            rating=rating,
+        )
+        for one, cell in simulated
+    ]
+    stored = runs.insert_results(connection, results)
+    answers = [
+        Answer(one, Outcome.SIMULATED, score, rating, run.id, worker="worker 1", milliseconds=7.0, attempts=1)
+        for (one, _), run in zip(simulated, stored, strict=True)
+    ]
+    evaluations.answer(connection, answers)
+    return ids
