@@ -1,0 +1,250 @@
+"""The backend on Ray actors, and the coordinator's only bridge to `drivecal.runtime`.
+
+Ray restarts and retries nothing here: an actor that is lost is replaced, and the scheduler decides what becomes of its batches. Each
+actor has at most two calls, so that it never waits for the next one.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Any
+
+from drivecal.campaigns.backend import Finished, Lost, Slots, WorkerInfo
+from drivecal.campaigns.ray_cluster import Cluster
+from drivecal.contracts.work import Batch, BatchResult
+from drivecal.domain.evaluations import Breakdown
+from drivecal.runtime.worker import Worker
+
+CALLS_PER_ACTOR = 2
+LONGEST_PAUSE = 30.0
+"""Between two attempts to start a worker that does not start, s."""
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class RayOptions:
+    """`address` of a cluster, None starts a local Ray; `workers`: None is one per CPU. A batch that takes longer than
+    `deadline_seconds` and longer than `deadline_factor` times what was expected is ended as hung, and so is a worker
+    that takes longer than `start_seconds` to start."""
+
+    address: str | None = None
+    workers: int | None = None
+    deadline_seconds: float = 60.0
+    deadline_factor: float = 20.0
+    start_seconds: float = 180.0
+
+
+@dataclass(slots=True)
+class _Call:
+    batch_id: int
+    cells: int
+    reference: Any
+    seconds: float
+    """Allowed."""
+
+
+@dataclass(slots=True)
+class _Actor:
+    index: int
+    incarnation: int = 0
+    handle: Any = None
+    warming: Any = None
+    """Reference to the call of `warm`; None once it has answered."""
+    calls: deque[_Call] = field(default_factory=deque)
+    alone: bool = False
+    deadline: float = 0.0
+    """Of the first call, or of the start."""
+    start_again_at: float = 0.0
+    failed_starts: int = 0
+    reason: str = ""
+    node: str = ""
+    pid: int | None = None
+    cells: int = 0
+
+    @property
+    def name(self) -> str:
+        return f"worker-{self.index}" if self.incarnation <= 1 else f"worker-{self.index}.{self.incarnation}"
+
+    @property
+    def ready(self) -> bool:
+        return self.handle is not None and self.warming is None
+
+    @property
+    def state(self) -> str:
+        return "starting" if not self.ready else "busy" if self.calls else "idle"
+
+    def room(self, *, alone: bool) -> bool:
+        if not self.ready:
+            return False
+        return not self.calls or (not alone and not self.alone and len(self.calls) < CALLS_PER_ACTOR)
+
+
+class RayBackend:
+    """See `Backend`. One per process. To be made, used and closed by the main thread."""
+
+    def __init__(self, options: RayOptions) -> None:
+        """Starts or joins Ray and starts the workers, without waiting for them. Raises UnavailableError where there is no Ray."""
+        self._options = options
+        self._cluster = Cluster(options.address, options.workers)
+        self._ray = self._cluster.ray
+        spread = {"scheduling_strategy": "SPREAD"} if options.address else {}
+        self._actor_class = self._ray.remote(num_cpus=1, max_restarts=0, max_task_retries=0, **spread)(Worker)
+        count = options.workers or max(1, self._cluster.cpus())
+        self._actors = [_Actor(index) for index in range(1, count + 1)]
+        for actor in self._actors:
+            self._start(actor)
+
+    def submit(self, batch_id: int, batch: Batch, expected_seconds: float | None, *, alone: bool = False) -> None:
+        """See `Backend`."""
+        free = [actor for actor in self._actors if actor.room(alone=alone)]
+        if not free:
+            raise RuntimeError("no worker is free; ask `slots` first")
+        actor = min(free, key=lambda one: len(one.calls))
+        allowed = max(self._options.deadline_seconds, self._options.deadline_factor * (expected_seconds or 0.0))
+        actor.calls.append(_Call(batch_id, len(batch.cells), actor.handle.run.remote(batch), allowed))
+        actor.alone = alone
+        if len(actor.calls) == 1:
+            actor.deadline = time.monotonic() + allowed
+
+    def wait(self, timeout: float) -> list[Finished | Lost]:
+        """See `Backend`."""
+        until = time.monotonic() + timeout
+        events: list[Finished | Lost] = []
+        while not events:
+            now = time.monotonic()
+            for actor in self._actors:
+                if actor.handle is None and actor.start_again_at <= now:
+                    self._start(actor)
+            events += self._collect(max(0.0, min(until, self._next_deadline()) - now))
+            events += self._overdue(time.monotonic())
+            if time.monotonic() >= until:
+                break
+        return events
+
+    def slots(self) -> Slots:
+        """See `Backend`."""
+        idle = sum(actor.room(alone=True) for actor in self._actors)
+        return Slots(idle, sum(actor.room(alone=False) for actor in self._actors) - idle, len(self._actors))
+
+    def workers(self) -> list[WorkerInfo]:
+        """See `Backend`."""
+        return [WorkerInfo(actor.name, actor.node, actor.pid, actor.state, actor.cells) for actor in self._actors]
+
+    def trouble(self) -> str | None:
+        """See `Backend`."""
+        failing = [actor for actor in self._actors if actor.failed_starts]
+        if not failing:
+            return None
+        return f"{len(failing)} of {len(self._actors)} workers do not start: {failing[0].reason}"
+
+    def close(self) -> None:
+        """See `Backend`."""
+        for actor in self._actors:
+            self._kill(actor)
+        self._cluster.close()
+
+    def _start(self, actor: _Actor) -> None:
+        actor.incarnation += 1
+        actor.handle = self._actor_class.remote(actor.name)
+        actor.warming = actor.handle.warm.remote()
+        actor.deadline = time.monotonic() + self._options.start_seconds
+
+    def _collect(self, timeout: float) -> list[Finished | Lost]:
+        """What came back from the calls that are running; waits for the first of them."""
+        waiting = {
+            actor.warming or actor.calls[0].reference: actor
+            for actor in self._actors
+            if actor.warming is not None or actor.calls
+        }
+        if not waiting:
+            time.sleep(timeout)
+            return []
+        references = list(waiting)
+        done, _ = self._ray.wait(references, num_returns=1, timeout=timeout, fetch_local=False)
+        if done and len(references) > 1:
+            done, _ = self._ray.wait(references, num_returns=len(references), timeout=0, fetch_local=False)
+        return [event for reference in done for event in self._answer(waiting[reference])]
+
+    def _answer(self, actor: _Actor) -> list[Finished | Lost]:
+        """The answer of an actor whose running call has one."""
+        errors = self._ray.exceptions
+        reference = actor.warming or actor.calls[0].reference
+        try:
+            value = self._ray.get(reference)
+        except errors.OutOfMemoryError as error:
+            return self._bury(actor, Breakdown.MEMORY, f"{_place(actor)} was ended because its node ran out of memory", error)
+        except errors.RayActorError as error:
+            if "low on memory" in str(error):
+                return self._bury(
+                    actor, Breakdown.MEMORY, f"{_place(actor)} was ended because its node ran out of memory", error
+                )
+            return self._bury(actor, Breakdown.CRASH, f"{_place(actor)} died, as after a segmentation fault or a kill", error)
+        except (
+            errors.RayError
+        ) as error:  # the worker lives, but this call gave no answer: it raised, or could not be transferred
+            words = str(error).strip().splitlines()[-1][:300]
+            if actor.warming is not None:
+                return self._bury(actor, Breakdown.ERROR, words, error)
+            return [Lost(self._next_call(actor).batch_id, actor.name, Breakdown.ERROR, words)]
+        if actor.warming is not None:
+            actor.warming, actor.node, actor.pid = None, value.node, value.pid
+            actor.failed_starts, actor.reason = 0, ""
+            return []
+        call = self._next_call(actor)
+        actor.cells += call.cells
+        result: BatchResult = value
+        return [Finished(call.batch_id, result)]
+
+    def _next_call(self, actor: _Actor) -> _Call:
+        """Takes the running call away; the one behind it is running now."""
+        call = actor.calls.popleft()
+        if actor.calls:
+            actor.deadline = time.monotonic() + actor.calls[0].seconds
+        return call
+
+    def _overdue(self, now: float) -> list[Finished | Lost]:
+        events: list[Finished | Lost] = []
+        for actor in self._actors:
+            if actor.deadline > now or (actor.warming is None and not actor.calls):
+                continue
+            if actor.warming is not None:
+                events += self._bury(actor, Breakdown.HANG, f"not ready after {self._options.start_seconds:.0f} s", None)
+            else:
+                seconds = actor.calls[0].seconds
+                events += self._bury(
+                    actor, Breakdown.HANG, f"{_place(actor)} was ended after {seconds:.0f} s in one batch", None
+                )
+        return events
+
+    def _bury(self, actor: _Actor, breakdown: Breakdown, detail: str, cause: BaseException | None) -> list[Finished | Lost]:
+        """Everything an actor had is lost; a new one starts at once, or after a pause where it was the start that failed."""
+        log.warning("%s: %s; it is replaced", actor.name, detail, exc_info=cause if log.isEnabledFor(logging.DEBUG) else None)
+        lost: list[Finished | Lost] = [Lost(call.batch_id, actor.name, breakdown, detail) for call in actor.calls]
+        if actor.warming is not None:
+            actor.failed_starts += 1
+            actor.reason = detail
+            actor.start_again_at = time.monotonic() + min(LONGEST_PAUSE, 2.0 ** (actor.failed_starts - 1))
+        self._kill(actor)
+        actor.calls.clear()
+        actor.warming = actor.pid = None
+        if actor.start_again_at <= time.monotonic():
+            self._start(actor)
+        return lost
+
+    def _kill(self, actor: _Actor) -> None:
+        if actor.handle is not None:
+            self._ray.kill(actor.handle, no_restart=True)
+            actor.handle = None
+
+    def _next_deadline(self) -> float:
+        deadlines = [actor.deadline for actor in self._actors if actor.warming is not None or actor.calls]
+        starts = [actor.start_again_at for actor in self._actors if actor.handle is None]
+        return min(deadlines + starts, default=float("inf"))
+
+
+def _place(actor: _Actor) -> str:
+    return f"{actor.name} (process {actor.pid} on {actor.node})"

@@ -1,0 +1,125 @@
+"""What every backend promises to the work pool."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+
+import pytest
+from tests.support.fake_backend import Behaviour, FakeBackend
+from tests.support.misbehaviour import misbehaving_cells, misbehaving_setup
+
+from drivecal.campaigns.backend import Backend, Finished, Lost
+from drivecal.contracts.work import Batch
+from drivecal.domain.evaluations import Breakdown
+
+WELL, CRASH, HANG, ERROR, MEMORY = Behaviour
+PLENTY = 10.0
+"""Expected seconds that give a first batch, which compiles, a generous deadline."""
+
+
+@pytest.fixture(params=["fake", "ray"])
+def backend(request: pytest.FixtureRequest) -> Iterator[Backend]:
+    chosen: Backend = FakeBackend(2) if request.param == "fake" else request.getfixturevalue("ray_backend")
+    wait_for_idle(chosen)
+    yield chosen
+    wait_for_idle(chosen)
+
+
+def wait_for_idle(backend: Backend) -> None:
+    for _ in range(240):
+        if backend.slots().idle == len(backend.workers()) == 2:
+            return
+        backend.wait(0.5)
+    raise AssertionError(f"workers never became idle: {backend.workers()}; {backend.trouble()}")
+
+
+def batch(*behaviours: Behaviour, first: int = 1) -> Batch:
+    return Batch(misbehaving_setup(), misbehaving_cells(behaviours, first))
+
+
+def collect(backend: Backend, count: int) -> dict[int, Finished | Lost]:
+    found: dict[int, Finished | Lost] = {}
+    for _ in range(600):
+        for event in backend.wait(0.5):
+            assert event.batch_id not in found, "a batch came back twice"
+            found[event.batch_id] = event
+        if len(found) == count:
+            return found
+    raise AssertionError(f"only {sorted(found)} came back")
+
+
+def test_a_batch_comes_back_with_its_results_in_order(backend: Backend) -> None:
+    backend.submit(1, batch(WELL, WELL, WELL, first=11), PLENTY)
+    event = collect(backend, 1)[1]
+    assert isinstance(event, Finished)
+    assert [result.id for result in event.result.results] == [11, 12, 13]
+    assert all(result.breakdown is None and result.score is not None for result in event.result.results)
+    assert event.result.seconds > 0
+    assert event.result.worker in {worker.id for worker in backend.workers()}
+
+
+def test_every_worker_takes_one_batch_and_one_behind_it(backend: Backend) -> None:
+    slots = backend.slots()
+    assert (slots.idle, slots.behind, slots.workers) == (2, 0, 2)
+    backend.submit(1, batch(WELL), PLENTY)
+    assert (backend.slots().idle, backend.slots().behind) == (1, 1)
+    backend.submit(2, batch(WELL), PLENTY)
+    assert (backend.slots().idle, backend.slots().behind) == (0, 2)
+    backend.submit(3, batch(WELL), PLENTY)
+    backend.submit(4, batch(WELL), PLENTY)
+    assert (backend.slots().idle, backend.slots().behind) == (0, 0)
+    events = collect(backend, 4)
+    assert all(isinstance(event, Finished) for event in events.values())
+    assert len({event.result.worker for event in events.values() if isinstance(event, Finished)}) == 2
+
+
+def test_nothing_is_queued_behind_a_batch_that_is_alone(backend: Backend) -> None:
+    backend.submit(1, batch(WELL), PLENTY, alone=True)
+    assert (backend.slots().idle, backend.slots().behind) == (1, 0)
+    collect(backend, 1)
+
+
+def test_exceptions_and_lack_of_memory_in_a_cell_cost_neither_worker_nor_neighbours(backend: Backend) -> None:
+    before = [worker.id for worker in backend.workers()]
+    backend.submit(1, batch(WELL, ERROR, WELL, MEMORY, WELL), PLENTY)
+    event = collect(backend, 1)[1]
+    assert isinstance(event, Finished)
+    assert [result.breakdown for result in event.result.results] == [None, "error", None, "memory", None]
+    assert "ValueError: as asked for" in (event.result.results[1].detail or "")
+    assert [worker.id for worker in backend.workers()] == before
+
+
+def test_a_crash_loses_what_the_worker_had_and_nothing_else(backend: Backend) -> None:
+    backend.submit(1, batch(WELL, CRASH, WELL), PLENTY)
+    backend.submit(2, batch(WELL, WELL), PLENTY)
+    backend.submit(3, batch(WELL), PLENTY)
+    backend.submit(4, batch(WELL), PLENTY)
+    events = collect(backend, 4)
+    lost = {number: event for number, event in events.items() if isinstance(event, Lost)}
+    assert 1 in lost
+    assert len(lost) == 2  # the one behind it went along
+    assert {event.breakdown for event in lost.values()} == {Breakdown.CRASH}
+    assert lost[1].detail
+    wait_for_idle(backend)  # it was replaced
+    backend.submit(5, batch(WELL), PLENTY)
+    backend.submit(6, batch(WELL), PLENTY)
+    assert all(isinstance(event, Finished) for event in collect(backend, 2).values())
+
+
+def test_a_hanging_worker_is_ended_at_the_deadline_and_replaced(backend: Backend) -> None:
+    backend.submit(1, batch(WELL), PLENTY)
+    backend.submit(2, batch(WELL), PLENTY)
+    collect(backend, 2)
+    backend.submit(3, batch(HANG), 0.01)
+    event = collect(backend, 1)[3]
+    assert isinstance(event, Lost)
+    assert event.breakdown is Breakdown.HANG
+    wait_for_idle(backend)
+    assert backend.trouble() is None
+
+
+def test_waiting_for_nothing_takes_the_time_it_was_given(backend: Backend) -> None:
+    start = time.monotonic()
+    assert backend.wait(0.05) == []
+    assert isinstance(backend, FakeBackend) or time.monotonic() - start >= 0.05

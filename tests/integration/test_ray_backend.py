@@ -1,0 +1,92 @@
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator
+
+import psutil
+import pytest
+from tests.support.fake_backend import Behaviour
+from tests.support.misbehaviour import misbehaving_cells, misbehaving_setup
+
+from drivecal.campaigns.backend import Finished, Lost
+from drivecal.campaigns.pool import WorkPool
+from drivecal.campaigns.ray_backend import RayBackend
+from drivecal.campaigns.scheduler import ATTEMPTS, Completed
+from drivecal.contracts.work import Batch, Cell
+
+
+@pytest.fixture
+def pool(ray_backend: RayBackend) -> Iterator[WorkPool]:
+    pool = WorkPool(ray_backend)
+    yield pool
+    pool.withdraw("test")
+    drain(pool)
+
+
+def drain(pool: WorkPool) -> list[Completed]:
+    completed: list[Completed] = []
+    for _ in range(600):
+        if pool.idle:
+            return completed
+        completed += pool.poll(0.5)
+    raise AssertionError(f"{pool.outstanding} cells never came back; {pool.workers()}; {pool.trouble()}")
+
+
+def test_two_workers_share_the_cells_and_agree(pool: WorkPool) -> None:
+    cells = misbehaving_cells([Behaviour.WELL] * 200)
+    pool.submit(misbehaving_setup(), cells, tag="test")
+    completed = drain(pool)
+    assert sorted(one.result.id for one in completed) == [cell.id for cell in cells]
+    assert len({one.worker for one in completed}) == 2
+    assert len({(one.result.rating, tuple(one.result.metrics.items())) for one in completed}) == 1
+    assert all(one.result.milliseconds > 0 for one in completed)
+
+
+def test_poison_among_good_cells_fails_alone(pool: WorkPool) -> None:
+    behaviours = [Behaviour.WELL] * 60
+    behaviours[7], behaviours[30] = Behaviour.CRASH, Behaviour.ERROR
+    pool.submit(misbehaving_setup(), misbehaving_cells(behaviours), tag="test")
+    completed = {one.result.id: one for one in drain(pool)}
+    assert len(completed) == 60
+    failed = {number: one.result.breakdown for number, one in completed.items() if one.result.breakdown}
+    assert failed == {8: "crash", 31: "error"}
+    assert completed[8].attempts == ATTEMPTS
+
+
+def test_workers_killed_from_outside_cost_no_cell(pool: WorkPool) -> None:
+    pool.submit(misbehaving_setup(), misbehaving_cells([Behaviour.WELL] * 400), tag="test")
+    completed = pool.poll(30.0)
+    victim = next(worker for worker in pool.workers() if worker.pid is not None)
+    assert victim.pid is not None
+    os.kill(victim.pid, signal.SIGKILL)
+    completed += drain(pool)
+    assert sorted(one.result.id for one in completed) == list(range(1, 401))
+    assert all(one.result.breakdown is None for one in completed)
+    assert victim.pid not in {worker.pid for worker in pool.workers()}
+
+
+def test_an_answer_that_cannot_be_read_is_an_error_of_its_batch_only(ray_backend: RayBackend) -> None:
+    while ray_backend.slots().idle < 2:
+        ray_backend.wait(0.5)
+    setup = misbehaving_setup()
+    ray_backend.submit(1, Batch(setup, "no cells"), None)  # type: ignore[arg-type]
+    ray_backend.submit(2, Batch(setup, (Cell(1, {"behaviour": 0.0, "value": 0.0}),)), 10.0)
+    events: list[Finished | Lost] = []
+    while len(events) < 2:
+        events += ray_backend.wait(1.0)
+    by_id = {event.batch_id: type(event).__name__ for event in events}
+    assert by_id == {1: "Lost", 2: "Finished"}
+
+
+@pytest.mark.usefixtures("ray_backend")
+def test_a_local_ray_listens_on_loopback_only() -> None:
+    ours = {child.pid for child in psutil.Process().children(recursive=True)} | {os.getpid()}
+    sockets = [one for one in psutil.net_connections("inet") if one.status == psutil.CONN_LISTEN and one.pid in ours]
+    assert len(sockets) >= 4  # the store of cluster state, the node's daemon, two workers
+    assert {one.laddr.ip.removeprefix("::ffff:") for one in sockets if one.laddr} == {"127.0.0.1"}
+
+
+@pytest.mark.usefixtures("ray_backend")
+def test_ray_leaves_the_signal_handlers_alone() -> None:
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
