@@ -1,0 +1,43 @@
+"""Runs the benchmarks beside this file, all or those named: `python tests/benchmarks/run.py [evaluation lookup ...]`.
+
+Each is a program of its own, in a process of its own (a process holds one simulation, and memory figures shall not add up): it prints a
+table, writes its figures to `.drivecal/bench/NAME.json` and ends with 0 where what it measured is good enough. One that fails does
+not stop the others.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+HERE = Path(__file__).parent
+
+
+def available() -> list[str]:
+    """The names of all benchmarks."""
+    return sorted(path.stem for path in HERE.glob("*.py") if path.name != Path(__file__).name and not path.stem.startswith("_"))
+
+
+def main(names: Sequence[str]) -> int:
+    """Runs the benchmarks of these names, all where none is given; 0 where every one of them ended with 0, 2 for an unknown name."""
+    unknown = [name for name in names if name not in available()]
+    if unknown:
+        print(f"there is no benchmark {', '.join(unknown)}; available: {', '.join(available())}", file=sys.stderr)
+        return 2
+    ended: dict[str, tuple[int, float]] = {}
+    for name in names or available():
+        print(f"\n{name}\n{'=' * len(name)}", flush=True)
+        started = time.perf_counter()
+        code = subprocess.run([sys.executable, str(HERE / f"{name}.py")], check=False).returncode
+        ended[name] = (code, time.perf_counter() - started)
+    print()
+    for name, (code, seconds) in ended.items():
+        print(f"{name:20} {seconds:7.1f} s  {'good' if code == 0 else f'not good enough (exit {code})'}")
+    return int(any(code for code, _ in ended.values()))
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
