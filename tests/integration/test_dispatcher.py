@@ -1,0 +1,363 @@
+"""Whole campaigns through database and dispatcher, with a formula in the place of the simulation."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from sqlalchemy import select
+from tests.support.computed import IGNORED, ComputedBackend, computed
+
+from drivecal.campaigns.dispatcher import Dispatcher
+from drivecal.campaigns.maps import map_to_document, resolve_map
+from drivecal.campaigns.pool import WorkPool
+from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, InfluenceMapSpecification
+from drivecal.contracts.work import Cell, CellResult
+from drivecal.domain.campaigns import CampaignState, Stage
+from drivecal.domain.evaluations import Outcome
+from drivecal.storage import campaigns, generations, influence_maps, results
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.database import Database
+from drivecal.storage.tables import runs
+
+SMALL: dict[str, Any] = {
+    "parameters": [{"name": f"P{i}", "lower": 0, "upper": 1, "step": 0.5} for i in range(1, 12)],
+    "catalogue": ["S1", "S2", "S3"],
+    "optimizer": {"kind": "genetic", "population": 24, "iterations": 6, "seed": 3},
+}
+
+
+@pytest.fixture
+def database(tmp_path: Path) -> Iterator[Database]:
+    """A new SQLite database."""
+    opened = Database.open(f"sqlite:///{tmp_path / 'drivecal.db'}")
+    opened.upgrade()
+    yield opened
+    opened.dispose()
+
+
+def _submit(database: Database, *, stored_map: str | None = None, **changes: Any) -> StoredCampaign:
+    document = SMALL | changes
+    if stored_map is not None:
+        document["sensitivity"] = {"map": stored_map}
+    specification = CampaignSpecification.model_validate(document)
+    with database.transaction() as connection:
+        return campaigns.insert(
+            connection, name="test", spec=specification.model_dump(mode="json"), influence_map_id=stored_map
+        )
+
+
+def _post_true_map(database: Database) -> str:
+    """The map that says exactly what the formula ignores."""
+    scenarios = {scenario: {name: {"influential": False}} for scenario, name in IGNORED.items()}
+    document = {"scenarios": scenarios, "parameters": SMALL["parameters"]}
+    influence_map = resolve_map(InfluenceMapSpecification.model_validate(document))
+    with database.transaction() as connection:
+        return influence_maps.insert(
+            connection,
+            name="true",
+            source="test",
+            driving_function="frenet",
+            parameters=SMALL["parameters"],
+            scenarios=map_to_document(influence_map),
+        ).id
+
+
+def _dispatcher(database: Database, backend: ComputedBackend) -> Dispatcher:
+    ticks = iter(range(10**9))
+    return Dispatcher(database, WorkPool(backend), clock=lambda: float(next(ticks)))  # looks and reports in every step
+
+
+def _get(database: Database, campaign: StoredCampaign) -> StoredCampaign:
+    with database.read() as connection:
+        found = campaigns.get(connection, campaign.id)
+    counts = found.cells
+    assert counts.proposed == counts.carried_over + counts.pending + counts.requested
+    answered = counts.repeated + counts.reused + counts.certified + counts.simulated + counts.failed
+    assert counts.requested == answered
+    assert counts.audited <= counts.simulated
+    return found
+
+
+def _run(database: Database, campaign: StoredCampaign, backend: ComputedBackend | None = None) -> StoredCampaign:
+    dispatcher = _dispatcher(database, backend or ComputedBackend())
+    for _ in range(3_000):
+        if _get(database, campaign).state.ended:
+            return _get(database, campaign)
+        dispatcher.step()
+    raise AssertionError("the campaign did not end")
+
+
+def _everything(database: Database, campaign: StoredCampaign) -> tuple[Any, ...]:
+    """All that a campaign found, without what may differ between machines and runs: ids, times, workers."""
+    with database.read() as connection:
+        rows = list(results.stream(connection, campaign.sequence))
+        figures, _ = generations.page(connection, campaign.sequence, limit=1_000)
+        numbered = {row.id: (row.iteration, row.individual, row.scenario) for row in rows}
+        cells = [
+            (
+                *(row.iteration, row.individual, row.scenario, tuple(row.parameters.values()), row.outcome, row.score),
+                *(row.rating, row.failure, row.audited, row.agrees),
+                None if row.reference is None else numbered.get(row.reference, "earlier"),
+            )
+            for row in rows
+        ]
+    ended = _get(database, campaign)
+    return cells, figures, ended.cells, ended.best, ended.error_rate, ended.notes
+
+
+def test_a_campaign_runs_to_its_end_and_every_cell_has_its_answer(database: Database) -> None:
+    ended = _run(database, _submit(database))
+    assert ended.state is CampaignState.SUCCEEDED
+    assert ended.cells.pending == 0
+    assert ended.cells.proposed == 24 * 3 * 6
+    assert ended.cells.reused == ended.cells.failed == 0
+    assert ended.best is not None
+    assert ended.best.alternatives >= 1
+    with database.read() as connection:
+        rows = list(results.stream(connection, ended.sequence))
+        figures, _ = generations.page(connection, ended.sequence)
+    assert len(rows) == ended.cells.requested
+    assert sum(one.simulated for _, one in figures) == ended.cells.simulated
+    best = max(one.best or 0 for _, one in figures)
+    assert best == ended.best.objective
+
+
+@pytest.mark.parametrize("audit", [0.0, 0.3])
+def test_the_order_in_which_workers_answer_changes_nothing(tmp_path: Path, audit: float) -> None:
+    found = []
+    for seed in range(3):
+        opened = Database.open(f"sqlite:///{tmp_path / f'{seed}.db'}")
+        opened.upgrade()
+        campaign = _submit(opened, stored_map=_post_true_map(opened), reduction={"audit": audit})
+        _run(opened, campaign, ComputedBackend(seed))
+        found.append(_everything(opened, campaign))
+        opened.dispose()
+    assert found[0] == found[1] == found[2]
+    assert found[0][2].reused > 0
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_campaign_that_was_killed_again_and_again_ends_like_one_that_was_not(tmp_path: Path, seed: int) -> None:
+    calm, killed = (Database.open(f"sqlite:///{tmp_path / name}.db") for name in ("calm", "killed"))
+    draw = random.Random(seed)
+    found = []
+    for database in (calm, killed):
+        database.upgrade()
+        campaign = _submit(
+            database,
+            stored_map=_post_true_map(database),
+            reduction={"audit": 0.2},
+            baseline=dict.fromkeys((f"P{i}" for i in range(1, 12)), 0.5),
+        )
+        kills = 0
+        while not _get(database, campaign).state.ended:
+            dispatcher = _dispatcher(database, ComputedBackend(draw.randrange(99)))  # the one before is gone, with all it knew
+            for _ in range(draw.randrange(1, 9) if database is killed else 3_000):
+                dispatcher.step()
+                if _get(database, campaign).state.ended:
+                    break
+            kills += 1
+        assert kills > (8 if database is killed else 0)
+        found.append((_everything(database, campaign), _get(database, campaign).baseline))
+        database.dispose()
+    assert found[0] == found[1]
+
+
+def test_reuse_by_a_true_map_answers_as_the_simulation_would(tmp_path: Path) -> None:
+    scores = {}
+    for mode in ("off", "exact", "influence"):
+        opened = Database.open(f"sqlite:///{tmp_path / mode}.db")
+        opened.upgrade()
+        campaign = _submit(opened, stored_map=_post_true_map(opened), reduction={"mode": mode, "audit": 0.0})
+        ended = _run(opened, campaign)
+        cells, *_ = _everything(opened, campaign)
+        scores[mode] = [(cell[:4], cell[5]) for cell in cells]
+        counts = ended.cells
+        assert (counts.repeated > 0, counts.reused > 0) == {
+            "off": (False, False),
+            "exact": (True, False),
+            "influence": (True, True),
+        }[mode]
+        opened.dispose()
+    assert scores["off"] == scores["exact"] == scores["influence"]
+
+
+def test_every_copy_names_the_simulated_evaluation_that_answers_it(database: Database) -> None:
+    campaign = _submit(database, stored_map=_post_true_map(database))
+    _run(database, campaign)
+    with database.read() as connection:
+        rows = {row.id: row for row in results.stream(connection, campaign.sequence)}
+    copies = [row for row in rows.values() if row.outcome in {Outcome.REPEATED, Outcome.REUSED}]
+    assert copies
+    for row in copies:
+        assert row.reference is not None
+        donor = rows[row.reference]
+        assert donor.outcome is Outcome.SIMULATED
+        assert (donor.scenario, donor.score, donor.rating) == (row.scenario, row.score, row.rating)
+        assert (donor.iteration, donor.individual) < (row.iteration, row.individual)
+        differing = {name for name, value in row.parameters.items() if donor.parameters[name] != value}
+        assert differing <= {IGNORED.get(row.scenario)}
+        assert (row.outcome is Outcome.REPEATED) == (not differing)
+
+
+def test_a_rerun_with_other_weights_and_the_same_seed_is_answered_mostly_from_the_table(database: Database) -> None:
+    first = _run(database, _submit(database))
+    again = _run(database, _submit(database))
+    assert again.cells.simulated == 0
+    assert again.cells.repeated == again.cells.requested
+    assert again.best == first.best
+    other = _run(database, _submit(database, weights={"S1": 5}))
+    assert other.cells.repeated > 0
+    assert other.cells.simulated < first.cells.simulated
+    with database.read() as connection:
+        keys = connection.execute(select(runs.c.setup_id, runs.c.parameter_set_id)).all()
+    assert len(keys) == len(set(keys)) == first.cells.simulated + other.cells.simulated
+
+
+def test_a_wrong_map_is_found_out_by_the_audit_and_reuse_stops(database: Database) -> None:
+    nothing_matters = {scenario: {f"P{i}": {"influential": False} for i in range(1, 12)} for scenario in ("S1", "S2", "S3")}
+    document = InfluenceMapSpecification.model_validate({"scenarios": nothing_matters, "parameters": SMALL["parameters"]})
+    with database.transaction() as connection:
+        wrong = influence_maps.insert(
+            connection,
+            name="wrong",
+            source="test",
+            driving_function="frenet",
+            parameters=[],
+            scenarios=map_to_document(resolve_map(document)),
+        ).id
+    ended = _run(database, _submit(database, stored_map=wrong, reduction={"audit": 0.5}))
+    for scenario in ("S1", "S2", "S3"):
+        rate = ended.error_rate[scenario]
+        assert rate.stopped
+        assert rate.wrong > 0
+        assert any(scenario in note for note in ended.notes)
+    with database.read() as connection:
+        late = [row for row in results.stream(connection, ended.sequence) if row.iteration > 0]
+    assert all(row.outcome is not Outcome.REUSED for row in late)
+
+
+def _sometimes_broken(scenario: str, cell: Cell) -> CellResult:
+    if cell.parameters["P1"] == 0.5 and scenario == "S2":
+        return CellResult(cell.id, None, None, {}, None, 1.0, "crash", "segmentation fault")
+    return computed(scenario, cell)
+
+
+def test_cells_without_a_result_are_failed_ranked_last_and_nobodys_reference(database: Database) -> None:
+    campaign = _submit(database, stored_map=_post_true_map(database))
+    ended = _run(database, campaign, ComputedBackend(answer=_sometimes_broken))
+    assert ended.state is CampaignState.SUCCEEDED
+    assert ended.cells.failed > 0
+    assert ended.best is not None
+    assert ended.best.parameters["P1"] != 0.5
+    with database.read() as connection:
+        rows = {row.id: row for row in results.stream(connection, campaign.sequence)}
+    failed = {row.id for row in rows.values() if row.outcome is Outcome.FAILED}
+    for row in rows.values():
+        if row.id in failed:
+            assert (row.score, row.failure, row.run_id) == (None, "crash", None)
+        assert row.outcome is Outcome.FAILED or row.reference not in failed
+
+
+def test_two_campaigns_at_the_same_time_share_the_runs_of_equal_cells(database: Database) -> None:
+    one = _submit(database)
+    backend = ComputedBackend()
+    dispatcher = _dispatcher(database, backend)
+    while _get(database, one).cells.simulated < 20:
+        dispatcher.step()
+    other = _submit(database)
+    while not (_get(database, one).state.ended and _get(database, other).state.ended):
+        dispatcher.step()
+    alone, beside = _everything(database, one), _everything(database, other)
+    assert alone[3] == beside[3]
+    with database.read() as connection:
+        stored = len(connection.execute(select(runs.c.id)).all())
+    assert stored == _get(database, one).cells.simulated
+    assert len(backend.sent) < 2 * stored
+
+
+def test_pause_stops_the_work_and_resume_goes_on_to_the_same_result(tmp_path: Path) -> None:
+    found = []
+    for pauses in (False, True):
+        database = Database.open(f"sqlite:///{tmp_path / str(pauses)}.db")
+        database.upgrade()
+        campaign = _submit(database)
+        backend = ComputedBackend()
+        dispatcher = _dispatcher(database, backend)
+        if pauses:
+            for _ in range(7):
+                dispatcher.step()
+            with database.transaction() as connection:
+                campaigns.request_action(connection, campaign.id, "pause")
+            while _get(database, campaign).state is not CampaignState.PAUSED:
+                dispatcher.step()
+            sent = len(backend.sent)
+            for _ in range(20):
+                dispatcher.step()
+            assert len(backend.sent) == sent
+            assert not _get(database, campaign).state.ended
+            with database.transaction() as connection:
+                campaigns.request_action(connection, campaign.id, "resume")
+        while not _get(database, campaign).state.ended:
+            dispatcher.step()
+        found.append(_everything(database, campaign))
+        database.dispose()
+    assert found[0] == found[1]
+
+
+def test_cancel_ends_the_campaign_and_keeps_what_was_finished(database: Database) -> None:
+    campaign = _submit(database)
+    dispatcher = _dispatcher(database, ComputedBackend())
+    while _get(database, campaign).cells.simulated < 50:
+        dispatcher.step()
+    with database.transaction() as connection:
+        campaigns.request_action(connection, campaign.id, "cancel")
+    while not _get(database, campaign).state.ended:
+        dispatcher.step()
+    ended = _get(database, campaign)
+    assert ended.state is CampaignState.CANCELLED
+    assert ended.cells.simulated >= 50
+    again = _run(database, _submit(database))
+    assert again.cells.repeated >= ended.cells.simulated
+
+
+def test_a_single_evaluation_is_simulated_once_and_then_repeated(database: Database) -> None:
+    specification = EvaluationSpecification(
+        parameters={f"P{i}": 0.5 for i in range(1, 12)}, driving_function="frenet", scenario=None
+    )
+
+    def submit() -> StoredCampaign:
+        with database.transaction() as connection:
+            return campaigns.insert(connection, name="one", spec=specification.model_dump(mode="json"), kind="evaluation")
+
+    first, second = _run(database, submit()), _run(database, submit())
+    assert (first.state, first.cells.simulated) == (CampaignState.SUCCEEDED, 6)
+    assert (second.cells.simulated, second.cells.repeated) == (0, 6)
+
+
+def test_a_campaign_that_cannot_be_resolved_any_more_fails_and_says_why(database: Database) -> None:
+    campaign = _submit(database)
+    document = dict(campaign.spec) | {"driving_function": "uninstalled"}
+    with database.transaction() as connection:
+        broken = campaigns.insert(connection, name="broken", spec=document)
+    ended = _run(database, broken)
+    assert ended.state is CampaignState.FAILED
+    assert "uninstalled" in str(ended.error)
+    assert _run(database, campaign).state is CampaignState.SUCCEEDED
+
+
+def test_a_baseline_is_evaluated_first_and_shown(database: Database) -> None:
+    middle = {f"P{i}": 0.5 for i in range(1, 12)}
+    campaign = _submit(database, baseline=middle)
+    ended = _run(database, campaign)
+    assert ended.baseline is not None
+    assert ended.baseline.parameters == middle
+    assert ended.baseline.objective is not None
+    with database.read() as connection:
+        first = next(iter(results.stream(connection, campaign.sequence)))
+    assert first.stage is Stage.CALIBRATION
+    assert (first.iteration, first.individual, first.parameters) == (0, 0, middle)
