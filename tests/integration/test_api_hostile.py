@@ -1,0 +1,243 @@
+"""What does not belong into a request never gives a server error, never stores half of something, and is refused in words."""
+
+from __future__ import annotations
+
+import json
+import socket
+from collections.abc import Iterator
+from typing import Any
+from urllib.parse import quote
+
+import httpx
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from sqlalchemy import func, select
+from tests.support.server import RunningApi, serving
+
+from drivecal.contracts.specification import CampaignSpecification
+from drivecal.storage.tables import campaigns, influence_maps
+
+POSTS = [
+    "/api/v1/campaigns",
+    "/api/v1/campaigns?validate_only=true",
+    "/api/v1/influence-maps",
+    "/api/v1/evaluations",
+    "/api/v1/campaigns/00000000000000000000000000000000/rerun",
+]
+GETS = [
+    "/api/v1/campaigns/{}",
+    "/api/v1/campaigns/{}/generations",
+    "/api/v1/campaigns/{}/evaluations",
+    "/api/v1/campaigns/{}/solutions",
+    "/api/v1/campaigns/{}/influence",
+    "/api/v1/evaluations/{}",
+    "/api/v1/influence-maps/{}",
+]
+many = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+@pytest.fixture(scope="module", params=["sqlite", "postgresql"])
+def api(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
+    if request.param == "sqlite":
+        url = f"sqlite:///{tmp_path_factory.mktemp('hostile') / 'drivecal.db'}"
+    else:
+        url = request.getfixturevalue("make_postgres_database")(None)
+    with serving(url) as running:
+        yield running
+
+
+def stored(api: RunningApi) -> int:
+    with api.database.read() as connection:
+        counts = [connection.scalar(select(func.count()).select_from(table)) or 0 for table in (campaigns, influence_maps)]
+    return sum(counts)
+
+
+def refused(response: httpx.Response) -> dict[str, Any]:
+    assert 400 <= response.status_code < 500, (response.status_code, response.text)
+    assert response.headers["content-type"] == "application/problem+json"
+    document: dict[str, Any] = response.json()
+    assert document["detail"]
+    return document
+
+
+def post(api: RunningApi, path: str, content: bytes, content_type: str = "application/json") -> httpx.Response:
+    return api.http.post(path, content=content, headers={"Content-Type": content_type})
+
+
+@pytest.mark.parametrize("path", POSTS)
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"{",
+        b"[]",
+        b"null",
+        b'"text"',
+        b'{"name": NaN}',
+        b'{"weights": {"S1": Infinity}}',
+        b'{"weights": {"S1": 1e999}}',
+        b'{"weights": {"S1": -1e999}}',
+        b'{"optimizer": {"population": 1e30}}',
+        b'{"optimizer": {"population": ' + b"9" * 5000 + b"}}",
+        b'{"optimizer": {"selection": ' + b"9" * 90 + b"}}",
+        rb'{"name": "\ud800"}',
+        b'{"name": "\xff\xfe"}',
+        b'{"name": "a\\u0000b"}',
+        b'{"name": "a", "name": "b"}',
+        b"[" * 100_000,
+        b'{"a":' * 50_000,
+        b'{"optimizer": {"x": ' + b"[" * 30 + b"]" * 30 + b"}}",
+        b'{"scenarios": {"S1": {"P1": {"lower": 1e-320}}}}',
+        b'{"parameters": {"P1": 1e6, "P2": -1e6}}',
+        b'{"parameters": [{"name": "P1", "lower": 0, "upper": 1e6, "step": 1e-9}]}',
+        b'{"parameters": [{"name": "P1", "lower": 0, "upper": 1, "step": 0}]}',
+        b'{"fixed": {"P1": 1e-300}, "scenarios": {}, "weights": 5}',
+        json.dumps({"catalogue": ["S"] * 2000, "scenarios": 1, "weights": 1}).encode(),
+    ],
+    ids=lambda content: content[:40].decode("ascii", "replace"),
+)
+def test_a_body_that_does_not_fit_is_refused_and_nothing_is_stored(api: RunningApi, path: str, content: bytes) -> None:
+    before = stored(api)
+    refused(post(api, path, content))
+    assert stored(api) == before
+
+
+@pytest.mark.parametrize(
+    ("content", "field"),
+    [
+        (b'{"weights": {"S1": NaN}}', "weights.S1"),
+        (b'{"weights": {"S1": -1}}', "weights.S1"),
+        (b'{"weights": {"S1": 0, "S2": 0, "S3": 0, "S4": 0, "S5": 0, "S6": 0}}', "weights"),
+        (b'{"weights": {"S7": 1}}', "weights.S7"),
+        (b'{"catalogue": ["S1", "S7"]}', "catalogue[1]"),
+        (b'{"fixed": {"P99": 1}}', "fixed.P99"),
+        (b'{"optimizer": {"population": 1e30}}', "optimizer.population"),
+        (b'{"parameters": [{"name": "P1", "lower": 1, "upper": 0, "step": 1}]}', "parameters[0].upper"),
+        (b'{"driving_function": "other"}', "driving_function"),
+        (b'{"reduction": {"certified": true}}', "reduction.certified"),
+    ],
+)
+def test_the_field_that_is_wrong_is_named_with_a_remedy(api: RunningApi, content: bytes, field: str) -> None:
+    errors = refused(post(api, "/api/v1/campaigns", content))["errors"]
+    assert [error["field"] for error in errors] == [field]
+    assert errors[0]["message"]
+    assert errors[0]["remedy"]
+
+
+@pytest.mark.parametrize("path", POSTS)
+@pytest.mark.parametrize(
+    "content_type", ["text/plain", "application/x-www-form-urlencoded", "multipart/form-data", "", "é;;=", "json"]
+)
+def test_a_body_that_is_not_declared_as_json_is_refused(api: RunningApi, path: str, content_type: str) -> None:
+    response = api.http.post(path, content=b"{}", headers={b"Content-Type": content_type.encode("latin-1")})
+    assert refused(response)["status"] == 415
+
+
+@pytest.mark.parametrize("path", GETS)
+@pytest.mark.parametrize(
+    "identifier",
+    ["\0", "é", "...", "a" * 5000, "0" * 31, "F" * 32, "٣", "1e5", "-1", "9" * 19, "9" * 5000, "%", "\n", " "],
+)
+def test_an_odd_id_is_not_found(api: RunningApi, path: str, identifier: str) -> None:
+    assert refused(api.http.get(path.format(quote(identifier, safe=""))))["status"] == 404
+
+
+@pytest.mark.parametrize(
+    "query",
+    [
+        "limit=0",
+        "limit=1001",
+        "limit=-1",
+        "limit=1e3",
+        "limit=" + "9" * 5000,
+        "limit=",
+        "state=unknown",
+        "state=%00",
+        "state=%FF",
+        "cursor=x",
+        "cursor=%00",
+        "cursor=WzEuNV0",
+        "cursor=Wzk5OTk5OTk5OTk5OTk5OTk5OTk5OV0",
+        "cursor=" + "a" * 501,
+        "cursor=%F0%9F%9A%97",
+        "unknown=1",
+        "%00=1",
+    ],
+)
+def test_a_query_that_does_not_fit_is_refused_by_name(api: RunningApi, query: str) -> None:
+    assert refused(api.http.get(f"/api/v1/campaigns?{query}"))["errors"]
+
+
+@pytest.mark.parametrize("key", ["", "a b", "é", "a" * 201])
+def test_an_idempotency_key_that_cannot_be_kept_is_refused(api: RunningApi, key: str) -> None:
+    headers = {b"Idempotency-Key": key.encode("latin-1")}
+    assert refused(api.http.post("/api/v1/campaigns", json={}, headers=headers))["errors"][0]["field"] == "Idempotency-Key"
+
+
+def test_a_body_declared_too_large_is_refused_before_it_is_sent(api: RunningApi) -> None:
+    host, port = api.url.removeprefix("http://").split(":")
+    with socket.create_connection((host, int(port)), timeout=10) as connection:
+        connection.sendall(
+            b"POST /api/v1/campaigns HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\nContent-Length: 500000000\r\n\r\n"
+        )
+        answer = connection.recv(65536)
+    assert b" 413 " in answer.split(b"\r\n")[0]
+
+
+def test_a_body_that_never_ends_is_refused_when_it_is_too_large(api: RunningApi) -> None:
+    def endless() -> Iterator[bytes]:
+        while True:
+            yield b" " * 65536
+
+    headers = {"Content-Type": "application/json"}
+    with api.http.stream("POST", "/api/v1/campaigns", content=endless(), headers=headers) as response:
+        assert response.status_code == 413
+
+
+anything: st.SearchStrategy[Any] = st.recursive(
+    st.none()
+    | st.booleans()
+    | st.integers(-(2**70), 2**70)
+    | st.floats()
+    | st.text(max_size=8)
+    | st.sampled_from(["S1", "S6", "P1", "P11", "highway", "frenet", "genetic", "random", "influence", "lhs"]),
+    lambda children: (
+        st.lists(children, max_size=4) | st.dictionaries(st.text(max_size=6) | st.sampled_from(["S1", "P1"]), children)
+    ),
+    max_leaves=12,
+)
+FIELDS = [*CampaignSpecification.model_fields, "scenarios", "scenario", "map"]
+
+
+@given(document=st.dictionaries(st.sampled_from(FIELDS), anything, max_size=4) | anything, path=st.sampled_from(POSTS[1:]))
+@many
+def test_no_document_gives_a_server_error(api: RunningApi, document: object, path: str) -> None:
+    response = post(api, path, json.dumps(document).encode())
+    assert response.status_code < 500, response.text
+
+
+@given(content=st.binary(max_size=300), path=st.sampled_from(POSTS[1:]))
+@many
+def test_no_bytes_give_a_server_error(api: RunningApi, content: bytes, path: str) -> None:
+    assert refused(post(api, path, content))
+
+
+@given(path=st.sampled_from(GETS), identifier=st.text(max_size=40), query=st.text(max_size=40))
+@many
+def test_no_path_and_query_give_a_server_error(api: RunningApi, path: str, identifier: str, query: str) -> None:
+    url = f"{path.format(quote(identifier.encode('utf-8', 'replace'), safe=''))}?{quote(query.encode('utf-8', 'replace'), safe='=&')}"
+    response = api.http.get(url)
+    assert response.status_code < 500, response.text
+
+
+@given(accept=st.text(st.characters(min_codepoint=32, max_codepoint=126), max_size=60), weights=st.text(max_size=30))
+@many
+def test_no_accept_header_and_weights_give_a_server_error(api: RunningApi, accept: str, weights: str) -> None:
+    with api.database.read() as connection:
+        identifier = connection.scalar(select(campaigns.c.id).limit(1))
+    if identifier is None:
+        identifier = api.http.post("/api/v1/campaigns", json={}).json()["id"]
+    url = f"/api/v1/campaigns/{identifier}/solutions"
+    response = api.http.get(url, params={"weights": weights.encode("utf-8", "replace")}, headers={"Accept": accept.strip()})
+    assert response.status_code < 500, response.text
