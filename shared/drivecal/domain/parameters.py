@@ -51,7 +51,13 @@ def from_billionths(value: int) -> Decimal:
 
 def text(value: Decimal) -> str:
     """The one way a value is written: no exponent, no trailing zeros, no negative zero."""
-    return format(from_billionths(billionths(value)), "f")
+    return _text(billionths(value))
+
+
+def _text(value: int) -> str:
+    whole, rest = divmod(abs(value), BILLION)
+    sign, decimals = "-" * (value < 0), f"{rest:09d}".rstrip("0")
+    return f"{sign}{whole}.{decimals}" if decimals else f"{sign}{whole}"
 
 
 def _refused(name: str, attribute: str, message: str, remedy: str) -> InvalidInputError:
@@ -185,7 +191,8 @@ class ParameterSet:
 
     def to_json(self) -> str:
         """Exact and readable: `{"P1": 0.5, ...}`."""
-        return "{" + ", ".join(f"{json.dumps(name)}: {text(value)}" for name, value in self.values.items()) + "}"
+        pairs = zip(self.names, self.billionths, strict=True)
+        return "{" + ", ".join(f"{json.dumps(name)}: {_text(value)}" for name, value in pairs) + "}"
 
     @property
     def key(self) -> bytes:
