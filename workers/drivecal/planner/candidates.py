@@ -1,6 +1,6 @@
 """The candidate set: where lateral and longitudinal plans end, and the desired speed along the road. Independent of any parameter.
 
-Every lateral plan is combined with every longitudinal one: 32 x 8 = 256 candidates.
+Every lateral plan is combined with every longitudinal one: 24 x 11 = 264 candidates.
 """
 
 from __future__ import annotations
@@ -13,33 +13,37 @@ from drivecal.planner.cost import COMFORTABLE_DECELERATION
 
 Floats = npt.NDArray[np.float64]
 
-LATERAL_HORIZONS = (7.5, 5.5, 4.0, 2.5)
-"""s: from a leisurely lane change (0.4 m/s² at 7.5 s) to a swerve (3.5 m/s²)."""
-CENTRE_HORIZONS = (6.5, 3.2, 2.0)
-"""s: more of them for the centre of the wanted lane."""
-OFFSETS = (0.0, 0.2, -0.2, 0.5, -0.5)
-"""m from the centre of the wanted lane."""
+CENTRE_HORIZONS = (7.5, 6.5, 5.5, 4.7, 4.0, 3.2, 2.5)
+"""s, to the centre of the wanted lane: from a leisurely lane change (0.4 m/s² at 7.5 s) to a swerve (3.5 m/s²)."""
+OFFSETS = (0.2, -0.2, 0.5, -0.5)
+OFFSET_HORIZONS = (6.5, 4.5, 3.0)
+"""m from the centre of the wanted lane and s."""
 KEEPING_OFFSETS = (0.9, -0.9)
 """m: evasive offsets where there is no other lane in the task."""
 PREPARING_OFFSET = 0.4
-"""m from the centre of the other lane of the task towards the wanted one."""
+"""m from the centre of the other lane of the task towards the wanted one, which is offered where there is one."""
+FURTHER_HORIZONS = (5.5, 3.0)
+"""s, for either."""
 
 LONGITUDINAL_ENDS = (
-    (4.5, 0.0),
     (7.5, 0.0),
+    (6.0, 0.0),
+    (4.8, 0.0),
+    (3.6, 0.0),
     (2.5, 0.0),
-    (7.5, -2.0),
+    (7.5, -2.5),
     (7.5, -5.0),
     (4.5, 1.5),
-    (4.5, -4.0),
+    (4.5, -2.5),
+    (4.5, -5.0),
     (2.5, -8.0),
 )
-"""(horizon in s, end speed relative to the desired speed in m/s): reach it quickly or calmly, go part of the way, overshoot to
+"""(horizon in s, end speed relative to the desired speed in m/s): reach it calmly or quickly, go part of the way, overshoot to
 escape a follower, slow down behind a vehicle, brake hard (5 m/s²)."""
 
 
 def lateral_ends(lane_width: float, wanted_lane: int, other_lane: int) -> Floats:
-    """Ends of the lateral plans, shape (2, 32): rows offset d (m) and horizon (s).
+    """Ends of the lateral plans, shape (2, 24): rows offset d (m) and horizon (s).
 
     The last column is a copy of the first; the kernel puts the rest of the plan before there, so that going on unchanged is always
     among the candidates. `other_lane` is the task's lane that is not wanted now (equal to `wanted_lane` in lane keeping).
@@ -49,14 +53,14 @@ def lateral_ends(lane_width: float, wanted_lane: int, other_lane: int) -> Floats
         further = [wanted + offset for offset in KEEPING_OFFSETS]
     else:
         further = [other, other + (PREPARING_OFFSET if wanted > other else -PREPARING_OFFSET)]
-    offsets = [wanted + offset for offset in OFFSETS] + further
-    ends = [(offset, horizon) for offset in offsets for horizon in LATERAL_HORIZONS]
-    ends += [(wanted, horizon) for horizon in CENTRE_HORIZONS]
+    ends = [(wanted, horizon) for horizon in CENTRE_HORIZONS]
+    ends += [(wanted + offset, horizon) for offset in OFFSETS for horizon in OFFSET_HORIZONS]
+    ends += [(offset, horizon) for offset in further for horizon in FURTHER_HORIZONS]
     return np.ascontiguousarray(np.array([*ends, ends[0]]).T)
 
 
 def longitudinal_ends() -> Floats:
-    """Ends of the longitudinal plans, shape (2, 8): rows end speed relative to the desired speed (m/s) and horizon (s)."""
+    """Ends of the longitudinal plans, shape (2, 11): rows end speed relative to the desired speed (m/s) and horizon (s)."""
     return np.array([[offset for _, offset in LONGITUDINAL_ENDS], [horizon for horizon, _ in LONGITUDINAL_ENDS]])
 
 

@@ -28,16 +28,16 @@ class Term:
 
 TERMS = (
     Term("P1", 0.4, "m²/s⁶", 0.0, "mean square of lateral plus longitudinal jerk"),  # a lane change in 5 s has 0.43
-    Term("P2", 0.5, "m²/s⁴", 1.0, "mean square of lateral acceleration, the curve's v²κ included"),  # 0.26 in 5 s
-    Term("P3", 0.2, "1", 100.0, "mean of e²/(1 + e²), e = offset (m) to the nearest lane centre"),  # 0.2: half a metre off
-    Term("P4", 6e-4, "rad²", 1000.0, "mean square of the heading relative to the road"),  # a lane change in 5 s at 30 m/s
-    Term("P5", 0.03, "m²", 750.0, "mean square of the distance to the lateral plan before, saturating at half a metre"),
-    Term("P6", 3.0, "s", 0.5, "time until the target lane is reached"),  # about 0.6 of a lane change in 5 s
-    Term("P7", 0.3, "1", 100.0, "mean shortfall of an ellipse of clear space around other vehicles"),  # passing side by side
-    Term("P8", 0.04, "1/s²", 1000.0, "largest 1/TTC² to a vehicle ahead"),  # 5 s to collision
-    Term("P9", 0.5, "1", 5.0, "mean of (shortfall of clear space to the lane boundary / 0.5 m)²"),  # 0.35 m too near
-    Term("P10", 0.05, "1/s²", 10.0, "mean of (lateral closing speed / lateral gap)² to neighbours alongside"),
-    Term("P11", 0.04, "1/s²", 100.0, "largest 1/TTC² of a follower in the target lane"),  # 5 s to collision
+    Term("P2", 0.2, "m²/s⁴", 1.0, "mean square of lateral acceleration, the curve's v²κ included"),  # 0.26 in 5 s
+    Term("P3", 0.1, "1", 100.0, "mean of e²/(1 + e²), e = offset (m) to the nearest lane centre"),  # 0.2: half a metre off
+    Term("P4", 2e-4, "rad²", 1000.0, "mean square of the heading relative to the road"),  # a lane change in 5 s at 30 m/s
+    Term("P5", 0.02, "m²", 750.0, "mean square of the distance to the lateral plan before, saturating at half a metre"),
+    Term("P6", 1.0, "s", 0.5, "time until the target lane is reached"),  # about 0.6 of a lane change in 5 s
+    Term("P7", 0.1, "1", 100.0, "mean shortfall of an ellipse of clear space around other vehicles"),  # passing side by side
+    Term("P8", 0.02, "1/s²", 1000.0, "largest 1/TTC² to a vehicle ahead"),  # 5 s to collision
+    Term("P9", 0.25, "1", 5.0, "mean of (shortfall of clear space to the lane boundary / 0.5 m)²"),  # 0.35 m too near
+    Term("P10", 0.02, "1/s²", 10.0, "mean of (lateral closing speed / lateral gap)² to neighbours alongside"),
+    Term("P11", 0.02, "1/s²", 100.0, "largest 1/TTC² of a follower in the target lane"),  # 5 s to collision
 )
 
 SPEED_ERROR = 0.5

@@ -113,29 +113,31 @@ class FrenetPlanner:
         self._planned_at = observation.time
         return trajectory
 
-    def features(self, observation: Observation) -> Floats:
-        """The features of all candidates at this moment, shape (n_candidates, 12): base, then the terms P1..P11. Changes nothing.
+    def features(self, observation: Observation | None = None) -> Floats:
+        """The features of all candidates of the last plan, or of one that began with this observation, shape (n_candidates, 12):
+        base, then the terms P1..P11. Plans nothing.
 
-        `plan` would take the candidate of lowest `features @ cost.weights(parameters)` that is feasible.
+        `plan` takes the candidate of lowest `features @ cost.weights(parameters)` that is feasible.
         """
-        wanted = self._wanted(observation.time)
         n_longitudinal, n_lateral = self._combined.shape[1:]
-        kernel.consider(
-            self._road,
-            self._scenes[wanted],
-            self._scales,
-            self._lateral_ends[wanted],
-            self._longitudinal_ends,
-            observation.ego,
-            observation.neighbours,
-            observation.time - self._planned_at,
-            self._memory,
-            np.empty((8, n_lateral)),
-            np.empty((7, n_longitudinal)),
-            self._lateral,
-            self._longitudinal,
-            self._combined,
-        )
+        if observation is not None:
+            wanted = self._wanted(observation.time)
+            kernel.consider(
+                self._road,
+                self._scenes[wanted],
+                self._scales,
+                self._lateral_ends[wanted],
+                self._longitudinal_ends,
+                observation.ego,
+                observation.neighbours,
+                observation.time - self._planned_at,
+                self._memory,
+                np.empty((8, n_lateral)),
+                np.empty((7, n_longitudinal)),
+                self._lateral,
+                self._longitudinal,
+                self._combined,
+            )
         features = np.zeros((n_longitudinal, n_lateral, 12))
         for row, column in _LONGITUDINAL.items():
             features[:, :, column] += self._longitudinal[row][:, None]
