@@ -12,7 +12,8 @@ from pydantic import BaseModel
 
 from drivecal.contracts.campaign import Campaign, CellCounts, Solution
 
-OUTCOMES = ("repeated", "reused", "certified", "simulated", "failed")
+OUTCOMES = ("failed", "certified", "reused", "repeated", "simulated")
+"""Of requested cells, the frequent ones last."""
 
 
 def print_json(answer: BaseModel | Mapping[str, Any] | Sequence[Any]) -> None:
@@ -101,6 +102,25 @@ def cells_text(cells: CellCounts) -> str:
     return f"{cells.requested:,} requested = {' + '.join(parts)}{audited}; {cells.carried_over:,} carried over"
 
 
+def print_cells(runs: Sequence[tuple[str, CellCounts]]) -> None:
+    """Prints how the cells of campaigns were answered, one line each."""
+    header = ["", "proposed", "carried over", "requested", *reversed(OUTCOMES), "audited", "saved"]
+    print_columns(
+        header,
+        [
+            [
+                name,
+                *(
+                    f"{getattr(cells, one):,}"
+                    for one in ("proposed", "carried_over", "requested", *reversed(OUTCOMES), "audited")
+                ),
+                f"{saved(cells):.1%}",
+            ]
+            for name, cells in runs
+        ],
+    )
+
+
 def saved(cells: CellCounts) -> float:
     """The share of the requested cells that needed no simulation."""
     answered = cells.repeated + cells.reused + cells.certified
@@ -138,4 +158,4 @@ def _text(value: object) -> str:
 
 
 def _is_number(text: str) -> bool:
-    return text == "-" or text.replace(",", "").replace(".", "", 1).removeprefix("-").isdigit()
+    return text == "-" or text.removesuffix("%").replace(",", "").replace(".", "", 1).removeprefix("-").isdigit()

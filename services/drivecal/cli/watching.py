@@ -95,19 +95,23 @@ def follow(client: Client, identifier: str, timeout: float | None = None) -> Cam
 
     Ctrl-C ends the command, not the campaign.
     """
-    deadline = None if timeout is None else time.monotonic() + timeout
     come_back = (
         f"the campaign goes on; come back with `drivecal watch {identifier}`, end it with `drivecal cancel {identifier}`"
     )
     try:
-        with reporter() as report:
-            for campaign in client.watch(identifier, deadline):
-                report.show(campaign)
+        return show_until_ended(client, identifier, None if timeout is None else time.monotonic() + timeout)
     except KeyboardInterrupt as error:
         tell(f"detached: {come_back}")
         raise typer.Exit(ExitCode.INTERRUPTED) from error
     except TimeoutError as error:
         raise WaitTimedOutError(f"not ended after {duration(timeout or 0)}: {come_back}") from error
+
+
+def show_until_ended(client: Client, identifier: str, deadline: float | None = None) -> Campaign:
+    """Shows a campaign's progress until it ended, and returns it. Raises TimeoutError past `deadline`, of the monotonic clock."""
+    with reporter() as report:
+        for campaign in client.watch(identifier, deadline):
+            report.show(campaign)
     return campaign
 
 
@@ -122,7 +126,7 @@ def _where(campaign: Campaign) -> str:
 
 def _detail(campaign: Campaign) -> str:
     cells = campaign.cells
-    parts = [f"{name} {getattr(cells, name):,}" for name in OUTCOMES if getattr(cells, name)]
+    parts = [f"{name} {getattr(cells, name):,}" for name in reversed(OUTCOMES) if getattr(cells, name)]
     if campaign.best:
         parts.append(f"best {campaign.best.objective:.3f}")
     if campaign.progress.eta_seconds is not None:

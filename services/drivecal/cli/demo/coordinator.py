@@ -1,0 +1,103 @@
+"""A coordinator of the demo's own: `drivecal serve` in a child process, on a free loopback port and a fresh database."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from drivecal.client.client import Client
+from drivecal.domain.errors import ConflictError, DrivecalError, UnavailableError
+
+SECONDS_TO_START = 180.0
+"""Ray needs some seconds, compiling the kernels for the first time half a minute on a slow machine."""
+SECONDS_TO_STOP = 20.0
+LOG = "serve.log"
+
+
+@contextmanager
+def fresh_folder(folder: Path) -> Iterator[None]:
+    """Empties `folder` and keeps other demos out of it. Raises ConflictError where one is running there."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with folder.with_suffix(".lock").open("w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise ConflictError(f"another demo is running in {folder}; wait for it or stop it") from error
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(exist_ok=True)
+        yield
+
+
+@contextmanager
+def coordinator(home: Path) -> Iterator[Client]:
+    """A running coordinator that keeps its files in `home`, and a client of it; stopped cleanly when the block is left.
+
+    Raises DrivecalError with the end of the log where it does not start.
+    """
+    port = _free_port()
+    url = f"http://127.0.0.1:{port}"
+    environment = os.environ | {
+        "DRIVECAL_HOME": str(home),
+        "DRIVECAL_DATABASE_URL": f"sqlite:///{home / 'drivecal.db'}",
+        "DRIVECAL_URL": url,
+    }
+    command = [sys.executable, "-m", "drivecal.cli", "serve", "--host", "127.0.0.1", "--port", str(port)]
+    with (home / LOG).open("wb") as log:
+        # In a session of its own: Ctrl-C reaches the demo alone, which then stops the server as it should be stopped.
+        process = subprocess.Popen(  # noqa: S603  # our own command
+            command, env=environment, stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True
+        )
+    try:
+        with Client(url) as client:
+            _wait_until_ready(client, process, home / LOG)
+            yield client
+    finally:
+        _stop(process)
+
+
+def _wait_until_ready(client: Client, process: subprocess.Popen[bytes], log: Path) -> None:
+    deadline = time.monotonic() + SECONDS_TO_START
+    problem = "it does not answer"
+    while time.monotonic() < deadline:
+        if process.poll() is not None:
+            raise DrivecalError(f"the coordinator did not start (exit status {process.returncode}):\n{_end_of(log)}")
+        try:
+            readiness = client.readiness()
+        except UnavailableError:
+            readiness = None
+        if readiness is not None and readiness.ready:
+            return
+        if readiness is not None:
+            problem = "; ".join(readiness.problems)
+        time.sleep(0.2)
+    raise DrivecalError(f"the coordinator is not ready after {SECONDS_TO_START:.0f} s ({problem}):\n{_end_of(log)}")
+
+
+def _stop(process: subprocess.Popen[bytes]) -> None:
+    """SIGTERM, and where that does not help, an end to its whole session."""
+    process.terminate()
+    try:
+        process.wait(SECONDS_TO_STOP)
+    except subprocess.TimeoutExpired:
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+
+
+def _end_of(log: Path, lines: int = 15) -> str:
+    return "\n".join(log.read_text(errors="replace").splitlines()[-lines:])
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+    return port
