@@ -28,8 +28,21 @@ class ExitCode(IntEnum):
     INTERRUPTED = 130
 
 
+ORDER = (
+    *("demo", "serve", "submit", "list", "show", "watch", "pause", "resume", "cancel", "rerun", "solutions", "export"),
+    *("evaluate", "influence-maps", "workers", "db"),
+)
+"""In which the help lists the commands."""
+
+
 class Commands(TyperGroup):
     """A group whose commands report drivecal's errors on stderr, one line per problem, and exit with the fitting code."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """The commands as a newcomer wants to read them."""
+        return sorted(
+            super().list_commands(ctx), key=lambda name: (name not in ORDER, ORDER.index(name) if name in ORDER else 0)
+        )
 
     def invoke(self, ctx: Any) -> Any:
         """Runs the command."""

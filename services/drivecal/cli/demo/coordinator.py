@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import fcntl
+import json
 import os
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -15,11 +15,13 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from drivecal.client.client import Client
-from drivecal.domain.errors import ConflictError, DrivecalError, UnavailableError
+from drivecal.domain.errors import ConflictError, DrivecalError
 
 SECONDS_TO_START = 180.0
 """Ray needs some seconds, compiling the kernels for the first time half a minute on a slow machine."""
 SECONDS_TO_STOP = 20.0
+ANNOUNCEMENT = "serve.json"
+"""Where the coordinator says its address when it is ready."""
 LOG = "serve.log"
 
 
@@ -43,43 +45,33 @@ def coordinator(home: Path) -> Iterator[Client]:
 
     Raises DrivecalError with the end of the log where it does not start.
     """
-    port = _free_port()
-    url = f"http://127.0.0.1:{port}"
     environment = os.environ | {
         "DRIVECAL_HOME": str(home),
         "DRIVECAL_DATABASE_URL": f"sqlite:///{home / 'drivecal.db'}",
-        "DRIVECAL_URL": url,
     }
-    command = [sys.executable, "-m", "drivecal.cli", "serve", "--host", "127.0.0.1", "--port", str(port)]
-    with (home / LOG).open("wb") as log:
+    command = [sys.executable, "-m", "drivecal.cli", "serve", "--host", "127.0.0.1", "--port", "0", "--json"]
+    with (home / ANNOUNCEMENT).open("wb") as announcement, (home / LOG).open("wb") as log:
         # In a session of its own: Ctrl-C reaches the demo alone, which then stops the server as it should be stopped.
         process = subprocess.Popen(  # noqa: S603  # our own command
-            command, env=environment, stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True
+            command, env=environment, stdin=subprocess.DEVNULL, stdout=announcement, stderr=log, start_new_session=True
         )
     try:
-        with Client(url) as client:
-            _wait_until_ready(client, process, home / LOG)
+        with Client(_url_when_ready(process, home)) as client:
             yield client
     finally:
         _stop(process)
 
 
-def _wait_until_ready(client: Client, process: subprocess.Popen[bytes], log: Path) -> None:
+def _url_when_ready(process: subprocess.Popen[bytes], home: Path) -> str:
     deadline = time.monotonic() + SECONDS_TO_START
-    problem = "it does not answer"
     while time.monotonic() < deadline:
+        line, newline, _ = (home / ANNOUNCEMENT).read_text().partition("\n")
+        if newline:
+            return str(json.loads(line)["url"])
         if process.poll() is not None:
-            raise DrivecalError(f"the coordinator did not start (exit status {process.returncode}):\n{_end_of(log)}")
-        try:
-            readiness = client.readiness()
-        except UnavailableError:
-            readiness = None
-        if readiness is not None and readiness.ready:
-            return
-        if readiness is not None:
-            problem = "; ".join(readiness.problems)
-        time.sleep(0.2)
-    raise DrivecalError(f"the coordinator is not ready after {SECONDS_TO_START:.0f} s ({problem}):\n{_end_of(log)}")
+            raise DrivecalError(f"the coordinator did not start (exit status {process.returncode}):\n{_end_of(home / LOG)}")
+        time.sleep(0.1)
+    raise DrivecalError(f"the coordinator is not ready after {SECONDS_TO_START:.0f} s:\n{_end_of(home / LOG)}")
 
 
 def _stop(process: subprocess.Popen[bytes]) -> None:
@@ -94,10 +86,3 @@ def _stop(process: subprocess.Popen[bytes]) -> None:
 
 def _end_of(log: Path, lines: int = 15) -> str:
     return "\n".join(log.read_text(errors="replace").splitlines()[-lines:])
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-    return port
