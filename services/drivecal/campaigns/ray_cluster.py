@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
-import re
 import secrets
 import shutil
 import signal
 import tempfile
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,6 +22,8 @@ OBJECT_STORE_BYTES = 80 * 2**20
 """Ray's least: batches and results travel with the calls, the object store stays empty."""
 LONGEST_FOLDER = 40
 """Ray's sockets lie 65 characters deep, and a Unix socket's path ends at 107."""
+A_MOMENT = 60.0
+"""Between making a folder and locking it, s, amply."""
 
 _ALWAYS = {
     "RAY_USAGE_STATS_ENABLED": "0",
@@ -45,11 +48,11 @@ class Cluster:
     def __init__(self, address: str | None, cpus: int | None) -> None:
         """Starts a local Ray with `cpus` CPUs (None: all), or joins the cluster at `address`. Raises UnavailableError."""
         self.address = address
-        self._folder: Path | None = None
+        self._folder: _PrivateFolder | None = None
         os.environ.update(_ALWAYS)
         if address is None:
             os.environ.update(_LOCAL, RAY_AUTH_TOKEN=secrets.token_hex(32))
-            self._folder = _private_folder()
+            self._folder = _PrivateFolder()
         elif "RAY_AUTH_MODE" not in os.environ:
             with_token = "RAY_AUTH_TOKEN" in os.environ or "RAY_AUTH_TOKEN_PATH" in os.environ
             os.environ["RAY_AUTH_MODE"] = "token" if with_token else "disabled"
@@ -58,12 +61,12 @@ class Cluster:
         self.ray: ModuleType = ray
         try:
             with _own_signal_handlers():
-                if address is None:
+                if self._folder is not None:
                     ray.init(
                         num_cpus=cpus,
                         include_dashboard=False,
                         object_store_memory=OBJECT_STORE_BYTES,
-                        _temp_dir=str(self._folder),
+                        _temp_dir=str(self._folder.path),
                         **_QUIET,
                     )
                 else:
@@ -82,7 +85,8 @@ class Cluster:
         """Leaves the cluster; a local Ray ends."""
         self.ray.shutdown()
         if self._folder is not None:
-            shutil.rmtree(self._folder, ignore_errors=True)
+            self._folder.remove()
+            self._folder = None
 
 
 _QUIET: dict[str, Any] = {"namespace": "drivecal", "log_to_driver": False, "configure_logging": False, "logging_level": "ERROR"}
@@ -102,18 +106,39 @@ def _own_signal_handlers() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def _private_folder() -> Path:
-    """A new folder for a local Ray's sockets and logs that only this user can enter; those of processes that were killed go."""
-    parent = Path(tempfile.gettempdir())
-    if len(str(parent)) > LONGEST_FOLDER - 27:
-        parent = Path("/tmp")  # noqa: S108  # mkdtemp makes a private folder in it
-    for folder in parent.glob("drivecal-ray-*"):
-        match = re.fullmatch(r"drivecal-ray-(\d+)-.*", folder.name)
-        if (
-            match
-            and not Path(f"/proc/{match[1]}").exists()
-            and Path("/proc/self").exists()
-            and folder.stat().st_uid == os.getuid()
-        ):
+class _PrivateFolder:
+    """A new folder for a local Ray's sockets and logs that only this user can enter. Those of processes that were killed go; the lock
+    on a folder says that its process lives."""
+
+    def __init__(self) -> None:
+        parent = Path(tempfile.gettempdir())
+        if len(str(parent / "drivecal-ray-abcdefgh" / "r")) > LONGEST_FOLDER:
+            parent = Path("/tmp")  # noqa: S108  # mkdtemp makes a private folder in it
+        for folder in parent.glob("drivecal-ray-*"):
+            _remove_if_left_behind(folder)
+        self._folder = Path(tempfile.mkdtemp(prefix="drivecal-ray-", dir=parent))
+        self._lock = os.open(self._folder, os.O_RDONLY)
+        fcntl.flock(self._lock, fcntl.LOCK_EX)
+        self.path = self._folder / "r"
+        """Ray opens it to everybody; the folder around it stays closed."""
+
+    def remove(self) -> None:
+        """With all that is in it."""
+        shutil.rmtree(self._folder, ignore_errors=True)
+        os.close(self._lock)
+
+
+def _remove_if_left_behind(folder: Path) -> None:
+    try:
+        description = os.open(folder, os.O_RDONLY)
+    except OSError:
+        return  # another user's, or gone
+    try:
+        status = os.fstat(description)
+        if status.st_uid == os.getuid() and time.time() - status.st_ctime > A_MOMENT:
+            fcntl.flock(description, fcntl.LOCK_EX | fcntl.LOCK_NB)
             shutil.rmtree(folder, ignore_errors=True)
-    return Path(tempfile.mkdtemp(prefix=f"drivecal-ray-{os.getpid()}-", dir=parent))
+    except BlockingIOError:
+        return  # its process lives
+    finally:
+        os.close(description)

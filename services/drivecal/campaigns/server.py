@@ -1,0 +1,116 @@
+"""The server: what must hold before it starts, which processes it has, and when it is ready."""
+
+from __future__ import annotations
+
+import errno
+import http.client
+import ipaddress
+import socket
+import sys
+from collections.abc import Callable, Sequence
+
+from drivecal.campaigns.settings import Settings
+from drivecal.campaigns.supervisor import ChildProcess, Supervisor
+from drivecal.domain.errors import ConflictError, DrivecalError, InvalidInputError, Problem
+from drivecal.storage import locks, processes
+from drivecal.storage.database import Database
+from drivecal.storage.types import now
+
+DISPATCHER = (sys.executable, "-m", "drivecal.campaigns.dispatcher")
+BACKLOG = 512
+PROBE_SECONDS = 2.0
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """A socket that listens there; port 0 takes a free one.
+
+    The supervisor holds it, so that the port is known to be ours before anything starts, and connections wait while the API restarts.
+    Raises InvalidInputError for a host that is none of this machine's, ConflictError where the port cannot be had.
+    """
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
+    except (OSError, UnicodeError) as error:
+        raise InvalidInputError(Problem("--host", f"{host!r} is no address of this machine", "give e.g. 127.0.0.1")) from error
+    listener = socket.socket(family, kind, protocol)
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind(address)
+        listener.listen(BACKLOG)
+    except OSError as error:
+        listener.close()
+        if error.errno == errno.EADDRNOTAVAIL:
+            remedy = "give e.g. 127.0.0.1"
+            raise InvalidInputError(Problem("--host", f"{host!r} is no address of this machine", remedy)) from error
+        reason = "is in use" if error.errno == errno.EADDRINUSE else f"cannot be used: {error.strerror}"
+        raise ConflictError(f"port {port} of {host} {reason}; choose another one by --port (0 takes any free one)") from error
+    return listener
+
+
+def url_of(listener: socket.socket, host: str) -> str:
+    """Where a client on this machine finds the server."""
+    port = listener.getsockname()[1]
+    if host in {"0.0.0.0", "::", ""}:  # noqa: S104  # compared, not bound
+        host = "127.0.0.1"
+    return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
+
+
+def is_loopback(listener: socket.socket) -> bool:
+    """True where only this machine can connect."""
+    return ipaddress.ip_address(listener.getsockname()[0]).is_loopback
+
+
+def prepare_database(settings: Settings) -> Database:
+    """The database, made or upgraded.
+
+    Raises DatabaseError where it cannot be used or another server uses it, InvalidInputError where the home folder cannot be made.
+    """
+    try:
+        settings.home.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        problem = Problem("home", f"{settings.home} cannot be made: {error.strerror}", "set DRIVECAL_HOME to a folder of yours")
+        raise InvalidInputError(problem) from error
+    database = Database.open(settings.database_url)
+    locks.hold(settings.database_url).release()  # the dispatcher takes it for good
+    database.upgrade()
+    return database
+
+
+def run_server(
+    settings: Settings,
+    database: Database,
+    listener: socket.socket,
+    url: str,
+    ready: Callable[[], None],
+    tell: Callable[[str], None],
+    dispatcher: Sequence[str] = DISPATCHER,
+) -> int:
+    """Runs API and dispatcher until a signal; returns the exit code. `ready` is called once both work."""
+    started_at = now()
+
+    def missing() -> list[str]:
+        lacking = [] if _answers(url) else ["API"]
+        try:
+            with database.read() as connection:
+                found = processes.read(connection, "dispatcher")
+        except DrivecalError as error:
+            return [*lacking, str(error)]
+        return lacking if found is not None and found.heartbeat_at >= started_at else [*lacking, "dispatcher"]
+
+    descriptor = listener.fileno()
+    api = (sys.executable, "-m", "drivecal.api", "--socket", str(descriptor))
+    children = [
+        ChildProcess("API", api, settings.environment, (descriptor,)),
+        ChildProcess("dispatcher", dispatcher, settings.environment),
+    ]
+    return Supervisor(children, missing, ready, tell).run()
+
+
+def _answers(url: str) -> bool:
+    connection = http.client.HTTPConnection(url.removeprefix("http://"), timeout=PROBE_SECONDS)
+    try:
+        connection.request("GET", "/healthz")
+        return connection.getresponse().status == http.client.OK
+    except (OSError, http.client.HTTPException):
+        return False
+    finally:
+        connection.close()

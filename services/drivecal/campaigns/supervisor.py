@@ -1,0 +1,152 @@
+"""Keeps the server's processes running, restarts what dies, and leaves nothing behind."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from drivecal.campaigns.guardian import end_session
+
+GRACE_SECONDS = 8.0
+"""What a child may take to end in peace; with what the killing takes the server ends within ten."""
+TRIES_TO_START = 3
+LOOK_SECONDS = 0.1
+PATIENCE_SECONDS = 30.0
+
+
+@dataclass(frozen=True, slots=True)
+class ChildProcess:
+    """What to run. `keep`: file descriptors that it inherits. `environment` is added to this process's own."""
+
+    name: str
+    command: Sequence[str]
+    environment: Mapping[str, str] = field(default_factory=dict)
+    keep: Sequence[int] = ()
+
+
+@dataclass(slots=True)
+class Pauses:
+    """How long to wait before a restart: doubled with every death, from the beginning again after a minute of good health."""
+
+    first: float = 0.5
+    longest: float = 30.0
+    healthy_after: float = 60.0
+    deaths: int = 0
+
+    def next(self, lived: float) -> float:
+        """Seconds to wait after a process that lived for `lived` seconds."""
+        self.deaths = 1 if lived >= self.healthy_after else self.deaths + 1
+        return min(self.longest, self.first * 2.0 ** (self.deaths - 1))
+
+
+class _Child:
+    def __init__(self, specification: ChildProcess) -> None:
+        self.specification = specification
+        self.pauses = Pauses()
+        self.process: subprocess.Popen[bytes] | None = None
+        self.started_at = self.start_at = 0.0
+
+    def start(self) -> None:
+        keep = ",".join(str(one) for one in self.specification.keep)
+        guardian = [sys.executable, "-m", "drivecal.campaigns.guardian", str(GRACE_SECONDS), keep]
+        self.process = subprocess.Popen(  # noqa: S603  # the server's own commands
+            [*guardian, *self.specification.command],
+            stdin=subprocess.PIPE,  # never written to; its end tells the guardian that we are gone
+            env=dict(os.environ) | dict(self.specification.environment),
+            pass_fds=self.specification.keep,
+            start_new_session=True,  # Ctrl-C in a terminal reaches the supervisor alone
+        )
+        self.started_at = time.monotonic()
+
+    def ended(self) -> int | None:
+        """The exit code where the process has ended, cleaned up after; None while it runs or waits for its restart."""
+        if self.process is None or self.process.poll() is None:
+            return None
+        process, self.process = self.process, None
+        if process.returncode < 0:  # the guardian itself was killed, so nobody has cleaned up
+            end_session(process.pid)
+        if process.stdin:
+            process.stdin.close()
+        self.start_at = time.monotonic() + self.pauses.next(time.monotonic() - self.started_at)
+        return process.returncode
+
+
+class Supervisor:
+    """Runs `children` until SIGTERM, SIGINT or SIGHUP. `missing` says what is not ready yet; `announce` is called when nothing is
+    missing for the first time; `tell` takes a line for whoever watches."""
+
+    def __init__(
+        self,
+        children: Sequence[ChildProcess],
+        missing: Callable[[], Sequence[str]],
+        announce: Callable[[], None],
+        tell: Callable[[str], None],
+    ) -> None:
+        self._children = [_Child(child) for child in children]
+        self._missing, self._announce, self._tell = missing, announce, tell
+        self._signals = 0
+        self._ready = False
+
+    def run(self) -> int:
+        """Returns the exit code: 0 after a signal, 1 where a child could not be started at all. To be called by the main thread."""
+        before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)}
+        for number, handler in before.items():
+            if handler is not signal.SIG_IGN:  # nohup, or a background job
+                signal.signal(number, self._on_signal)
+        try:
+            for child in self._children:
+                child.start()
+            return self._watch()
+        finally:
+            self._stop()
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+    def _on_signal(self, number: int, _frame: object) -> None:
+        self._signals += 1
+        if self._signals == 1:
+            self._tell(f"stopping ({signal.Signals(number).name})")
+
+    def _watch(self) -> int:
+        patience = time.monotonic() + PATIENCE_SECONDS
+        while not self._signals:
+            for child in self._children:
+                code = child.ended()
+                if code is not None and not self._signals:
+                    name = child.specification.name
+                    if not self._ready and child.pauses.deaths >= TRIES_TO_START:
+                        self._tell(f"the {name} does not start (exit code {code}); its messages are above")
+                        return 1
+                    pause = max(0.0, child.start_at - time.monotonic())
+                    self._tell(f"the {name} ended unexpectedly (exit code {code}); it starts again in {pause:.1f} s")
+                if child.process is None and time.monotonic() >= child.start_at:
+                    child.start()
+            if not self._ready:
+                missing = self._missing()
+                if not missing:
+                    self._ready = True
+                    self._announce()
+                elif time.monotonic() >= patience:
+                    self._tell(f"still waiting for {', '.join(missing)}")
+                    patience = time.monotonic() + PATIENCE_SECONDS
+            time.sleep(LOOK_SECONDS)
+        return 0
+
+    def _stop(self) -> None:
+        """Ends the children in peace, or by force when their time is up or a second signal came."""
+        running = [child.process for child in self._children if child.process is not None]
+        for process in running:
+            process.terminate()
+        deadline = time.monotonic() + GRACE_SECONDS + 1.0
+        while any(process.poll() is None for process in running) and time.monotonic() < deadline and self._signals < 2:
+            time.sleep(0.02)
+        for process in running:
+            if process.poll() is None:
+                end_session(process.pid)
+                process.kill()
+                process.wait()

@@ -1,0 +1,53 @@
+"""`drivecal serve`: the coordinator in one command."""
+
+from __future__ import annotations
+
+import json
+import os
+from typing import Annotated
+
+import typer
+
+from drivecal.campaigns.settings import load_settings
+from drivecal.cli.commands import JsonOption, app, tell
+
+
+@app.command()
+def serve(
+    host: Annotated[str, typer.Option(help="The address to listen on.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(help="The port to listen on; 0 takes any free one.", min=0, max=65535)] = 8000,
+    workers: Annotated[int | None, typer.Option(help="Simulations at a time; else DRIVECAL_WORKERS, else one per CPU.")] = None,
+    ray_address: Annotated[
+        str | None, typer.Option(help="A Ray cluster; else DRIVECAL_RAY_ADDRESS, else a local Ray is started.")
+    ] = None,
+    database_url: Annotated[
+        str | None, typer.Option(help="SQLAlchemy URL; else DRIVECAL_DATABASE_URL, else SQLite in the home folder.")
+    ] = None,
+    home: Annotated[
+        str | None, typer.Option(help="The folder of drivecal's files; else DRIVECAL_HOME, else .drivecal.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Run the server: the API and the dispatcher with its workers. Ctrl-C or SIGTERM stops it; campaigns go on at the next start."""
+    from drivecal.campaigns import server  # the database's half a second, for this command only
+
+    settings = load_settings(workers=workers, ray_address=ray_address, database_url=database_url, home=home)
+    with server.listen(host, port) as listener:
+        url = server.url_of(listener, host)
+        if not server.is_loopback(listener):
+            tell(
+                f"everyone who reaches {host} can use this server: it asks for no token yet; listen on 127.0.0.1 if that is not meant"
+            )
+
+        database = server.prepare_database(settings)
+        tell(f"starting; the database is {database.name}")
+
+        def ready() -> None:
+            if as_json:
+                typer.echo(json.dumps({"url": url, "pid": os.getpid(), "database": database.name}))
+            else:
+                typer.echo(f"drivecal is ready at {url} (Ctrl-C stops it)")
+
+        code = server.run_server(settings, database, listener, url, ready, tell)
+        database.dispose()
+    raise typer.Exit(code)

@@ -1,0 +1,151 @@
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import psutil
+import pytest
+
+from drivecal.campaigns.guardian import members
+from drivecal.campaigns.supervisor import Pauses
+
+SCRIPT = """
+import os, sys, time
+from pathlib import Path
+from drivecal.campaigns.supervisor import ChildProcess, Supervisor
+folder = Path(sys.argv[1])
+def missing():
+    return [name for name in ("one", "two") if not (folder / name).exists()]
+def tell(line):
+    print(line, file=sys.stderr, flush=True)
+children = [ChildProcess(name, [sys.executable, "-c", (folder / f"{name}.py").read_text(), str(folder), name]) for name in ("one", "two")]
+sys.exit(Supervisor(children, missing, lambda: tell("ready"), tell).run())
+"""
+SLEEPER = """
+import os, sys, time
+from pathlib import Path
+folder, name = Path(sys.argv[1]), sys.argv[2]
+def note():
+    (folder / f"{name}.new").write_text(str(os.getpid()))
+    (folder / f"{name}.new").rename(folder / name)
+"""
+PEACEFUL = SLEEPER + "note(); time.sleep(600)"
+STUBBORN = SLEEPER + "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN); note(); time.sleep(600)"
+WITH_FAMILY = (
+    SLEEPER
+    + """
+import subprocess
+child = subprocess.Popen([sys.executable, "-c", "import os, time; os.setpgid(0, 0); time.sleep(600)"])
+(folder / "grandchild").write_text(str(child.pid))
+note(); time.sleep(600)
+"""
+)
+
+
+def until(condition: Callable[[], bool], what: str, seconds: float = 30.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not condition():
+        if time.monotonic() > deadline:
+            raise AssertionError(f"{what} did not happen")
+        time.sleep(0.02)
+
+
+def alive(pid: int) -> bool:
+    return psutil.pid_exists(pid) and psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
+
+
+class Server:
+    """A supervisor with two scripted children."""
+
+    def __init__(self, folder: Path, one: str, two: str) -> None:
+        self.folder = folder
+        (folder / "one.py").write_text(one)
+        (folder / "two.py").write_text(two)
+        self.log = folder / "log"
+        with self.log.open("wb") as log:
+            self.process = subprocess.Popen([sys.executable, "-c", SCRIPT, str(folder)], stderr=log)
+
+    def pid(self, name: str) -> int:
+        return int((self.folder / name).read_text())
+
+    def ready(self) -> None:
+        until(lambda: "ready" in self.log.read_text(), "ready")
+
+
+@pytest.fixture
+def server(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Server]:
+    started = Server(tmp_path, *getattr(request, "param", (PEACEFUL, WITH_FAMILY)))
+    yield started
+    if started.process.poll() is None:
+        started.process.kill()
+        started.process.wait()
+
+
+def test_pauses_double_up_to_a_limit_and_begin_again_after_good_health() -> None:
+    pauses = Pauses(first=0.5, longest=30.0, healthy_after=60.0)
+    assert [pauses.next(1.0) for _ in range(8)] == [0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 30.0, 30.0]
+    assert pauses.next(61.0) == 0.5
+    assert pauses.next(1.0) == 1.0
+
+
+def test_sigterm_ends_children_and_grandchildren(server: Server) -> None:
+    server.ready()
+    pids = [server.pid(name) for name in ("one", "two", "grandchild")]
+    assert all(alive(pid) for pid in pids)
+    server.process.terminate()
+    assert server.process.wait(timeout=15) == 0
+    assert not any(alive(pid) for pid in pids)
+
+
+@pytest.mark.parametrize("server", [(STUBBORN, PEACEFUL)], indirect=True)
+def test_a_second_signal_ends_even_those_that_will_not(server: Server) -> None:
+    server.ready()
+    pids = [server.pid(name) for name in ("one", "two")]
+    server.process.send_signal(signal.SIGINT)
+    until(lambda: not alive(pids[1]), "the end of the peaceful child")
+    assert alive(pids[0])
+    server.process.send_signal(signal.SIGINT)
+    assert server.process.wait(timeout=5) == 0
+    assert not any(alive(pid) for pid in pids)
+
+
+def test_a_supervisor_that_is_killed_takes_everything_with_it(server: Server) -> None:
+    server.ready()
+    pids = [server.pid(name) for name in ("one", "two", "grandchild")]
+    server.process.kill()
+    until(lambda: not any(alive(pid) for pid in pids), "the end of all children", 5.0)
+
+
+@pytest.mark.parametrize("killed", ["child", "guardian"])
+def test_what_dies_is_started_again_and_leaves_nothing_behind(server: Server, killed: str) -> None:
+    server.ready()
+    old, orphan = server.pid("two"), server.pid("grandchild")
+    os.kill(old if killed == "child" else psutil.Process(old).ppid(), signal.SIGKILL)
+    until(lambda: server.pid("two") != old, "the restart")
+    assert not alive(old)
+    assert not alive(orphan)
+    assert alive(server.pid("two"))
+    assert "the two ended unexpectedly" in server.log.read_text()
+
+
+@pytest.mark.parametrize("server", [(PEACEFUL, "import sys; sys.exit('no such thing')")], indirect=True)
+def test_a_child_that_never_starts_ends_the_server_with_a_word(server: Server) -> None:
+    assert server.process.wait(timeout=30) == 1
+    log = server.log.read_text()
+    assert log.count("no such thing") == 3
+    assert "the two does not start (exit code 1)" in log
+    assert not alive(server.pid("one"))
+
+
+def test_the_members_of_a_session_are_found_by_it() -> None:
+    child = subprocess.Popen(["sh", "-c", "sleep 60 & sleep 60 & wait"], start_new_session=True)
+    until(lambda: len(members(child.pid)) == 2, "two members")
+    for pid in [*members(child.pid), child.pid]:
+        os.kill(pid, signal.SIGKILL)
+    child.wait()
+    until(lambda: not members(child.pid), "no members")
