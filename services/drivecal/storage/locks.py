@@ -120,15 +120,20 @@ class _PostgresLock(_Releasing):
         return self
 
     def renew(self) -> None:
-        try:
-            self._connection.execute(text("SELECT 1"))
-        except DBAPIError:
-            self._connection.invalidate()
-            self._connection.close()
+        if not self._alive():
+            self.release()
             self._connection = self._acquire()
 
     def release(self) -> None:
-        self._connection.close()
+        if not self._connection.closed:
+            self._connection.invalidate()  # ends the session, even where it is broken
+            self._connection.close()
+
+    def _alive(self) -> bool:
+        try:
+            return not self._connection.closed and self._connection.scalar(text("SELECT 1")) == 1
+        except DBAPIError:
+            return False
 
     def _acquire(self) -> Connection:
         with translated(self._name):

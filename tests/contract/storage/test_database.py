@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import multiprocessing
 import sqlite3
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
@@ -40,8 +39,8 @@ def test_a_new_database_is_usable_after_its_upgrade_and_a_second_one_changes_not
 
 
 def test_several_processes_may_upgrade_a_new_database_at_once(empty_url: str) -> None:
-    with multiprocessing.get_context("spawn").Pool(3) as pool:
-        pool.map(_upgrade, [empty_url] * 3)
+    with multiprocessing.get_context("spawn").Pool(2) as pool:
+        pool.map(_upgrade, [empty_url] * 2)
     Database.open(empty_url).check()
 
 
@@ -133,7 +132,9 @@ def test_another_programs_alembic_database_is_refused(empty_url: str) -> None:
         database.upgrade()
 
 
-def test_a_database_of_a_newer_drivecal_is_refused(database: Database) -> None:
+def test_a_database_of_a_newer_drivecal_is_refused(empty_url: str) -> None:
+    database = Database.open(empty_url)
+    database.upgrade()
     with database.transaction() as connection:
         connection.execute(text(f"UPDATE {REVISION_TABLE} SET version_num = '9999'"))
     for use in (database.check, database.upgrade):
@@ -212,10 +213,8 @@ def test_a_database_that_another_program_keeps_locked_is_unavailable(
         campaign(connection)
 
 
-def test_lost_connections_are_replaced(
-    make_postgres_database: Callable[[str | None], str], migrated_postgres: str, postgres_server: str
-) -> None:
-    database = Database.open(make_postgres_database(migrated_postgres))
+def test_lost_connections_are_replaced(clean_postgres: str, postgres_server: str) -> None:
+    database = Database.open(clean_postgres)
 
     def write() -> None:
         with database.transaction() as connection:
