@@ -39,8 +39,9 @@ class Observation:
 class Planner(Protocol):
     """A driving function at work in one scenario. Deterministic: its answers depend on what it was given since `reset` only."""
 
-    period: float
-    """Time between two plans, s; a multiple of the scenario's step."""
+    @property
+    def period(self) -> float:
+        """Time between two plans, s; a multiple of the scenario's step."""
 
     def reset(self, parameters: Sequence[float]) -> None:
         """Starts a new run with these parameter values, in the order of the driving function's parameters."""
@@ -53,15 +54,25 @@ class Planner(Protocol):
 class DrivingFunction(Protocol):
     """A driving function whose parameters are calibrated."""
 
-    name: str
-    version: str
-    """Changes whenever any result may change by a bit."""
-    spaces: Mapping[str, tuple[Parameter, ...]]
-    """Built-in search spaces by name, each with all parameters in the order that `Planner.reset` expects."""
-    limits: Mapping[str, tuple[float | None, float | None]]
-    """Smallest and largest value that a user's own space may contain, by parameter; None is unlimited."""
-    certifiable: bool
-    """True where it decides by the lowest cost, linear in weights that depend on parameters, over features that do not."""
+    @property
+    def name(self) -> str:
+        """By which a campaign chooses it."""
+
+    @property
+    def version(self) -> str:
+        """Changes whenever any result may change by a bit."""
+
+    @property
+    def spaces(self) -> Mapping[str, tuple[Parameter, ...]]:
+        """Built-in search spaces by name, each with all parameters in the order that `Planner.reset` expects."""
+
+    @property
+    def limits(self) -> Mapping[str, tuple[float | None, float | None]]:
+        """Smallest and largest value that a user's own space may contain, by parameter; None is unlimited."""
+
+    @property
+    def certifiable(self) -> bool:
+        """True where it decides by the lowest cost, linear in weights that depend on parameters, over features that do not."""
 
     def create(self, scenario: Scenario) -> Planner:
         """The planner for one scenario."""
@@ -88,9 +99,17 @@ class VehicleModel(Protocol):
 class Vehicle(Protocol):
     """A vehicle model that can be chosen in a campaign."""
 
-    name: str
-    version: str
-    parameters: tuple[VehicleParameter, ...]
+    @property
+    def name(self) -> str:
+        """By which a campaign chooses it."""
+
+    @property
+    def version(self) -> str:
+        """Changes whenever any result may change by a bit."""
+
+    @property
+    def parameters(self) -> tuple[VehicleParameter, ...]:
+        """With nominal values and the bounds for robustness."""
 
     def create(self, parameters: Mapping[str, float]) -> VehicleModel:
         """The model with these values, one for each of `parameters`."""
@@ -99,8 +118,13 @@ class Vehicle(Protocol):
 class Evaluator(Protocol):
     """Rates the comfort of a run from its measured metrics."""
 
-    name: str
-    version: str
+    @property
+    def name(self) -> str:
+        """By which a campaign chooses it."""
+
+    @property
+    def version(self) -> str:
+        """Changes whenever any rating may change by a bit."""
 
     def rate(self, manoeuvre: Manoeuvre, metrics: Mapping[str, float]) -> Rating:
         """The rating of a run that did not fail."""
@@ -109,8 +133,14 @@ class Evaluator(Protocol):
 class Catalogue(Protocol):
     """A catalogue of scenarios."""
 
-    name: str
-    scenarios: Mapping[str, Scenario]
+    @property
+    def name(self) -> str:
+        """By which a campaign chooses it."""
+
+    @property
+    def scenarios(self) -> Mapping[str, Scenario]:
+        """By id, in the order of the catalogue."""
+
     """By id, in the order of the catalogue."""
 
 
@@ -143,9 +173,13 @@ class Optimizer(Protocol):
 class OptimizerPlugin(Protocol):
     """An optimizer that can be chosen in a campaign by its `name` (`optimizer.kind`)."""
 
-    name: str
-    settings: type[BaseModel]
-    """Validates the campaign's `optimizer` section; has at least `kind`, `population`, `iterations`, `seed`."""
+    @property
+    def name(self) -> str:
+        """The campaign's `optimizer.kind`."""
+
+    @property
+    def settings(self) -> type[BaseModel]:
+        """Validates the campaign's `optimizer` section; has at least `kind`, `population`, `iterations`, `seed`."""
 
     def requested_individuals(self, settings: BaseModel) -> int:
         """How many individuals are requested at most over all iterations; the others are carried over."""

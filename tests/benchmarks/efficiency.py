@@ -1,0 +1,156 @@
+"""How much of the machine a campaign turns into simulation: `python tests/benchmarks/efficiency.py [--population N] [--iterations N]`.
+
+A coordinator as a user starts it carries out a campaign with reduction off. Efficiency = simulated cells x single-process cost of a
+cell / (wall x cores). The cost is measured in the same run, in one process on the otherwise idle machine, over a random sample of the
+campaign's own cells; a shared core or clock counts against the campaign.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import random
+import sys
+import threading
+import time
+from pathlib import Path
+
+import psutil
+
+from drivecal.cli.demo.coordinator import coordinator, fresh_folder
+from drivecal.client.client import Client
+from drivecal.contracts.campaign import Campaign
+from drivecal.episode.runner import Runner
+from drivecal.plugins import registry
+
+HOME = Path(".drivecal/bench/efficiency")
+TARGET = Path(".drivecal/bench/efficiency.json")
+AT_LEAST = 0.85
+SAMPLE = 600
+
+
+class Memory(threading.Thread):
+    """Watches the peak of the resident memory of this process's descendants, by role."""
+
+    def __init__(self) -> None:
+        super().__init__(daemon=True)
+        self.peaks: dict[str, float] = {}
+        self._stop_watching = threading.Event()
+
+    def run(self) -> None:
+        while not self._stop_watching.wait(1.0):
+            now: dict[str, float] = {}
+            for process in psutil.Process().children(recursive=True):
+                try:
+                    role = _role(process.cmdline())
+                    now[role] = now.get(role, 0.0) + process.memory_info().rss / 2**20
+                except psutil.Error:
+                    continue
+            for role, megabytes in now.items():
+                self.peaks[role] = max(self.peaks.get(role, 0.0), megabytes)
+
+    def stop(self) -> None:
+        self._stop_watching.set()
+        self.join()
+
+
+def _role(command: list[str]) -> str:
+    line = " ".join(command)
+    for word, role in (("ray::", "workers"), ("drivecal.campaigns.dispatcher", "dispatcher"), ("drivecal.api", "api")):
+        if word in line:
+            return role
+    return "ray" if "ray" in line else "supervisor"
+
+
+def run_campaign(client: Client, population: int, iterations: int) -> Campaign:
+    """A campaign with reduction off, from its start to its end."""
+    specification = {
+        "name": "efficiency",
+        "optimizer": {"kind": "genetic", "population": population, "iterations": iterations, "seed": 1},
+        "reduction": {"mode": "off"},
+    }
+    campaign = client.submit(specification)
+    while campaign.state not in {"succeeded", "failed", "cancelled"}:
+        time.sleep(1.0)
+        campaign = client.campaign(campaign.id)
+    if campaign.state != "succeeded":
+        raise RuntimeError(f"the campaign ended as {campaign.state}: {campaign.error}")
+    return campaign
+
+
+def wait_for_workers(client: Client) -> None:
+    """Returns when every worker is ready, so that compiling kernels for the first time is not measured."""
+    while True:
+        workers = client.workers().items
+        if workers and all(worker.state == "idle" for worker in workers):
+            return
+        time.sleep(0.2)
+
+
+def single_process_cost(cells: list[tuple[str, list[float]]]) -> float:
+    """Seconds per cell in this process, scenario by scenario, each warmed up first."""
+    driving_function, vehicle = registry.driving_function("frenet"), registry.vehicle("single_track")
+    nominal = {parameter.name: parameter.nominal for parameter in vehicle.parameters}
+    catalogue, evaluator = registry.catalogue("highway"), registry.evaluator("reference")
+    seconds = 0.0
+    for scenario in sorted({scenario for scenario, _ in cells}):
+        runner = Runner(catalogue.scenarios[scenario], driving_function, vehicle.create(nominal), evaluator)
+        mine = [parameters for name, parameters in cells if name == scenario]
+        runner.run(mine[0])
+        begin = time.perf_counter()
+        for parameters in mine:
+            runner.run(parameters)
+        seconds += time.perf_counter() - begin
+    return seconds / len(cells)
+
+
+def sample_of(client: Client, campaign: Campaign) -> list[tuple[str, list[float]]]:
+    """A random sample of the cells that were simulated."""
+    rows = list(client.rows(campaign.id, "evaluations"))
+    chosen = random.Random(1).sample(rows, min(SAMPLE, len(rows)))
+    return [(row["scenario"], [row[f"P{number}"] for number in range(1, 12)]) for row in chosen]
+
+
+def main() -> int:
+    """Measures, prints, writes; 0 where the campaign was efficient enough."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--population", type=int, default=1000)
+    parser.add_argument("--iterations", type=int, default=6)
+    chosen = parser.parse_args()
+    cores = os.cpu_count() or 1
+    memory = Memory()
+    memory.start()
+    with fresh_folder(HOME), coordinator(HOME) as client:
+        wait_for_workers(client)
+        campaign = run_campaign(client, chosen.population, chosen.iterations)
+        cells = sample_of(client, campaign)
+    memory.stop()
+    cost = single_process_cost(cells)
+    wall, simulated = campaign.seconds.wall, campaign.cells.simulated
+    efficiency = simulated * cost / (wall * cores)
+    figures = {
+        "cores": cores,
+        "population": chosen.population,
+        "iterations": chosen.iterations,
+        "simulated": simulated,
+        "wall_seconds": wall,
+        "single_process_milliseconds_per_cell": 1000 * cost,
+        "worker_milliseconds_per_cell": 1000 * campaign.seconds.simulating / simulated,
+        "cells_per_second": simulated / wall,
+        "efficiency": efficiency,
+        "peak_megabytes": memory.peaks,
+    }
+    TARGET.parent.mkdir(parents=True, exist_ok=True)
+    TARGET.write_text(json.dumps(figures, indent=2) + "\n")
+    print(f"{simulated:,} cells in {wall:.1f} s on {cores} cores: {simulated / wall:.0f} cells/s")
+    print(
+        f"one cell: {1000 * cost:.2f} ms in one process alone, {figures['worker_milliseconds_per_cell']:.2f} ms of CPU in a worker"
+    )
+    print(f"efficiency {efficiency:.3f} (target {AT_LEAST})")
+    print("peak memory, MB: " + ", ".join(f"{role} {megabytes:.0f}" for role, megabytes in sorted(memory.peaks.items())))
+    return 0 if efficiency >= AT_LEAST else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
