@@ -363,10 +363,10 @@ def costs_of(lateral: Any, longitudinal: Any, combined: Any, weights: Any, costs
     """J of all candidates, shape (n_longitudinal, n_lateral), from their features and the weights (12,) of base and P1..P11."""
     n_longitudinal, n_lateral = combined.shape[1], combined.shape[2]
     for j in range(n_longitudinal):
-        along = longitudinal[LONGITUDINAL_BASE, j] + weights[1] * longitudinal[LONGITUDINAL_JERK, j]
+        along = weights[0] * longitudinal[LONGITUDINAL_BASE, j] + weights[1] * longitudinal[LONGITUDINAL_JERK, j]
         for i in range(n_lateral):
             aside = (
-                lateral[LATERAL_BASE, i]
+                weights[0] * lateral[LATERAL_BASE, i]
                 + weights[1] * lateral[LATERAL_JERK, i]
                 + weights[3] * lateral[CENTRE, i]
                 + weights[5] * lateral[CONSISTENCY, i]
@@ -375,7 +375,7 @@ def costs_of(lateral: Any, longitudinal: Any, combined: Any, weights: Any, costs
             )
             costs[j, i] = (
                 (along + aside)
-                + combined[COLLISION, j, i]
+                + weights[0] * combined[COLLISION, j, i]
                 + weights[2] * combined[LATERAL_ACCELERATION, j, i]
                 + weights[4] * combined[HEADING, j, i]
                 + weights[7] * combined[CLEARANCE, j, i]

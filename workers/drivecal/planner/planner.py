@@ -65,14 +65,14 @@ class FrenetPlanner:
         self._rows = round(TRAJECTORY / scenario.step) + 1
 
         n_lateral, n_longitudinal = self._lateral_ends[0].shape[1], self._longitudinal_ends.shape[1]
-        self.n_candidates = n_lateral * n_longitudinal
+        self.n_lateral, self.n_candidates = n_lateral, n_lateral * n_longitudinal
         self._lateral = np.zeros((6, n_lateral))
         self._longitudinal = np.zeros((2, n_longitudinal))
         self._combined = np.zeros((7, n_longitudinal, n_lateral))
         self.infeasible: npt.NDArray[np.bool_] = np.zeros(self.n_candidates, dtype=np.bool_)
         """The candidates of the last plan that were cheaper than the chosen one but cannot be driven, shape (n_candidates,)."""
         self.chosen = -1
-        """The candidate of the last plan that is driven: index = longitudinal index * 32 + lateral index."""
+        """The candidate of the last plan that is driven: index = longitudinal index * n_lateral + lateral index."""
         self._memory = np.zeros(16)
         self._weights = np.zeros(12)
         self._planned_at = 0.0
