@@ -51,7 +51,8 @@ class Cluster:
         self._folder: _PrivateFolder | None = None
         os.environ.update(_ALWAYS)
         if address is None:
-            os.environ.update(_LOCAL, RAY_AUTH_TOKEN=secrets.token_hex(32))
+            os.environ.update(_LOCAL)
+            os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))  # read once per process, so never changed
             self._folder = _PrivateFolder()
         elif "RAY_AUTH_MODE" not in os.environ:
             with_token = "RAY_AUTH_TOKEN" in os.environ or "RAY_AUTH_TOKEN_PATH" in os.environ
