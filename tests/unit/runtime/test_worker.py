@@ -6,10 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from drivecal.contracts.work import Batch, Cell, CellResult, SetupRequest
+from drivecal.domain.errors import ConflictError
 from drivecal.domain.evaluations import Failure, Rating, RunResult
 from drivecal.plugins import registry
 from drivecal.plugins.setups import setup_of
@@ -30,6 +32,9 @@ class ForeignError(Exception):
 class ScriptedRunner:
     parameters: Sequence[str] = ("a", "b")
     runs: int = 0
+
+    def trace(self, parameters: Sequence[float]) -> dict[str, Any]:
+        raise NotImplementedError
 
     def run(self, parameters: Sequence[float]) -> RunResult:
         self.runs += 1
@@ -116,6 +121,20 @@ def test_only_so_many_setups_are_kept() -> None:
     assert len(made) == MOST_RUNNERS + 1
     run(worker, (0.0, 1.0), setup=replace(SETUP, scenario="S0"))
     assert made[-1] == "S0"
+
+
+def test_a_trace_is_the_same_run_with_its_time_series() -> None:
+    worker = Worker("w")
+    [result] = worker.run(Batch(_request(), (Cell(1, MIDDLE),))).results
+    trace = worker.trace(_request(), Cell(1, MIDDLE))
+    assert (trace["score"], trace["rating"], trace["metrics"]) == (result.score, result.rating, result.metrics)
+    assert len(trace["ego"]["s_m"]) == len(trace["time_s"]) > 100
+    pickle.dumps(trace)
+
+
+def test_a_cell_without_a_result_has_no_trace() -> None:
+    with pytest.raises(ConflictError, match=r"KeyError: 'P1' \(worker.py:"):
+        Worker("w").trace(_request(), Cell(1, {}))
 
 
 def _request(**document: object) -> SetupRequest:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Any, Protocol
 
 from drivecal.contracts.work import SetupRequest
 from drivecal.domain.errors import ConflictError, InvalidInputError, Problem
@@ -22,6 +22,9 @@ class Runner(Protocol):
 
     def run(self, parameters: Sequence[float]) -> RunResult:
         """One run."""
+
+    def trace(self, parameters: Sequence[float]) -> dict[str, Any]:
+        """The same run with its time series, as plain data."""
 
 
 class _EpisodeRunner:
@@ -44,6 +47,9 @@ class _EpisodeRunner:
 
     def run(self, parameters: Sequence[float]) -> RunResult:
         return self._episode.run(parameters)
+
+    def trace(self, parameters: Sequence[float]) -> dict[str, Any]:
+        return self._episode.trace(parameters).to_json()
 
 
 def make_runner(request: SetupRequest) -> Runner:

@@ -12,8 +12,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult, SetupRequest
+from drivecal.domain.errors import ConflictError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.runtime.compilation import prepare_cache
 from drivecal.runtime.runners import Runner, make_runner
@@ -51,6 +53,15 @@ class Worker:
         start = time.perf_counter()
         results = tuple(self._run_cell(batch.setup, cell) for cell in batch.cells)
         return BatchResult(self._name, results, time.perf_counter() - start)
+
+    def trace(self, setup: SetupRequest, cell: Cell) -> dict[str, Any]:
+        """One cell with its time series, as plain data. Raises ConflictError saying why where it gives no result."""
+        try:
+            runner = self._runner(setup)
+            return runner.trace([cell.parameters[name] for name in runner.parameters])
+        except (Exception, SystemExit) as error:  # noqa: BLE001  # see `_run_cell`
+            self._runners.pop(_key(setup), None)
+            raise ConflictError(describe(error)) from None
 
     def _run_cell(self, setup: SetupRequest, cell: Cell) -> CellResult:
         start = time.thread_time_ns()
