@@ -114,7 +114,7 @@ class Dispatcher:
 
     def _beat(self) -> None:
         self._renew_lock()
-        detail = {"workers": [asdict(worker) for worker in self._pool.workers()], "trouble": self._pool.trouble()}
+        detail = {"workers": [asdict(worker) for worker in self._pool.workers()], "degraded": self._pool.trouble()}
         with self._database.transaction() as connection:
             processes.heartbeat(connection, NAME, os.getpid(), self._started_at, detail)
             campaigns.degrade(connection, [active.campaign.sequence for active in self._active.values()], self._pool.trouble())
