@@ -10,7 +10,7 @@ import numpy as np
 from sqlalchemy import Connection
 
 from drivecal.campaigns.ledger import Ledger, Work
-from drivecal.campaigns.planning import View, plan_population, sync_reference_keys
+from drivecal.campaigns.planning import View, WantedCell, plan_cells, sync_reference_keys
 from drivecal.campaigns.problem import CalibrationProblem
 from drivecal.campaigns.scheduler import Completed
 from drivecal.campaigns.selfcheck import error_rates
@@ -119,14 +119,17 @@ class Calibration:
         proposal = self._optimizer.ask()
         iteration = 0 if self._iteration is None else self._iteration + 1
         changed = [int(index) for index in np.flatnonzero(proposal.changed)]
-        sets = problem.space.parameter_sets(proposal.population[changed])
+        wanted = [
+            WantedCell(individual, scenario, parameters)
+            for individual, parameters in zip(changed, problem.space.parameter_sets(proposal.population[changed]), strict=True)
+            for scenario in problem.scenarios
+        ]
         stopped = [scenario for scenario, rate in self._error_rate.items() if rate.stopped]
         reduction = specification.reduction
         policy = Policy(reduction.mode, reduction.audit, specification.optimizer.seed, stopped)
         carried_over = (len(proposal.changed) - len(changed)) * len(problem.scenarios)
         with self._database.transaction() as connection:
-            individuals = list(zip(changed, sets, strict=True))
-            cells = plan_population(connection, self._view, policy, Stage.CALIBRATION, iteration, individuals)
+            cells = plan_cells(connection, self._view, policy, Stage.CALIBRATION, iteration, wanted)
             self._ledger.request(connection, cells, carried_over)
             self._iteration, self._proposal = iteration, proposal
             work = self._ledger.load(connection, share_runs=self._shares_runs)

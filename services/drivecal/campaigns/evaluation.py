@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from drivecal.campaigns.ledger import Ledger, Work
-from drivecal.campaigns.planning import View, plan_population
+from drivecal.campaigns.planning import View, WantedCell, plan_cells
 from drivecal.campaigns.problem import EvaluationProblem
 from drivecal.campaigns.scheduler import Completed
 from drivecal.contracts.campaign import Progress
@@ -34,9 +34,10 @@ class SingleEvaluation:
         if not self._loaded:
             with self._database.transaction() as connection:
                 if self._campaign.cells.proposed == 0:
-                    individuals = [(0, self._problem.parameter_set)]
-                    policy = Policy("exact")
-                    cells = plan_population(connection, self._view, policy, Stage.CALIBRATION, 0, individuals)
+                    wanted = [
+                        WantedCell(0, scenario, self._problem.parameter_set) for scenario in self._problem.bench.scenarios
+                    ]
+                    cells = plan_cells(connection, self._view, Policy("exact"), Stage.CALIBRATION, 0, wanted)
                     self._ledger.request(connection, cells, carried_over=0)
                 work = self._ledger.load(connection, share_runs=True)
                 campaigns.save_progress(connection, self._campaign.sequence, self._snapshot())

@@ -22,6 +22,15 @@ from drivecal.storage.database import Database
 from drivecal.storage.evaluations import NewEvaluation
 
 
+@dataclass(frozen=True, slots=True)
+class WantedCell:
+    """A cell that a stage asks for. `individual` numbers the parameter sets of an iteration."""
+
+    individual: int
+    scenario: str
+    parameters: ParameterSet
+
+
 @dataclass(frozen=True)
 class View:
     """What one campaign sees of the database: its own cells, and the runs up to its watermark."""
@@ -65,58 +74,53 @@ def _keys_of(view: View, scenario: str, names: tuple[str, ...], values: npt.NDAr
     return ReferenceKeys(view.influence_map or InfluenceMap({}), scenario, names).keys(values)
 
 
-def plan_population(
-    connection: Connection,
-    view: View,
-    policy: Policy,
-    stage: Stage,
-    iteration: int,
-    individuals: Sequence[tuple[int, ParameterSet]],
+def plan_cells(
+    connection: Connection, view: View, policy: Policy, stage: Stage, iteration: int, wanted: Sequence[WantedCell]
 ) -> list[NewEvaluation]:
-    """The requested cells of a population, individual by individual, each in every scenario, with what answers them."""
-    set_ids = parameter_sets.ensure(connection, [one for _, one in individuals])
-    set_keys = [one.key for _, one in individuals]
+    """What answers each of the requested cells, in order."""
     setup_ids = ensure_setups(connection, view.bench)
-    class_keys = _class_keys(view, [one for _, one in individuals])
+    sets = {cell.parameters: None for cell in wanted}
+    set_ids = dict(zip(sets, parameter_sets.ensure(connection, list(sets)), strict=True))
+    set_keys = {one: one.key for one in sets}
     exact: dict[tuple[str, bytes], Donor] = {}
     references: dict[tuple[str, bytes], Donor] = {}
-    if policy.mode != "off":
-        for scenario, setup_id in setup_ids.items():
-            by_set = dict(zip(set_ids, set_keys, strict=True))
-            known = _exact(connection, view, scenario, setup_id, list(by_set))
-            exact |= {(scenario, by_set[set_id]): donor for set_id, donor in known.items()}
-            if scenario in class_keys and policy.mode == "influence":
-                wanted = list(dict.fromkeys(class_keys[scenario]))
-                found = _references(connection, view, scenario, setup_id, wanted)
-                references |= {(scenario, key): donor for key, donor in found.items()}
-    cells: list[RequestedCell] = []
-    new: list[tuple[int, str]] = []
-    for position, (individual, _) in enumerate(individuals):
-        for scenario in setup_ids:
-            key = class_keys[scenario][position] if scenario in class_keys else None
-            cells.append(RequestedCell(individual, scenario, set_keys[position], key))
-            new.append((set_ids[position], scenario))
+    class_keys: dict[tuple[str, ParameterSet], bytes] = {}
+    for scenario, setup_id in setup_ids.items():
+        here = list(dict.fromkeys(cell.parameters for cell in wanted if cell.scenario == scenario))
+        if not here:
+            continue
+        if scenario in view.keys:
+            keys = view.keys[scenario].keys(billionths_matrix(here))
+            class_keys |= {(scenario, one): key for one, key in zip(here, keys, strict=True)}
+        if policy.mode != "off":
+            by_id = {set_ids[one]: set_keys[one] for one in here}
+            known = _exact(connection, view, scenario, setup_id, list(by_id))
+            exact |= {(scenario, by_id[set_id]): donor for set_id, donor in known.items()}
+        if policy.mode == "influence" and scenario in view.keys:
+            found = _references(connection, view, scenario, setup_id, list(dict.fromkeys(keys)))
+            references |= {(scenario, key): donor for key, donor in found.items()}
+    cells = [
+        RequestedCell(
+            cell.individual, cell.scenario, set_keys[cell.parameters], class_keys.get((cell.scenario, cell.parameters))
+        )
+        for cell in wanted
+    ]
     return [
         NewEvaluation(
             stage=stage,
             iteration=iteration,
             individual=cell.individual,
-            scenario=scenario,
-            setup_id=setup_ids[scenario],
-            parameter_set_id=set_id,
+            scenario=cell.scenario,
+            setup_id=setup_ids[cell.scenario],
+            parameter_set_id=set_ids[one.parameters],
             plan=assignment.plan,
             reference_key=cell.reference_key,
             donor=assignment.donor,
             leader=assignment.leader,
             audited=assignment.audited,
         )
-        for cell, (set_id, scenario), assignment in zip(cells, new, assign(cells, policy, exact, references), strict=True)
+        for one, cell, assignment in zip(wanted, cells, assign(cells, policy, exact, references), strict=True)
     ]
-
-
-def _class_keys(view: View, sets: Sequence[ParameterSet]) -> dict[str, list[bytes]]:
-    values = billionths_matrix(sets)
-    return {scenario: keys.keys(values) for scenario, keys in view.keys.items()} if sets else {}
 
 
 def _exact(connection: Connection, view: View, scenario: str, setup_id: int, set_ids: Sequence[int]) -> dict[int, Donor]:
