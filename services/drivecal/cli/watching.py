@@ -129,7 +129,7 @@ def _detail(campaign: Campaign) -> str:
     parts = [f"{name} {getattr(cells, name):,}" for name in reversed(OUTCOMES) if getattr(cells, name)]
     if campaign.best:
         parts.append(f"best {campaign.best.objective:.3f}")
-    if campaign.progress.eta_seconds is not None:
+    if campaign.progress.eta_seconds is not None and campaign.state == "running":
         parts.append(f"{duration(campaign.progress.eta_seconds)} left")
     if campaign.degraded:
         parts.append(f"degraded: {campaign.degraded}")

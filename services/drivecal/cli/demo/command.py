@@ -7,6 +7,7 @@ import shutil
 import sys
 import time
 from collections.abc import Mapping
+from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ import typer
 from drivecal.campaigns.settings import load_settings
 from drivecal.cli.commands import ExitCode, JsonOption, app, tell
 from drivecal.cli.demo.coordinator import coordinator, fresh_folder
+from drivecal.cli.documents import read_document
 from drivecal.cli.output import duration, print_cells, print_json, print_solutions, saved
 from drivecal.cli.watching import show_until_ended
 from drivecal.client.client import Client
@@ -73,19 +75,24 @@ def demo(as_json: JsonOption = False) -> None:
 
 
 def _first(client: Client, as_json: bool) -> Campaign:
-    expected = client.expected_runs(CAMPAIGN)
+    with as_file(files("drivecal.cli.demo") / "expert_map.yaml") as file:
+        known = client.post_influence_map(read_document(str(file)))
+    tell(f"told it where parameters cannot matter ({len(known.rows or [])} entries in influence map {known.id[:8]})")
+    specification = {**CAMPAIGN, "sensitivity": {"map": known.id}}
+    expected = client.expected_runs(specification)
     optimizer = CAMPAIGN["optimizer"]
     tell(
         f"submitting a campaign: {optimizer['population']} individuals x 6 scenarios x {optimizer['iterations']} iterations = "
         f"{expected.calibration_proposed:,} cells, of which the optimizer changes at most {expected.calibration_at_most:,}"
     )
-    campaign = _carried_out(client, client.submit(CAMPAIGN))
+    campaign = _carried_out(client, client.submit(specification))
     if not as_json:
         typer.echo(f"\nThe best parameter sets, with the comfort score (0 to 7) in each scenario, after {_time(campaign)}:\n")
         print_solutions(client.solutions(campaign.id, limit=SHOWN).items)
         _print_comparison(campaign)
         typer.echo("\nHow its cells, one parameter set in one scenario each, were answered:\n")
         print_cells([("campaign", campaign.cells)])
+        _print_self_check(campaign)
     return campaign
 
 
@@ -97,6 +104,7 @@ def _second(client: Client, first: Campaign, as_json: bool) -> Campaign:
         print_solutions(client.solutions(campaign.id, limit=SHOWN).items)
         typer.echo("\nWhat the first campaign had simulated was not simulated again:\n")
         print_cells([("campaign", first.cells), ("rerun", campaign.cells)])
+        _print_self_check(campaign)
     return campaign
 
 
@@ -115,6 +123,16 @@ def _print_comparison(campaign: Campaign) -> None:
         f"\nThe middle of all ranges scores {campaign.baseline.objective:.3f}; the best is {better:.3f} better, "
         f"and {campaign.best.alternatives} sets share it."
     )
+
+
+def _print_self_check(campaign: Campaign) -> None:
+    rates = campaign.error_rate.values()
+    audited, different, wrong = (sum(getattr(rate, name) for rate in rates) for name in ("audited", "different", "wrong"))
+    if audited:
+        typer.echo(
+            f"\nSelf-check: {audited} cells that a reference could have answered were simulated all the same; "
+            f"{different} scored differently, {wrong} by more than 1."
+        )
 
 
 def _time(campaign: Campaign) -> str:
