@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import BaseModel, ValidationError
+from scipy import stats
 
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.parameters import Indices
@@ -253,6 +254,28 @@ def test_parents_come_from_the_eligible_alone() -> None:
     optimizer.tell(objectives, objectives)
     proposal = optimizer.ask()
     assert not proposal.population[proposal.changed].any()
+
+
+def test_no_individual_is_a_parent_twice_in_one_generation() -> None:
+    """Forty individuals, each marked by a bit of its own, all of them parents: no mark may turn up in two children."""
+    start = np.eye(40, dtype=np.int64)
+    options = chosen(GENETIC, population=40, selection=1.0, recombination=1.0, mutation=0.0)
+    optimizer = GENETIC.create(options, np.full(40, 2), start)
+    optimizer.ask()
+    optimizer.tell(np.zeros(40), np.zeros(40))
+    proposal = optimizer.ask()
+    marks = proposal.population[proposal.changed].sum(axis=0)
+    assert proposal.changed.sum() == 20
+    assert marks.max() == 1
+
+
+def test_random_search_draws_every_value_of_the_grid_equally_often() -> None:
+    options = chosen(RANDOM, population=20_000, renewal=1.0)
+    told = drive(RANDOM.create(options, SMALL), 2)
+    population, changed = told[1]
+    assert changed.all()
+    for column, n in zip(population.T, SMALL.tolist(), strict=True):
+        assert stats.chisquare(np.bincount(column, minlength=n)).pvalue > 1e-4
 
 
 def is_child(child: npt.NDArray[np.bool_], one: npt.NDArray[np.bool_], other: npt.NDArray[np.bool_], flips: int) -> bool:
