@@ -1,0 +1,154 @@
+"""The sensitivity analysis of a campaign as ask/tell in phases: intervals, confirmation of what is cut, global analysis in what is left.
+
+Nothing is saved: an analysis that is created anew from the same arguments and told the scores of all finished phases again goes on
+exactly as this one would.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.domain.influence import InfluenceMap
+from drivecal.domain.parameters import Indices, ParameterSpace
+from drivecal.sensitivity.cutting import check_intervals, interval_edges, most_confirmations
+from drivecal.sensitivity.effects import LARGEST_SCORE, Design, Floats
+from drivecal.sensitivity.lines import lines_design, regions_design
+from drivecal.sensitivity.paper import paper_design
+from drivecal.sensitivity.radial import SobolRows, radial_design
+from drivecal.sensitivity.scenario import ScenarioInfluence, ScenarioState
+from drivecal.sensitivity.settings import SensitivitySettings
+
+PhaseName = Literal["intervals", "confirmation", "global"]
+
+_INTERVALS, _GLOBAL, _FIRST_CONFIRMATION = 0, 1, 2
+"""Which Sobol' sequences a phase draws from; each round of confirmation has its own."""
+
+
+@dataclass(frozen=True, slots=True)
+class Phase:
+    """Runs that can be made in any order. `number` counts from 0; several rounds of confirmation share a name.
+
+    `points`: grid indices of the searched parameters by scenario, shape (n, n_searched). Scenarios of which nothing is asked are not in it.
+    Points may repeat; equal arrays are one object where all scenarios share them.
+    """
+
+    number: int
+    name: PhaseName
+    points: Mapping[str, Indices]
+
+    @property
+    def runs(self) -> int:
+        """Over all scenarios, repeats included."""
+        return sum(len(points) for points in self.points.values())
+
+
+class SensitivityAnalysis:
+    """One analysis of all scenarios. Deterministic: a function of its arguments and of the scores it was told."""
+
+    def __init__(self, space: ParameterSpace, scenarios: Sequence[str], settings: SensitivitySettings) -> None:
+        """Raises InvalidInputError where nothing is searched or the intervals are finer than a parameter's grid."""
+        if not space.searched:
+            raise InvalidInputError(Problem("fixed", "every parameter is fixed", "leave at least one to be searched"))
+        check_intervals(space, settings.intervals)
+        self._space = space
+        self._settings = settings
+        self._edges = [interval_edges(n, settings.intervals) for n in space.n_values.tolist()]
+        self._states = {one: ScenarioState(space, self._edges, settings.threshold) for one in scenarios}
+        self._number = 0
+        self._name: PhaseName | None = "intervals"
+        self._designs: dict[str, Design] | None = None
+
+    def expected_runs(self) -> dict[PhaseName, int]:
+        """Runs per scenario and phase: exact for the intervals (Equation 3 for `paper`), at most for the others.
+
+        Confirmation is cheaper by far where few regions are given back, and repeats are answered without a run.
+        """
+        n_p, r, intervals = len(self._space.searched), self._settings.samples, self._settings.intervals
+        first = n_p * intervals * r * (n_p + 1) if self._settings.design == "paper" else r * (1 + n_p * (2 * intervals - 1))
+        return {"intervals": first, "confirmation": 2 * r * n_p * most_confirmations(intervals), "global": r * (n_p + 1)}
+
+    def ask(self) -> Phase | None:
+        """The phase whose scores are to be told next, the same until they are; None when the analysis is finished."""
+        if self._name is None:
+            return None
+        if self._designs is None:
+            self._designs = self._drawn()
+        return Phase(self._number, self._name, {scenario: one.points for scenario, one in self._designs.items()})
+
+    def tell(self, scores: Mapping[str, Floats]) -> None:
+        """The scores 0..7 of the points of the phase asked last, by scenario, shape (n,); NaN where a run failed.
+
+        Raises ValueError where they do not fit the phase, RuntimeError where nothing was asked.
+        """
+        if self._designs is None or self._name is None:
+            raise RuntimeError("there is nothing to tell: ask for a phase first")
+        if set(scores) != set(self._designs):
+            raise ValueError(f"scores must be of {', '.join(self._designs)}, not of {', '.join(scores)}")
+        for scenario, design in self._designs.items():
+            _check(scenario, scores[scenario], len(design.points))
+        for scenario, design in self._designs.items():
+            state, told = self._states[scenario], scores[scenario]
+            effects = design.effects(told)
+            if self._name == "intervals":
+                state.take_intervals(told, effects, design.steps)
+            elif self._name == "confirmation":
+                state.take_confirmations(effects, design.steps)
+            else:
+                state.take_overall(told, effects, design.steps)
+        self._designs = None
+        self._number += 1
+        self._name = self._next()
+
+    def result(self) -> dict[str, ScenarioInfluence]:
+        """What was found, by scenario. Raises RuntimeError before the analysis is finished."""
+        if self._name is not None:
+            raise RuntimeError("the analysis is not finished: ask for its next phase")
+        return {scenario: state.result() for scenario, state in self._states.items()}
+
+    def influence_map(self) -> InfluenceMap:
+        """`result` as the map that the reduction uses. Raises RuntimeError before the analysis is finished."""
+        found = self.result()
+        return InfluenceMap(
+            {
+                scenario: {name: parameter.influence for name, parameter in one.parameters.items()}
+                for scenario, one in found.items()
+            }
+        )
+
+    def _next(self) -> PhaseName | None:
+        if any(state.waiting for state in self._states.values()):
+            return "confirmation"
+        if self._name == "global" or all(state.unknown for state in self._states.values()):
+            return None
+        return "global"
+
+    def _drawn(self) -> dict[str, Design]:
+        n_values, samples, seed = self._space.n_values, self._settings.samples, self._settings.seed
+        if self._name == "intervals":
+            make = paper_design if self._settings.design == "paper" else lines_design
+            shared = make(n_values, self._edges, samples, seed, _INTERVALS)
+            return dict.fromkeys(self._states, shared)
+        if self._name == "confirmation":
+            tag = _FIRST_CONFIRMATION + self._number
+            regions = {
+                scenario: [(one.column, *state.bounds(one)) for one in state.waiting]
+                for scenario, state in self._states.items()
+                if state.waiting
+            }
+            return {scenario: regions_design(n_values, one, samples, seed, tag) for scenario, one in regions.items()}
+        rows = SobolRows(2 * len(n_values), seed, _GLOBAL, 1)
+        boxes = {scenario: state.box() for scenario, state in self._states.items() if not state.unknown}
+        return {scenario: radial_design(n_values, rows, *box, samples) for scenario, box in boxes.items()}
+
+
+def _check(scenario: str, scores: Floats, count: int) -> None:
+    if scores.shape != (count,):
+        raise ValueError(f"scores of {scenario} must be {count} numbers, not of shape {scores.shape}")
+    known = scores[~np.isnan(scores)]
+    if np.any((known < 0) | (known > LARGEST_SCORE)):
+        raise ValueError(f"scores of {scenario} must lie in 0..{LARGEST_SCORE}, or be NaN where a run failed")

@@ -1,0 +1,80 @@
+"""Which values of a parameter are cut: non-influential intervals from both ends inwards until the first influential one.
+
+Intervals share their edges, so that every step between neighbouring values lies in exactly one of them: a change between the last value
+of one interval and the first of the next cannot be missed. What is cut are the values strictly outside the kept intervals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.domain.parameters import Indices, ParameterSpace
+
+
+def interval_edges(n_values: int, intervals: int) -> Indices:
+    """The grid indices where equal intervals meet, shape (intervals + 1,), from 0 to n_values - 1; strictly increasing where they fit."""
+    return (2 * np.arange(intervals + 1) * (n_values - 1) + intervals) // (2 * intervals)
+
+
+def check_intervals(space: ParameterSpace, intervals: int) -> None:
+    """Raises InvalidInputError naming every parameter whose grid has fewer steps than there would be intervals, and what would fit."""
+    fitting = int(space.n_values.min()) - 1
+    problems = [
+        Problem(
+            "sensitivity.intervals",
+            f"{intervals} intervals are finer than the grid of {parameter.name}, which has {parameter.n_values} values",
+            f"give at most {fitting}",
+        )
+        for parameter in space.searched
+        if parameter.n_values - 1 < intervals
+    ]
+    if problems:
+        raise InvalidInputError(*problems)
+
+
+@dataclass(frozen=True, slots=True)
+class Region:
+    """Intervals that may be cut: so many from the lower end (`below`), from the upper end (`above`), or all of them (`whole`)."""
+
+    column: int
+    side: Literal["below", "above", "whole"]
+    intervals: int
+
+    def bounds(self, edges: Indices) -> tuple[int, int]:
+        """The first and the last grid index that are cut."""
+        if self.side == "below":
+            return 0, int(edges[self.intervals]) - 1
+        if self.side == "above":
+            return int(edges[-1 - self.intervals]) + 1, int(edges[-1])
+        return 0, int(edges[-1])
+
+    def given_back(self) -> Region | None:
+        """What is left to confirm after the region as a whole turned out influential.
+
+        Its inner half, rounded up, is given back: influence is likelier next to the influential intervals, and halving costs a few
+        more analyses only where giving back everything would lose most of what is cut. What is left must be confirmed by an analysis of
+        its own. A whole range has no inner half and is given back as a whole: no place in it is known to be the influential one.
+        """
+        left = 0 if self.side == "whole" else self.intervals // 2
+        return Region(self.column, self.side, left) if left else None
+
+
+def cut(column: int, influential: Sequence[bool]) -> list[Region]:
+    """The regions of one parameter that may be cut, from which of its intervals are influential, in order from lower to upper."""
+    if not any(influential):
+        return [Region(column, "whole", len(influential))]
+    below = list(influential).index(True)
+    above = list(reversed(influential)).index(True)
+    found = [Region(column, "below", below)] if below else []
+    return [*found, Region(column, "above", above)] if above else found
+
+
+def most_confirmations(intervals: int) -> int:
+    """Confirming analyses of one parameter at most, over all rounds: each halving of a region takes one."""
+    halvings = [below.bit_length() + (intervals - 1 - below).bit_length() for below in range(intervals)]
+    return max(1, *halvings)

@@ -1,0 +1,101 @@
+"""Elementary effects and what is said about a parameter from them (Section II-A of the paper, Equations 1 and 2)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import nan, sqrt
+
+import numpy as np
+import numpy.typing as npt
+
+from drivecal.domain.parameters import Indices
+
+Floats = npt.NDArray[np.float64]
+
+LARGEST_SCORE = 7
+"""Changes of the score are divided by it, so that an effect of 1 is the whole scale over the whole range."""
+
+
+@dataclass(frozen=True, slots=True)
+class Design:
+    """Points to run and which two of them make each elementary effect.
+
+    `points`: grid indices, shape (n, n_searched). `first`, `second`: rows of `points`, and `steps`: the signed step from one to the
+    other in units of the parameter's full range, never 0; all of one shape, whose last axis is the samples.
+    """
+
+    points: Indices
+    first: Indices
+    second: Indices
+    steps: Floats
+
+    def effects(self, scores: Floats) -> Floats:
+        """Elementary effects, shaped as `steps`, from the points' scores 0..7, shape (n,); NaN where one of the two runs failed."""
+        changes: Floats = (scores[self.second] - scores[self.first]) / LARGEST_SCORE
+        return changes / self.steps
+
+
+class DesignBuilder:
+    """Collects the points and pairs of a design."""
+
+    def __init__(self, n_values: Indices) -> None:
+        """`n_values`: grid sizes of the searched parameters, shape (n_searched,)."""
+        self._n_values = n_values
+        self._points: list[Indices] = []
+        self._pairs: list[tuple[int, Indices, Indices]] = []
+        self._count = 0
+
+    def add_points(self, points: Indices) -> Indices:
+        """Adds runs, shape (n, n_searched); gives their row numbers, shape (n,)."""
+        rows = np.arange(self._count, self._count + len(points))
+        self._points.append(points)
+        self._count += len(points)
+        return rows
+
+    def add_pairs(self, column: int, first: Indices, second: Indices) -> None:
+        """Adds one analysis of r effects of the parameter in `column`: rows of points, shape (r,), of which only that column differs."""
+        self._pairs.append((column, first, second))
+
+    def design(self, *shape: int) -> Design:
+        """The design, its analyses in the order in which they were added, shaped (*shape, r)."""
+        points = np.concatenate(self._points)
+        points.flags.writeable = False  # scenarios share them, and effects are computed from them later
+        first = np.stack([pair for _, pair, _ in self._pairs])
+        second = np.stack([pair for _, _, pair in self._pairs])
+        columns = np.array([column for column, _, _ in self._pairs])[:, np.newaxis]
+        steps = (points[second, columns] - points[first, columns]) / (self._n_values[columns] - 1)
+        full = (*shape, first.shape[-1])
+        return Design(points, first.reshape(full), second.reshape(full), steps.reshape(full))
+
+
+@dataclass(frozen=True, slots=True)
+class Measures:
+    """What r elementary effects of one parameter say: mean, mean of magnitudes, standard deviation, and how many there were.
+
+    Fewer than two effects have no standard deviation: all figures are NaN then.
+    """
+
+    mu: float
+    mu_star: float
+    sigma: float
+    n_effects: int
+
+    @property
+    def s_rel(self) -> float:
+        """The relative sensitivity sqrt(mu^2 + sigma^2), which is about the root mean square of the effects."""
+        return sqrt(self.mu**2 + self.sigma**2)
+
+
+def measures(effects: Floats) -> Measures:
+    """Of the effects of one analysis, shape (r,); NaN ones, whose run failed, do not count."""
+    known = effects[~np.isnan(effects)]
+    if known.size < 2:
+        return Measures(nan, nan, nan, known.size)
+    mean, magnitude = float(known.mean()), float(np.abs(known).mean())
+    return Measures(mean, magnitude, float(known.std(ddof=1)), known.size)
+
+
+def smallest_nonzero(found: Sequence[Measures]) -> float | None:
+    """The smallest s_rel that is not zero, None where all are: with few samples a threshold below it means any change at all."""
+    return min((one.s_rel for one in found if one.s_rel > 0), default=None)

@@ -1,0 +1,83 @@
+"""Designs along the parameters' axes: many boxes of one parameter share the same base points.
+
+An analysis of one parameter in one box needs two runs per effect that differ in that parameter alone. A radial design gives the effects
+of all parameters, of which complexity reduction uses one. Here every base point has, for each parameter and box, two points inside the
+box, with the base point's values of all others and with the step law of the radial design.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from drivecal.domain.parameters import Indices
+from drivecal.sensitivity.effects import Design, DesignBuilder
+from drivecal.sensitivity.radial import SHORTEST, SobolRows, auxiliary_points, snapped
+
+BASE, PAIRS = 1, 2
+"""Which of a design's sequences a key names: base points, or the pairs of one box."""
+
+
+def base_points(n_values: Indices, samples: int, *key: int) -> Indices:
+    """Sobol' points over the full space, shape (samples, n_searched)."""
+    unit = SobolRows(len(n_values), *key, BASE).upto(samples)[:samples]
+    return snapped(unit, np.zeros_like(n_values), n_values - 1)
+
+
+def pairs_inside(
+    own: Indices, mine: npt.NDArray[np.bool_], lower: int, upper: int, *key: int, shortest: float = SHORTEST
+) -> tuple[Indices, Indices]:
+    """Two values of one parameter per base point, both of shape (samples,), inside [lower, upper], at least a step apart.
+
+    `own`: the base points' values, which serve as the first where `mine` says that they lie in this box; shape (samples,).
+    """
+    rows = SobolRows(2, *key, PAIRS)
+    box = np.array([lower]), np.array([upper])
+    first = np.where(mine, own, snapped(rows.upto(len(own))[: len(own), 0], *box))
+    return first, auxiliary_points(rows, 1, first[:, np.newaxis], *box, shortest)[:, 0]
+
+
+def lines_design(n_values: Indices, edges: Sequence[Indices], samples: int, seed: int, tag: int) -> Design:
+    """The intervals between `edges` of every parameter on shared base points: r (1 + n_p (2 n_Int - 1)) runs.
+
+    Effects have shape (n_p, n_Int, r). In the interval where a base point lies, it is one of the two; on a shared edge it belongs to
+    the upper interval.
+    """
+    base = base_points(n_values, samples, seed, tag)
+    builder = DesignBuilder(n_values)
+    base_rows = builder.add_points(base)
+    for column, marks in enumerate(edges):
+        home = np.minimum(np.searchsorted(marks, base[:, column], side="right") - 1, len(marks) - 2)
+        for interval, (lower, upper) in enumerate(pairwise(marks.tolist())):
+            mine = home == interval
+            first, second = pairs_inside(base[:, column], mine, lower, upper, seed, tag, column, interval)
+            first_rows = base_rows.copy()
+            first_rows[~mine] = builder.add_points(_moved(base[~mine], column, first[~mine]))
+            builder.add_pairs(column, first_rows, builder.add_points(_moved(base, column, second)))
+    return builder.design(len(n_values), len(edges[0]) - 1)
+
+
+def regions_design(n_values: Indices, regions: Sequence[tuple[int, int, int]], samples: int, seed: int, tag: int) -> Design:
+    """One analysis for each (column, lower, upper) in `regions`, on shared base points: 2 r runs each; effects (n_regions, r).
+
+    Where a base point lies inside a region it is the first of the two, so that regions share these runs; what is asked twice is
+    answered by the reference table. Equal regions have equal points, whatever else is in the list.
+    """
+    base = base_points(n_values, samples, seed, tag)
+    builder = DesignBuilder(n_values)
+    for column, lower, upper in regions:
+        own = base[:, column]
+        mine = (own >= lower) & (own <= upper)
+        first, second = pairs_inside(own, mine, lower, upper, seed, tag, column)
+        rows = builder.add_points(_moved(base, column, first))
+        builder.add_pairs(column, rows, builder.add_points(_moved(base, column, second)))
+    return builder.design(len(regions))
+
+
+def _moved(points: Indices, column: int, values: Indices) -> Indices:
+    moved = points.copy()
+    moved[:, column] = values
+    return moved

@@ -1,0 +1,165 @@
+"""What is known about one scenario while the analysis goes on, and what it comes to in the end."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivecal.domain.influence import EVERYWHERE, Influence
+from drivecal.domain.parameters import Indices, ParameterSpace
+from drivecal.sensitivity.cutting import Region, cut
+from drivecal.sensitivity.effects import Floats, Measures, measures, smallest_nonzero
+from drivecal.sensitivity.thresholds import Threshold, Verdict, verdict
+
+
+@dataclass(frozen=True, slots=True)
+class Confirmation:
+    """One analysis over a whole cut region: its first and last grid index, and what it found."""
+
+    region: Region
+    lower: int
+    upper: int
+    verdict: Verdict
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterInfluence:
+    """What the analysis found about one parameter in one scenario.
+
+    `influence`: what holds. `intervals`: from the lower end to the upper. `confirmations`: of its cut regions, in order. `overall`: the
+    global analysis inside the influential box, None where there was none (the scenario is unknown).
+    """
+
+    influence: Influence
+    intervals: tuple[Verdict, ...]
+    confirmations: tuple[Confirmation, ...]
+    overall: Verdict | None
+
+    @property
+    def s_rel_intervals(self) -> tuple[float, ...]:
+        """s_rel of each interval; NaN where fewer than two effects are known."""
+        return tuple(one.measures.s_rel for one in self.intervals)
+
+
+@dataclass(frozen=True, slots=True)
+class ScenarioInfluence:
+    """By parameter name. `unknown`: no run gave a score above 0, so nothing is known and everything counts as influential.
+
+    `smallest_interval_s_rel`, `smallest_overall_s_rel`: the smallest that are not zero, None where all are. A threshold below them
+    means any change at all.
+    """
+
+    parameters: Mapping[str, ParameterInfluence]
+    unknown: bool
+    smallest_interval_s_rel: float | None
+    smallest_overall_s_rel: float | None
+
+
+def tells_nothing(scores: Floats) -> bool:
+    """Whether all runs failed or scored 0: then equal scores do not mean that parameters are without influence."""
+    return bool(np.all(np.isnan(scores) | (scores == 0)))
+
+
+class ScenarioState:
+    """Takes in the effects of each phase and says what is to be analysed next."""
+
+    def __init__(self, space: ParameterSpace, edges: Sequence[Indices], threshold: Threshold) -> None:
+        """`edges`: of each searched parameter's intervals, shape (n_Int + 1,) each."""
+        self._space = space
+        self._edges = edges
+        self._threshold = threshold
+        self._intervals: list[tuple[Verdict, ...]] = [() for _ in edges]
+        self._confirmations: list[list[Confirmation]] = [[] for _ in edges]
+        self._cut: list[dict[str, Region]] = [{} for _ in edges]
+        self._overall: list[Verdict] | None = None
+        self.unknown = False
+        self.waiting: list[Region] = []
+        """Regions to be confirmed in the next round."""
+
+    def take_intervals(self, scores: Floats, effects: Floats, steps: Floats) -> None:
+        """Cuts. `scores`: of all runs; `effects`, `steps`: shape (n_p, n_Int, r)."""
+        for column in range(len(self._edges)):
+            rows = zip(effects[column], steps[column], strict=True)
+            self._intervals[column] = tuple(self._verdict(*row) for row in rows)
+        self.unknown = tells_nothing(scores)
+        if not self.unknown:
+            for column, found in enumerate(self._intervals):
+                self._try(cut(column, [one.influential for one in found]))
+
+    def take_confirmations(self, effects: Floats, steps: Floats) -> None:
+        """Gives back what turned out influential. `effects`, `steps`: shape (n_waiting, r), in the order of `waiting`."""
+        regions, self.waiting = self.waiting, []
+        for region, *row in zip(regions, effects, steps, strict=True):
+            found = self._verdict(*row)
+            lower, upper = self.bounds(region)
+            self._confirmations[region.column].append(Confirmation(region, lower, upper, found))
+            if found.influential:
+                del self._cut[region.column][region.side]
+                left = region.given_back()
+                self._try([left] if left else [])
+
+    def take_overall(self, scores: Floats, effects: Floats, steps: Floats) -> None:
+        """The global analysis: `effects`, `steps` of shape (n_p, r). Where it tells nothing, what the intervals gave stands."""
+        found = [self._verdict(*row) for row in zip(effects, steps, strict=True)]
+        self._overall = found
+        if tells_nothing(scores):
+            return
+        for column, one in enumerate(found):
+            whole = "whole" in self._cut[column]
+            if whole and one.influential:
+                self._cut[column] = {}
+            elif not one.influential and not whole:
+                self._cut[column] = {"whole": Region(column, "whole", len(self._edges[column]) - 1)}
+
+    def bounds(self, region: Region) -> tuple[int, int]:
+        """The first and the last grid index of a region."""
+        return region.bounds(self._edges[region.column])
+
+    def box(self) -> tuple[Indices, Indices]:
+        """The influential box as inclusive grid indices, shape (n_p,) each; the full range where nothing or everything is cut."""
+        pairs = [self._kept(column) for column in range(len(self._edges))]
+        lower, upper = np.array(pairs, dtype=np.int64).T
+        return lower, upper
+
+    def result(self) -> ScenarioInfluence:
+        """What it came to, by the names of the searched parameters."""
+        found: dict[str, ParameterInfluence] = {}
+        for column, parameter in enumerate(self._space.searched):
+            overall = None if self._overall is None else self._overall[column]
+            confirmations = tuple(self._confirmations[column])
+            found[parameter.name] = ParameterInfluence(self._influence(column), self._intervals[column], confirmations, overall)
+        all_intervals = [one.measures for row in self._intervals for one in row]
+        all_overall: list[Measures] = [] if self._overall is None else [one.measures for one in self._overall]
+        return ScenarioInfluence(found, self.unknown, smallest_nonzero(all_intervals), smallest_nonzero(all_overall))
+
+    def _influence(self, column: int) -> Influence:
+        regions, parameter = self._cut[column], self._space.searched[column]
+        if not regions:
+            return EVERYWHERE
+        if "whole" in regions:
+            return Influence(influential=False)
+        lower, upper = self._kept(column)
+        return Influence(
+            influential=True,
+            lower=parameter.value(lower) if "below" in regions else None,
+            upper=parameter.value(upper) if "above" in regions else None,
+        )
+
+    def _kept(self, column: int) -> tuple[int, int]:
+        regions, last = self._cut[column], int(self._edges[column][-1])
+        lower = self.bounds(regions["below"])[1] + 1 if "below" in regions else 0
+        upper = self.bounds(regions["above"])[0] - 1 if "above" in regions else last
+        return lower, upper
+
+    def _try(self, regions: Sequence[Region]) -> None:
+        """Cuts regions until further notice. One that holds a single value needs no confirmation: there is no step in it."""
+        for region in regions:
+            self._cut[region.column][region.side] = region
+            lower, upper = self.bounds(region)
+            if upper > lower:
+                self.waiting.append(region)
+
+    def _verdict(self, effects: Floats, steps: Floats) -> Verdict:
+        return verdict(measures(effects), steps[~np.isnan(effects)], self._threshold)

@@ -1,0 +1,51 @@
+"""What a sensitivity analysis is asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import isfinite
+from typing import Literal
+
+from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.sensitivity.thresholds import SeparateThresholds, Threshold
+
+
+@dataclass(frozen=True, slots=True)
+class SensitivitySettings:
+    """`design`: how the intervals are analysed; `intervals`: n_Int per parameter; `samples`: r effects per analysis; `seed`: of all points.
+
+    Raises InvalidInputError naming every setting that cannot be used, under `sensitivity`.
+    """
+
+    design: Literal["lines", "paper"]
+    intervals: int
+    samples: int
+    threshold: Threshold
+    seed: int
+
+    def __post_init__(self) -> None:
+        problems: list[Problem] = []
+        if self.design not in {"lines", "paper"}:
+            problems.append(_problem("design", f"there is no design {self.design!r}", "give lines or paper"))
+        if self.intervals < 1:
+            problems.append(_problem("intervals", f"{self.intervals} is too small", "give at least 1"))
+        if self.samples < 2:
+            problems.append(
+                _problem("samples", f"{self.samples} is too small: a standard deviation takes two", "give at least 2")
+            )
+        if self.seed < 0:
+            problems.append(_problem("seed", f"{self.seed} is negative", "give at least 0"))
+        if isinstance(self.threshold, SeparateThresholds):
+            limits = {"threshold.mu": self.threshold.mu, "threshold.sigma": self.threshold.sigma}
+        else:
+            limits = {} if self.threshold == "auto" else {"threshold": self.threshold}
+        for name, limit in limits.items():
+            if not isfinite(limit) or limit <= 0:
+                remedy = "give a number above 0" + (" or auto" if name == "threshold" else "")
+                problems.append(_problem(name, f"{limit} is no usable threshold", remedy))
+        if problems:
+            raise InvalidInputError(*problems)
+
+
+def _problem(name: str, message: str, remedy: str) -> Problem:
+    return Problem(f"sensitivity.{name}", message, remedy)

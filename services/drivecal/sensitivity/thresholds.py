@@ -1,0 +1,81 @@
+"""From which sensitivity on a parameter counts as influential: on s_rel, on |mu| and sigma separately, or derived (`auto`).
+
+`auto` starts from what a discrete score does to s_rel. A change of one point between two runs is an effect of 1/(7 step), however little
+the rating behind it moved, and s_rel is about the root mean square of the effects. So s_rel mainly counts changed runs: k changes of one
+point in n effects of step d give s_rel = sqrt(k / (n - 1)) / (7 d) nearly. In an interval of a tenth of the range that is ten times as much
+as in the whole range; one number for both either lets every change count in the interval or next to none in the whole range. `auto`
+therefore fixes the number of changes that are tolerated, not s_rel:
+
+* A change of one point is what the paper tolerates in a reused result (Equation 8), and it calls a rate of 1.08 % negligible (Table 2).
+  Tolerated are as many changes of one point as n effects show with a probability of at least 95 % when their rate is 1 %: none up to
+  n = 5, one up to n = 35, three at n = 100.
+* The threshold lies halfway between so many and one more, for the steps that were made. A change of two points weighs as four of one,
+  more than is tolerated up to n = 137.
+
+It depends on the design alone, not on the scores, so that it is known before the first run and does not bend to what is found.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import sqrt
+from typing import Literal
+
+import numpy as np
+
+from drivecal.sensitivity.effects import LARGEST_SCORE, Floats, Measures
+
+TOLERATED_RATE = 0.01
+"""Changes of one point per step that count as negligible; the largest error ratio in Table 2 is 0.0108."""
+CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True, slots=True)
+class SeparateThresholds:
+    """Influential from |mu| >= `mu` or sigma >= `sigma` on (Section IV-E)."""
+
+    mu: float
+    sigma: float
+
+
+Threshold = float | SeparateThresholds | Literal["auto"]
+"""A number is a threshold on s_rel."""
+
+
+def tolerated_changes(n_effects: int) -> int:
+    """The smallest m of which at most m changes in `n_effects` have a probability of `CONFIDENCE`, at `TOLERATED_RATE`."""
+    from scipy.special import bdtr  # takes a while, which commands that only look things up need not pay
+
+    enough = bdtr(np.arange(n_effects + 1.0), n_effects, TOLERATED_RATE) >= CONFIDENCE
+    return int(np.argmax(enough))
+
+
+def automatic(steps: Floats) -> float:
+    """The threshold on s_rel for an analysis with these steps, shape (n,), n >= 2, in units of the full range."""
+    mean_square = float(np.mean((1 / (LARGEST_SCORE * steps)) ** 2))
+    return sqrt((tolerated_changes(steps.size) + 0.5) / (steps.size - 1) * mean_square)
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What was found about one parameter in one box, and whether that is influential.
+
+    `threshold` is what was applied: on s_rel, or on |mu| and sigma; None where there was nothing to apply it to.
+    """
+
+    measures: Measures
+    threshold: float | SeparateThresholds | None
+    influential: bool
+
+
+def verdict(found: Measures, steps: Floats, threshold: Threshold) -> Verdict:
+    """Applies a threshold to measures; `steps` are those of the effects that count, shape (n_effects,).
+
+    With fewer than two effects nothing is known, which counts as influential.
+    """
+    if found.n_effects < 2:
+        return Verdict(found, None, influential=True)
+    if isinstance(threshold, SeparateThresholds):
+        return Verdict(found, threshold, abs(found.mu) >= threshold.mu or found.sigma >= threshold.sigma)
+    limit = automatic(steps) if threshold == "auto" else float(threshold)
+    return Verdict(found, limit, found.s_rel >= limit)
