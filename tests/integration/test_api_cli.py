@@ -1,0 +1,292 @@
+"""The command line against a real server over HTTP; what the dispatcher would store is stored by hand."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+from tests.support.found import carry_out, carry_out_evaluation
+from tests.support.server import RunningApi, free_port, serving
+from typer.testing import CliRunner, Result
+
+from drivecal.cli.main import app
+from drivecal.domain.campaigns import CampaignState
+from drivecal.storage import campaigns
+
+MIDDLE = (0, 1, 100, 1000, 750, 0.5, 100, 1000, 5, 10, 100)
+SETS = [f"P{number}={value}" for number, value in enumerate(MIDDLE, 1)]
+Run = Callable[..., Result]
+
+
+@pytest.fixture(scope="module")
+def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
+    with serving(f"sqlite:///{tmp_path_factory.mktemp('cli') / 'drivecal.db'}") as running:
+        yield running
+
+
+@pytest.fixture
+def run(api: RunningApi, monkeypatch: pytest.MonkeyPatch) -> Run:
+    monkeypatch.setenv("DRIVECAL_URL", api.url)
+
+    def invoke(*arguments: str, stdin: str | None = None) -> Result:
+        return CliRunner().invoke(app, list(arguments), input=stdin)
+
+    return invoke
+
+
+@pytest.fixture
+def submitted(run: Run, tmp_path: Path) -> str:
+    file = tmp_path / "campaign.yaml"
+    file.write_text("name: mine\ncatalogue: [S1, S4]\noptimizer: {population: 10, iterations: 3}\n")
+    result = run("submit", str(file), "--json")
+    assert result.exit_code == 0, result.output
+    return str(json.loads(result.stdout)["id"])
+
+
+def test_submit_says_how_to_follow_and_list_shows_it(run: Run) -> None:
+    result = run("submit", "-", stdin="name: from a pipe")
+    assert result.exit_code == 0
+    assert "drivecal watch" in result.stderr
+    identifier = result.stdout.split()[1]
+    lines = run("list", "--limit", "1").stdout.splitlines()
+    assert lines[0].split() == ["id", "state", "created", "requested", "simulated", "saved", "best", "name"]
+    assert lines[1].startswith(f"{identifier}  queued")
+    assert lines[1].endswith("from a pipe")
+
+
+def test_a_dry_run_counts_the_runs_and_submits_nothing(run: Run, api: RunningApi) -> None:
+    before = api.http.get("/api/v1/campaigns?limit=1").json()
+    result = run("submit", "-", "--dry-run", stdin="optimizer: {population: 10, iterations: 3}")
+    assert result.exit_code == 0
+    assert "proposes 180 cells" in result.stdout
+    assert json.loads(run("submit", "-", "--dry-run", "--json", stdin="{}").stdout)["calibration_proposed"] == 120_000
+    assert api.http.get("/api/v1/campaigns?limit=1").json() == before
+
+
+@pytest.mark.parametrize("command", [["submit", "-"], ["submit", "-", "--dry-run"]])
+def test_everything_wrong_with_a_file_is_said_on_one_line_each(run: Run, command: list[str]) -> None:
+    result = run(*command, stdin="weights: {S1: 0, S9: 1}\nfixed: {P1: 0.1}\nbaseline: {P2: 0}\n")
+    assert result.exit_code == 2
+    assert result.stdout == ""
+    assert "drivecal: weights.S9:" in result.stderr
+    assert "drivecal: fixed.P1: 0.1 is not on the grid; the nearest values are 0 or 0.5" in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+def test_a_file_that_cannot_be_read_is_a_usage_error(run: Run, tmp_path: Path) -> None:
+    result = run("submit", str(tmp_path / "nothing.yaml"))
+    assert result.exit_code == 2
+    assert "nothing.yaml: it cannot be read" in result.stderr
+
+
+def test_show_takes_the_first_characters_of_an_id(run: Run, submitted: str) -> None:
+    assert submitted in run("show", submitted[:10]).stdout
+    assert json.loads(run("show", submitted[:10], "--json").stdout)["id"] == submitted
+
+
+@pytest.mark.parametrize("command", ["show", "watch", "pause", "resume", "cancel", "solutions", "export"])
+def test_an_unknown_campaign_is_not_found(run: Run, command: str) -> None:
+    for identifier in ("0" * 32, "nothing", "../workers", "a b\x00", "é"):
+        result = run(command, identifier)
+        assert result.exit_code == 5, result.output
+        assert "there is no campaign" in result.stderr
+
+
+def test_a_prefix_of_several_ids_is_not_found(run: Run) -> None:
+    for _ in range(17):  # two of them begin with the same character
+        run("submit", "-", stdin="{}")
+    ids = [one["id"] for one in json.loads(run("list", "--limit", "200", "--json").stdout)["items"]]
+    shared = next(first for first in "0123456789abcdef" if sum(one.startswith(first) for one in ids) > 1)
+    result = run("show", shared)
+    assert result.exit_code == 5
+    assert "give more characters" in result.stderr
+
+
+def test_steering_a_campaign(run: Run, submitted: str) -> None:
+    assert json.loads(run("pause", submitted, "--json").stdout)["state"] == "paused"
+    assert json.loads(run("resume", submitted, "--json").stdout)["state"] == "queued"
+    assert "cancelled" in run("cancel", submitted).stdout
+    assert run("cancel", submitted).exit_code == 0
+    late = run("pause", submitted)
+    assert late.exit_code == 1
+    assert "too late" in late.stderr
+
+
+def test_watching_ends_with_the_campaign_and_its_exit_code(run: Run, api: RunningApi, submitted: str) -> None:
+    timer = threading.Timer(0.5, carry_out, (api.database, submitted))
+    timer.start()
+    result = run("watch", submitted, "--json")
+    timer.join()
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["state"] == "succeeded"
+    assert result.stderr.splitlines()[0] == "queued"
+    assert result.stderr.splitlines()[-1].startswith("succeeded  10/10 cells  simulated 10")
+
+
+def test_watching_a_campaign_that_failed_or_was_cancelled_says_so(run: Run, api: RunningApi, submitted: str) -> None:
+    run("cancel", submitted)
+    assert run("watch", submitted).exit_code == 3
+    failed = json.loads(run("submit", "-", "--json", stdin="{}").stdout)["id"]
+    with api.database.transaction() as connection:
+        campaigns.end(connection, campaigns.get(connection, failed).sequence, CampaignState.FAILED, "no worker starts")
+    result = run("watch", failed)
+    assert result.exit_code == 1
+    assert "no worker starts" in result.stdout
+
+
+def test_waiting_has_an_end(run: Run, submitted: str) -> None:
+    result = run("watch", submitted, "--timeout", "0.2")
+    assert result.exit_code == 6
+    assert f"drivecal watch {submitted}" in result.stderr
+    assert run("submit", "-", "--wait", "--timeout", "0", stdin="{}").exit_code == 6
+    assert run("evaluate", *SETS, "--timeout", "0").exit_code == 6
+
+
+def test_ctrl_c_detaches_and_cancels_nothing(api: RunningApi, submitted: str) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "drivecal.cli", "watch", submitted, "--url", api.url], stderr=subprocess.PIPE, text=True
+    )
+    assert process.stderr is not None
+    assert process.stderr.readline() == "queued\n"
+    process.send_signal(2)
+    said = process.stderr.read()
+    assert process.wait(20) == 130
+    assert f"drivecal watch {submitted}" in said
+    assert "Traceback" not in said
+    assert api.http.get(f"/api/v1/campaigns/{submitted}").json()["state"] == "queued"
+
+
+def test_solutions_are_ranked_by_other_weights(run: Run, api: RunningApi, submitted: str) -> None:
+    assert "no parameter set" in run("solutions", submitted).stdout
+    carry_out(api.database, submitted)
+    lines = run("solutions", submitted, "--limit", "2").stdout.splitlines()
+    assert lines[0].split()[:6] == ["rank", "objective", "rating", "S1", "S4", "P1"]
+    assert lines[1].split()[:6] == ["1", "3.5000", "3.625", "4", "3", "-13"]
+    assert len(lines) == 3
+    other = json.loads(run("solutions", submitted, "--weights", "S1=3", "--json").stdout)
+    assert other["items"][0]["objective"] == pytest.approx(3.75)
+    assert run("solutions", submitted, "--weights", "S9=1").exit_code == 2
+    wrong = run("solutions", submitted, "--weights", "S1")
+    assert (wrong.exit_code, wrong.stderr) == (2, "drivecal: --weights: S1 is no assignment; write NAME=NUMBER\n")
+
+
+def test_a_rerun_needs_an_ended_campaign(run: Run, api: RunningApi, submitted: str) -> None:
+    early = run("rerun", submitted, "--weights", "S1=2")
+    assert early.exit_code == 1
+    assert "is queued" in early.stderr
+    carry_out(api.database, submitted)
+    second = json.loads(run("rerun", submitted, "--weights", "S1=2,S4=1", "--name", "heavier", "--json").stdout)
+    assert (second["name"], second["rerun_of"], second["spec"]["weights"]) == ("heavier", submitted, {"S1": 2, "S4": 1})
+    assert run("rerun", submitted).exit_code == 2
+
+
+def test_tables_are_exported_whole(run: Run, api: RunningApi, submitted: str, tmp_path: Path) -> None:
+    carry_out(api.database, submitted)
+    rows = list(csv.DictReader(io.StringIO(run("export", submitted).stdout)))
+    assert len(rows) == 10
+    file = tmp_path / "cells.parquet"
+    result = run("export", submitted, "--format", "parquet", "-o", str(file))
+    assert result.exit_code == 0
+    assert str(file) in result.stderr
+    assert pq.read_table(file).num_rows == 10
+    assert len(json.loads(run("export", submitted, "--format", "json").stdout)) == 10
+    assert json.loads(run("export", submitted, "--table", "influence", "--json").stdout) == []
+    assert [
+        row["iteration"] for row in csv.DictReader(io.StringIO(run("export", submitted, "--table", "generations").stdout))
+    ] == ["0"]
+    assert "score_S4" in run("export", submitted, "--table", "solutions").stdout
+
+
+def test_an_export_that_cannot_be_written_leaves_nothing_behind(run: Run, submitted: str, tmp_path: Path) -> None:
+    result = run("export", submitted, "-o", str(tmp_path / "no" / "cells.csv"))
+    assert result.exit_code == 2
+    assert "it cannot be written: No such file or directory" in result.stderr
+    assert run("export", "0" * 32, "-o", str(tmp_path / "cells.csv")).exit_code == 5
+    assert {path.name for path in tmp_path.iterdir()} == {"campaign.yaml"}
+
+
+def test_an_evaluation_is_waited_for_and_shown(run: Run, api: RunningApi) -> None:
+    def answer() -> None:
+        for _ in range(200):
+            with api.database.read() as connection:
+                waiting = [one.id for one in campaigns.active(connection) if one.kind == "evaluation"]
+            for identifier in waiting:
+                carry_out_evaluation(api.database, identifier)
+            if waiting:
+                return
+            time.sleep(0.05)
+
+    with api.database.transaction() as connection:
+        for one in campaigns.active(connection):
+            campaigns.end(connection, one.sequence, CampaignState.CANCELLED)
+    thread = threading.Thread(target=answer)
+    thread.start()
+    result = run("evaluate", *SETS, "--scenario", "S2")
+    thread.join()
+    assert result.exit_code == 0, result.output
+    assert result.stdout.startswith("P1=0 P2=1 P3=100")
+    assert "S2        simulated      0" in result.stdout
+    assert "peak_lateral_acceleration_mps2   1.25" in result.stdout
+
+
+def test_an_evaluation_that_cannot_run_is_a_usage_error(run: Run) -> None:
+    assert "parameters.P11: the value is missing" in run("evaluate", *SETS[:-1]).stderr
+    assert run("evaluate", *SETS, "--scenario", "S9").exit_code == 2
+    assert "it is given twice" in run("evaluate", "P1=1", "P1=2").stderr
+    assert "nan is no number" in run("evaluate", "P1=nan").stderr
+
+
+def test_influence_maps_are_posted_listed_and_shown(run: Run, tmp_path: Path) -> None:
+    file = tmp_path / "map.yaml"
+    file.write_text("name: mine\nscenarios: {S1: {P1: {lower: -10, upper: 3.5}, P2: {influential: false}}}\n")
+    posted = json.loads(run("influence-maps", "post", str(file), "--json").stdout)
+    assert posted["id"] in run("influence-maps", "list").stdout
+    assert "S1        P1         yes            -10    3.5" in run("influence-maps", "show", posted["id"]).stdout
+    file.write_text("scenarios: {S1: {P1: {lower: -10.2}}}\n")
+    refused = run("influence-maps", "post", str(file))
+    assert refused.exit_code == 2
+    assert "-10.5 or -10" in refused.stderr
+    assert run("influence-maps", "show", "0" * 32).exit_code == 5
+
+
+def test_workers_says_when_there_are_none(run: Run) -> None:
+    result = run("workers")
+    assert result.exit_code == 0
+    assert "no dispatcher has started yet" in result.stderr
+    assert json.loads(run("workers", "--json").stdout)["items"] == []
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["list"], ["show", "x"], ["submit", "-"], ["evaluate", *SETS], ["workers"], ["influence-maps", "list"]],
+)
+def test_a_server_that_is_not_there_is_named_with_what_to_do(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    url = f"http://127.0.0.1:{free_port()}"
+    monkeypatch.setenv("DRIVECAL_URL", url)
+    result = CliRunner().invoke(app, arguments, input="{}")
+    assert result.exit_code == 4
+    assert url in result.stderr
+    assert "drivecal serve" in result.stderr
+    assert len(result.stderr.splitlines()) == 1
+
+
+def test_the_database_is_made_and_checked(tmp_path: Path) -> None:
+    url = f"sqlite:///{tmp_path / 'new' / 'drivecal.db'}"
+    missing = CliRunner().invoke(app, ["db", "check", "--database-url", url])
+    assert missing.exit_code == 1
+    assert "drivecal db upgrade" in missing.stderr
+    assert CliRunner().invoke(app, ["db", "upgrade", "--database-url", url]).exit_code == 0
+    assert json.loads(CliRunner().invoke(app, ["db", "check", "--database-url", url, "--json"]).stdout)["current"]
+    (tmp_path / "text.db").write_text("this is no database, and long enough to be seen as one or not")
+    broken = CliRunner().invoke(app, ["db", "upgrade", "--database-url", f"sqlite:///{tmp_path / 'text.db'}"])
+    assert broken.exit_code == 1
+    assert "no SQLite database" in broken.stderr
