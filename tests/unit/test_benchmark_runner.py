@@ -1,0 +1,52 @@
+"""The program behind `make bench`."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+RUNNER = Path(__file__).parents[1] / "benchmarks" / "run.py"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """The runner beside three benchmarks: one good, one not good enough, one that breaks down."""
+    shutil.copy(RUNNER, tmp_path)
+    (tmp_path / "a_breaks.py").write_text("raise RuntimeError('broken')\n")
+    (tmp_path / "b_bad.py").write_text("import sys; print('table of b'); sys.exit(3)\n")
+    (tmp_path / "c_good.py").write_text("print('table of c')\n")
+    return tmp_path
+
+
+def run(folder: Path, *names: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, str(folder / "run.py"), *names], capture_output=True, text=True, check=False)
+
+
+def test_one_that_fails_does_not_stop_the_others_but_shows_at_the_end(folder: Path) -> None:
+    done = run(folder)
+    assert done.returncode == 1
+    assert "table of b" in done.stdout
+    assert "table of c" in done.stdout
+    summary = [(line.split()[0], line.split("  ")[-1]) for line in done.stdout.splitlines()[-3:]]
+    assert summary == [
+        ("a_breaks", "not good enough (exit 1)"),
+        ("b_bad", "not good enough (exit 3)"),
+        ("c_good", "good"),
+    ]
+
+
+def test_benchmarks_can_be_chosen_by_name(folder: Path) -> None:
+    done = run(folder, "c_good")
+    assert done.returncode == 0
+    assert "table of b" not in done.stdout
+
+
+def test_an_unknown_benchmark_is_refused_with_those_there_are(folder: Path) -> None:
+    done = run(folder, "c_good", "nonsense")
+    assert done.returncode == 2
+    assert done.stderr == "there is no benchmark nonsense; available: a_breaks, b_bad, c_good\n"
+    assert not done.stdout
