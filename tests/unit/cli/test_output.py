@@ -1,0 +1,96 @@
+"""What the command line prints."""
+
+from __future__ import annotations
+
+import pytest
+from typer.testing import CliRunner
+
+from drivecal.cli.main import app
+from drivecal.cli.output import cells_text, duration, print_campaign, print_columns, saved
+from drivecal.cli.watching import Lines
+from drivecal.contracts.campaign import Best, Campaign, CellCounts, ErrorRate, Progress, Seconds
+
+CELLS = CellCounts(proposed=100, carried_over=40, requested=60, repeated=6, reused=9, simulated=44, failed=1, audited=2)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"), [(0.4, "0 s"), (59.4, "59 s"), (59.6, "1 min 00 s"), (185, "3 min 05 s"), (7800, "2 h 10 min")]
+)
+def test_durations_read_well(seconds: float, text: str) -> None:
+    assert duration(seconds) == text
+
+
+def test_columns_align_numbers_right_and_text_left(capsys: pytest.CaptureFixture[str]) -> None:
+    print_columns(["name", "share", "n"], [["a", "5.0%", 1000], ["long name", "12.5%", None]])
+    assert capsys.readouterr().out == "name       share     n\na           5.0%  1000\nlong name  12.5%     -\n"
+
+
+def test_saved_is_the_share_that_needed_no_simulation() -> None:
+    assert saved(CELLS) == pytest.approx(15 / 60)
+    assert saved(CellCounts()) == 0
+
+
+def test_the_cells_add_up_on_their_line() -> None:
+    assert cells_text(CELLS) == (
+        "60 requested = 44 simulated + 6 repeated + 9 reused + 1 failed (2 of the simulated were audits); 40 carried over"
+    )
+
+
+def test_a_campaign_shows_all_that_matters(capsys: pytest.CaptureFixture[str]) -> None:
+    campaign = Campaign(
+        id="0" * 32,
+        name="mine",
+        state="running",
+        stage="calibration",
+        iteration=2,
+        degraded="1 of 2 workers is gone",
+        progress=Progress(done=60, total=100, eta_seconds=61),
+        cells=CELLS,
+        error_rate={"S1": ErrorRate(audited=20, different=2, wrong=1, upper_95=0.25, stopped=True), "S2": ErrorRate()},
+        best=Best(objective=5.5, parameters={"P1": 0.5, "P2": 3}, scores={"S1": 5, "S2": 6}, alternatives=2),
+        seconds=Seconds(wall=90, simulating=100),
+        notes=["not simulated because their weight is 0: S3"],
+    )
+    print_campaign(campaign)
+    printed = capsys.readouterr().out
+    for wanted in (
+        "running, calibration, iteration 3, 60 of 100 cells, about 1 min 01 s left, degraded: 1 of 2 workers is gone",
+        "5.5000  P1=0.5 P2=3",
+        "S1 5  S2 6",
+        "1 of 20 wrong, at most 25.0% with 95 % confidence; reuse stopped",
+        "weight is 0: S3",
+        "1 min 30 s, of which the workers simulated 1 min 40 s",
+    ):
+        assert wanted in printed
+    assert "audit S2" not in printed
+
+
+def test_without_a_terminal_a_line_appears_now_and_then(capsys: pytest.CaptureFixture[str]) -> None:
+    clock = iter([0.0, 1.0, 2.0, 7.5, 8.0])
+    lines = Lines(lambda: next(clock))
+    running = Campaign(id="0" * 32, name="mine", state="running", stage="calibration", spec={"optimizer": {"iterations": 10}})
+    with lines:
+        lines.show(running.model_copy(update={"state": "queued", "stage": None}))
+        for iteration in range(3):
+            lines.show(
+                running.model_copy(update={"iteration": iteration, "progress": Progress(done=5, total=10), "cells": CELLS})
+            )
+        lines.show(running.model_copy(update={"state": "succeeded"}))
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.splitlines() == [
+        "queued",
+        "calibration 1/10  5/10 cells  simulated 44  repeated 6  reused 9  failed 1",
+        "calibration 3/10  5/10 cells  simulated 44  repeated 6  reused 9  failed 1",
+        "succeeded",
+    ]
+
+
+def test_version_and_usage() -> None:
+    assert CliRunner().invoke(app, ["--version"]).stdout.startswith("drivecal 0.")
+    unknown = CliRunner().invoke(app, ["nothing"])
+    assert unknown.exit_code == 2
+    assert "Traceback" not in unknown.output
+    assert CliRunner().invoke(app, ["show"]).exit_code == 2
+    assert CliRunner().invoke(app, ["list", "--limit", "0"]).exit_code == 2
+    assert CliRunner().invoke(app, ["list", "--state", "odd"]).exit_code == 2

@@ -1,0 +1,165 @@
+"""The client against a server that answers what the test wants."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
+
+import pytest
+
+from drivecal.client import client as module
+from drivecal.client.client import Client
+from drivecal.contracts.campaign import Campaign
+from drivecal.domain.errors import ConflictError, DrivecalError, InvalidInputError, NotFoundError, Problem, UnavailableError
+
+Answer = tuple[int, dict[str, str], bytes]
+"""Status, headers, body."""
+
+
+@dataclass
+class Script:
+    """The answers to give, one after the other, and the requests that came."""
+
+    answers: list[Answer]
+    requests: list[tuple[str, str, dict[str, str], bytes]] = field(default_factory=list)
+
+
+@contextmanager
+def server(*answers: Answer) -> Iterator[tuple[Client, Script]]:
+    script = Script(list(answers))
+
+    class Handler(BaseHTTPRequestHandler):
+        def reply(self) -> None:
+            body = self.rfile.read(int(self.headers.get("content-length", 0)))
+            headers = {name.lower(): value for name, value in self.headers.items()}
+            script.requests.append((self.command, self.path, headers, body))
+            status, wanted, content = script.answers.pop(0)
+            self.send_response(status)
+            for name, value in wanted.items():
+                self.send_header(name, value)
+            self.send_header("Content-Length", str(len(content)))
+            self.end_headers()
+            self.wfile.write(content)
+
+        do_GET = do_POST = reply  # noqa: N815  # the base class asks for these names
+
+        def log_message(self, *_: Any) -> None:
+            return None
+
+    http = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    thread = threading.Thread(target=http.serve_forever, kwargs={"poll_interval": 0.01})
+    thread.start()
+    try:
+        with Client(f"http://127.0.0.1:{http.server_port}/") as client:
+            yield client, script
+    finally:
+        http.shutdown()
+        thread.join()
+        http.server_close()
+
+
+def problem(status: int, detail: str = "it does not fit", errors: list[dict[str, str]] | None = None) -> Answer:
+    document = {"type": "about:blank", "title": "x", "status": status, "detail": detail, "errors": errors or []}
+    return status, {"Content-Type": "application/problem+json"}, json.dumps(document).encode()
+
+
+def campaign(state: str, **headers: str) -> Answer:
+    return 200, headers, Campaign(id="0" * 32, name="mine", state=state).model_dump_json().encode()
+
+
+def test_fields_and_remedies_come_back_as_they_were() -> None:
+    with server(problem(422, errors=[{"field": "weights.S1", "message": "-1", "remedy": "give 1"}])) as (client, _):
+        with pytest.raises(InvalidInputError) as caught:
+            client.submit({})
+        assert caught.value.problems == (Problem("weights.S1", "-1", "give 1"),)
+
+
+@pytest.mark.parametrize(
+    ("answer", "error", "said"),
+    [
+        (problem(404), NotFoundError, "there is no campaign 'abc'"),
+        (problem(409), ConflictError, "it does not fit"),
+        (problem(413), InvalidInputError, "it does not fit"),
+        (problem(503, "the database is gone"), UnavailableError, "the database is gone"),
+        (problem(500), DrivecalError, "failed: it does not fit"),
+        ((404, {}, b"<html>"), UnavailableError, "no drivecal server"),
+        ((200, {}, b"<html>"), UnavailableError, "does not know"),
+        ((200, {}, b'{"id": 5}'), UnavailableError, "does not know"),
+        ((302, {"Location": "/login"}, b""), UnavailableError, "no drivecal server"),
+    ],
+)
+def test_every_other_answer_is_an_error_of_drivecal(answer: Answer, error: type[DrivecalError], said: str) -> None:
+    with server(answer) as (client, _), pytest.raises(error) as caught:
+        client.campaign("abc")
+    assert said in str(caught.value)
+
+
+def test_each_submission_has_a_key_of_its_own_unless_one_is_given() -> None:
+    with server(campaign("queued"), campaign("queued"), campaign("queued")) as (client, script):
+        client.submit({})
+        client.submit({})
+        client.submit({}, key="mine")
+    keys = [headers["idempotency-key"] for _, _, headers, _ in script.requests]
+    assert len(set(keys)) == 3
+    assert keys[2] == "mine"
+
+
+def test_an_id_cannot_leave_its_path() -> None:
+    with server(problem(404)) as (client, script), pytest.raises(NotFoundError):
+        client.campaign("../workers?x=1")
+    assert script.requests[0][1] == "/api/v1/campaigns/..%2Fworkers%3Fx%3D1"
+
+
+def test_watching_asks_only_for_what_is_new(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(time, "sleep", lambda _: None)
+    answers = [
+        campaign("queued", ETag='"a"', **{"Retry-After": "1"}),
+        (304, {"ETag": '"a"', "Retry-After": "1"}, b""),
+        problem(503),
+        campaign("succeeded", ETag='"b"'),
+    ]
+    with server(*answers) as (client, script):
+        assert [one.state for one in client.watch("0" * 32)] == ["queued", "succeeded"]
+    assert [headers.get("if-none-match") for _, _, headers, _ in script.requests] == [None, '"a"', '"a"', '"a"']
+
+
+def test_watching_gives_up_on_a_server_that_stays_silent(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(time, "sleep", lambda _: None)
+    monkeypatch.setattr(module, "SILENCE_SECONDS", 0.0)
+    with server(campaign("running", ETag='"a"'), problem(503), problem(503)) as (client, _), pytest.raises(UnavailableError):
+        list(client.watch("0" * 32))
+
+
+def test_watching_a_server_that_never_answered_gives_up_at_once() -> None:
+    with server(problem(503)) as (client, _), pytest.raises(UnavailableError):
+        next(client.watch("0" * 32))
+
+
+def test_watching_ends_at_its_deadline() -> None:
+    with server(campaign("running", ETag='"a"')) as (client, _), pytest.raises(TimeoutError):
+        list(client.watch("0" * 32, deadline=0.0))
+
+
+def test_rows_come_from_all_pages() -> None:
+    pages = [json.dumps({"items": [{"id": 1}], "next_cursor": "x"}), json.dumps({"items": [{"id": 2}], "next_cursor": None})]
+    with server(*((200, {}, page.encode()) for page in pages)) as (client, script):
+        assert [row["id"] for row in client.rows("abc", "evaluations")] == [1, 2]
+    assert script.requests[1][1].endswith("limit=1000&cursor=x")
+
+
+def test_a_table_that_breaks_off_is_an_error() -> None:
+    broken = (200, {"Transfer-Encoding": "chunked"}, b"5\r\nabcde\r\nzz")
+    with server(broken) as (client, _), pytest.raises(UnavailableError):
+        list(client.table("abc", "evaluations", "csv"))
+
+
+@pytest.mark.parametrize("url", ["http://127.0.0.1:1", "http://nothing.invalid", "http://[", "http://127.0.0.1:99999"])
+def test_an_address_where_nothing_answers_is_named(url: str) -> None:
+    with pytest.raises(UnavailableError, match="drivecal serve"), Client(url) as client:
+        client.workers()
