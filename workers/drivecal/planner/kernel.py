@@ -320,7 +320,8 @@ def look_at(scene: Any, start: Any, neighbour: Any, d: Any, d1: Any, s: Any, s1:
             clear = max(CLEAR_TIME * s1[k, j], SHORTEST_CLEARANCE)
             approach = s1[k, j] - neighbour[2] if ahead > 0.0 else neighbour[2] - s1[k, j]
             matters = approach > 0.0 and (ahead > 0.0 or in_target_lane)
-            if gap >= clear and not matters:
+            reach = ALONGSIDE_TIME * max(s1[k, j], SLOWEST)
+            if gap >= max(clear, reach) and not matters:
                 continue
             if not looked:
                 looked = True
@@ -342,8 +343,8 @@ def look_at(scene: Any, start: Any, neighbour: Any, d: Any, d1: Any, s: Any, s1:
                 for i in range(n_lateral):
                     missing = shortfall - space[i]
                     combined[CLEARANCE, j, i] += max(missing, 0.0)
-            alongside = 1.0 - gap / (ALONGSIDE_TIME * max(s1[k, j], SLOWEST))
-            if alongside > 0.0:
+            if gap < reach:
+                alongside = 1.0 - gap / reach
                 for i in range(n_lateral):
                     combined[CLOSING, j, i] += alongside * closing[i]
             if gap == 0.0:
