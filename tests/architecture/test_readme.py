@@ -1,0 +1,89 @@
+"""What the documentation shows can be typed: every command exists with its options, every example file is a campaign that can run."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+
+from drivecal.campaigns.maps import resolve_map
+from drivecal.campaigns.problem import resolve
+from drivecal.cli.documents import read_document
+from drivecal.cli.main import app
+from drivecal.contracts.specification import CampaignSpecification, InfluenceMapSpecification
+from drivecal.contracts.validation import validated
+
+ROOT = Path(__file__).parents[2]
+PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("*/README.md")])
+EXAMPLES = sorted([*(ROOT / "deploy" / "examples").glob("*.yaml"), ROOT / "services/drivecal/cli/demo/expert_map.yaml"])
+
+
+def shown_commands() -> Iterator[tuple[Path, list[str]]]:
+    """The words of every command line in the code blocks of the pages."""
+    for page in PAGES:
+        for block in re.findall(r"^```[a-z]*\n(.*?)^```", page.read_text(), flags=re.MULTILINE | re.DOTALL):
+            for line in block.replace("\\\n", " ").splitlines():
+                try:
+                    words = shlex.split(line.removeprefix("$ "), comments=True)
+                except ValueError:  # prose or output with an apostrophe
+                    continue
+                while words and re.fullmatch(r"[A-Z_]+=.*", words[0]):
+                    words.pop(0)
+                if words and Path(words[0]).name in {"drivecal", "make"}:
+                    end = next((index for index, word in enumerate(words) if word in {"|", ">", "&", "&&", ";"}), len(words))
+                    yield page, [Path(words[0]).name, *words[1:end]]
+
+
+def parse(command: Any, name: str, words: list[str], parent: Any = None) -> None:
+    """Raises where the command line does not take these words. Runs nothing."""
+    context = command.make_context(name, list(words), parent=parent)
+    rest = [*getattr(context, "_protected_args", []), *context.args]
+    if hasattr(command, "resolve_command") and rest:
+        name, subcommand, rest = command.resolve_command(context, rest)
+        parse(subcommand, name, rest, context)
+
+
+@pytest.mark.parametrize(
+    ("page", "words"), list(shown_commands()), ids=lambda value: value.name if isinstance(value, Path) else " ".join(value)[:60]
+)
+def test_every_command_shown_in_the_documentation_can_be_typed(page: Path, words: list[str]) -> None:
+    assert page.exists()
+    if words[0] == "make":
+        targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), flags=re.MULTILINE))
+        assert {word for word in words[1:] if not word.startswith("-")} <= targets
+    else:
+        parse(typer.main.get_command(app), "drivecal", words[1:])
+
+
+@pytest.mark.parametrize(
+    "words", [["shwo", "x"], ["show"], ["show", "x", "--josn"], ["export", "x", "--format", "xml"], ["db", "upgrad"]]
+)
+def test_a_command_that_does_not_exist_would_be_noticed(words: list[str]) -> None:
+    with pytest.raises(Exception, match=r"(?i)no such|missing|not one of"):
+        parse(typer.main.get_command(app), "drivecal", words)
+
+
+@pytest.mark.parametrize("file", EXAMPLES, ids=lambda file: file.name)
+def test_every_example_file_can_be_used(file: Path) -> None:
+    document = read_document(str(file))
+    if "scenarios" in document:
+        assert resolve_map(validated(InfluenceMapSpecification, document)).scenarios
+    else:
+        assert resolve(validated(CampaignSpecification, document)).scenarios
+
+
+def test_the_values_of_the_example_are_the_defaults_where_it_says_so() -> None:
+    given = validated(CampaignSpecification, read_document(str(ROOT / "deploy" / "examples" / "highway.yaml")))
+    resolved = resolve(given).optimizer_settings
+    default = resolve(CampaignSpecification()).optimizer_settings
+    differing = {name for name in type(default).model_fields if getattr(resolved, name) != getattr(default, name)}
+    assert differing == {"population", "iterations"}
+    sections = {
+        name for name in CampaignSpecification.model_fields if getattr(given, name) != getattr(CampaignSpecification(), name)
+    }
+    assert sections == {"name", "baseline", "weights", "optimizer"}
