@@ -6,7 +6,12 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from drivecal.contracts.work import Batch, BatchResult
+from drivecal.domain.errors import DrivecalError
 from drivecal.domain.evaluations import Breakdown
+
+
+class BackendLostError(DrivecalError):
+    """The backend as a whole is gone and does not come back: the process that uses it has to start again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +65,7 @@ class Backend(Protocol):
         what happens to the worker is known to be its doing). `expected_seconds` sets the deadline; None is unknown."""
 
     def wait(self, timeout: float) -> list[Finished | Lost]:
-        """What came back, after at most `timeout` seconds. Dead workers are replaced on the way."""
+        """What came back, after at most `timeout` seconds. Dead workers are replaced on the way. Raises BackendLostError."""
 
     def slots(self) -> Slots:
         """How much can be sent now. Workers that are still starting do not count."""

@@ -115,6 +115,7 @@ class RayBackend:
         until = time.monotonic() + timeout
         events: list[Finished | Lost] = []
         while not events:
+            self._cluster.check()
             now = time.monotonic()
             for actor in self._actors:
                 if actor.handle is None and actor.start_again_at <= now:
@@ -188,7 +189,7 @@ class RayBackend:
         ) as error:  # the worker lives, but this call gave no answer: it raised, or could not be transferred
             words = str(error).strip().splitlines()[-1][:300]
             if actor.warming is not None:
-                return self._bury(actor, Breakdown.ERROR, words, error)
+                return self._bury(actor, Breakdown.ERROR, f"{_place(actor)} cannot start: {words}", error)
             return [Lost(self._next_call(actor).batch_id, actor.name, Breakdown.ERROR, words)]
         if actor.warming is not None:
             actor.warming, actor.node, actor.pid = None, value.node, value.pid
@@ -212,7 +213,9 @@ class RayBackend:
             if actor.deadline > now or (actor.warming is None and not actor.calls):
                 continue
             if actor.warming is not None:
-                events += self._bury(actor, Breakdown.HANG, f"not ready after {self._options.start_seconds:.0f} s", None)
+                events += self._bury(
+                    actor, Breakdown.HANG, f"{_place(actor)} was not ready after {self._options.start_seconds:.0f} s", None
+                )
             else:
                 seconds = actor.calls[0].seconds
                 events += self._bury(
@@ -222,7 +225,7 @@ class RayBackend:
 
     def _bury(self, actor: _Actor, breakdown: Breakdown, detail: str, cause: BaseException | None) -> list[Finished | Lost]:
         """Everything an actor had is lost; a new one starts at once, or after a pause where it was the start that failed."""
-        log.warning("%s: %s; it is replaced", actor.name, detail, exc_info=cause if log.isEnabledFor(logging.DEBUG) else None)
+        log.warning("%s; it is replaced", detail, exc_info=cause if log.isEnabledFor(logging.DEBUG) else None)
         lost: list[Finished | Lost] = [Lost(call.batch_id, actor.name, breakdown, detail) for call in actor.calls]
         if actor.warming is not None:
             actor.failed_starts += 1
@@ -247,4 +250,4 @@ class RayBackend:
 
 
 def _place(actor: _Actor) -> str:
-    return f"{actor.name} (process {actor.pid} on {actor.node})"
+    return actor.name if actor.pid is None else f"{actor.name} (process {actor.pid} on {actor.node})"
