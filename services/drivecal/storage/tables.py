@@ -72,7 +72,12 @@ campaigns = Table(
     Column("created_at", UtcDateTime, nullable=False),
     Column("started_at", UtcDateTime),
     Column("ended_at", UtcDateTime),
-    Index(None, "state", "sequence"),
+    Index(  # what the dispatcher asks for all the time: some campaigns among all that ever were
+        "ix_campaigns_active",
+        "sequence",
+        sqlite_where=text("ended_at IS NULL"),
+        postgresql_where=text("ended_at IS NULL"),
+    ),
     sqlite_autoincrement=True,
 )
 

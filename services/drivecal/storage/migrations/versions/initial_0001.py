@@ -111,7 +111,14 @@ def upgrade() -> None:
         sa.UniqueConstraint("idempotency_key", name=op.f("uq_campaigns_idempotency_key")),
         sqlite_autoincrement=True,
     )
-    op.create_index(op.f("ix_campaigns_state_sequence"), "campaigns", ["state", "sequence"], unique=False)
+    op.create_index(
+        "ix_campaigns_active",
+        "campaigns",
+        ["sequence"],
+        unique=False,
+        sqlite_where=sa.text("ended_at IS NULL"),
+        postgresql_where=sa.text("ended_at IS NULL"),
+    )
     op.create_table(
         "runs",
         sa.Column("id", IDENTITY, nullable=False),

@@ -1,0 +1,159 @@
+"""What has to be fast on tables of any size answers from an index: pinned on both backends.
+
+A plan is checked by what it must not do, read a whole table, and by the index that it must use. PostgreSQL gathers statistics by
+itself, so it gets some, and is asked for less than one row in a hundred, as of a large table: of a small one, reading it all is
+the better plan. SQLite has no statistics unless somebody asks for them, and is asked for as many values as one `IN` may hold.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from sqlalchemy import Connection, event, text
+from tests.support.storage import EVALUATOR, campaign, new_run, sample_set_ids, sample_sets, setup_id
+
+from drivecal.domain.campaigns import Stage
+from drivecal.domain.evaluations import Outcome
+from drivecal.storage import campaigns, evaluations, parameter_sets, reference_keys, results, runs
+from drivecal.storage.database import Database
+from drivecal.storage.evaluations import Answer, NewEvaluation
+from drivecal.storage.membership import LARGEST_IN
+
+ROWS = 4_000
+KEYS = [number.to_bytes(16, "big") for number in range(LARGEST_IN)]
+
+
+@pytest.fixture
+def filled(database: Database) -> Database:
+    """Tables that are large enough for a planner to prefer an index, and statistics about them."""
+    with database.transaction() as connection:
+        sequence, other, setup = campaign(connection).sequence, campaign(connection).sequence, setup_id(connection)
+        sets = sample_set_ids(connection, ROWS)
+        for one in (sequence, other):
+            cells = [
+                NewEvaluation(Stage.CALIBRATION, n % 40, n, "S1", setup, set_id, Outcome.SIMULATED, reference_key=KEYS[n])
+                for n, set_id in enumerate(sets)
+            ]
+            ids = evaluations.insert(connection, one, cells)
+            stored = runs.insert_results(
+                connection, [new_run(setup, cell.parameter_set_id, evaluation=n) for n, cell in zip(ids, cells, strict=True)]
+            )
+            evaluations.answer(
+                connection,
+                [Answer(n, Outcome.SIMULATED, 5, 5.25, run.id) for n, run in zip(ids, stored, strict=True) if n % 100],
+            )
+    reference_keys.sync(database, 1, setup, 10**9, lambda _, values: [KEYS[int(row[0]) // 10_000_000] for row in values])
+    gather_statistics(database)
+    return database
+
+
+def gather_statistics(database: Database) -> None:
+    """What PostgreSQL does by itself after a while."""
+    with database.transaction() as connection:
+        if connection.dialect.name == "postgresql":
+            connection.execute(text("ANALYZE"))
+
+
+def plans(connection: Connection, use: Callable[[Connection], Any]) -> str:
+    """How the backend carries out the statements of `use`, one after the other."""
+    explained: list[str] = []
+
+    def explain(one: Connection, _: Any, statement: str, parameters: Any, __: Any, executemany: bool) -> None:
+        if not statement.startswith("EXPLAIN") and re.match(r"(WITH|SELECT|UPDATE)\b", statement):
+            values = parameters[0] if executemany else parameters
+            prefix = "EXPLAIN QUERY PLAN " if one.dialect.name == "sqlite" else "EXPLAIN (FORMAT JSON) "
+            rows = one.exec_driver_sql(prefix + statement, values).all()
+            explained.extend(row[-1] if isinstance(row[-1], str) else json.dumps(row[-1]) for row in rows)
+
+    event.listen(connection, "before_cursor_execute", explain)
+    use(connection)
+    event.remove(connection, "before_cursor_execute", explain)
+    assert explained, "nothing was asked"
+    return re.sub(r"'\{[^']*\}'", "'{...}'", "\n".join(explained))
+
+
+def scanned(plan: str) -> set[str]:
+    """The tables that a plan reads in full."""
+    # The index of active campaigns holds only them: reading all of it is what it is for.
+    sqlite = re.findall(r"^SCAN (\w+)\b(?! USING INDEX ix_campaigns_active)", plan, re.MULTILINE)
+    postgres = re.findall(r'"Node Type": "Seq Scan".*?"Relation Name": "(\w+)"', plan)
+    return {*sqlite, *postgres}
+
+
+def some(connection: Connection) -> int:
+    """How many values to look up."""
+    return 30 if connection.dialect.name == "postgresql" else LARGEST_IN
+
+
+LOOK_UPS: dict[str, tuple[Callable[[Connection], Any], str]] = {
+    "shared reference keys": (
+        lambda connection: reference_keys.look_up(connection, 1, 1, KEYS[: some(connection)], EVALUATOR, 10**6),
+        "pk_reference_keys|SEARCH reference_keys USING PRIMARY KEY",
+    ),
+    "shared parameter sets": (
+        lambda connection: runs.look_up_exact(connection, 1, list(range(1, some(connection))), EVALUATOR, 10**6),
+        "uq_runs_setup_id_parameter_set_id|sqlite_autoindex_runs_1",
+    ),
+    "own reference keys": (
+        lambda connection: evaluations.own_references(connection, 1, "S1", KEYS[: some(connection)]),
+        "ix_evaluations_campaign_sequence_scenario_reference_key_plan",
+    ),
+    "own parameter sets": (
+        lambda connection: evaluations.own_exact(connection, 1, "S1", list(range(1, some(connection)))),
+        "ix_evaluations_campaign_sequence_scenario_parameter_set_id_plan",
+    ),
+    "parameter sets by key": (
+        lambda connection: parameter_sets.ensure(connection, sample_sets(some(connection))),
+        "uq_parameter_sets_key|sqlite_autoindex_parameter_sets_1",
+    ),
+    "parameter sets by id": (
+        lambda connection: parameter_sets.load(connection, list(range(1, some(connection)))),
+        "pk_parameter_sets|INTEGER PRIMARY KEY",
+    ),
+    "pending cells": (lambda connection: evaluations.pending(connection, 1), "ix_evaluations_pending"),
+    "answers": (
+        lambda connection: evaluations.answer(connection, [Answer(100, Outcome.FAILED, None, None, None)]),
+        "pk_evaluations|INTEGER PRIMARY KEY",
+    ),
+    "a page in the middle": (
+        lambda connection: results.page(connection, 1, limit=50, cursor=results.page(connection, 1, limit=50)[1]),
+        "uq_evaluations_|sqlite_autoindex_evaluations_1",
+    ),
+    "one iteration's answers": (
+        lambda connection: list(results.answers(connection, 1, Stage.CALIBRATION, iteration=3)),
+        "uq_evaluations_|sqlite_autoindex_evaluations_1",
+    ),
+    "a watermark": (runs.largest_id, "pk_runs|SEARCH runs"),
+}
+
+
+def test_look_ups_use_their_indexes(filled: Database, subtests: pytest.Subtests) -> None:
+    with filled.transaction() as connection:
+        for name, (use, index) in LOOK_UPS.items():
+            with subtests.test(name):
+                plan = plans(connection, use)
+                assert scanned(plan) == set(), plan
+                assert re.search(index, plan), plan
+        with subtests.test("a page is not sorted"):
+            plan = plans(connection, LOOK_UPS["a page in the middle"][0])
+            assert "TEMP B-TREE" not in plan
+            assert '"Sort"' not in plan
+        with subtests.test("the check for scans finds one"):
+            query = text("SELECT count(*) FROM runs WHERE milliseconds > 1")
+            assert scanned(plans(connection, lambda one: one.execute(query).all())) == {"runs"}
+
+
+def test_the_dispatcher_finds_active_campaigns_among_many_ended_ones(database: Database) -> None:
+    with database.transaction() as connection:
+        for number in range(1500):
+            campaign(connection, str(number))
+        connection.execute(text("UPDATE campaigns SET state = 'succeeded', ended_at = created_at WHERE sequence < 1500"))
+    gather_statistics(database)
+    with database.read() as connection:
+        plan = plans(connection, campaigns.active)
+    assert scanned(plan) == set(), plan
+    assert "ix_campaigns_active" in plan

@@ -1,0 +1,145 @@
+from __future__ import annotations
+
+import random
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from tests.support.storage import EVALUATOR, new_run, setup_id
+
+from drivecal.domain.campaigns import Stage
+from drivecal.domain.evaluations import Donor
+from drivecal.domain.influence import Influence, InfluenceMap
+from drivecal.domain.parameters import ParameterSet, billionths, decimal
+from drivecal.reduction.keys import ReferenceKeys, billionths_matrix
+from drivecal.storage import parameter_sets, reference_keys, runs
+from drivecal.storage.database import Database
+from drivecal.storage.runs import NewRun
+
+MAP = InfluenceMap(
+    {"S1": {"P1": Influence(influential=True, lower=decimal("0.3"), upper=decimal("0.5")), "P2": Influence(influential=False)}}
+)
+STAGES = {Stage.SENSITIVITY: 0, Stage.CALIBRATION: 1, Stage.ROBUSTNESS: 2, Stage.VALIDATION: 3}
+
+
+def keys_of(names: tuple[str, ...], values: npt.NDArray[np.int64]) -> list[bytes]:
+    return ReferenceKeys(MAP, "S1", names).keys(values)
+
+
+def keys_of_sets(sets: Sequence[ParameterSet]) -> list[bytes]:
+    return keys_of(sets[0].names, billionths_matrix(sets))
+
+
+def origin(run: NewRun) -> tuple[int, int, int, int]:
+    return run.campaign_sequence, STAGES[run.stage], run.iteration, run.individual
+
+
+def random_runs(chance: random.Random, count: int, setup: int, set_ids: Sequence[int]) -> list[NewRun]:
+    """Runs with different sets and origins, in an order that has nothing to do with their origins."""
+    origins = chance.sample([(c, s, i, n) for c in (1, 2, 3) for s in STAGES for i in range(4) for n in range(9)], count)
+    return [
+        new_run(setup, one, evaluation=1000 + number, campaign_sequence=c, stage=s, iteration=i, individual=n, score=number % 8)
+        for number, (one, (c, s, i, n)) in enumerate(zip(set_ids, origins, strict=True))
+    ]
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_every_watermark_sees_the_first_run_in_the_order_of_campaigns_whenever_the_keys_were_computed(
+    database: Database, seed: int
+) -> None:
+    chance = random.Random(seed)
+    sets = [ParameterSet.of({"P1": decimal(p1) / 10, "P2": decimal(p2)}) for p1 in range(10) for p2 in range(20)]
+    chance.shuffle(sets)
+    sets = sets[: chance.randint(1, 150)]
+    with database.transaction() as connection:
+        setup, other = setup_id(connection, "S1"), setup_id(connection, "S2")
+        set_ids = parameter_sets.ensure(connection, sets)
+        stored = random_runs(chance, len(sets), setup, set_ids)
+        ids = []
+        for one in stored:  # other setups' runs lie in between
+            runs.insert_results(connection, [new_run(other, one.parameter_set_id)])
+            ids.append(runs.insert_results(connection, [one])[0].id)
+    keys = keys_of_sets(sets)
+    newest = ids[-1]
+    upto = sorted(chance.sample(range(newest + 1), min(3, newest)))
+    chunk = chance.choice([1, 2, 7, 1000])
+    counts = [reference_keys.sync(database, 1, setup, limit, keys_of, chunk=chunk) for limit in [*upto, newest, newest]]
+    assert sum(counts) == len(sets)
+    assert counts[-1] == 0
+
+    asked = [*dict.fromkeys(keys), b"nobody has this one"[:16]]
+    with database.read() as connection:
+        for watermark in (0, *upto, newest, newest + 5):
+            expected: dict[bytes, Donor] = {}
+            firsts: dict[bytes, NewRun] = {}
+            for key, run_id, run in zip(keys, ids, stored, strict=True):
+                if run_id <= watermark and (key not in firsts or origin(run) < origin(firsts[key])):
+                    firsts[key] = run
+                    expected[key] = Donor(run.evaluation_id, run_id, run.score, run.rating, run.failure)
+            assert reference_keys.look_up(connection, 1, setup, asked, EVALUATOR, watermark) == expected
+        assert reference_keys.look_up(connection, 2, setup, asked, EVALUATOR, newest) == {}
+        assert reference_keys.look_up(connection, 1, other, asked, EVALUATOR, newest) == {}
+        assert reference_keys.look_up(connection, 1, setup, asked, "learned 1", newest) == {}
+
+
+class CrashError(Exception):
+    """Stands for a crash in the middle."""
+
+
+def test_an_interrupted_sync_goes_on_where_it_was(database: Database) -> None:
+    sets = [ParameterSet.of({"P1": decimal("0.4"), "P2": decimal(number)}) for number in range(10)]
+    with database.transaction() as connection:
+        setup = setup_id(connection)
+        stored = [new_run(setup, one, individual=number) for number, one in enumerate(parameter_sets.ensure(connection, sets))]
+        last = runs.insert_results(connection, stored)[-1].id
+    seen: list[int] = []
+
+    def crash_in_the_third_chunk(names: tuple[str, ...], values: npt.NDArray[np.int64]) -> list[bytes]:
+        if len(seen) == 2:
+            raise CrashError
+        seen.append(len(values))
+        return keys_of(names, values)
+
+    with pytest.raises(CrashError):
+        reference_keys.sync(database, 1, setup, last, crash_in_the_third_chunk, chunk=3)
+    assert reference_keys.sync(database, 1, setup, last, keys_of, chunk=3) == 4
+    with database.read() as connection:
+        found = reference_keys.look_up(connection, 1, setup, keys_of_sets(sets[:1]), EVALUATOR, last)
+    assert [donor.run for donor in found.values()] == [1]
+
+
+def test_sets_with_their_parameters_in_other_orders_share_their_keys(database: Database) -> None:
+    one = ParameterSet.of({"P1": decimal("0.35"), "P2": decimal(1)})
+    turned = ParameterSet.of({"P2": decimal(2), "P1": decimal("0.35")})
+    with database.transaction() as connection:
+        setup = setup_id(connection)
+        ids = parameter_sets.ensure(connection, [turned, one])
+        runs.insert_results(connection, [new_run(setup, set_id, evaluation=n) for n, set_id in enumerate(ids, start=1)])
+    reference_keys.sync(database, 1, setup, 10, keys_of)
+    with database.read() as connection:
+        found = reference_keys.look_up(connection, 1, setup, keys_of_sets([one]), EVALUATOR, 10)
+    assert [donor.evaluation for donor in found.values()] == [1]
+
+
+def test_many_keys_are_looked_up_at_once(database: Database) -> None:
+    sets = [ParameterSet.of({"P1": decimal("0.3") + decimal(number) / 100_000, "P2": decimal(1)}) for number in range(12_000)]
+    with database.transaction() as connection:
+        setup = setup_id(connection)
+        set_ids = parameter_sets.ensure(connection, sets)
+        stored = runs.insert_results(connection, [new_run(setup, one, individual=n) for n, one in enumerate(set_ids)])
+    assert reference_keys.sync(database, 1, setup, stored[-1].id, keys_of) == 12_000
+    with database.read() as connection:
+        found = reference_keys.look_up(connection, 1, setup, keys_of_sets(sets), EVALUATOR, stored[-1].id)
+    assert [found[key].run for key in keys_of_sets(sets)] == [run.id for run in stored]
+
+
+def test_values_are_read_back_exactly_however_large_or_fine() -> None:
+    chance = random.Random(0)
+    numbers = [0, 1, -1, 10**15, -(10**15), 10**15 - 1, *(chance.randint(-(10**15), 10**15) for _ in range(5000))]
+    sets = [ParameterSet(("P1", "P2"), pair) for pair in pairwise(numbers)]
+    ((names, positions, values),) = parameter_sets.parse([one.to_json() for one in sets])
+    assert (names, positions) == (("P1", "P2"), list(range(len(sets))))
+    assert values.tolist() == [list(one.billionths) for one in sets]
+    assert billionths(decimal("-0.000000001")) == -1

@@ -1,0 +1,63 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from drivecal.domain.errors import DatabaseError
+from drivecal.storage import urls
+
+
+@pytest.mark.parametrize(
+    ("given", "driver"),
+    [
+        ("sqlite:////data/drivecal.db", "sqlite+pysqlite"),
+        ("sqlite:///drivecal.db", "sqlite+pysqlite"),
+        ("postgresql://me:secret@host/db", "postgresql+psycopg"),
+        ("postgres://me:secret@host/db", "postgresql+psycopg"),
+        ("postgresql+psycopg2://me@host/db", "postgresql+psycopg"),
+        ("postgresql:///db?host=/run/postgresql", "postgresql+psycopg"),
+    ],
+)
+def test_urls_of_both_backends_get_the_driver_that_drivecal_brings(given: str, driver: str) -> None:
+    parsed = urls.parse(given)
+    assert parsed.drivername == driver
+    assert parsed.password in {None, "secret"}
+
+
+@pytest.mark.parametrize("given", ["", "drivecal.db", "sqlite:", "://", "postgresql://me:s3cret@host:port/db"])
+def test_a_url_that_cannot_be_read_is_refused_with_examples_and_without_its_password(given: str) -> None:
+    with pytest.raises(DatabaseError, match=r"give e\.g\. sqlite:////home") as caught:
+        urls.parse(given)
+    assert "s3cret" not in str(caught.value)
+
+
+@pytest.mark.parametrize("given", ["mysql://me:s3cret@host/db", "oracle://me:s3cret@host/db"])
+def test_another_backend_is_refused_by_name(given: str) -> None:
+    with pytest.raises(DatabaseError, match=r"cannot use '(mysql|oracle)'") as caught:
+        urls.parse(given)
+    assert "s3cret" not in str(caught.value)
+
+
+@pytest.mark.parametrize("given", ["sqlite://", "sqlite:///:memory:", "sqlite:///file:x?mode=memory&uri=true"])
+def test_a_database_that_processes_cannot_share_is_refused(given: str) -> None:
+    with pytest.raises(DatabaseError, match="SQLite needs a plain file"):
+        urls.parse(given)
+
+
+def test_only_sqlite_has_a_file() -> None:
+    assert urls.sqlite_file(urls.parse("sqlite:////data/drivecal.db")) == Path("/data/drivecal.db")
+    assert urls.sqlite_file(urls.parse("postgresql://host/db")) is None
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ("sqlite:////data/drivecal.db", "/data/drivecal.db"),
+        ("postgres://me:s3cret@host:5433/db?sslmode=require", "postgresql://me:***@host:5433/db"),
+        ("postgresql://host/db?user=me&password=s3cret", "postgresql://host/db"),
+        ("postgresql:///db?host=/run/postgresql&password=s3cret", "postgresql:///db?host=%2Frun%2Fpostgresql"),
+    ],
+)
+def test_messages_never_show_a_password(given: str, expected: str) -> None:
+    assert urls.shown(urls.parse(given)) == expected
