@@ -164,6 +164,7 @@ def test_a_worker_with_another_version_refuses_and_names_both() -> None:
     [result] = Worker("w").run(Batch(_request(simulator="libsumo 0.9", seed=77), (Cell(1, MIDDLE),))).results
     assert result.breakdown == "error"
     detail = result.detail or ""
+    assert detail.startswith("coordinator and worker differ: ")
     assert f"simulator is libsumo 0.9 at the coordinator and libsumo {version('libsumo')} at the worker" in detail
     assert "seed is 77" in detail
 

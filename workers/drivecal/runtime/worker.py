@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult, SetupRequest
-from drivecal.domain.errors import ConflictError
+from drivecal.domain.errors import ConflictError, DrivecalError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.runtime.compilation import prepare_cache
 from drivecal.runtime.runners import Runner, make_runner
@@ -92,10 +92,16 @@ class Worker:
 
 
 def describe(error: BaseException) -> str:
-    """An error in one printable line: its kind, its words and the place in the code."""
-    words = " ".join("".join(traceback.format_exception_only(error)).split())
+    """An error in one printable line: drivecal's own in its words, others with their kind and the place in the code."""
     frames = traceback.extract_tb(error.__traceback__)
-    place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
+    if isinstance(error, DrivecalError) or not frames:
+        words, place = str(error), ""
+    else:
+        words, place = (
+            "".join(traceback.format_exception_only(error)),
+            f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})",
+        )
+    words = " ".join(words.split())
     text = words[: LONGEST_DETAIL - len(place)] + place
     return "".join(character if character.isprintable() else "?" for character in text)
 
