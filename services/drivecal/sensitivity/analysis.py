@@ -19,7 +19,7 @@ from drivecal.sensitivity.cutting import check_intervals, interval_edges, most_c
 from drivecal.sensitivity.effects import LARGEST_SCORE, Design, Floats
 from drivecal.sensitivity.lines import lines_design, regions_design
 from drivecal.sensitivity.paper import paper_design
-from drivecal.sensitivity.radial import SobolRows, radial_design
+from drivecal.sensitivity.radial import COLUMNS, SobolRows, radial_design
 from drivecal.sensitivity.scenario import ScenarioInfluence, ScenarioState
 from drivecal.sensitivity.settings import SensitivitySettings
 
@@ -141,7 +141,7 @@ class SensitivityAnalysis:
                 if state.waiting
             }
             return {scenario: regions_design(n_values, one, samples, seed, tag) for scenario, one in regions.items()}
-        rows = SobolRows(2 * len(n_values), seed, _GLOBAL, 1)
+        rows = SobolRows(COLUMNS * len(n_values), seed, _GLOBAL, 1)
         boxes = {scenario: state.box() for scenario, state in self._states.items() if not state.unknown}
         return {scenario: radial_design(n_values, rows, *box, samples) for scenario, box in boxes.items()}
 

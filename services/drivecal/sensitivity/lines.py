@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from drivecal.domain.parameters import Indices
 from drivecal.sensitivity.effects import Design, DesignBuilder
-from drivecal.sensitivity.radial import SHORTEST, SobolRows, auxiliary_points, snapped
+from drivecal.sensitivity.radial import COLUMNS, SHORTEST, SobolRows, auxiliary_points, snapped
 
 BASE, PAIRS = 1, 2
 """Which of a design's sequences a key names: base points, or the pairs of one box."""
@@ -34,7 +34,7 @@ def pairs_inside(
 
     `own`: the base points' values, which serve as the first where `mine` says that they lie in this box; shape (samples,).
     """
-    rows = SobolRows(2, *key, PAIRS)
+    rows = SobolRows(COLUMNS, *key, PAIRS)
     box = np.array([lower]), np.array([upper])
     first = np.where(mine, own, snapped(rows.upto(len(own))[: len(own), 0], *box))
     return first, auxiliary_points(rows, 1, first[:, np.newaxis], *box, shortest)[:, 0]

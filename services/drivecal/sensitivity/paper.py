@@ -8,7 +8,7 @@ import numpy as np
 
 from drivecal.domain.parameters import Indices
 from drivecal.sensitivity.effects import Design, DesignBuilder
-from drivecal.sensitivity.radial import SobolRows, add_radial
+from drivecal.sensitivity.radial import COLUMNS, SobolRows, add_radial
 
 
 def paper_design(n_values: Indices, edges: Sequence[Indices], samples: int, seed: int, tag: int) -> Design:
@@ -22,6 +22,6 @@ def paper_design(n_values: Indices, edges: Sequence[Indices], samples: int, seed
         for interval in range(len(marks) - 1):
             lower, upper = np.zeros_like(n_values), n_values - 1
             lower[column], upper[column] = marks[interval], marks[interval + 1]
-            rows = SobolRows(2 * len(n_values), seed, tag, column, interval + 1)
+            rows = SobolRows(COLUMNS * len(n_values), seed, tag, column, interval + 1)
             builder.add_pairs(*add_radial(builder, rows, lower, upper, samples)[column])
     return builder.design(len(n_values), len(edges[0]) - 1)

@@ -1,0 +1,144 @@
+"""Effects of functions whose sensitivities are known on paper, from radial designs.
+
+Some hold for every step law; those of the g-function and sigma of x^2 are for base and auxiliary points that are independent, so the
+design is drawn without the shortest step there. With it, the exact values are summed over the grid.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from drivecal.sensitivity.effects import Floats, Measures, measures
+from drivecal.sensitivity.radial import COLUMNS, SHORTEST, SobolRows, radial_design
+
+SAMPLES = 4096
+A = np.array([0.0, 1.0, 4.5, 9.0])
+"""Coefficients of the g-function."""
+
+Function = Callable[[Floats], Floats]
+
+
+def analysed(function: Function, dimensions: int, shortest: float, grid: int = 10_001, seed: int = 1) -> list[Measures]:
+    """Of `function` on the unit cube, with values 7 times as large, since effects are in units of the scale 0..7."""
+    n_values = np.full(dimensions, grid)
+    rows = SobolRows(COLUMNS * dimensions, seed)
+    design = radial_design(n_values, rows, np.zeros_like(n_values), n_values - 1, SAMPLES, shortest)
+    effects = design.effects(7 * function(design.points / (grid - 1)))
+    return [measures(row) for row in effects]
+
+
+def g_factor(x: Floats, a: float) -> Floats:
+    return (np.abs(4 * x - 2) + a) / (1 + a)
+
+
+def g_function(x: Floats) -> Floats:
+    factors = np.array([g_factor(x[:, column], a) for column, a in enumerate(A)])
+    return np.asarray(factors.prod(axis=0))
+
+
+def effects_under_law(function: Function, shortest: float, grid: int = 801) -> tuple[Floats, Floats]:
+    """All effects of a function of one variable between two grid points and their probabilities: base uniform, then step uniform."""
+    x = np.linspace(0, 1, grid)
+    steps = x[None, :] - x[:, None]
+    allowed = (np.abs(steps) >= shortest - 1e-9) & (steps != 0)
+    probabilities = allowed / allowed.sum(axis=1, keepdims=True) / grid
+    changes = function(x)[None, :] - function(x)[:, None]
+    return np.where(allowed, changes / np.where(allowed, steps, 1), 0), probabilities
+
+
+def near(found: float, exact: float, spread: float) -> bool:
+    """Within four standard errors of plain random sampling, which Sobol' points beat."""
+    return abs(found - exact) <= 4 * spread / np.sqrt(SAMPLES)
+
+
+@pytest.mark.parametrize("shortest", [0, SHORTEST])
+def test_a_linear_function_has_its_slopes_and_no_spread(shortest: float) -> None:
+    slopes = np.array([0.5, -0.25, 0.0])
+    for found, slope in zip(analysed(lambda x: np.asarray(x @ slopes), 3, shortest), slopes, strict=True):
+        assert (found.mu, found.mu_star) == (pytest.approx(slope), pytest.approx(abs(slope)))
+        assert found.sigma < 1e-9
+        assert found.s_rel == pytest.approx(abs(slope))
+        assert found.n_effects == SAMPLES
+
+
+def test_a_square_has_mean_one_and_the_spread_of_a_sum_of_two_uniform_numbers() -> None:
+    (found,) = analysed(lambda x: x[:, 0] ** 2, 1, shortest=0)
+    sigma = np.sqrt(1 / 6)
+    assert near(found.mu, 1, sigma)
+    assert near(found.mu_star, 1, sigma)
+    assert found.sigma == pytest.approx(sigma, rel=0.02)
+
+
+def test_under_the_step_law_a_square_keeps_its_mean_and_has_the_spread_of_the_law() -> None:
+    effects, probabilities = effects_under_law(lambda x: x**2, SHORTEST)
+    sigma = float(np.sqrt((probabilities * effects**2).sum() - 1))
+    assert float((probabilities * effects).sum()) == pytest.approx(1)
+    (found,) = analysed(lambda x: x[:, 0] ** 2, 1, SHORTEST)
+    assert near(found.mu, 1, sigma)
+    assert found.sigma == pytest.approx(sigma, rel=0.02)
+    assert sigma < np.sqrt(1 / 6) - 0.01, "long steps average out curvature, so the two laws can be told apart"
+
+
+@pytest.mark.parametrize("shortest", [0, SHORTEST])
+def test_each_factor_of_a_product_has_the_others_distribution(shortest: float) -> None:
+    for found in analysed(lambda x: np.asarray(x.prod(axis=1)), 2, shortest):
+        sigma = np.sqrt(1 / 12)
+        assert near(found.mu, 0.5, sigma)
+        assert found.mu_star == found.mu
+        assert found.sigma == pytest.approx(sigma, rel=0.02)
+
+
+def test_the_g_function_has_its_closed_form() -> None:
+    others = 1 + 1 / (3 * (1 + A) ** 2)
+    for column, found in enumerate(analysed(g_function, len(A), shortest=0)):
+        mu_star = 4 * np.log(2) / (1 + A[column])
+        variance = 32 * (1 - np.log(2)) / (1 + A[column]) ** 2 * np.delete(others, column).prod()
+        assert near(found.mu, 0, np.sqrt(variance))
+        assert near(found.mu_star, mu_star, np.sqrt(variance - mu_star**2))
+        assert found.sigma == pytest.approx(np.sqrt(variance), rel=0.03)
+
+
+def test_under_the_step_law_the_g_function_has_the_sums_over_the_law() -> None:
+    second_moments = 1 + 1 / (3 * (1 + A) ** 2)
+    for column, found in enumerate(analysed(g_function, len(A), SHORTEST)):
+        effects, probabilities = effects_under_law(lambda x, a=A[column]: g_factor(x, a), SHORTEST)  # type: ignore[misc]
+        mu_star = float((probabilities * np.abs(effects)).sum())
+        variance = float((probabilities * effects**2).sum()) * np.delete(second_moments, column).prod()
+        assert near(found.mu, 0, np.sqrt(variance))
+        assert near(found.mu_star, mu_star, np.sqrt(variance - mu_star**2))
+        assert found.sigma == pytest.approx(np.sqrt(variance), rel=0.03)
+        assert mu_star < 4 * np.log(2) / (1 + A[column]) * 0.95, "the two laws can be told apart"
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_sobol_points_come_nearer_than_random_ones(seed: int) -> None:
+    found = analysed(g_function, len(A), shortest=0, seed=seed)
+    exact = 4 * np.log(2) / (1 + A)
+    sobol = np.mean([abs(one.mu_star - value) / value for one, value in zip(found, exact, strict=True)])
+    generator = np.random.default_rng(seed)
+    base, auxiliary = generator.random((2, SAMPLES, len(A)))
+    random = []
+    for column in range(len(A)):
+        stepped = base.copy()
+        stepped[:, column] = auxiliary[:, column]
+        effects = (g_function(stepped) - g_function(base)) / (stepped - base)[:, column]
+        random.append(np.abs(effects).mean())
+    assert sobol < np.mean(np.abs(np.array(random) - exact) / exact)
+
+
+def test_points_fill_the_box_evenly_and_steps_follow_the_law() -> None:
+    n_values = np.array([1001])
+    design = radial_design(n_values, SobolRows(COLUMNS, 3), np.array([200]), np.array([600]), SAMPLES)
+    base = design.points[design.first[0], 0]
+    assert stats.kstest((base - 200) / 400, "uniform").pvalue > 0.01
+    lengths = np.abs(design.steps[0]) * 1000
+    assert lengths.min() >= 100
+    grid = np.arange(401)
+    allowed = np.abs(grid[:, None] - grid[None, :]) >= 100
+    shares = (allowed / allowed.sum(axis=1, keepdims=True)).ravel() / 401
+    exact = float((shares * np.abs(grid[:, None] - grid[None, :]).ravel()).sum())
+    assert lengths.mean() == pytest.approx(exact, rel=0.02)
