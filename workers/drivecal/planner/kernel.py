@@ -12,7 +12,7 @@ scales (16,): see `cost.scales`
 lateral_ends (2, n_lateral), longitudinal_ends (2, n_longitudinal): see `candidates`
 start, ego (6,): s, s', s'', d, d', d''; neighbours (m, 6): see `ports.Observation`
 quintics (8, n_lateral): six coefficients of d(t), end offset, horizon; quartics (7, n_longitudinal): five of s(t), end speed, horizon
-memory (16,): 1 where there is a plan before, its quintic, its quartic
+memory (8, 2): the plan before, its quintic in column 0 and its quartic in column 1; horizons of 0 where there is none
 lateral (6, n_lateral), longitudinal (2, n_longitudinal), combined (7, n_longitudinal, n_lateral): features, rows named below
 """
 
@@ -162,11 +162,12 @@ def fit_quartic(quartics: Any, j: int, s: float, s1: float, s2: float, speed: fl
 @compiled
 def start_of(ego: Any, memory: Any, elapsed: float, start: Any) -> bool:
     """Writes where the plan starts: on the plan before where the vehicle is close to it (True), else as measured."""
-    start[:] = ego
-    if memory[0] == 0.0:
+    for index in range(6):
+        start[index] = ego[index]
+    if memory[7, 0] == 0.0:
         return False
-    d, d1, d2 = lateral_at(memory[1:9].reshape(8, 1), 0, elapsed)
-    s, s1, s2, _ = longitudinal_at(memory[9:16].reshape(7, 1), 0, elapsed)
+    d, d1, d2 = lateral_at(memory, 0, elapsed)
+    s, s1, s2, _ = longitudinal_at(memory, 1, elapsed)
     if (
         abs(ego[0] - s) > LARGEST_DEVIATIONS[0]
         or abs(ego[1] - s1) > LARGEST_DEVIATIONS[1]
@@ -187,7 +188,7 @@ def fit(
     for i in range(last):
         fit_quintic(quintics, i, start[3], start[4], start[5], lateral_ends[0, i], lateral_ends[1, i])
     if rest >= SHORTEST_REST:
-        fit_quintic(quintics, last, start[3], start[4], start[5], memory[7], rest)
+        fit_quintic(quintics, last, start[3], start[4], start[5], memory[6, 0], rest)
     else:
         fit_quintic(quintics, last, start[3], start[4], start[5], lateral_ends[0, last], lateral_ends[1, last])
     _, _, limit = road_ahead(road, start[0])
@@ -220,11 +221,10 @@ def evaluate(
     combined[:] = 0.0
     d2 = np.empty((POINTS, n_lateral))
 
-    before = memory[1:9].reshape(8, 1)
     edge = 0.5 * lane_width - half_width - BOUNDARY_SPACE
     for k in range(POINTS):
         t = (k + 0.5) * INTERVAL
-        planned, _, _ = lateral_at(before, 0, t + elapsed)
+        planned, _, _ = lateral_at(memory, 0, t + elapsed)
         for i in range(n_lateral):
             c2, c3, c4, c5 = quintics[2, i], quintics[3, i], quintics[4, i], quintics[5, i]
             moving = t < quintics[7, i]
@@ -251,12 +251,13 @@ def evaluate(
             away = (abs(here - wanted) - ARRIVED) / (NOT_ARRIVED - ARRIVED)
             away = max(away, 0.0)
             lateral[ARRIVAL, i] += min(away, 1.0)
+    consistency = scales[5] / POINTS if memory[7, 0] > 0.0 else 0.0
     for i in range(n_lateral):
         offset = abs(d[POINTS - 1, i] - wanted)
         lateral[LATERAL_BASE, i] = on_grid(2.0 * offset * offset / (1.0 + offset), scales[13])
         lateral[LATERAL_JERK, i] = on_grid(lateral[LATERAL_JERK, i], scales[1] / POINTS)
         lateral[CENTRE, i] = on_grid(lateral[CENTRE, i], scales[3] / POINTS)
-        lateral[CONSISTENCY, i] = on_grid(lateral[CONSISTENCY, i], scales[5] / POINTS * memory[0])
+        lateral[CONSISTENCY, i] = on_grid(lateral[CONSISTENCY, i], consistency)
         lateral[ARRIVAL, i] = on_grid(lateral[ARRIVAL, i], scales[6] * INTERVAL)
         lateral[BOUNDARY, i] = on_grid(lateral[BOUNDARY, i], scales[9] / POINTS)
 
@@ -459,7 +460,7 @@ def consider(
     """Writes plans and features of all candidates; changes nothing else."""
     start = np.empty(6)
     stitched = start_of(ego, memory, elapsed, start)
-    rest = memory[8] - elapsed if stitched else 0.0
+    rest = memory[7, 0] - elapsed if stitched else 0.0
     fit(road, lateral_ends, longitudinal_ends, start, rest, memory, quintics, quartics)
     evaluate(road, scene, scales, start, neighbours, memory, elapsed, quintics, quartics, lateral, longitudinal, combined)
 
@@ -495,7 +496,8 @@ def plan(
         chosen = cheapest_of_all
     i, j = chosen % n_lateral, chosen // n_lateral
     trace(road, quintics, quartics, i, j, scene[7], trajectory)
-    memory[0] = 1.0
-    memory[1:9] = quintics[:, i]
-    memory[9:16] = quartics[:, j]
+    for index in range(8):
+        memory[index, 0] = quintics[index, i]
+    for index in range(7):
+        memory[index, 1] = quartics[index, j]
     return chosen

@@ -73,14 +73,14 @@ class FrenetPlanner:
         """The candidates of the last plan that were cheaper than the chosen one but cannot be driven, shape (n_candidates,)."""
         self.chosen = -1
         """The candidate of the last plan that is driven: index = longitudinal index * n_lateral + lateral index."""
-        self._memory = np.zeros(16)
+        self._memory = np.zeros((8, 2))
         self._weights = np.zeros(12)
         self._planned_at = 0.0
 
     def reset(self, parameters: Sequence[float]) -> None:
         """Starts a new run with the values of P1..P11."""
         self._weights = weights(parameters)
-        self._memory = np.zeros(16)
+        self._memory = np.zeros((8, 2))
         self._planned_at = 0.0
         self.chosen = -1
 
