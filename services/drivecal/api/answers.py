@@ -78,7 +78,7 @@ def parameter_column(name: str) -> str:
     return f"parameter_{name}" if name in BEFORE_PARAMETERS or name in AFTER_PARAMETERS else name
 
 
-def evaluated_cell(stored: StoredEvaluation, metrics: Mapping[str, float] | None) -> EvaluatedCell:
+def evaluated_cell(stored: StoredEvaluation, metrics: Mapping[str, float | None] | None) -> EvaluatedCell:
     """One cell of a single evaluation."""
     return EvaluatedCell(
         id=stored.id,

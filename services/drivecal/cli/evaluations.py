@@ -66,4 +66,7 @@ def _print(evaluation: Evaluation) -> None:
         typer.echo(f"mean score {evaluation.objective:.4f}")
     if evaluation.metrics:
         typer.echo("")
-        print_columns(["metric", "value"], [[name, f"{value:.4g}"] for name, value in evaluation.metrics.items()])
+        print_columns(
+            ["metric", "value"],
+            [[name, None if value is None else f"{value:.4g}"] for name, value in evaluation.metrics.items()],
+        )

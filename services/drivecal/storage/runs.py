@@ -99,9 +99,9 @@ def look_up_exact(
     return found
 
 
-def metrics(connection: Connection, run_ids: Sequence[int]) -> dict[int, dict[str, float]]:
-    """The measured metrics of runs by id. Ids that are not stored are left out."""
-    found: dict[int, dict[str, float]] = {}
+def metrics(connection: Connection, run_ids: Sequence[int]) -> dict[int, dict[str, float | None]]:
+    """The measured metrics of runs by id, None for what was not finite. Ids that are not stored are left out."""
+    found: dict[int, dict[str, float | None]] = {}
     for condition in among(connection, runs.c.id, [int(one) for one in run_ids]):
         for row in connection.execute(select(runs.c.id, runs.c.metrics).where(condition)):
             found[row.id] = row.metrics

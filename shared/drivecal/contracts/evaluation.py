@@ -19,8 +19,8 @@ class EvaluatedCell(Answer):
     failure: str | None
     milliseconds: float | None
     worker: str | None
-    metrics: dict[str, float] | None = None
-    """The measured metrics, their units in their names."""
+    metrics: dict[str, float | None] | None = None
+    """The measured metrics, their units in their names; null is one that this run does not define."""
 
 
 class Evaluation(Answer):
@@ -38,6 +38,6 @@ class Evaluation(Answer):
     score: int | None = None
     rating: float | None = None
     failure: str | None = None
-    metrics: dict[str, float] | None = None
+    metrics: dict[str, float | None] | None = None
     error: str | None = None
     links: dict[str, str] = Field(default_factory=dict)

@@ -48,9 +48,11 @@ def list_generations(campaign_id: str, query: TableQuery, database: DatabaseDepe
             found, following = generations.page(connection, campaign.sequence, limit=limit, cursor=cursor)
         return [{"iteration": iteration, **asdict(figures)} for iteration, figures in found], following
 
-    numbers = ("best", "mean", "minimum")
-    names = ["iteration", *generations.Figures.__dataclass_fields__]
-    columns = [Column(name, "number" if name in numbers else "integer") for name in names]
+    def columns() -> list[Column]:
+        numbers = ("best", "mean", "minimum")
+        names = ["iteration", *generations.Figures.__dataclass_fields__]
+        return [Column(name, "number" if name in numbers else "integer") for name in names]
+
     return _answer(f"generations-{campaign.id}", query, accept, columns, pages)
 
 
@@ -65,23 +67,25 @@ def list_evaluations(campaign_id: str, query: TableQuery, database: DatabaseDepe
             found, following = results.page(connection, campaign.sequence, limit=limit, cursor=cursor)
         return [evaluation_row(one) for one in found], following
 
-    columns = [
-        Column("id", "integer"),
-        Column("stage", "text"),
-        Column("iteration", "integer"),
-        Column("individual", "integer"),
-        Column("scenario", "text"),
-        *(Column(parameter_column(name), "number") for name in _parameter_names(campaign)),
-        Column("outcome", "text"),
-        Column("score", "integer"),
-        Column("rating", "number"),
-        Column("reference", "integer"),
-        Column("audited", "truth"),
-        Column("agrees", "truth"),
-        Column("failure", "text"),
-        Column("milliseconds", "number"),
-        Column("worker", "text"),
-    ]
+    def columns() -> list[Column]:
+        return [
+            Column("id", "integer"),
+            Column("stage", "text"),
+            Column("iteration", "integer"),
+            Column("individual", "integer"),
+            Column("scenario", "text"),
+            *(Column(parameter_column(name), "number") for name in _parameter_names(database, campaign)),
+            Column("outcome", "text"),
+            Column("score", "integer"),
+            Column("rating", "number"),
+            Column("reference", "integer"),
+            Column("audited", "truth"),
+            Column("agrees", "truth"),
+            Column("failure", "text"),
+            Column("milliseconds", "number"),
+            Column("worker", "text"),
+        ]
+
     return _answer(f"evaluations-{campaign.id}", query, accept, columns, pages)
 
 
@@ -99,15 +103,18 @@ def list_solutions(campaign_id: str, query: SolutionsQuery, database: DatabaseDe
         return rows, cursors.encode(following) if following < len(ranked) else None
 
     flat = form_of(query, accept) != "json"
-    columns = [
-        Column("rank", "integer"),
-        Column("objective", "number"),
-        Column("rating", "number"),
-        *(Column(f"score_{name}", "integer") for name in ranked.scenarios),
-        *(Column(parameter_column(name), "number") for name in problem.space.names),
-        Column("iteration", "integer"),
-        Column("individual", "integer"),
-    ]
+
+    def columns() -> list[Column]:
+        return [
+            Column("rank", "integer"),
+            Column("objective", "number"),
+            Column("rating", "number"),
+            *(Column(f"score_{name}", "integer") for name in ranked.scenarios),
+            *(Column(parameter_column(name), "number") for name in problem.space.names),
+            Column("iteration", "integer"),
+            Column("individual", "integer"),
+        ]
+
     return _answer(f"solutions-{campaign.id}", query, accept, columns, pages)
 
 
@@ -122,26 +129,28 @@ def list_influence(campaign_id: str, query: TableQuery, database: DatabaseDepend
         following = start + limit
         return rows[start:following], cursors.encode(following) if following < len(rows) else None
 
-    columns = [
-        Column("scenario", "text"),
-        Column("parameter", "text"),
-        Column("influential", "truth"),
-        Column("lower", "number"),
-        Column("upper", "number"),
-        Column("s_rel_intervals", "numbers"),
-        Column("mu", "number"),
-        Column("sigma", "number"),
-        Column("mu_star", "number"),
-    ]
+    def columns() -> list[Column]:
+        return [
+            Column("scenario", "text"),
+            Column("parameter", "text"),
+            Column("influential", "truth"),
+            Column("lower", "number"),
+            Column("upper", "number"),
+            Column("s_rel_intervals", "numbers"),
+            Column("mu", "number"),
+            Column("sigma", "number"),
+            Column("mu_star", "number"),
+        ]
+
     return _answer(f"influence-{campaign.id}", query, accept, columns, pages)
 
 
-def _answer(name: str, query: TableOf, accept: str, columns: Sequence[Column], pages: Pages) -> Response:
+def _answer(name: str, query: TableOf, accept: str, columns: Callable[[], Sequence[Column]], pages: Pages) -> Response:
     form = form_of(query, accept)
     if form == "json":
         rows, following = pages(query.limit, query.cursor)
         return JSONResponse({"items": list(rows), "next_cursor": following}, headers={"Vary": "Accept"})
-    return download(name, form, columns, _all(pages))
+    return download(name, form, columns(), _all(pages))
 
 
 def _all(pages: Pages) -> Iterator[Sequence[Row]]:
@@ -165,7 +174,12 @@ def _problem(campaign: StoredCampaign) -> CalibrationProblem:
     return resolve(validated(CampaignSpecification, campaign.spec))
 
 
-def _parameter_names(campaign: StoredCampaign) -> Iterable[str]:
+def _parameter_names(database: Database, campaign: StoredCampaign) -> Iterable[str]:
+    """Those of the first row; of a campaign without rows yet, those it will have."""
+    with database.read() as connection:
+        rows, _ = results.page(connection, campaign.sequence, limit=1)
+    if rows:
+        return rows[0].parameters
     if campaign.kind == "calibration":
         return _problem(campaign).space.names
     specification = validated(EvaluationSpecification, campaign.spec)
