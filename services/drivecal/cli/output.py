@@ -52,11 +52,8 @@ def print_campaign(campaign: Campaign) -> None:
         lines.append(("best", f"{_objective(best.objective)}  {parameters_text(best.parameters)}"))
         lines.append(("scores", "  ".join(f"{name} {score}" for name, score in best.scores.items())))
         lines.append(("alternatives", f"{best.alternatives} parameter sets share the best objective"))
-    for scenario, rate in campaign.error_rate.items():
-        if rate.audited:
-            stopped = "; reuse stopped" if rate.stopped else ""
-            upper = "" if rate.upper_95 is None else f", at most {rate.upper_95:.1%} with 95 % confidence"
-            lines.append((f"audit {scenario}", f"{rate.wrong} of {rate.audited} wrong{upper}{stopped}"))
+    if self_check := self_check_text(campaign):
+        lines.append(("self-check", self_check))
     lines += [("note", note) for note in campaign.notes]
     seconds = campaign.seconds
     if seconds.wall:
@@ -119,6 +116,19 @@ def print_cells(runs: Sequence[tuple[str, CellCounts]]) -> None:
             for name, cells in runs
         ],
     )
+
+
+def self_check_text(campaign: Campaign) -> str:
+    """What the audits found, on one line; empty before the first."""
+    rates = campaign.error_rate
+    audited, different, wrong = (
+        sum(getattr(rate, name) for rate in rates.values()) for name in ("audited", "different", "wrong")
+    )
+    if not audited:
+        return ""
+    text = f"{audited:,} reusable cells were simulated all the same: {different:,} scored differently, {wrong:,} by more than 1"
+    stopped = [name for name, rate in rates.items() if rate.stopped]
+    return f"{text}; reuse was stopped in {', '.join(stopped)}" if stopped else text
 
 
 def saved(cells: CellCounts) -> float:

@@ -18,7 +18,7 @@ Detail = Mapping[str, Any]
 _WANTED = {
     "string_type": "text",
     "string_unicode": "valid Unicode text",
-    "int_type": "a whole number",
+    "int_type": "a whole number, without decimal point and exponent",
     "int_parsing": "a whole number",
     "int_parsing_size": "a smaller whole number",
     "int_from_float": "a whole number",

@@ -24,7 +24,10 @@ def complaints(document: object, model: type[BaseModel] = CampaignSpecification)
     ("document", "said"),
     [
         ({"wieghts": {}}, "wieghts: there is no such field; did you mean weights?"),
-        ({"optimizer": {"population": 1e30}}, "optimizer.population: 1e+30 does not fit; give a whole number"),
+        (
+            {"optimizer": {"population": 1e30}},
+            "optimizer.population: 1e+30 does not fit; give a whole number, without decimal point and exponent",
+        ),
         ({"optimizer": {"population": 10**30}}, f"optimizer.population: {10**30} is too large; give at most 100,000"),
         ({"optimizer": {"population": 1}}, "optimizer.population: 1 is too small; give at least 2"),
         ({"weights": {"S1": -1}}, "weights.S1: -1 is too small; give at least 0"),

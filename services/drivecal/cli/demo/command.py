@@ -17,7 +17,7 @@ from drivecal.campaigns.settings import load_settings
 from drivecal.cli.commands import ExitCode, JsonOption, app, tell
 from drivecal.cli.demo.coordinator import coordinator, fresh_folder
 from drivecal.cli.documents import read_document
-from drivecal.cli.output import duration, print_cells, print_json, print_solutions, saved
+from drivecal.cli.output import duration, print_cells, print_json, print_solutions, saved, self_check_text
 from drivecal.cli.watching import show_until_ended
 from drivecal.client.client import Client
 from drivecal.contracts.campaign import Campaign
@@ -92,7 +92,7 @@ def _first(client: Client, as_json: bool) -> Campaign:
         _print_comparison(campaign)
         typer.echo("\nHow its cells, one parameter set in one scenario each, were answered:\n")
         print_cells([("campaign", campaign.cells)])
-        _print_self_check(campaign)
+        typer.echo(f"\nSelf-check: {self_check_text(campaign) or 'no cell was audited'}.")
     return campaign
 
 
@@ -104,7 +104,7 @@ def _second(client: Client, first: Campaign, as_json: bool) -> Campaign:
         print_solutions(client.solutions(campaign.id, limit=SHOWN).items)
         typer.echo("\nWhat the first campaign had simulated was not simulated again:\n")
         print_cells([("campaign", first.cells), ("rerun", campaign.cells)])
-        _print_self_check(campaign)
+        typer.echo(f"\nSelf-check: {self_check_text(campaign) or 'no cell was audited'}.")
     return campaign
 
 
@@ -123,16 +123,6 @@ def _print_comparison(campaign: Campaign) -> None:
         f"\nThe middle of all ranges scores {campaign.baseline.objective:.3f}; the best is {better:.3f} better, "
         f"and {campaign.best.alternatives} sets share it."
     )
-
-
-def _print_self_check(campaign: Campaign) -> None:
-    rates = campaign.error_rate.values()
-    audited, different, wrong = (sum(getattr(rate, name) for rate in rates) for name in ("audited", "different", "wrong"))
-    if audited:
-        typer.echo(
-            f"\nSelf-check: {audited} cells that a reference could have answered were simulated all the same; "
-            f"{different} scored differently, {wrong} by more than 1."
-        )
 
 
 def _time(campaign: Campaign) -> str:
