@@ -1,0 +1,352 @@
+"""The analysis as a whole: phases, replay, what is given back, what stays unknown, and what is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from decimal import Decimal
+from math import isnan
+from typing import Any, Literal
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tests.unit.sensitivity.synthetic import Score, drive, space_of, staircase
+
+from drivecal.domain.errors import InvalidInputError
+from drivecal.domain.influence import EVERYWHERE, Influence
+from drivecal.domain.parameters import Indices, Parameter, ParameterSpace
+from drivecal.sensitivity.analysis import SensitivityAnalysis
+from drivecal.sensitivity.cutting import interval_edges
+from drivecal.sensitivity.effects import Floats
+from drivecal.sensitivity.scenario import ScenarioState
+from drivecal.sensitivity.settings import SensitivitySettings
+from drivecal.sensitivity.thresholds import SeparateThresholds
+
+SPACE = space_of(41, 101, 61)
+SETTINGS = SensitivitySettings("lines", 8, 12, "auto", 5)
+SCORES: dict[str, Score] = {"S1": staircase(SPACE, {0: (0.4, 0.9)}), "S2": staircase(SPACE, {1: (0, 0.5), 2: (0.25, 0.7)})}
+
+both = pytest.mark.parametrize("design", ["lines", "paper"])
+
+
+def constant(value: float) -> Score:
+    return lambda points: np.full(len(points), value)
+
+
+def finished(scores: Mapping[str, Score], chosen: SensitivitySettings = SETTINGS, space: ParameterSpace = SPACE) -> Any:
+    analysis = SensitivityAnalysis(space, list(scores), chosen)
+    drive(analysis, scores)
+    return analysis.result()
+
+
+def test_intervals_come_first_then_confirmations_then_the_global_analysis() -> None:
+    told = drive(SensitivityAnalysis(SPACE, list(SCORES), SETTINGS), SCORES)
+    names = [name for name, _ in told]
+    assert names[0] == "intervals"
+    assert set(names[1:-1]) == {"confirmation"}
+    assert names[-1] == "global"
+
+
+@both
+def test_what_is_announced_is_exact_for_the_intervals_and_never_too_little(design: Literal["lines", "paper"]) -> None:
+    analysis = SensitivityAnalysis(SPACE, list(SCORES), replace(SETTINGS, design=design))
+    announced = analysis.expected_runs()
+    assert announced["intervals"] == {"lines": 12 * (1 + 3 * 15), "paper": 3 * 8 * 12 * 4}[design]
+    told = drive(analysis, SCORES)
+    for scenario in SCORES:
+        made = {name: sum(runs.get(scenario, 0) for phase, runs in told if phase == name) for name in announced}
+        assert made["intervals"] == announced["intervals"]
+        assert made["global"] == announced["global"] == 12 * 4
+        assert 0 < made["confirmation"] <= announced["confirmation"]
+
+
+@both
+def test_a_replayed_analysis_goes_on_as_the_first_would(design: Literal["lines", "paper"]) -> None:
+    chosen = replace(SETTINGS, design=design)
+    first = SensitivityAnalysis(SPACE, list(SCORES), chosen)
+    told: list[dict[str, Floats]] = []
+    while (phase := first.ask()) is not None:
+        second = SensitivityAnalysis(SPACE, list(SCORES), chosen)
+        for scores in told:
+            second.ask()
+            second.tell(scores)
+        again = second.ask()
+        assert again is not None
+        assert (again.number, again.name) == (phase.number, phase.name) == (len(told), phase.name)
+        assert list(again.points) == list(phase.points)
+        assert all(np.array_equal(again.points[scenario], phase.points[scenario]) for scenario in phase.points)
+        told.append({scenario: SCORES[scenario](points) for scenario, points in phase.points.items()})
+        first.tell(told[-1])
+    assert len(told) >= 3
+    assert finished(SCORES, chosen).keys() == first.result().keys()
+    assert {name: one.parameters for name, one in finished(SCORES, chosen).items()} == {
+        name: one.parameters for name, one in first.result().items()
+    }
+
+
+def test_a_scenario_is_analysed_the_same_whatever_others_there_are() -> None:
+    for scenario, score in SCORES.items():
+        assert finished({scenario: score})[scenario] == finished(SCORES)[scenario]
+    turned = dict(reversed(SCORES.items()))
+    assert finished(turned) == finished(SCORES)
+
+
+def test_other_names_give_the_same_figures() -> None:
+    renamed = ParameterSpace(tuple(replace(one, name=f"weight{one.name}") for one in SPACE.parameters))
+    one, other = finished(SCORES)["S1"], finished({"jam": SCORES["S1"]}, space=renamed)["jam"]
+    assert list(one.parameters.values()) == list(other.parameters.values())
+
+
+def test_bounds_are_exact_values_of_the_grid_and_open_ends_the_spaces_own() -> None:
+    found = SensitivityAnalysis(SPACE, list(SCORES), SETTINGS)
+    drive(found, SCORES)
+    influences = found.influence_map().scenarios
+    assert influences["S1"]["P1"] == Influence(True, Decimal("1.5"), Decimal("3.5"))
+    assert influences["S1"]["P2"] == influences["S1"]["P3"] == Influence(influential=False)
+    assert influences["S2"]["P2"] == Influence(True, None, Decimal(5))
+    assert influences["S2"]["P3"] == Influence(True, Decimal("1.5"), Decimal("4.5"))
+
+
+def test_later_phases_stay_in_what_was_cut_and_in_what_was_left() -> None:
+    analysis = SensitivityAnalysis(SPACE, list(SCORES), SETTINGS)
+    while (phase := analysis.ask()) is not None:
+        if phase.name == "global":
+            cut = {one: phase.points[one].min(axis=0).tolist() + phase.points[one].max(axis=0).tolist() for one in SCORES}
+        analysis.tell({scenario: SCORES[scenario](points) for scenario, points in phase.points.items()})
+    assert cut["S1"][0] >= 15
+    assert cut["S1"][3] <= 35
+    assert cut["S2"][2] >= 15
+    assert cut["S2"][4] <= 50
+    assert cut["S1"][4] > 90, "where a parameter has no influence it is varied over its whole range"
+
+
+def test_fixed_parameters_take_no_part() -> None:
+    space = ParameterSpace(SPACE.parameters, {"P2": Decimal(3)})
+    analysis = SensitivityAnalysis(space, ["S1"], SETTINGS)
+    phase = analysis.ask()
+    assert phase is not None
+    assert phase.points["S1"].shape == (12 * (1 + 2 * 15), 2)
+    drive(analysis, {"S1": constant(3)})
+    assert list(analysis.result()["S1"].parameters) == ["P1", "P3"]
+
+
+def test_a_score_that_never_changes_has_no_influential_parameter() -> None:
+    found = finished({"S1": constant(7)})["S1"]
+    assert not found.unknown
+    assert found.smallest_interval_s_rel is None
+    assert found.smallest_overall_s_rel is None
+    assert {one.influence for one in found.parameters.values()} == {Influence(influential=False)}
+
+
+def none_or_zero(points: Indices) -> Floats:
+    return np.where(points[:, 0] % 2 == 0, np.nan, 0.0)
+
+
+@pytest.mark.parametrize("score", [constant(0), constant(np.nan), none_or_zero], ids=["zero", "failed", "both"])
+def test_a_scenario_without_any_score_is_unknown_which_counts_as_influential(score: Score) -> None:
+    analysis = SensitivityAnalysis(SPACE, ["S1", "S2"], SETTINGS)
+    told = drive(analysis, {"S1": score, "S2": SCORES["S2"]})
+    assert all("S1" not in runs for _, runs in told[1:])
+    assert analysis.result()["S1"].unknown
+    assert set(analysis.influence_map().scenarios["S1"].values()) == {EVERYWHERE}
+    assert all(one.overall is None for one in analysis.result()["S1"].parameters.values())
+    assert analysis.result()["S2"] == finished(SCORES)["S2"]
+
+
+def test_where_every_scenario_is_unknown_nothing_more_is_asked() -> None:
+    assert [name for name, _ in drive(SensitivityAnalysis(SPACE, ["S1"], SETTINGS), {"S1": constant(0)})] == ["intervals"]
+
+
+def test_intervals_of_which_too_few_runs_worked_are_not_cut() -> None:
+    def upper_half_fails(points: Indices) -> Floats:
+        return np.where(points[:, 1] >= 50, np.nan, 3.0)
+
+    found = finished({"S1": upper_half_fails})["S1"].parameters
+    assert [isnan(one) for one in found["P2"].s_rel_intervals] == [False] * 4 + [True] * 4
+    assert [one.influential for one in found["P2"].intervals] == [False] * 4 + [True] * 4
+
+
+@pytest.mark.parametrize("threshold", [0.02, "auto", SeparateThresholds(0.01, 0.02)])
+def test_every_kind_of_threshold_finds_the_same_clear_regions(threshold: Any) -> None:
+    found = finished(SCORES, replace(SETTINGS, threshold=threshold))
+    for scenario, one in finished(SCORES).items():
+        for name, parameter in one.parameters.items():
+            assert found[scenario].parameters[name].influence == parameter.influence
+
+
+def test_a_threshold_above_everything_leaves_nothing_influential() -> None:
+    found = finished(SCORES, replace(SETTINGS, threshold=1000.0))["S2"]
+    assert {one.influence for one in found.parameters.values()} == {Influence(influential=False)}
+    smallest = found.smallest_interval_s_rel
+    assert smallest is not None
+    everything = [s_rel for one in found.parameters.values() for s_rel in one.s_rel_intervals if s_rel > 0]
+    assert smallest == min(everything) < 1000
+
+
+QUIET, LOUD = np.zeros(4), np.full(4, 1.0)
+STEPS = np.full(4, 0.5)
+
+
+def state_after_intervals(influential: str) -> ScenarioState:
+    """One parameter on a grid of 81, of whose 8 intervals those marked # are influential."""
+    state = ScenarioState(space_of(81), [interval_edges(81, 8)], threshold=0.5)
+    effects = np.array([[LOUD if mark == "#" else QUIET for mark in influential]])
+    state.take_intervals(np.ones(3), effects, np.broadcast_to(STEPS, effects.shape))
+    return state
+
+
+def confirm(state: ScenarioState, answers: Mapping[str, Floats]) -> list[tuple[str, int, int]]:
+    """Answers one round of confirmation by side; gives what was waiting."""
+    waiting = [(one.side, *state.bounds(one)) for one in state.waiting]
+    effects = np.array([answers[one.side] for one in state.waiting])
+    state.take_confirmations(effects, np.broadcast_to(STEPS, effects.shape))
+    return [(str(side), lower, upper) for side, lower, upper in waiting]
+
+
+def influence_after_global(state: ScenarioState, effects: Floats, scores: Floats | None = None) -> Influence:
+    state.take_overall(np.ones(3) if scores is None else scores, effects[np.newaxis], STEPS[np.newaxis])
+    return state.result().parameters["P1"].influence
+
+
+def test_a_confirmed_region_is_cut() -> None:
+    state = state_after_intervals("....##..")
+    assert confirm(state, {"below": QUIET, "above": QUIET}) == [("below", 0, 39), ("above", 61, 80)]
+    assert not state.waiting
+    assert [part.tolist() for part in state.box()] == [[40], [60]]
+    assert influence_after_global(state, LOUD) == Influence(True, Decimal(4), Decimal(6))
+
+
+def test_a_refuted_region_gives_back_its_inner_half_and_the_rest_is_confirmed_anew() -> None:
+    state = state_after_intervals(".....#..")
+    assert confirm(state, {"below": LOUD, "above": QUIET}) == [("below", 0, 49), ("above", 61, 80)]
+    assert confirm(state, {"below": LOUD}) == [("below", 0, 19)]
+    assert confirm(state, {"below": QUIET}) == [("below", 0, 9)]
+    assert influence_after_global(state, LOUD) == Influence(True, Decimal(1), Decimal(6))
+    confirmations = state.result().parameters["P1"].confirmations
+    assert [(one.lower, one.upper, one.verdict.influential) for one in confirmations] == [
+        (0, 49, True), (61, 80, False), (0, 19, True), (0, 9, False),
+    ]  # fmt: skip
+
+
+def test_a_region_that_is_never_confirmed_is_not_cut_at_all() -> None:
+    state = state_after_intervals("..#####.")
+    for _ in range(2):
+        confirm(state, {"below": LOUD, "above": LOUD})
+    assert not state.waiting
+    assert influence_after_global(state, LOUD) == EVERYWHERE
+
+
+def test_a_whole_range_that_turns_out_influential_is_given_back_whole() -> None:
+    state = state_after_intervals("........")
+    assert confirm(state, {"whole": LOUD}) == [("whole", 0, 80)]
+    assert not state.waiting
+    assert influence_after_global(state, LOUD) == EVERYWHERE
+
+
+def test_a_parameter_without_influential_intervals_must_be_without_influence_globally_too() -> None:
+    for effects, influence in ((QUIET, Influence(influential=False)), (LOUD, EVERYWHERE)):
+        state = state_after_intervals("........")
+        confirm(state, {"whole": QUIET})
+        assert influence_after_global(state, effects) == influence
+
+
+def test_a_parameter_below_the_threshold_in_the_influential_box_has_no_influence() -> None:
+    state = state_after_intervals("..####..")
+    confirm(state, {"below": QUIET, "above": QUIET})
+    assert influence_after_global(state, QUIET) == Influence(influential=False)
+
+
+def test_a_global_analysis_without_any_score_changes_nothing() -> None:
+    state = state_after_intervals("..####..")
+    confirm(state, {"below": QUIET, "above": QUIET})
+    assert influence_after_global(state, QUIET, scores=np.array([0, np.nan, 0])) == Influence(True, Decimal(2), Decimal(6))
+
+
+def test_a_region_of_a_single_value_needs_no_confirmation() -> None:
+    state = ScenarioState(space_of(5), [interval_edges(5, 4)], threshold=0.5)
+    effects = np.array([[QUIET, LOUD, QUIET, QUIET]])
+    state.take_intervals(np.ones(3), effects, np.broadcast_to(STEPS, effects.shape))
+    assert [(one.side, *state.bounds(one)) for one in state.waiting] == [("above", 3, 4)]
+
+
+def test_asking_twice_gives_the_same_phase_and_its_points_cannot_be_changed() -> None:
+    analysis = SensitivityAnalysis(SPACE, ["S1", "S2"], SETTINGS)
+    one, other = analysis.ask(), analysis.ask()
+    assert one is not None
+    assert other is not None
+    assert np.array_equal(one.points["S1"], other.points["S1"])
+    assert one.points["S1"] is one.points["S2"], "the intervals are the same for all scenarios"
+    assert one.runs == 2 * len(one.points["S1"])
+    with pytest.raises(ValueError, match="read-only"):
+        one.points["S1"][0, 0] = 1
+
+
+def test_answers_that_do_not_fit_are_refused() -> None:
+    analysis = SensitivityAnalysis(SPACE, ["S1"], SETTINGS)
+    with pytest.raises(RuntimeError, match="ask for a phase first"):
+        analysis.tell({"S1": np.zeros(3)})
+    phase = analysis.ask()
+    assert phase is not None
+    count = len(phase.points["S1"])
+    with pytest.raises(ValueError, match="scores must be of S1, not of S2"):
+        analysis.tell({"S2": np.zeros(count)})
+    with pytest.raises(ValueError, match=f"must be {count} numbers"):
+        analysis.tell({"S1": np.zeros(count - 1)})
+    for wrong in (-1, 8, np.inf):
+        with pytest.raises(ValueError, match=r"must lie in 0\.\.7"):
+            analysis.tell({"S1": np.full(count, wrong)})
+    with pytest.raises(RuntimeError, match="not finished"):
+        analysis.result()
+    drive(analysis, {"S1": constant(2)})
+    with pytest.raises(RuntimeError, match="nothing to tell"):
+        analysis.tell({})
+    assert analysis.ask() is None
+
+
+def test_intervals_finer_than_the_grid_are_refused_with_the_most_that_fit() -> None:
+    with pytest.raises(InvalidInputError) as refused:
+        SensitivityAnalysis(space_of(101, 7, 5), ["S1"], replace(SETTINGS, intervals=8))
+    assert [(one.field, one.message, one.remedy) for one in refused.value.problems] == [
+        ("sensitivity.intervals", "8 intervals are finer than the grid of P2, which has 7 values", "give at most 4"),
+        ("sensitivity.intervals", "8 intervals are finer than the grid of P3, which has 5 values", "give at most 4"),
+    ]
+    SensitivityAnalysis(space_of(101, 7, 5), ["S1"], replace(SETTINGS, intervals=4))
+
+
+def test_where_every_parameter_is_fixed_there_is_nothing_to_analyse() -> None:
+    parameter = Parameter.from_step("P1", Decimal(0), Decimal(1), Decimal("0.1"))
+    with pytest.raises(InvalidInputError, match="every parameter is fixed"):
+        SensitivityAnalysis(ParameterSpace((parameter,), {"P1": Decimal(0)}), ["S1"], SETTINGS)
+
+
+@given(
+    st.lists(st.integers(4, 30), min_size=1, max_size=3),
+    st.integers(1, 3),
+    st.sampled_from(["lines", "paper"]),
+    st.integers(0, 10_000),
+)
+@settings(max_examples=60)
+def test_whatever_the_scores_are_the_analysis_ends_within_what_was_announced(
+    sizes: list[int], intervals: int, design: Literal["lines", "paper"], seed: int
+) -> None:
+    generator = np.random.default_rng(seed)
+
+    def noise(points: Indices) -> Floats:
+        quiet = generator.random() < 0.5
+        scores = generator.integers(3, 4 if quiet else 8, len(points)).astype(np.float64)
+        return np.where(generator.random(len(points)) < 0.1, np.nan, scores)
+
+    space = space_of(*sizes)
+    analysis = SensitivityAnalysis(space, ["S1", "S2"], SensitivitySettings(design, intervals, 3, "auto", seed))
+    announced = analysis.expected_runs()
+    told = drive(analysis, {"S1": noise, "S2": noise})
+    for scenario in ("S1", "S2"):
+        for name, runs in announced.items():
+            assert sum(made.get(scenario, 0) for phase, made in told if phase == name) <= runs
+    for listed in analysis.influence_map().scenarios.values():
+        for parameter in space.searched:
+            one = listed[parameter.name]
+            lower = 0 if one.lower is None else parameter.index(one.lower)
+            assert lower < (parameter.n_values - 1 if one.upper is None else parameter.index(one.upper))

@@ -1,0 +1,90 @@
+"""What is cut from which intervals, and what is given back."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivecal.sensitivity.cutting import Region, cut, interval_edges, most_confirmations
+
+flags = st.lists(st.booleans(), min_size=1, max_size=20)
+
+
+def cut_values(influential: list[bool], edges: list[int]) -> set[int]:
+    found: set[int] = set()
+    for region in cut(0, influential):
+        lower, upper = region.bounds(np.array(edges))
+        found |= set(range(lower, upper + 1))
+    return found
+
+
+@pytest.mark.parametrize(
+    ("influential", "regions"),
+    [
+        ("#", []),
+        ("..", [("whole", 2)]),
+        ("..#.", [("below", 2), ("above", 1)]),
+        ("#..#", []),
+        (".#..#", [("below", 1)]),
+        ("##..", [("above", 2)]),
+    ],
+)
+def test_intervals_are_cut_from_both_ends_until_the_first_influential_one(
+    influential: str, regions: list[tuple[str, int]]
+) -> None:
+    found = cut(3, [mark == "#" for mark in influential])
+    assert [(region.side, region.intervals) for region in found] == regions
+    assert all(region.column == 3 for region in found)
+
+
+def test_what_is_cut_lies_strictly_outside_the_influential_intervals() -> None:
+    assert cut_values([False, False, True, False], [0, 10, 20, 30, 40]) == {*range(20), *range(31, 41)}
+
+
+@given(flags, st.data())
+def test_more_influence_never_cuts_more(influential: list[bool], data: st.DataObject) -> None:
+    edges = [3 * number for number in range(len(influential) + 1)]
+    more = [one or data.draw(st.booleans()) for one in influential]
+    assert cut_values(more, edges) <= cut_values(influential, edges)
+
+
+@given(flags)
+def test_cutting_a_mirrored_parameter_cuts_the_mirrored_values(influential: list[bool]) -> None:
+    edges = [3 * number for number in range(len(influential) + 1)]
+    assert cut_values(influential[::-1], edges) == {edges[-1] - value for value in cut_values(influential, edges)}
+
+
+@given(flags)
+def test_no_value_of_an_influential_interval_is_cut(influential: list[bool]) -> None:
+    edges = [3 * number for number in range(len(influential) + 1)]
+    kept = {value for number, one in enumerate(influential) if one for value in range(edges[number], edges[number + 1] + 1)}
+    assert not kept & cut_values(influential, edges)
+
+
+def test_half_of_a_refuted_region_is_given_back_until_none_is_left() -> None:
+    region, sizes = Region(1, "above", 9), []
+    left: Region | None = region
+    while left is not None:
+        sizes.append(left.intervals)
+        assert (left.column, left.side) == (1, "above")
+        left = left.given_back()
+    assert sizes == [9, 4, 2, 1]
+    assert Region(0, "whole", 9).given_back() is None
+
+
+@pytest.mark.parametrize("intervals", range(1, 9))
+def test_the_announced_confirmations_are_the_most_there_can_be(intervals: int) -> None:
+    def rounds(region: Region | None) -> int:
+        return 0 if region is None else 1 + rounds(region.given_back())
+
+    counts = [sum(map(rounds, cut(0, list(marks)))) for marks in product([False, True], repeat=intervals)]
+    assert most_confirmations(intervals) == max(counts)
+
+
+def test_where_intervals_are_as_fine_as_the_grid_a_region_can_be_a_single_value() -> None:
+    edges = interval_edges(5, 4)
+    assert cut(0, [False, True, True, True])[0].bounds(edges) == (0, 0)

@@ -1,0 +1,83 @@
+"""Measures from effects: units, symmetries, and runs that failed."""
+
+from __future__ import annotations
+
+from math import isnan
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivecal.sensitivity.effects import Design, Floats, measures, smallest_nonzero
+from drivecal.sensitivity.radial import COLUMNS, SobolRows, radial_design
+
+effect_lists = st.lists(st.floats(-100, 100), min_size=2, max_size=30).map(np.array)
+factors = st.floats(0.01, 100)
+
+
+@given(effect_lists, factors)
+def test_scaling_the_score_scales_all_measures(effects: Floats, factor: float) -> None:
+    one, scaled = measures(effects), measures(factor * effects)
+    for name in ("mu", "mu_star", "sigma", "s_rel"):
+        assert getattr(scaled, name) == pytest.approx(factor * getattr(one, name), abs=1e-9)
+
+
+@given(effect_lists)
+def test_mirroring_an_axis_turns_the_sign_of_mu_alone(effects: Floats) -> None:
+    one, mirrored = measures(effects), measures(-effects)
+    assert mirrored.mu == pytest.approx(-one.mu, abs=1e-12)
+    assert [mirrored.mu_star, mirrored.sigma] == pytest.approx([one.mu_star, one.sigma])
+
+
+@given(effect_lists, st.integers(0, 1000))
+def test_the_order_of_effects_does_not_matter(effects: Floats, seed: int) -> None:
+    shuffled = np.random.default_rng(seed).permutation(effects)
+    one, other = measures(effects), measures(shuffled)
+    assert [other.mu, other.sigma] == pytest.approx([one.mu, one.sigma], abs=1e-12)
+
+
+@given(effect_lists)
+def test_the_relative_sensitivity_is_nearly_the_root_mean_square(effects: Floats) -> None:
+    n, mean_square = len(effects), float(np.mean(effects**2))
+    found = measures(effects)
+    assert found.s_rel**2 == pytest.approx((n * mean_square - found.mu**2) / (n - 1), abs=1e-7)
+
+
+@given(effect_lists, st.integers(1, 5))
+def test_a_failed_run_costs_its_effect_and_nothing_else(effects: Floats, failed: int) -> None:
+    with_failures = np.concatenate([np.full(failed, np.nan), effects])
+    assert measures(with_failures) == measures(effects)
+
+
+def test_fewer_than_two_effects_say_nothing() -> None:
+    for effects in (np.array([]), np.array([1.0]), np.array([np.nan, 1.0, np.nan])):
+        found = measures(effects)
+        assert isnan(found.mu)
+        assert isnan(found.sigma)
+        assert isnan(found.s_rel)
+        assert found.n_effects == int((~np.isnan(effects)).sum())
+
+
+def test_effects_are_changes_over_the_whole_scale_per_full_range() -> None:
+    design = Design(np.array([[0], [5], [10]]), np.array([0, 1]), np.array([1, 2]), np.array([0.5, 0.5]))
+    assert design.effects(np.array([0.0, 7.0, 3.5])).tolist() == [2.0, -1.0]
+
+
+def test_a_failed_base_point_costs_one_effect_of_each_parameter_a_failed_step_only_its_own() -> None:
+    n_values = np.array([11, 11, 11])
+    design = radial_design(n_values, SobolRows(3 * COLUMNS, 1), np.zeros_like(n_values), n_values - 1, samples=4)
+    scores = np.ones(len(design.points))
+    scores[design.first[0, 2]] = np.nan
+    scores[design.second[1, 0]] = np.nan
+    assert np.isnan(design.effects(scores)).tolist() == [
+        [False, False, True, False],
+        [True, False, True, False],
+        [False, False, True, False],
+    ]
+
+
+def test_the_smallest_sensitivity_that_is_not_zero_is_found() -> None:
+    found = [measures(np.array(effects)) for effects in ([0.0, 0.0], [1.0, 0.0], [0.1, 0.1], [np.nan])]
+    assert smallest_nonzero(found) == pytest.approx(0.1)
+    assert smallest_nonzero(found[:1]) is None

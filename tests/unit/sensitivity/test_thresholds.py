@@ -1,0 +1,147 @@
+"""What counts as influential: on s_rel, on mu and sigma apart, and what `auto` tolerates."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+from drivecal.domain.errors import InvalidInputError
+from drivecal.sensitivity.cutting import interval_edges
+from drivecal.sensitivity.effects import Floats, measures
+from drivecal.sensitivity.lines import lines_design
+from drivecal.sensitivity.radial import COLUMNS, SobolRows, radial_design
+from drivecal.sensitivity.settings import SensitivitySettings
+from drivecal.sensitivity.thresholds import SeparateThresholds, Threshold, automatic, tolerated_changes, verdict
+
+
+def effects_of_changes(points: list[int], n: int, step: float) -> Floats:
+    """Effects of equal steps, of which the first ones change the score by so many points, up and down in turn."""
+    changes = np.zeros(n)
+    changes[: len(points)] = [change * (-1) ** number for number, change in enumerate(points)]
+    return changes / 7 / step
+
+
+def is_influential(effects: Floats, step: float, threshold: Threshold = "auto") -> bool:
+    return verdict(measures(effects), np.full(len(effects), step), threshold).influential
+
+
+def test_a_number_is_a_threshold_on_the_relative_sensitivity_and_reaching_it_counts() -> None:
+    effects = np.array([0.3, 0.3, 0.3])
+    assert is_influential(effects, 0.1, measures(effects).s_rel)
+    assert not is_influential(effects, 0.1, 0.31)
+
+
+@pytest.mark.parametrize(
+    ("effects", "influential"),
+    [([0.2, 0.2], True), ([-0.2, -0.2], True), ([0.5, -0.5], True), ([0.09, 0.09], False), ([0.2, -0.2], False)],
+)
+def test_separate_thresholds_look_at_the_magnitude_of_mu_and_at_sigma(effects: list[float], influential: bool) -> None:
+    assert is_influential(np.array(effects), 0.1, SeparateThresholds(mu=0.1, sigma=0.4)) == influential
+
+
+def test_the_threshold_that_was_applied_is_reported() -> None:
+    apart = SeparateThresholds(0.1, 0.2)
+    steps, found = np.full(3, 0.5), measures(np.array([0.1, 0.2, 0.3]))
+    assert verdict(found, steps, apart).threshold == apart
+    assert verdict(found, steps, 0.02).threshold == 0.02
+    assert verdict(found, steps, "auto").threshold == automatic(steps)
+
+
+@pytest.mark.parametrize("threshold", ["auto", 0.02, SeparateThresholds(0.1, 0.1)])
+def test_where_nothing_is_known_influence_is_assumed(threshold: Threshold) -> None:
+    found = verdict(measures(np.array([np.nan, 0.0])), np.array([0.1]), threshold)
+    assert found.influential
+    assert found.threshold is None
+
+
+def test_tolerated_changes_are_those_that_one_percent_explains() -> None:
+    assert [tolerated_changes(n) for n in (2, 5, 6, 20, 35, 36, 100, 137, 138)] == [0, 0, 1, 1, 1, 2, 3, 3, 4]
+
+
+@given(st.integers(2, 100_000))
+def test_tolerated_changes_are_a_binomial_quantile(n: int) -> None:
+    assert tolerated_changes(n) == stats.binom.ppf(0.95, n, 0.01)
+
+
+@given(st.integers(2, 400), st.floats(0.001, 1))
+def test_with_equal_steps_auto_tolerates_exactly_so_many_changes_of_one_point(n: int, step: float) -> None:
+    tolerated = tolerated_changes(n)
+    assert not is_influential(effects_of_changes([1] * tolerated, n, step), step)
+    assert is_influential(effects_of_changes([1] * (tolerated + 1), n, step), step)
+
+
+@given(st.integers(2, 137), st.floats(0.001, 1))
+def test_with_equal_steps_a_single_change_of_two_points_is_influential(n: int, step: float) -> None:
+    assert is_influential(effects_of_changes([2], n, step), step)
+
+
+@given(st.lists(st.floats(0.01, 1), min_size=2, max_size=40).map(np.array), st.floats(0.01, 1))
+def test_the_automatic_threshold_scales_with_the_box_and_does_not_know_the_direction_of_steps(
+    steps: Floats, width: float
+) -> None:
+    assert automatic(width * steps) == pytest.approx(automatic(steps) / width)
+    assert automatic(-steps) == automatic(steps)
+
+
+def shares_found_influential(rate: float, points: int, samples: int, trials: int = 400) -> dict[str, float]:
+    """In an interval, and in the whole range, of a score that changes by so many points with a probability, whatever the step is."""
+    n_values = np.array([201])
+    edges = [interval_edges(201, 10)]
+    generator = np.random.default_rng(1)
+    found = {"interval": 0, "whole": 0}
+    for seed in range(trials // 10):
+        lines = lines_design(n_values, edges, samples, seed, 0).steps[0]
+        rows = SobolRows(COLUMNS, seed)
+        radial = radial_design(n_values, rows, np.array([0]), np.array([200]), samples).steps
+        for name, step in [("interval", steps) for steps in lines] + [("whole", radial[0])] * 10:
+            changes = points * generator.choice([-1, 1], samples) * (generator.random(samples) < rate)
+            found[name] += verdict(measures(changes / 7 / step), step, "auto").influential
+    return {name: count / trials for name, count in found.items()}
+
+
+@pytest.mark.parametrize("samples", [10, 20, 50])
+def test_auto_lets_rare_changes_of_one_point_pass_and_finds_frequent_ones_in_boxes_of_any_width(samples: int) -> None:
+    rare, frequent = shares_found_influential(0.002, 1, samples), shares_found_influential(0.4, 1, samples)
+    assert max(rare.values()) < 0.06
+    assert min(frequent.values()) > 0.85
+    assert abs(frequent["interval"] - frequent["whole"]) < 0.08
+
+
+def test_auto_finds_changes_of_two_points_at_rates_at_which_it_tolerates_those_of_one() -> None:
+    single, double = shares_found_influential(0.05, 1, 20), shares_found_influential(0.05, 2, 20)
+    assert all(double[name] > 1.3 * single[name] for name in single)
+
+
+def test_a_fixed_number_cannot_do_that() -> None:
+    """One change in twenty exceeds in an interval what most changes together reach in the whole range."""
+    one_change = measures(effects_of_changes([1], 20, 0.05)).s_rel
+    every_second_run = measures(effects_of_changes([1] * 10, 20, 0.5)).s_rel
+    assert one_change > 2 * every_second_run
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "reported"),
+    [
+        ("intervals", 0, "intervals"), ("samples", 1, "samples"), ("samples", -3, "samples"), ("seed", -1, "seed"),
+        ("design", "star", "design"),
+        ("threshold", 0.0, "threshold"), ("threshold", -0.1, "threshold"), ("threshold", float("nan"), "threshold"),
+        ("threshold", float("inf"), "threshold"), ("threshold", SeparateThresholds(0, 0.1), "threshold.mu"),
+        ("threshold", SeparateThresholds(0.1, float("nan")), "threshold.sigma"),
+    ],
+)  # fmt: skip
+def test_settings_that_cannot_be_used_are_refused_by_name(field: str, value: object, reported: str) -> None:
+    given_settings = {"design": "lines", "intervals": 10, "samples": 20, "threshold": "auto", "seed": 1, field: value}
+    with pytest.raises(InvalidInputError) as refused:
+        SensitivitySettings(**given_settings)  # type: ignore[arg-type]
+    (problem,) = refused.value.problems
+    assert problem.field == f"sensitivity.{reported}"
+    assert problem.remedy
+
+
+def test_everything_that_is_wrong_is_named_at_once() -> None:
+    with pytest.raises(InvalidInputError) as refused:
+        SensitivitySettings("lines", 0, 1, SeparateThresholds(-1, -1), -1)
+    assert len(refused.value.problems) == 5
