@@ -103,6 +103,12 @@ def test_slow_steady_cornering_is_kinematic(speed: float) -> None:
     assert end[4] == pytest.approx(NOMINAL.distance_rear / NOMINAL.wheelbase * delta, rel=1e-9)
 
 
+def test_slowly_it_stays_kinematic_while_it_steers_and_accelerates() -> None:
+    end = run(state_at(0.5), 4.0, steering_rate=0.02, acceleration=0.5)
+    assert end[5] == pytest.approx(2.5 * 0.08 / NOMINAL.wheelbase, rel=1e-6)
+    assert end[4] == pytest.approx(NOMINAL.distance_rear / NOMINAL.wheelbase * 0.08, rel=1e-6)
+
+
 @pytest.mark.parametrize("speed", [3.5, 4.0, 4.5, 4.99])
 def test_between_the_models_steady_cornering_lies_between_theirs(speed: float) -> None:
     delta = 0.05

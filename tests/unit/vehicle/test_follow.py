@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -230,6 +231,20 @@ def test_a_jump_of_the_trajectory_that_no_tyre_can_follow_is_unstable(straight: 
     assert np.array_equal(dynamics[-1], dynamics[-2]), "the rows stay at the last sound values"
 
 
+@pytest.mark.parametrize(("lateral_acceleration", "stable"), [(9.0, True), (10.5, False)])
+def test_beyond_the_grip_of_tyres_the_vehicle_is_unstable(
+    curve: Callable[..., Floats], drive: type[Any], lateral_acceleration: float, stable: bool
+) -> None:
+    assert drive(curve(30.0, lateral_acceleration, 12.0)).stable is stable
+
+
+def test_a_vehicle_that_spins_is_unstable(lane_change: Callable[..., Floats], drive: type[Any]) -> None:
+    tail_heavy = SingleTrackParameters(2600.0, 90_000.0, 120_000.0, 2.0, 1.0, 4500.0)
+    run = drive(lane_change(40.0, 4.0, 20.0), tail_heavy)
+    assert not run.stable
+    assert np.isfinite(run.dynamics).all()
+
+
 def test_a_trajectory_that_ends_too_early_is_refused(straight: Callable[..., Floats]) -> None:
     trajectory = straight(30.0, 1.0)
     model = SingleTrackModel(NOMINAL)
@@ -239,6 +254,15 @@ def test_a_trajectory_that_ends_too_early_is_refused(straight: Callable[..., Flo
         model.follow(trajectory, 1.0, 0.1, np.zeros((10, 5)))
     with pytest.raises(ValueError, match="does not cover"):
         model.follow(trajectory[:1], 0.0, 0.1, np.zeros((10, 5)))
+
+
+@pytest.mark.parametrize("time", [math.nan, 0.0, -0.1])
+def test_a_trajectory_whose_times_do_not_advance_is_refused(straight: Callable[..., Floats], time: float) -> None:
+    trajectory = straight(30.0, 1.0)
+    trajectory[1, 0] = time
+    model = SingleTrackModel(NOMINAL)
+    with pytest.raises(ValueError, match="does not cover"):
+        model.follow(trajectory, 0.0, 0.1, np.zeros((10, 5)))
 
 
 def test_dynamics_of_the_wrong_length_are_refused(straight: Callable[..., Floats]) -> None:

@@ -30,10 +30,11 @@ DYNAMIC_ABOVE = 5.0
 SETTLING_TIME = 0.1
 """Time constant (s) with which side slip and yaw rate settle on the kinematic relations."""
 
-SIDE_SLIP_LIMIT = 0.2
-"""Side-slip angle (rad, above `DYNAMIC_ABOVE`) beyond which the vehicle counts as spinning."""
 ADHESION_LIMIT = 9.81
-"""Lateral acceleration (m/s^2) that no road tyre gives: the linear model has lost its meaning, the vehicle its grip."""
+"""Lateral acceleration (m/s^2) that no road tyre gives: the linear model has lost its meaning, the vehicle its grip.
+
+A spin shows here first: steady side slip per acceleration is at most m l_f / (c_r L) = 0.0144 rad per m/s^2 in Table 8's box, so the limit
+is reached before side slip is 0.15 rad."""
 
 STEERING_LAG = 0.08
 STEERING_RATE_LIMIT = 0.4
@@ -222,59 +223,66 @@ def _acceleration(
 
 
 @njit(cache=True)
+def _errors(state: Floats, trajectory: Floats, time: float, spacing: float) -> tuple[float, float, float]:
+    """How far the vehicle is ahead of the trajectory's point due now (m), to its left (m), and its course turned from it (rad).
+
+    Between rows the path is a cubic Hermite curve: chords would cut curves by millimetres ten times a second.
+    """
+    position = time / spacing + 1e-9
+    row = min(int(position), trajectory.shape[0] - 2)
+    p = position - row
+    here, there = trajectory[row, 3], trajectory[row + 1, 3]
+    start, end = trajectory[row, 5] * spacing, trajectory[row + 1, 5] * spacing
+    blend = p * p * (3.0 - 2.0 * p)
+    start *= p * (1.0 - p) * (1.0 - p)
+    end *= p * p * (p - 1.0)
+    x = trajectory[row, 1] + blend * (trajectory[row + 1, 1] - trajectory[row, 1])
+    y = trajectory[row, 2] + blend * (trajectory[row + 1, 2] - trajectory[row, 2])
+    dx = state[0] - (x + start * math.cos(here) + end * math.cos(there))
+    dy = state[1] - (y + start * math.sin(here) + end * math.sin(there))
+    course = here + p * _wrapped(there - here)
+    cosine, sine = math.cos(course), math.sin(course)
+    return dx * cosine + dy * sine, dy * cosine - dx * sine, _wrapped(state[2] + state[4] - course)
+
+
+@njit(cache=True)
+def _record(state: Floats, dynamics: Floats, row: int) -> None:
+    """Speed, longitudinal acceleration, lateral acceleration, yaw rate, steering angle."""
+    dynamics[row, 0] = state[3]
+    dynamics[row, 1] = state[6]
+    dynamics[row, 2] = state[7]
+    dynamics[row, 3] = state[5]
+    dynamics[row, 4] = state[8]
+
+
+@njit(cache=True)
 def follow(
     state: Floats, plant: Floats, controller: Floats, trajectory: Floats, since: float, steps: int, dynamics: Floats
 ) -> int:
     """Follows `trajectory` from `since` seconds after its start for `steps` steps; answers FOLLOWED, UNSTABLE or TOO_SHORT.
 
-    `state` is overwritten; `dynamics`, shape (steps, 5): speed, longitudinal acceleration, lateral acceleration, yaw rate,
-    steering angle at the end of each step. From the step on that went unstable, state and rows stay at the last sound values.
+    `state` is overwritten; `dynamics`, shape (steps, 5), gets a row (see `_record`) at the end of each step. From the step on that went
+    unstable, state and rows stay at the last sound values.
     """
     last = trajectory.shape[0] - 1
     spacing = trajectory[min(last, 1), 0] - trajectory[0, 0]
-    if last < 1 or since < 0.0 or since + (steps - 1) * STEP > last * spacing + 1e-9:
+    # Asked the other way round, a time that is no number would pass.
+    if not (last >= 1 and spacing > 0.0 and since >= 0.0 and since + (steps - 1) * STEP <= last * spacing + 1e-9):
         return TOO_SHORT
     before = state.copy()
-    row = -1
-    sine = cosine = x0 = y0 = x1 = y1 = tx0 = ty0 = tx1 = ty1 = heading = turn = 0.0
-    status = FOLLOWED
     for k in range(steps):
-        if status == FOLLOWED:
-            time = since + k * STEP
-            position = time / spacing + 1e-9
-            if int(position) != row and not (int(position) >= last and row == last - 1):
-                row = min(int(position), last - 1)
-                heading = trajectory[row, 3]
-                turn = _wrapped(trajectory[row + 1, 3] - heading)
-                x0, y0 = trajectory[row, 1], trajectory[row, 2]
-                x1, y1 = trajectory[row + 1, 1], trajectory[row + 1, 2]
-                tx0 = trajectory[row, 5] * spacing * math.cos(heading)
-                ty0 = trajectory[row, 5] * spacing * math.sin(heading)
-                tx1 = trajectory[row + 1, 5] * spacing * math.cos(heading + turn)
-                ty1 = trajectory[row + 1, 5] * spacing * math.sin(heading + turn)
-            p = position - row
-            # Cubic Hermite: chords would cut curves by millimetres ten times a second.
-            h1 = p * p * (3.0 - 2.0 * p)
-            h2 = p * (1.0 - p) * (1.0 - p)
-            h3 = p * p * (p - 1.0)
-            dx = state[0] - (x0 + h1 * (x1 - x0) + h2 * tx0 + h3 * tx1)
-            dy = state[1] - (y0 + h1 * (y1 - y0) + h2 * ty0 + h3 * ty1)
-            direction = heading + p * turn
-            cosine, sine = math.cos(direction), math.sin(direction)
-            course_error = _wrapped(state[2] + state[4] - direction)
-            rate = _steering_rate(state, controller, dy * cosine - dx * sine, course_error, trajectory, time, spacing)
-            acceleration = _acceleration(state, dx * cosine + dy * sine, course_error, trajectory, time, spacing)
-            before[:] = state
-            advance(state, rate, acceleration, plant, STEP)
-            spinning = abs(state[4]) > SIDE_SLIP_LIMIT and state[3] > DYNAMIC_ABOVE
-            # Comparisons with NaN are false, so this also catches a state that is no longer finite.
-            sound = abs(state[7]) <= ADHESION_LIMIT and abs(state[0]) + abs(state[1]) + abs(state[3]) < 1e9
-            if spinning or not sound:
-                state[:] = before
-                status = UNSTABLE
-        dynamics[k, 0] = state[3]
-        dynamics[k, 1] = state[6]
-        dynamics[k, 2] = state[7]
-        dynamics[k, 3] = state[5]
-        dynamics[k, 4] = state[8]
-    return status
+        time = since + k * STEP
+        position_error, lateral_error, course_error = _errors(state, trajectory, time, spacing)
+        rate = _steering_rate(state, controller, lateral_error, course_error, trajectory, time, spacing)
+        acceleration = _acceleration(state, position_error, course_error, trajectory, time, spacing)
+        before[:] = state
+        advance(state, rate, acceleration, plant, STEP)
+        # Comparisons with NaN are false: a state that is no longer finite is not sound either.
+        sound = abs(state[7]) <= ADHESION_LIMIT and abs(state[0]) + abs(state[1]) + abs(state[3]) < 1e9
+        if not sound:
+            state[:] = before
+            for left in range(k, steps):
+                _record(state, dynamics, left)
+            return UNSTABLE
+        _record(state, dynamics, k)
+    return FOLLOWED
