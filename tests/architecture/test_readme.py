@@ -79,8 +79,10 @@ def test_every_example_file_can_be_used(file: Path) -> None:
 
 def test_the_values_of_the_example_are_the_defaults_where_it_says_so() -> None:
     given = validated(CampaignSpecification, read_document(str(ROOT / "deploy" / "examples" / "highway.yaml")))
-    resolved = resolve(given).optimizer_settings
-    default = resolve(CampaignSpecification()).optimizer_settings
+    chosen, usual = resolve(given).optimization, resolve(CampaignSpecification()).optimization
+    assert chosen is not None
+    assert usual is not None
+    resolved, default = chosen.settings, usual.settings
     differing = {name for name in type(default).model_fields if getattr(resolved, name) != getattr(default, name)}
     assert differing == {"population", "iterations"}
     sections = {

@@ -24,6 +24,7 @@ from drivecal.storage.database import Database
 from drivecal.storage.tables import runs
 
 SMALL: dict[str, Any] = {
+    "sensitivity": None,
     "parameters": [{"name": f"P{i}", "lower": 0, "upper": 1, "step": 0.5} for i in range(1, 12)],
     "catalogue": ["S1", "S2", "S3"],
     "optimizer": {"kind": "genetic", "population": 24, "iterations": 6, "seed": 3},

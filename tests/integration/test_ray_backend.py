@@ -2,7 +2,10 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import psutil
 import pytest
@@ -90,3 +93,35 @@ def test_a_local_ray_listens_on_loopback_only() -> None:
 @pytest.mark.usefixtures("ray_backend")
 def test_ray_leaves_the_signal_handlers_alone() -> None:
     assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+
+
+WITHOUT_SUMO = """
+from drivecal.campaigns.backend import BackendLostError
+from drivecal.campaigns.ray_backend import RayBackend, RayOptions
+backend = RayBackend(RayOptions(workers=1))
+try:
+    while True:
+        backend.wait(1.0)
+        if backend.trouble():
+            print(backend.trouble())
+except BackendLostError as error:
+    print(error)
+backend.close()
+"""
+
+
+def test_without_libsumo_no_worker_starts_and_the_reason_is_said(tmp_path: Path) -> None:
+    (tmp_path / "libsumo.py").write_text("raise ImportError('libsumo is blocked')")
+    kept = {name: value for name, value in os.environ.items() if not name.startswith("RAY_")}
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT_SUMO],
+        env=kept | {"HOME": str(tmp_path), "PYTHONPATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        timeout=240,
+        check=True,
+    )
+    lines = done.stdout.splitlines()
+    assert "1 of 1 workers do not start: worker-1 cannot start" in lines[0]
+    assert "libsumo is blocked" in lines[0]
+    assert "no worker starts: worker-1" in lines[-1]

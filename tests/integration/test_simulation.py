@@ -121,7 +121,8 @@ def test_the_follower_in_the_target_lane_makes_room() -> None:
     stays = runner(S1).trace((0.0, 1.0, 0.0)).neighbours[follower]
     changes = runner(S1).trace(changes_lane(S1)).neighbours[follower]
     assert (changes[:20] == stays[:20]).all(), "nobody can see a lane change before it begins"
-    assert changes[100, 2] < stays[100, 2] - 0.5
+    last = min(len(stays), len(changes)) - 1
+    assert changes[last, 2] < stays[last, 2] - 0.5
 
 
 def test_the_same_cell_gives_the_same_bits_after_any_other_cells() -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from sqlalchemy import Connection
 
 from drivecal.campaigns.problem import CalibrationProblem, resolve, resolve_evaluation
-from drivecal.contracts.campaign import Best, CellCounts, ErrorRate, Progress
+from drivecal.contracts.campaign import Best, CellCounts, ErrorRate, Progress, SensitivityCellCounts
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
 from drivecal.contracts.validation import validated
 from drivecal.domain.campaigns import CampaignState, Stage
@@ -58,6 +58,7 @@ def carry_out(database: Database, campaign_id: str, individuals: int = 5, *, end
             iteration=0,
             cells=CellCounts(proposed=cells, requested=cells, simulated=cells),
             progress=Progress(done=cells, total=cells, eta_seconds=0.0),
+            sensitivity_cells=SensitivityCellCounts(),
             error_rate={name: ErrorRate() for name in problem.scenarios},
             best=best,
             baseline=None,

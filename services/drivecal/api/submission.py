@@ -8,9 +8,15 @@ from typing import Any
 from pydantic import BaseModel
 from sqlalchemy import Connection
 
-from drivecal.campaigns.problem import resolve, resolve_evaluation
+from drivecal.campaigns.maps import check_basis
+from drivecal.campaigns.problem import CalibrationProblem, resolve, resolve_evaluation
 from drivecal.contracts.campaign import ExpectedRuns
-from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, RerunSpecification
+from drivecal.contracts.specification import (
+    CampaignSpecification,
+    EvaluationSpecification,
+    MapReference,
+    RerunSpecification,
+)
 from drivecal.contracts.validation import validated
 from drivecal.domain.errors import ConflictError, InvalidInputError, NotFoundError, Problem
 from drivecal.domain.setups import canonical_json, digest
@@ -21,16 +27,16 @@ from drivecal.storage.database import Database
 
 def submit(database: Database, specification: CampaignSpecification, key: str | None) -> StoredCampaign:
     """Queues a campaign. Raises InvalidInputError for one that cannot run."""
-    resolve(specification)
+    problem = resolve(specification)
     with database.transaction() as connection:
-        return _queue(connection, specification, key, _digest("campaigns", specification))
+        return _queue(connection, problem, key, _digest("campaigns", specification))
 
 
 def expected(database: Database, specification: CampaignSpecification) -> ExpectedRuns:
     """What a campaign would cost. Raises InvalidInputError as `submit` does."""
     problem = resolve(specification)
     with database.read() as connection:
-        _influence_map(connection, specification)
+        _influence_map(connection, problem)
     return problem.expected_runs()
 
 
@@ -43,9 +49,9 @@ def rerun(database: Database, first_id: str, changes: RerunSpecification, key: s
     if not first.state.ended:
         raise ConflictError(f"campaign {first_id} is {first.state}; rerun it when it has ended, or cancel it first")
     specification = validated(CampaignSpecification, _changed(first, changes))
-    resolve(specification)
+    problem = resolve(specification)
     with database.transaction() as connection:
-        return _queue(connection, specification, key, _digest(f"campaigns/{first_id}/rerun", changes), rerun_of=first_id)
+        return _queue(connection, problem, key, _digest(f"campaigns/{first_id}/rerun", changes), rerun_of=first_id)
 
 
 def evaluate(database: Database, specification: EvaluationSpecification, key: str | None) -> StoredCampaign:
@@ -63,22 +69,24 @@ def evaluate(database: Database, specification: EvaluationSpecification, key: st
 
 
 def _queue(
-    connection: Connection, specification: CampaignSpecification, key: str | None, body: str, rerun_of: str | None = None
+    connection: Connection, problem: CalibrationProblem, key: str | None, body: str, rerun_of: str | None = None
 ) -> StoredCampaign:
+    specification = problem.specification
     return campaigns.insert(
         connection,
         name=specification.name,
         spec=specification.model_dump(mode="json"),
-        influence_map_id=_influence_map(connection, specification),
+        influence_map_id=_influence_map(connection, problem),
         rerun_of=rerun_of,
         idempotency_key=key,
         body_digest=body,
     )
 
 
-def _influence_map(connection: Connection, specification: CampaignSpecification) -> str | None:
-    """The id of the map that a campaign names. Raises InvalidInputError where there is none or it speaks of another function."""
-    if specification.sensitivity is None:
+def _influence_map(connection: Connection, problem: CalibrationProblem) -> str | None:
+    """The id of the map that a campaign names. Raises InvalidInputError where there is none or it does not hold for the campaign."""
+    specification = problem.specification
+    if not isinstance(specification.sensitivity, MapReference):
         return None
     field = "sensitivity.map"
     try:
@@ -88,6 +96,7 @@ def _influence_map(connection: Connection, specification: CampaignSpecification)
     if stored.driving_function != specification.driving_function:
         message = f"the map is about the driving function {stored.driving_function!r}"
         raise InvalidInputError(Problem(field, message, f"name a map of {specification.driving_function!r}"))
+    check_basis(stored.basis, problem)
     return stored.id
 
 

@@ -46,12 +46,15 @@ class Calibration:
         self._campaign = campaign
         self._problem = problem
         self._view = view
-        self._ledger = Ledger(view, campaign.cells, campaign.simulating_seconds)
+        self._ledger = Ledger(view, campaign.cells.model_dump(), campaign.simulating_seconds)
         self._standing = Standing(problem.weights)
         self._error_rate: dict[str, ErrorRate] = dict(campaign.error_rate)
         self._notes = problem.notes
         self._best, self._baseline = campaign.best, campaign.baseline
-        population = problem.specification.optimizer.population
+        if problem.optimization is None:
+            raise ValueError("the campaign has no calibration stage")
+        self._optimization = problem.optimization
+        population = self._optimization.population
         self._scores = np.full((population, len(problem.scenarios)), np.nan)
         self._ratings = np.full((population, len(problem.scenarios)), np.nan)
         self._before = CellCounts()
@@ -71,7 +74,7 @@ class Calibration:
         while not self._ledger.waiting and not self.finished:
             if self._proposal is not None:
                 self._tell()
-            if self._iteration is not None and self._iteration + 1 >= self._problem.specification.optimizer.iterations:
+            if self._iteration is not None and self._iteration + 1 >= self._optimization.iterations:
                 self.finished = True
                 return []
             work = self._ask()
@@ -97,11 +100,11 @@ class Calibration:
                 start = None
                 if problem.baseline is not None:
                     start = problem.space.indices(problem.baseline.values)[np.newaxis, :]
-                self._optimizer = problem.optimizer.create(problem.optimizer_settings, problem.space.n_values, start)
+                self._optimizer = self._optimization.plugin.create(self._optimization.settings, problem.space.n_values, start)
                 self._remember_baseline(connection)
                 return []
-            self._optimizer = problem.optimizer.restore(
-                problem.optimizer_settings, problem.space.n_values, last.optimizer_state
+            self._optimizer = self._optimization.plugin.restore(
+                self._optimization.settings, problem.space.n_values, last.optimizer_state
             )
             self._iteration = last.iteration
             self._proposal = Proposal(np.array(last.population, dtype=np.int64), np.array(last.changed, dtype=np.bool_))
@@ -115,7 +118,7 @@ class Calibration:
         """Commits the next population with its assignment and the optimizer's state, before anything is dispatched."""
         if self._optimizer is None:
             raise RuntimeError("the stage has not been taken up")
-        problem, specification = self._problem, self._problem.specification
+        problem = self._problem
         proposal = self._optimizer.ask()
         iteration = 0 if self._iteration is None else self._iteration + 1
         changed = [int(index) for index in np.flatnonzero(proposal.changed)]
@@ -125,8 +128,8 @@ class Calibration:
             for scenario in problem.scenarios
         ]
         stopped = [scenario for scenario, rate in self._error_rate.items() if rate.stopped]
-        reduction = specification.reduction
-        policy = Policy(reduction.mode, reduction.audit, specification.optimizer.seed, stopped)
+        reduction = problem.specification.reduction
+        policy = Policy(reduction.mode, reduction.audit, self._optimization.seed, stopped)
         carried_over = (len(proposal.changed) - len(changed)) * len(problem.scenarios)
         with self._database.transaction() as connection:
             cells = plan_cells(connection, self._view, policy, Stage.CALIBRATION, iteration, wanted)
@@ -160,7 +163,7 @@ class Calibration:
             figures = self._figures(objectives)
             generations.finish(connection, self._campaign.sequence, self._iteration, figures, objectives.tolist())
             self._save(connection)
-        self._before = self._ledger.counts
+        self._before = CellCounts(**self._ledger.counts)
         self._optimizer.tell(objectives, ratings)
         self._proposal = None
 
@@ -191,7 +194,7 @@ class Calibration:
         return total
 
     def _figures(self, objectives: np.ndarray[tuple[int], np.dtype[np.float64]] | None = None) -> Figures:
-        now, before = self._ledger.counts, self._before
+        now, before = CellCounts(**self._ledger.counts), self._before
         counted = {name: getattr(now, name) - getattr(before, name) for name in _COUNTED}
         if objectives is None:
             return Figures(**counted)
@@ -241,7 +244,7 @@ class Calibration:
         )
 
     def _save(self, connection: Connection) -> None:
-        counts = self._ledger.counts
+        counts = CellCounts(**self._ledger.counts)
         notes = list(self._notes)
         for scenario, rate in self._error_rate.items():
             if rate.stopped:
@@ -255,6 +258,7 @@ class Calibration:
                 stage=Stage.CALIBRATION,
                 iteration=self._iteration,
                 cells=counts,
+                sensitivity_cells=self._campaign.sensitivity_cells,
                 progress=self._progress(counts),
                 error_rate=self._error_rate,
                 best=self._best,

@@ -15,20 +15,19 @@ import time
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import asdict, dataclass, field
 
-from drivecal.campaigns.calibration import Calibration
 from drivecal.campaigns.evaluation import SingleEvaluation
 from drivecal.campaigns.ledger import Work
-from drivecal.campaigns.maps import map_from_document
 from drivecal.campaigns.planning import View
 from drivecal.campaigns.pool import WorkPool
 from drivecal.campaigns.problem import resolve, resolve_evaluation
 from drivecal.campaigns.ray_backend import RayBackend, RayOptions
 from drivecal.campaigns.scheduler import Completed
 from drivecal.campaigns.settings import load_settings
+from drivecal.campaigns.staged import StagedCampaign
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import DrivecalError, UnavailableError
-from drivecal.storage import campaigns, influence_maps, locks, processes
+from drivecal.storage import campaigns, locks, processes
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.database import Database
 from drivecal.storage.types import now
@@ -44,7 +43,7 @@ POLL_SECONDS = 0.1
 EVALUATION_PRIORITY = 10
 """Somebody waits for a single evaluation; a campaign can wait a batch longer."""
 
-Job = Calibration | SingleEvaluation
+Job = StagedCampaign | SingleEvaluation
 
 
 @dataclass(slots=True)
@@ -193,22 +192,12 @@ class Dispatcher:
         """A job that goes on from the campaign's rows."""
         with self._database.read() as connection:
             campaign = active.campaign = campaigns.by_sequence(connection, active.campaign.sequence)
-            stored_map = None
-            if campaign.influence_map_id is not None:
-                stored_map = influence_maps.get(connection, campaign.influence_map_id)
-        watermark = campaign.watermark or 0
         if campaign.kind == "evaluation":
             wanted = resolve_evaluation(EvaluationSpecification.model_validate(campaign.spec))
-            return SingleEvaluation(self._database, campaign, wanted, View(campaign.sequence, watermark, wanted.bench))
-        problem = resolve(CampaignSpecification.model_validate(campaign.spec))
-        view = View(
-            campaign.sequence,
-            watermark,
-            problem.bench,
-            None if stored_map is None else map_from_document(stored_map.scenarios),
-            None if stored_map is None else stored_map.sequence,
-        )
-        return Calibration(self._database, campaign, problem, view)
+            return SingleEvaluation(
+                self._database, campaign, wanted, View(campaign.sequence, campaign.watermark or 0, wanted.bench)
+            )
+        return StagedCampaign(self._database, campaign, resolve(CampaignSpecification.model_validate(campaign.spec)))
 
     def _submit(self, active: _Active, work: list[Work]) -> None:
         if active.stopping is None:

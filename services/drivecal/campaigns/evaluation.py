@@ -8,7 +8,7 @@ from drivecal.campaigns.ledger import Ledger, Work
 from drivecal.campaigns.planning import View, WantedCell, plan_cells
 from drivecal.campaigns.problem import EvaluationProblem
 from drivecal.campaigns.scheduler import Completed
-from drivecal.contracts.campaign import Progress
+from drivecal.contracts.campaign import CellCounts, Progress, SensitivityCellCounts
 from drivecal.domain.campaigns import Stage
 from drivecal.reduction.assignment import Policy
 from drivecal.storage import campaigns
@@ -24,7 +24,7 @@ class SingleEvaluation:
         self._campaign = campaign
         self._problem = problem
         self._view = view
-        self._ledger = Ledger(view, campaign.cells, campaign.simulating_seconds)
+        self._ledger = Ledger(view, campaign.cells.model_dump(), campaign.simulating_seconds)
         self._loaded = False
         self.finished = False
 
@@ -53,11 +53,12 @@ class SingleEvaluation:
         return work
 
     def _snapshot(self) -> Snapshot:
-        counts = self._ledger.counts
+        counts = CellCounts(**self._ledger.counts)
         return Snapshot(
             stage=Stage.CALIBRATION,
             iteration=0,
             cells=counts,
+            sensitivity_cells=SensitivityCellCounts(),
             progress=Progress(done=counts.requested, total=counts.proposed),
             error_rate={},
             best=None,

@@ -7,14 +7,13 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from sqlalchemy import Connection
 
 from drivecal.campaigns.planning import View, ensure_setups
 from drivecal.campaigns.scheduler import Completed
-from drivecal.contracts.campaign import CellCounts
 from drivecal.contracts.work import Cell, SetupRequest
 from drivecal.domain.errors import ConflictError
 from drivecal.domain.evaluations import Donor, Outcome
@@ -35,9 +34,10 @@ class Ledger:
     """Of one campaign. Every method that changes rows works inside the caller's transaction; the counts change with them, so a
     ledger whose transaction failed is thrown away and loaded anew."""
 
-    def __init__(self, view: View, counts: CellCounts, simulating_seconds: float) -> None:
+    def __init__(self, view: View, counts: Mapping[str, int], simulating_seconds: float) -> None:
+        """`counts`: the cells of the stage so far, as in `contracts.campaign`."""
         self._view = view
-        self._counts = Counter(counts.model_dump())
+        self._counts = Counter(counts)
         self._pending: dict[int, PendingEvaluation] = {}
         self._copies: dict[int, list[PendingEvaluation]] = {}
         self.simulating_seconds = simulating_seconds
@@ -45,9 +45,9 @@ class Ledger:
         """Simulations that gave other bits than the stored run of the same setup and parameter set."""
 
     @property
-    def counts(self) -> CellCounts:
+    def counts(self) -> dict[str, int]:
         """The cells by outcome, of the whole stage."""
-        return CellCounts(**self._counts)
+        return dict(self._counts)
 
     @property
     def waiting(self) -> int:

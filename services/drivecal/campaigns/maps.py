@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from decimal import Decimal
+from math import isfinite
 from typing import Any
 
-from drivecal.campaigns.problem import catalogue_scenarios, search_parameters
+from drivecal.campaigns.problem import CalibrationProblem, catalogue_scenarios, search_parameters
 from drivecal.contracts.specification import InfluenceMapSpecification, InfluenceSpecification
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.influence import Influence, InfluenceMap
 from drivecal.domain.parameters import Parameter, decimal, text
 from drivecal.plugins import registry
+from drivecal.sensitivity.scenario import ScenarioInfluence
 
 
 def resolve_map(specification: InfluenceMapSpecification) -> InfluenceMap:
@@ -63,6 +65,33 @@ def _influence(given: InfluenceSpecification, parameter: Parameter, where: str) 
     return Influence(influential=True, lower=lower, upper=upper)
 
 
+def check_basis(basis: Mapping[str, Any] | None, problem: CalibrationProblem) -> None:
+    """Raises InvalidInputError where a map that an analysis made does not hold for a campaign: of another setup, evaluator or space.
+
+    Maps that users post rest on what they know, and are not checked here.
+    """
+    if basis is None:
+        return
+    found: list[str] = []
+    fingerprints = {scenario: setup.fingerprint for scenario, setup in problem.bench.setups.items()}
+    other = [one for one, fingerprint in fingerprints.items() if basis["setups"].get(one, fingerprint) != fingerprint]
+    if other:
+        found.append(f"it was made with another setup (version, vehicle or simulator) of {', '.join(other)}")
+    if basis["evaluator"] != problem.bench.evaluator_id:
+        found.append(f"it was made for the evaluator {basis['evaluator']}, not {problem.bench.evaluator_id}")
+    for name, value in basis["fixed"].items():
+        if name not in problem.space.fixed or text(problem.space.fixed[name]) != value:
+            found.append(f"it was made with {name} held at {value}")
+    ranges = {one["name"]: (Decimal(one["lower"]), Decimal(one["upper"])) for one in basis["space"]}
+    for parameter in problem.space.searched:
+        lower, upper = ranges.get(parameter.name, (parameter.lower, parameter.upper))
+        if parameter.lower < lower or parameter.upper > upper:
+            found.append(f"it covers {parameter.name} from {text(lower)} to {text(upper)} only")
+    if found:
+        remedy = "name another map, or leave `map` out to have one made"
+        raise InvalidInputError(*(Problem("sensitivity.map", f"the map does not hold here: {one}", remedy) for one in found))
+
+
 def map_to_document(influence_map: InfluenceMap) -> dict[str, Any]:
     """JSON-ready and exact: bounds as decimal texts."""
     return {
@@ -76,6 +105,30 @@ def map_to_document(influence_map: InfluenceMap) -> dict[str, Any]:
         }
         for scenario, listed in influence_map.scenarios.items()
     }
+
+
+def analysis_to_document(found: Mapping[str, ScenarioInfluence]) -> dict[str, Any]:
+    """What an analysis found, as `map_to_document` writes it, with the measures of each parameter beside its bounds."""
+    bounds = map_to_document(
+        InfluenceMap(
+            {scenario: {name: one.influence for name, one in found[scenario].parameters.items()} for scenario in found}
+        )
+    )
+    for scenario, listed in found.items():
+        for name, one in listed.parameters.items():
+            overall = None if one.overall is None else one.overall.measures
+            bounds[scenario][name] |= {
+                "unknown": listed.unknown,
+                "s_rel_intervals": [_finite(value) for value in one.s_rel_intervals],
+                "mu": None if overall is None else _finite(overall.mu),
+                "sigma": None if overall is None else _finite(overall.sigma),
+                "mu_star": None if overall is None else _finite(overall.mu_star),
+            }
+    return bounds
+
+
+def _finite(value: float) -> float | None:
+    return value if isfinite(value) else None
 
 
 def map_from_document(document: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> InfluenceMap:

@@ -18,8 +18,9 @@ from drivecal.contracts.campaign import ExpectedRuns
 from drivecal.contracts.specification import (
     CampaignSpecification,
     EvaluationSpecification,
-    OptimizerSpecification,
     ParameterSpecification,
+    SensitivitySpecification,
+    SeparateThresholds,
     VehicleSpecification,
 )
 from drivecal.contracts.work import SetupRequest
@@ -30,6 +31,9 @@ from drivecal.domain.setups import Setup
 from drivecal.plugins import registry
 from drivecal.plugins.ports import DrivingFunction, Evaluator, OptimizerPlugin, Vehicle
 from drivecal.plugins.setups import setup_of
+from drivecal.sensitivity import thresholds
+from drivecal.sensitivity.analysis import SensitivityAnalysis
+from drivecal.sensitivity.settings import SensitivitySettings
 
 T = TypeVar("T")
 
@@ -77,6 +81,17 @@ class Bench:
 
 
 @dataclass(frozen=True)
+class Optimization:
+    """The chosen optimizer with its checked settings."""
+
+    plugin: OptimizerPlugin
+    settings: BaseModel
+    population: int
+    iterations: int
+    seed: int
+
+
+@dataclass(frozen=True)
 class CalibrationProblem:
     """A campaign that can run."""
 
@@ -85,10 +100,17 @@ class CalibrationProblem:
     space: ParameterSpace
     weights: Mapping[str, float]
     """Normalised to a sum of 1, by scenario; scenarios of weight 0 are left out (Eq. 6)."""
-    optimizer: OptimizerPlugin
-    optimizer_settings: BaseModel
+    optimization: Optimization | None
+    """None where only the sensitivity analysis is wanted."""
     baseline: ParameterSet | None
     notes: tuple[str, ...]
+
+    def analysis(self) -> SensitivityAnalysis | None:
+        """A fresh sensitivity analysis; None where a map is named or none is wanted."""
+        wanted = self.specification.sensitivity
+        if not isinstance(wanted, SensitivitySpecification):
+            return None
+        return _analysis(wanted, self.space, self.scenarios)
 
     @property
     def scenarios(self) -> tuple[str, ...]:
@@ -97,11 +119,15 @@ class CalibrationProblem:
 
     def expected_runs(self) -> ExpectedRuns:
         """What the campaign costs if no cell could be answered without a simulation."""
-        optimizer = self.specification.optimizer
-        proposed = optimizer.population * optimizer.iterations * len(self.scenarios)
-        requested = self.optimizer.requested_individuals(self.optimizer_settings) * len(self.scenarios)
+        chosen, analysis = self.optimization, self.analysis()
+        proposed = requested = 0
+        if chosen is not None:
+            proposed = chosen.population * chosen.iterations * len(self.scenarios)
+            requested = chosen.plugin.requested_individuals(chosen.settings) * len(self.scenarios)
+        phases = {} if analysis is None else analysis.expected_runs()
         return ExpectedRuns(
-            sensitivity=0,
+            sensitivity=phases.get("intervals", 0) * len(self.scenarios),
+            sensitivity_at_most=sum(phases.values()) * len(self.scenarios),
             calibration_proposed=proposed,
             calibration_at_most=requested,
             robustness=0,
@@ -139,15 +165,20 @@ def resolve(specification: CampaignSpecification) -> CalibrationProblem:
     function = _load(findings, registry.driving_function, specification.driving_function)
     vehicle, vehicle_parameters = _vehicle(specification.vehicle, findings)
     evaluator = _load(findings, registry.evaluator, specification.evaluator)
-    optimizer, settings = _optimizer(specification.optimizer, findings)
+    optimization = _optimization(specification, findings)
     weights, notes = _weights(specification.weights, list(scenarios), findings)
     space = None if function is None else _space(specification, function, findings)
     baseline = _baseline(specification.baseline, space, findings)
+    if space is not None and isinstance(specification.sensitivity, SensitivitySpecification):
+        try:
+            _analysis(specification.sensitivity, space, tuple(weights))
+        except InvalidInputError as error:
+            findings.problems.extend(error.problems)
     findings.raise_if_any()
-    if function is None or vehicle is None or evaluator is None or optimizer is None or settings is None or space is None:
+    if function is None or vehicle is None or evaluator is None or space is None:
         raise AssertionError("a part is missing without a finding")
     bench = Bench({name: scenarios[name] for name in weights}, function, vehicle, vehicle_parameters, evaluator)
-    return CalibrationProblem(specification, bench, space, weights, optimizer, settings, baseline, notes)
+    return CalibrationProblem(specification, bench, space, weights, optimization, baseline, notes)
 
 
 def resolve_evaluation(specification: EvaluationSpecification) -> EvaluationProblem:
@@ -253,21 +284,41 @@ def _vehicle(specification: VehicleSpecification, findings: _Findings) -> tuple[
     return vehicle, {name: parameter.nominal for name, parameter in known.items()} | specification.parameters
 
 
-def _optimizer(specification: OptimizerSpecification, findings: _Findings) -> tuple[OptimizerPlugin | None, BaseModel | None]:
-    optimizer = _load(findings, registry.optimizer, specification.kind)
-    if optimizer is None:
-        return None, None
+def _optimization(specification: CampaignSpecification, findings: _Findings) -> Optimization | None:
+    wanted = specification.optimizer
+    if wanted is None:
+        if not isinstance(specification.sensitivity, SensitivitySpecification):
+            findings.add("optimizer", "there is nothing to do", "choose an optimizer, or a sensitivity analysis, or both")
+        return None
+    plugin = _load(findings, registry.optimizer, wanted.kind)
+    if plugin is None:
+        return None
     try:
-        return optimizer, optimizer.settings.model_validate(specification.model_dump())
+        settings = plugin.settings.model_validate(wanted.model_dump())
     except ValidationError as error:
         for detail in error.errors(include_url=False):
             field = ".".join(["optimizer", *(str(part) for part in detail["loc"])])
             if detail["type"] == "extra_forbidden":
-                known = ", ".join(optimizer.settings.model_fields)
-                findings.add(field, f"{optimizer.name} has no such setting", f"one of {known}")
+                known = ", ".join(plugin.settings.model_fields)
+                findings.add(field, f"{plugin.name} has no such setting", f"one of {known}")
             else:
                 findings.add(field, detail["msg"])
-        return optimizer, None
+        return None
+    return Optimization(plugin, settings, wanted.population, wanted.iterations, wanted.seed)
+
+
+def _analysis(wanted: SensitivitySpecification, space: ParameterSpace, scenarios: Sequence[str]) -> SensitivityAnalysis:
+    threshold = wanted.threshold
+    settings = SensitivitySettings(
+        design=wanted.design,
+        intervals=wanted.intervals,
+        samples=wanted.samples,
+        threshold=thresholds.SeparateThresholds(threshold.mu, threshold.sigma)
+        if isinstance(threshold, SeparateThresholds)
+        else threshold,
+        seed=wanted.seed,
+    )
+    return SensitivityAnalysis(space, scenarios, settings)
 
 
 def _weights(

@@ -12,7 +12,7 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import Any
 
-from drivecal.campaigns.backend import Finished, Lost, Slots, WorkerInfo
+from drivecal.campaigns.backend import BackendLostError, Finished, Lost, Slots, WorkerInfo
 from drivecal.campaigns.ray_cluster import Cluster
 from drivecal.contracts.work import Batch, BatchResult
 from drivecal.domain.evaluations import Breakdown
@@ -21,6 +21,8 @@ from drivecal.runtime.worker import Worker
 CALLS_PER_ACTOR = 2
 LONGEST_PAUSE = 30.0
 """Between two attempts to start a worker that does not start, s."""
+TRIES_TO_START = 3
+"""When no worker at all has started in so many attempts, it is given up."""
 
 log = logging.getLogger(__name__)
 
@@ -122,6 +124,8 @@ class RayBackend:
                     self._start(actor)
             events += self._collect(max(0.0, min(until, self._next_deadline()) - now))
             events += self._overdue(time.monotonic())
+            if all(actor.failed_starts >= TRIES_TO_START for actor in self._actors):
+                raise BackendLostError(f"no worker starts: {self._actors[0].reason}")
             if time.monotonic() >= until:
                 break
         return events

@@ -94,7 +94,12 @@ def run_server(
                 found = processes.read(connection, "dispatcher")
         except DrivecalError as error:
             return [*lacking, str(error)]
-        return lacking if found is not None and found.heartbeat_at >= started_at else [*lacking, "dispatcher"]
+        if found is None or found.heartbeat_at < started_at:
+            return [*lacking, "dispatcher"]
+        if all(worker["state"] == "starting" for worker in found.detail.get("workers", [])):
+            reason = found.detail.get("degraded")
+            return [*lacking, f"workers ({reason})" if reason else "workers"]
+        return lacking
 
     descriptor = listener.fileno()
     api = (sys.executable, "-m", "drivecal.api", "--socket", str(descriptor))

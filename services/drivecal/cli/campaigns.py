@@ -144,7 +144,7 @@ def _print_expected(expected: ExpectedRuns, as_json: bool) -> None:
         return
     typer.echo(f"the campaign can run; it proposes {expected.calibration_proposed:,} cells and simulates at most:")
     for stage, runs in (
-        ("sensitivity", expected.sensitivity),
+        ("sensitivity", expected.sensitivity_at_most),
         ("calibration", expected.calibration_at_most),
         ("robustness", expected.robustness),
         ("validation", expected.validation),

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from sqlalchemy import Connection, Row, Update, case, select, update
 
-from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, Progress
+from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, Progress, SensitivityCellCounts
 from drivecal.domain.campaigns import CampaignState, Stage
 from drivecal.domain.errors import ConflictError, NotFoundError
 from drivecal.storage import cursors, runs
@@ -44,6 +44,7 @@ class StoredCampaign:
     error: str | None
     notes: tuple[str, ...]
     cells: CellCounts
+    sensitivity_cells: SensitivityCellCounts
     progress: Progress
     error_rate: Mapping[str, ErrorRate]
     best: Best | None
@@ -61,6 +62,7 @@ class Snapshot:
     stage: Stage | None
     iteration: int | None
     cells: CellCounts
+    sensitivity_cells: SensitivityCellCounts
     progress: Progress
     error_rate: Mapping[str, ErrorRate]
     best: Best | None
@@ -96,6 +98,7 @@ def insert(
         "body_digest": body_digest,
         "notes": [],
         "cells": CellCounts().model_dump(mode="json"),
+        "sensitivity_cells": SensitivityCellCounts().model_dump(mode="json"),
         "progress": Progress().model_dump(mode="json"),
         "error_rate": {},
         "simulating_seconds": 0.0,
@@ -237,6 +240,7 @@ def save_progress(connection: Connection, sequence: int, snapshot: Snapshot) -> 
         stage=snapshot.stage,
         iteration=snapshot.iteration,
         cells=snapshot.cells.model_dump(mode="json"),
+        sensitivity_cells=snapshot.sensitivity_cells.model_dump(mode="json"),
         progress=snapshot.progress.model_dump(mode="json"),
         error_rate={scenario: rate.model_dump(mode="json") for scenario, rate in snapshot.error_rate.items()},
         best=None if snapshot.best is None else snapshot.best.model_dump(mode="json"),
@@ -245,6 +249,11 @@ def save_progress(connection: Connection, sequence: int, snapshot: Snapshot) -> 
         notes=list(snapshot.notes),
     )
     connection.execute(statement)
+
+
+def set_influence_map(connection: Connection, sequence: int, influence_map_id: str) -> None:
+    """Notes the map that a campaign's own analysis made."""
+    connection.execute(_of(sequence).values(influence_map_id=influence_map_id))
 
 
 def degrade(connection: Connection, sequences: Collection[int], reason: str | None) -> None:
@@ -287,6 +296,7 @@ def _campaign(row: Row[Any]) -> StoredCampaign:
         error=row.error,
         notes=tuple(row.notes),
         cells=CellCounts(**row.cells),
+        sensitivity_cells=SensitivityCellCounts(**row.sensitivity_cells),
         progress=Progress(**row.progress),
         error_rate={scenario: ErrorRate(**rate) for scenario, rate in row.error_rate.items()},
         best=None if row.best is None else Best(**row.best),

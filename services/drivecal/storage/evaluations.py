@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -157,6 +157,13 @@ def settle_audits(connection: Connection, campaign_sequence: int, stage: Stage, 
         )
         .values(agrees=evaluations.c.score == score)
     )
+
+
+def set_reference_keys(connection: Connection, keys: Mapping[int, bytes]) -> None:
+    """Gives evaluations, by id, the keys under a map that was not known when they were asked for."""
+    statement = update(evaluations).where(evaluations.c.id == bindparam("evaluation")).values(reference_key=bindparam("key"))
+    if keys:
+        connection.execute(statement, [{"evaluation": one, "key": key} for one, key in keys.items()])
 
 
 def own_references(connection: Connection, campaign_sequence: int, scenario: str, keys: Sequence[bytes]) -> dict[bytes, Donor]:

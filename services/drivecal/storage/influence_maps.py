@@ -30,6 +30,8 @@ class StoredInfluenceMap:
     """The space it was checked against, as it was posted."""
     scenarios: Mapping[str, Any]
     """By scenario and parameter, as a JSON document."""
+    basis: Mapping[str, Any] | None
+    """What an analysis rests on: space, fixed values, setups, evaluator, settings; None where a user posted the map."""
     created_at: datetime
 
 
@@ -41,6 +43,7 @@ def insert(
     driving_function: str,
     parameters: Any,
     scenarios: Mapping[str, Any],
+    basis: Mapping[str, Any] | None = None,
 ) -> StoredInfluenceMap:
     """Stores a map; `parameters` and `scenarios` are JSON documents."""
     statement = influence_maps.insert().values(
@@ -50,6 +53,7 @@ def insert(
         driving_function=driving_function,
         parameters=parameters,
         scenarios=dict(scenarios),
+        basis=None if basis is None else dict(basis),
         created_at=now(),
     )
     return _influence_map(connection.execute(statement.returning(influence_maps)).one())
@@ -85,5 +89,6 @@ def _influence_map(row: Row[Any]) -> StoredInfluenceMap:
         driving_function=row.driving_function,
         parameters=row.parameters,
         scenarios=row.scenarios,
+        basis=row.basis,
         created_at=row.created_at,
     )

@@ -12,6 +12,7 @@ from sqlalchemy import Connection, Row, Select, case, func, literal, select, tup
 from drivecal.domain.campaigns import Stage
 from drivecal.domain.errors import NotFoundError
 from drivecal.domain.evaluations import Outcome
+from drivecal.domain.parameters import ParameterSet
 from drivecal.storage import cursors
 from drivecal.storage.tables import evaluations, parameter_sets
 from drivecal.storage.types import ORDER, STAGES
@@ -164,6 +165,33 @@ def answers(connection: Connection, campaign_sequence: int, stage: Stage, iterat
         query = query.where(table.iteration == iteration)
     for row in connection.execute(query):
         yield CellAnswer(*row)
+
+
+def has_iteration(connection: Connection, campaign_sequence: int, stage: Stage, iteration: int) -> bool:
+    """Whether the cells of an iteration have been asked for."""
+    query = select(evaluations.c.id).where(
+        evaluations.c.campaign_sequence == campaign_sequence,
+        evaluations.c.stage == stage,
+        evaluations.c.iteration == iteration,
+    )
+    return connection.execute(query.limit(1)).first() is not None
+
+
+def donors(connection: Connection, campaign_sequence: int, stage: Stage) -> Iterator[tuple[int, str, ParameterSet]]:
+    """The simulated or certified cells of a stage that can answer others: id, scenario, parameter set."""
+    query = (
+        select(evaluations.c.id, evaluations.c.scenario, parameter_sets.c.parameter_values)
+        .join(parameter_sets)
+        .where(
+            evaluations.c.campaign_sequence == campaign_sequence,
+            evaluations.c.stage == stage,
+            evaluations.c.outcome.in_((Outcome.SIMULATED, Outcome.CERTIFIED)),
+        )
+        .order_by(evaluations.c.id)
+        .execution_options(yield_per=BATCH)
+    )
+    for number, scenario, values in connection.execute(query):
+        yield number, scenario, ParameterSet.from_json(values)
 
 
 def _select() -> Select[Any]:

@@ -39,6 +39,7 @@ influence_maps = Table(
     Column("driving_function", Text, nullable=False),
     Column("parameters", Document, nullable=False),
     Column("scenarios", Document, nullable=False),
+    Column("basis", Document),
     Column("created_at", UtcDateTime, nullable=False),
     sqlite_autoincrement=True,
 )
@@ -64,6 +65,7 @@ campaigns = Table(
     Column("error", Text),
     Column("notes", Document, nullable=False),
     Column("cells", Document, nullable=False),
+    Column("sensitivity_cells", Document, nullable=False),
     Column("progress", Document, nullable=False),
     Column("error_rate", Document, nullable=False),
     Column("best", Document),

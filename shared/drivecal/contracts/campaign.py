@@ -39,13 +39,15 @@ class CellCounts(Answer):
 
 
 class SensitivityCellCounts(Answer):
-    """The sensitivity stage's cells."""
+    """The sensitivity stage's cells; proposed = pending + requested, requested = repeated + certified + simulated + failed."""
 
     requested: int = 0
     repeated: int = 0
     certified: int = 0
     simulated: int = 0
     failed: int = 0
+    proposed: int = 0
+    pending: int = 0
 
 
 class ErrorRate(Answer):
@@ -175,6 +177,8 @@ class ExpectedRuns(Answer):
     """What a campaign will cost at most: cells proposed by stage, and simulations if nothing could be answered otherwise."""
 
     sensitivity: int
+    """Of the interval analysis, which is known beforehand; confirmations and the global analysis follow from what it finds."""
+    sensitivity_at_most: int
     calibration_proposed: int
     calibration_at_most: int
     robustness: int

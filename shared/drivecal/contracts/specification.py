@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints, field_validator
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, StringConstraints, Tag, field_validator
 
 LARGEST_POPULATION = 100_000
 LARGEST_ITERATIONS = 10_000
@@ -47,6 +47,26 @@ class MapReference(Model):
     map: Annotated[str, StringConstraints(min_length=1, max_length=64)]
 
 
+class SeparateThresholds(Model):
+    """Influential from |mu| >= `mu` or sigma >= `sigma` on (Section IV-E)."""
+
+    mu: Annotated[float, Field(gt=0, le=1e6)]
+    sigma: Annotated[float, Field(gt=0, le=1e6)]
+
+
+class SensitivitySpecification(Model):
+    """Where each parameter matters: a complexity reduction by elementary effects (Section II-A).
+
+    `threshold` on s_rel, on |mu| and sigma separately, or `auto`.
+    """
+
+    design: Literal["lines", "paper"] = "lines"
+    intervals: Annotated[int, Field(ge=1, le=1000)] = 10
+    samples: Annotated[int, Field(ge=2, le=10_000)] = 20
+    threshold: Annotated[float, Field(gt=0, le=1e6)] | Literal["auto"] | SeparateThresholds = 0.02
+    seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 1
+
+
 class OptimizerSpecification(BaseModel):
     """What every optimizer has; the rest is the chosen optimizer's own and checked by its plug-in."""
 
@@ -79,8 +99,12 @@ class ReductionSpecification(Model):
         return value
 
 
+def _names_a_map(given: object) -> bool:
+    return isinstance(given, MapReference) or (isinstance(given, dict) and "map" in given)
+
+
 class CampaignSpecification(Model):
-    """A whole campaign. Everything has a default, so that `{}` is the paper's problem without its sensitivity analysis."""
+    """A whole campaign. Everything has a default, so that `{}` is the paper's problem."""
 
     name: Name = "campaign"
     catalogue: Identifier | Annotated[list[Identifier], Field(min_length=1, max_length=1000)] = "highway"
@@ -91,8 +115,15 @@ class CampaignSpecification(Model):
     driving_function: Identifier = "frenet"
     vehicle: VehicleSpecification = VehicleSpecification()
     evaluator: Identifier = "reference"
-    sensitivity: MapReference | None = None
-    optimizer: OptimizerSpecification = OptimizerSpecification()
+    sensitivity: (
+        Annotated[
+            Annotated[SensitivitySpecification, Tag("analysis")] | Annotated[MapReference, Tag("map")],
+            Discriminator(lambda given: "map" if _names_a_map(given) else "analysis"),
+        ]
+        | None
+    ) = SensitivitySpecification()
+    optimizer: OptimizerSpecification | None = OptimizerSpecification()
+    """Null where only the sensitivity analysis is wanted."""
     reduction: ReductionSpecification = ReductionSpecification()
     robustness: None = None
     """The robustness stage is not there yet, so only null is accepted."""

@@ -7,7 +7,7 @@ from typing import get_args
 import pytest
 from tests.support.storage import campaign, new_run, sample_set_ids, setup_id
 
-from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, Progress
+from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, Progress, SensitivityCellCounts
 from drivecal.domain.campaigns import CampaignState, Stage
 from drivecal.domain.errors import ConflictError, InvalidInputError, NotFoundError
 from drivecal.storage import campaigns, influence_maps, runs
@@ -137,6 +137,7 @@ def test_progress_is_written_and_read_back_whole(database: Database) -> None:
         iteration=3,
         cells=CellCounts(proposed=10, pending=4, requested=6, simulated=6, audited=1),
         progress=Progress(done=6, total=10, eta_seconds=1.5),
+        sensitivity_cells=SensitivityCellCounts(requested=3, simulated=3),
         error_rate={"S1": ErrorRate(audited=1, upper_95=0.975)},
         best=Best(objective=5.67, parameters={"P1": 0.5}, scores={"S1": 6}, alternatives=2),
         baseline=Baseline(objective=None, parameters={"P1": 0.25}, scores={"S1": None}),
@@ -147,7 +148,17 @@ def test_progress_is_written_and_read_back_whole(database: Database) -> None:
         sequence = campaign(connection).sequence
         campaigns.save_progress(connection, sequence, snapshot)
         stored = campaigns.by_sequence(connection, sequence)
-    for name in ("stage", "iteration", "cells", "progress", "error_rate", "best", "baseline", "simulating_seconds"):
+    for name in (
+        "stage",
+        "iteration",
+        "cells",
+        "sensitivity_cells",
+        "progress",
+        "error_rate",
+        "best",
+        "baseline",
+        "simulating_seconds",
+    ):
         assert getattr(stored, name) == getattr(snapshot, name), name
     assert stored.notes == ("S2 has weight 0",)
 

@@ -1,0 +1,177 @@
+"""The sensitivity stage through database and dispatcher, with a formula of known influence in the place of the simulation."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.support.computed import ComputedBackend
+
+from drivecal.campaigns.dispatcher import Dispatcher
+from drivecal.campaigns.maps import map_from_document
+from drivecal.campaigns.pool import WorkPool
+from drivecal.contracts.specification import CampaignSpecification
+from drivecal.contracts.work import Cell, CellResult
+from drivecal.domain.campaigns import CampaignState, Stage
+from drivecal.domain.evaluations import Outcome
+from drivecal.domain.influence import InfluenceMap
+from drivecal.storage import campaigns, influence_maps, results
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.database import Database
+
+LEVELS = 21
+SPECIFICATION: dict[str, Any] = {
+    "catalogue": ["S1", "S2"],
+    "parameters": [{"name": f"P{i}", "lower": 0, "upper": 1, "step": 0.05} for i in range(1, 5)],
+    "fixed": {f"P{i}": 0.5 for i in range(5, 12)},
+    "sensitivity": {"intervals": 5, "samples": 8, "threshold": 0.02},
+    "optimizer": {"kind": "genetic", "population": 40, "iterations": 5, "seed": 2},
+    "reduction": {"audit": 0.1},
+}
+
+
+def _answer(scenario: str, cell: Cell) -> CellResult:
+    """S1 depends on P1 everywhere and on P2 up to 0.5; S2 depends on P3 from 0.4 on; P4 matters nowhere."""
+    p = cell.parameters
+    rating = 6.4 * p["P1"] * (1 - min(p["P2"], 0.5)) if scenario == "S1" else 1 + 9 * max(p["P3"] - 0.4, 0)
+    return CellResult(cell.id, rating, round(rating), {"rating": rating}, None, 7.0)
+
+
+@pytest.fixture
+def database(tmp_path: Path) -> Iterator[Database]:
+    """A new SQLite database."""
+    opened = Database.open(f"sqlite:///{tmp_path / 'drivecal.db'}")
+    opened.upgrade()
+    yield opened
+    opened.dispose()
+
+
+def _submit(database: Database, **changes: Any) -> StoredCampaign:
+    specification = CampaignSpecification.model_validate(SPECIFICATION | changes)
+    with database.transaction() as connection:
+        return campaigns.insert(connection, name="test", spec=specification.model_dump(mode="json"))
+
+
+def _get(database: Database, campaign: StoredCampaign) -> StoredCampaign:
+    with database.read() as connection:
+        found = campaigns.get(connection, campaign.id)
+    counts = found.sensitivity_cells
+    assert counts.proposed == counts.pending + counts.requested
+    assert counts.requested == counts.repeated + counts.certified + counts.simulated + counts.failed
+    return found
+
+
+def _dispatcher(database: Database, backend: ComputedBackend) -> Dispatcher:
+    ticks = iter(range(10**9))
+    return Dispatcher(database, WorkPool(backend), clock=lambda: float(next(ticks)))
+
+
+def _run(database: Database, campaign: StoredCampaign, backend: ComputedBackend | None = None) -> StoredCampaign:
+    dispatcher = _dispatcher(database, backend or ComputedBackend(answer=_answer))
+    while not _get(database, campaign).state.ended:
+        dispatcher.step()
+    return _get(database, campaign)
+
+
+def _map(database: Database, campaign: StoredCampaign) -> InfluenceMap:
+    with database.read() as connection:
+        return map_from_document(influence_maps.get(connection, campaign.influence_map_id or "none").scenarios)
+
+
+def test_the_stage_finds_where_parameters_matter_and_the_calibration_uses_it(database: Database) -> None:
+    ended = _run(database, _submit(database))
+    assert (ended.state, ended.error) == (CampaignState.SUCCEEDED, None)
+    found = _map(database, ended)
+    assert found.influence("S1", "P1").influential
+    assert not found.influence("S1", "P3").influential
+    assert not found.influence("S1", "P4").influential
+    assert not found.influence("S2", "P1").influential
+    p2, p3 = found.influence("S1", "P2"), found.influence("S2", "P3")
+    assert p2.upper is not None
+    assert 0.5 <= float(p2.upper) <= 0.7
+    assert p3.lower is not None
+    assert 0.2 <= float(p3.lower) <= 0.4
+    assert ended.cells.reused > 0
+    assert ended.sensitivity_cells.simulated > 0
+    assert ended.cells.simulated < ended.sensitivity_cells.simulated
+    for rate in ended.error_rate.values():
+        assert rate.wrong == 0
+
+
+def test_the_runs_of_the_analysis_are_references_from_the_first_population_on(database: Database) -> None:
+    ended = _run(database, _submit(database))
+    with database.read() as connection:
+        rows = {row.id: row for row in results.stream(connection, ended.sequence)}
+    stages = {row.id: row.stage for row in rows.values()}
+    first = [row for row in rows.values() if row.stage is Stage.CALIBRATION and row.iteration == 0]
+    assert any(row.outcome is Outcome.REUSED and stages[row.reference or 0] is Stage.SENSITIVITY for row in first)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_campaign_killed_in_its_analysis_ends_like_one_that_was_not(tmp_path: Path, seed: int) -> None:
+    draw = random.Random(seed)
+    found = []
+    for name in ("calm", "killed"):
+        opened = Database.open(f"sqlite:///{tmp_path / name}.db")
+        opened.upgrade()
+        campaign = _submit(opened)
+        while not _get(opened, campaign).state.ended:
+            dispatcher = _dispatcher(opened, ComputedBackend(draw.randrange(99), answer=_answer))
+            for _ in range(draw.randrange(1, 12) if name == "killed" else 9_999):
+                dispatcher.step()
+                if _get(opened, campaign).state.ended:
+                    break
+        ended = _get(opened, campaign)
+        with opened.read() as connection:
+            cells = [
+                (row.stage, row.iteration, row.individual, row.scenario, row.outcome, row.score, row.audited, row.agrees)
+                for row in results.stream(connection, campaign.sequence)
+            ]
+        found.append((cells, ended.cells, ended.sensitivity_cells, ended.best, _map(opened, ended)))
+        opened.dispose()
+    assert found[0] == found[1]
+
+
+def test_an_analysis_of_its_own_ends_with_a_map_that_a_later_campaign_names(database: Database) -> None:
+    alone = _run(database, _submit(database, optimizer=None))
+    assert alone.state is CampaignState.SUCCEEDED
+    assert alone.cells.proposed == 0
+    assert alone.influence_map_id is not None
+    named = CampaignSpecification.model_validate(SPECIFICATION | {"sensitivity": {"map": alone.influence_map_id}})
+    with database.transaction() as connection:
+        later = campaigns.insert(
+            connection, name="later", spec=named.model_dump(mode="json"), influence_map_id=alone.influence_map_id
+        )
+    ended = _run(database, later)
+    assert ended.sensitivity_cells.requested == 0
+    assert ended.cells.reused > 0
+    together = _run(database, _submit(database))
+    assert together.sensitivity_cells.simulated == 0, "the same analysis repeats what is stored"
+    assert together.best == ended.best
+
+
+def test_failed_runs_cost_their_effects_and_not_the_analysis(database: Database) -> None:
+    def broken(scenario: str, cell: Cell) -> CellResult:
+        if scenario == "S2" and cell.parameters["P4"] == 0.5:
+            return CellResult(cell.id, None, None, {}, None, 1.0, "crash", "segmentation fault")
+        return _answer(scenario, cell)
+
+    ended = _run(database, _submit(database), ComputedBackend(answer=broken))
+    assert ended.state is CampaignState.SUCCEEDED
+    assert ended.sensitivity_cells.failed > 0
+    assert _map(database, ended).influence("S2", "P3").influential
+
+
+def test_a_scenario_that_always_scores_zero_is_unknown_which_counts_as_influential(database: Database) -> None:
+    def hopeless(scenario: str, cell: Cell) -> CellResult:
+        return CellResult(cell.id, 0.0, 0, {}, "collision", 7.0) if scenario == "S2" else _answer(scenario, cell)
+
+    ended = _run(database, _submit(database), ComputedBackend(answer=hopeless))
+    found = _map(database, ended)
+    assert all(found.influence("S2", f"P{i}").influential for i in range(1, 5))
+    with database.read() as connection:
+        stored = influence_maps.get(connection, ended.influence_map_id or "none")
+    assert all(one["unknown"] for one in stored.scenarios["S2"].values())
