@@ -18,7 +18,7 @@ from drivecal.domain.campaigns import CampaignState
 from drivecal.storage import campaigns, processes
 from drivecal.storage.types import now
 
-SMALL: dict[str, Any] = {"name": "small", "optimizer": {"population": 10, "iterations": 3}}
+SMALL: dict[str, Any] = {"name": "small", "sensitivity": None, "optimizer": {"population": 10, "iterations": 3}}
 MIDDLE = {"P1": 0, "P2": 1, "P3": 100, "P4": 1000, "P5": 750, "P6": 0.5, "P7": 100, "P8": 1000, "P9": 5, "P10": 10, "P11": 100}
 
 

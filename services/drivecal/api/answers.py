@@ -10,7 +10,6 @@ from drivecal.contracts.campaign import Campaign, Seconds
 from drivecal.contracts.evaluation import EvaluatedCell, Evaluation
 from drivecal.contracts.inventory import InfluenceRow
 from drivecal.domain.campaigns import CampaignState
-from drivecal.domain.influence import Influence
 from drivecal.domain.setups import canonical_json, digest
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.results import StoredEvaluation
@@ -33,6 +32,7 @@ def campaign_answer(stored: StoredCampaign, now: datetime) -> Campaign:
         iteration=stored.iteration,
         progress=stored.progress,
         cells=stored.cells,
+        sensitivity_cells=stored.sensitivity_cells,
         error_rate=dict(stored.error_rate),
         best=stored.best,
         baseline=stored.baseline,
@@ -117,12 +117,9 @@ def evaluation_answer(stored: StoredCampaign, items: list[EvaluatedCell]) -> Eva
     )
 
 
-def influence_row(scenario: str, parameter: str, influence: Influence) -> InfluenceRow:
-    """One row of an influence map."""
-    return InfluenceRow(
-        scenario=scenario,
-        parameter=parameter,
-        influential=influence.influential,
-        lower=None if influence.lower is None else float(influence.lower),
-        upper=None if influence.upper is None else float(influence.upper),
-    )
+def influence_row(scenario: str, parameter: str, stored: Mapping[str, Any] | None) -> InfluenceRow:
+    """One row of an influence map from what is `stored` of it; what a map does not list counts as influential."""
+    entry = stored or {"influential": True}
+    bounds = {name: None if entry.get(name) is None else float(entry[name]) for name in ("lower", "upper")}
+    measures = {name: entry.get(name) for name in ("s_rel_intervals", "mu", "sigma", "mu_star")}
+    return InfluenceRow(scenario=scenario, parameter=parameter, influential=entry["influential"], **bounds, **measures)

@@ -10,7 +10,7 @@ from typing import Any
 import typer
 from pydantic import BaseModel
 
-from drivecal.contracts.campaign import Campaign, CellCounts, Solution
+from drivecal.contracts.campaign import Campaign, CellCounts, SensitivityCellCounts, Solution
 
 OUTCOMES = ("failed", "certified", "reused", "repeated", "simulated")
 """Of requested cells, the frequent ones last."""
@@ -41,6 +41,8 @@ def print_campaign(campaign: Campaign) -> None:
         lines.append(("rerun of", campaign.rerun_of))
     if campaign.error:
         lines.append(("error", campaign.error))
+    if campaign.sensitivity_cells.requested:
+        lines.append(("analysis", f"{campaign.sensitivity_cells.requested:,} requested = {_sum(campaign.sensitivity_cells)}"))
     if campaign.cells.requested:
         lines.append(("cells", cells_text(campaign.cells)))
     if campaign.baseline:
@@ -93,10 +95,8 @@ def state_text(campaign: Campaign) -> str:
 
 def cells_text(cells: CellCounts) -> str:
     """The cells by outcome, on one line: `requested 1,200 = 800 simulated + 300 reused + 100 repeated`."""
-    counts = {name: getattr(cells, name) for name in reversed(OUTCOMES)}
-    parts = [f"{count:,} {name}" for name, count in counts.items() if count or name == "simulated"]
     audited = f" ({cells.audited:,} of the simulated were audits)" if cells.audited else ""
-    return f"{cells.requested:,} requested = {' + '.join(parts)}{audited}; {cells.carried_over:,} carried over"
+    return f"{cells.requested:,} requested = {_sum(cells)}{audited}; {cells.carried_over:,} carried over"
 
 
 def print_cells(runs: Sequence[tuple[str, CellCounts]]) -> None:
@@ -116,6 +116,11 @@ def print_cells(runs: Sequence[tuple[str, CellCounts]]) -> None:
             for name, cells in runs
         ],
     )
+
+
+def _sum(cells: CellCounts | SensitivityCellCounts) -> str:
+    counts = {name: getattr(cells, name, 0) for name in reversed(OUTCOMES)}
+    return " + ".join(f"{count:,} {name}" for name, count in counts.items() if count or name == "simulated")
 
 
 def self_check_text(campaign: Campaign) -> str:

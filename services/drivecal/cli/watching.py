@@ -118,15 +118,16 @@ def show_until_ended(client: Client, identifier: str, deadline: float | None = N
 def _where(campaign: Campaign) -> str:
     if campaign.state != "running" or campaign.stage is None:
         return campaign.state
-    iterations = campaign.spec.get("optimizer", {}).get("iterations")
-    if campaign.iteration is None or iterations is None:
+    iterations = (campaign.spec.get("optimizer") or {}).get("iterations")
+    if campaign.stage != "calibration" or campaign.iteration is None or iterations is None:
         return campaign.stage
     return f"{campaign.stage} {campaign.iteration + 1}/{iterations}"
 
 
 def _detail(campaign: Campaign) -> str:
-    cells = campaign.cells
-    parts = [f"{name} {getattr(cells, name):,}" for name in reversed(OUTCOMES) if getattr(cells, name)]
+    cells = campaign.sensitivity_cells if campaign.stage == "sensitivity" else campaign.cells
+    counts = {name: getattr(cells, name, 0) for name in reversed(OUTCOMES)}
+    parts = [f"{name} {count:,}" for name, count in counts.items() if count]
     if campaign.best:
         parts.append(f"best {campaign.best.objective:.3f}")
     if campaign.progress.eta_seconds is not None and campaign.state == "running":

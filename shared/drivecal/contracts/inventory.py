@@ -17,7 +17,7 @@ class InfluenceRow(Answer):
     influential: bool
     lower: float | None
     upper: float | None
-    s_rel_intervals: list[float] | None = None
+    s_rel_intervals: list[float | None] | None = None
     mu: float | None = None
     sigma: float | None = None
     mu_star: float | None = None

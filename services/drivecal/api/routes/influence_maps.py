@@ -8,7 +8,7 @@ from drivecal.api.answers import ROOT, influence_row
 from drivecal.api.bodies import StrictRoute
 from drivecal.api.dependencies import DatabaseDependency
 from drivecal.api.queries import PageQuery
-from drivecal.campaigns.maps import map_from_document, map_to_document, resolve_map
+from drivecal.campaigns.maps import map_to_document, resolve_map
 from drivecal.contracts.inventory import InfluenceMapAnswer, InfluenceMapPage
 from drivecal.contracts.specification import InfluenceMapSpecification
 from drivecal.storage import influence_maps
@@ -53,9 +53,9 @@ def read(map_id: str, database: DatabaseDependency) -> InfluenceMapAnswer:
 
 def _answer(stored: StoredInfluenceMap, *, with_rows: bool) -> InfluenceMapAnswer:
     rows = [
-        influence_row(scenario, parameter, influence)
-        for scenario, listed in map_from_document(stored.scenarios).scenarios.items()
-        for parameter, influence in listed.items()
+        influence_row(scenario, parameter, entry)
+        for scenario, listed in stored.scenarios.items()
+        for parameter, entry in listed.items()
     ]
     return InfluenceMapAnswer(
         id=stored.id,

@@ -15,13 +15,11 @@ from drivecal.api.dependencies import Accept, DatabaseDependency
 from drivecal.api.queries import SolutionsQuery, TableOf, TableQuery, form_of
 from drivecal.api.ranking import ranking
 from drivecal.api.tables import Column, Row, download
-from drivecal.campaigns.maps import map_from_document
 from drivecal.campaigns.problem import CalibrationProblem, function_names, resolve, resolve_evaluation
 from drivecal.contracts.campaign import Solution
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
 from drivecal.contracts.validation import validated
 from drivecal.domain.errors import ConflictError
-from drivecal.domain.influence import InfluenceMap
 from drivecal.storage import campaigns, cursors, generations, influence_maps, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.database import Database
@@ -198,11 +196,10 @@ def _influence_rows(database: Database, campaign: StoredCampaign) -> list[Row]:
     if campaign.influence_map_id is None:
         return []
     with database.read() as connection:
-        stored = influence_maps.get(connection, campaign.influence_map_id)
-    influence_map: InfluenceMap = map_from_document(stored.scenarios)
+        scenarios = influence_maps.get(connection, campaign.influence_map_id).scenarios
     problem = _problem(campaign)
     return [
-        influence_row(scenario, parameter, influence_map.influence(scenario, parameter)).model_dump(mode="json")
+        influence_row(scenario, parameter, scenarios.get(scenario, {}).get(parameter)).model_dump(mode="json")
         for scenario in problem.scenarios
         for parameter in problem.space.names
     ]
