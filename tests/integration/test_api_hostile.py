@@ -13,7 +13,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from sqlalchemy import func, select
-from tests.support.server import RunningApi, serving
+from tests.support.server import RunningApi, new_database, serving
 
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.storage.tables import campaigns, influence_maps
@@ -39,11 +39,7 @@ many = settings(max_examples=60, deadline=None, suppress_health_check=[HealthChe
 
 @pytest.fixture(scope="module", params=["sqlite", "postgresql"])
 def api(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
-    if request.param == "sqlite":
-        url = f"sqlite:///{tmp_path_factory.mktemp('hostile') / 'drivecal.db'}"
-    else:
-        url = request.getfixturevalue("make_postgres_database")(None)
-    with serving(url) as running:
+    with serving(new_database(request, request.param, tmp_path_factory.mktemp("hostile"))) as running:
         yield running
 
 

@@ -8,16 +8,12 @@ from typing import Any
 
 import httpx
 import pytest
-from tests.support.server import RunningApi, serving
+from tests.support.server import RunningApi, new_database, serving
 
 
 @pytest.fixture(scope="module", params=["sqlite", "postgresql"])
 def api(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
-    if request.param == "sqlite":
-        url = f"sqlite:///{tmp_path_factory.mktemp('idempotency') / 'drivecal.db'}"
-    else:
-        url = request.getfixturevalue("make_postgres_database")(None)
-    with serving(url) as running:
+    with serving(new_database(request, request.param, tmp_path_factory.mktemp("idempotency"))) as running:
         yield running
 
 

@@ -5,12 +5,18 @@ from __future__ import annotations
 import socket
 import threading
 import time
+import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 
 import httpx
+import psycopg
+import pytest
 import uvicorn
+from psycopg import sql
+from sqlalchemy import make_url
 
 from drivecal.api.app import create_app
 from drivecal.campaigns.settings import load_settings
@@ -32,6 +38,17 @@ def free_port() -> int:
         probe.bind(("127.0.0.1", 0))
         port: int = probe.getsockname()[1]
     return port
+
+
+def new_database(request: pytest.FixtureRequest, kind: str, folder: Path) -> str:
+    """The URL of a database that does not exist yet (SQLite, in `folder`) or is empty (PostgreSQL)."""
+    if kind == "sqlite":
+        return f"sqlite:///{folder / 'drivecal.db'}"
+    server: str = request.getfixturevalue("postgres_server")
+    name = f"api_{uuid.uuid4().hex}"
+    with psycopg.connect(server, autocommit=True) as connection:
+        connection.execute(sql.SQL("CREATE DATABASE {}").format(sql.Identifier(name)))
+    return make_url(server).set(database=name).render_as_string(hide_password=False)
 
 
 @contextmanager
