@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 
 import numpy as np
@@ -174,3 +175,22 @@ def test_the_rows_of_a_sequence_do_not_depend_on_when_they_are_drawn() -> None:
     early.upto(11)
     assert np.array_equal(early.upto(100)[:100], SobolRows(5, 7, 1).upto(100)[:100])
     assert not np.array_equal(SobolRows(5, 7, 2).upto(8), SobolRows(5, 7, 1).upto(8))
+
+
+def test_fixed_seeds_give_the_points_they_always_gave() -> None:
+    """A change here gives a campaign that is resumed other points than it began with."""
+    n_values = np.array([59, 201, 11])
+    edges = [interval_edges(n, 5) for n in n_values.tolist()]
+    designs = {
+        "lines": lines_design(n_values, edges, 6, 1, 0),
+        "paper": paper_design(n_values, edges, 6, 1, 0),
+        "regions": regions_design(n_values, [(0, 0, 20), (2, 5, 10)], 6, 1, 2),
+        "radial": radial_design(n_values, SobolRows(3 * COLUMNS, 1, 1, 1), np.zeros_like(n_values), n_values - 1, 6),
+    }
+    digests = {name: hashlib.sha256(design.points.astype("<i8").tobytes()).hexdigest()[:16] for name, design in designs.items()}
+    assert digests == {
+        "lines": "7f74dce35844812f",
+        "paper": "36d17fd82263dce2",
+        "regions": "64362e9669339d1d",
+        "radial": "1c908cca323cc934",
+    }
