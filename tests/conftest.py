@@ -14,9 +14,11 @@ import psutil
 import psycopg
 import pytest
 from sqlalchemy import make_url
-from tests.support.misbehaviour import FOLDER
+from tests.support.fake_backend import Behaviour
+from tests.support.misbehaviour import FOLDER, misbehaving_cells, misbehaving_setup
 
 from drivecal.campaigns.ray_backend import RayBackend, RayOptions
+from drivecal.contracts.work import Batch
 
 
 @pytest.fixture(scope="session")
@@ -24,7 +26,13 @@ def ray_backend(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RayBackend
     """A local Ray with two workers on which the plug-in of `tests.support` is installed: one per process is all Ray allows."""
     environment = dict(os.environ)
     os.environ.update(HOME=str(tmp_path_factory.mktemp("home")), PYTHONPATH=str(FOLDER))
-    backend = RayBackend(RayOptions(workers=2, deadline_seconds=6.0))
+    backend = RayBackend(RayOptions(workers=2, deadline_seconds=10.0))
+    while backend.slots().idle < 2:
+        backend.wait(1.0)
+    for number in (1, 2):  # compiles the kernels, for which ten seconds may be short
+        backend.submit(number, Batch(misbehaving_setup(), misbehaving_cells([Behaviour.WELL])), 60.0)
+    while backend.slots().idle < 2:
+        backend.wait(1.0)
     yield backend
     backend.close()
     os.environ.clear()
