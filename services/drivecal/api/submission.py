@@ -114,10 +114,11 @@ def _changed(first: StoredCampaign, changes: RerunSpecification) -> dict[str, An
     return document
 
 
-def _merged(before: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+def _merged(before: Mapping[str, Any] | None, changes: Mapping[str, Any]) -> dict[str, Any]:
     """Another kind of optimizer has settings of its own, so nothing of the first one's is kept for it."""
-    keep = changes.get("kind", before.get("kind")) == before.get("kind")
-    return {**(before if keep else {}), **changes}
+    if before is None or changes.get("kind", before.get("kind")) != before.get("kind"):
+        return dict(changes)
+    return {**before, **changes}
 
 
 def _digest(path: str, body: BaseModel) -> str:

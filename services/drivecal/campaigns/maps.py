@@ -7,7 +7,8 @@ from decimal import Decimal
 from math import isfinite
 from typing import Any
 
-from drivecal.campaigns.problem import CalibrationProblem, catalogue_scenarios, search_parameters
+from drivecal.campaigns.problem import CalibrationProblem, catalogue_scenarios
+from drivecal.campaigns.spaces import search_parameters
 from drivecal.contracts.specification import InfluenceMapSpecification, InfluenceSpecification
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.influence import Influence, InfluenceMap

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from sqlalchemy import Connection
 
 from drivecal.campaigns.problem import Bench
+from drivecal.campaigns.spaces import function_names
 from drivecal.domain.campaigns import Stage
 from drivecal.domain.evaluations import Donor
 from drivecal.domain.influence import InfluenceMap
@@ -45,7 +46,7 @@ class View:
     @cached_property
     def names(self) -> tuple[str, ...]:
         """The driving function's parameters, in its order."""
-        return tuple(parameter.name for parameter in next(iter(self.bench.driving_function.spaces.values())))
+        return function_names(self.bench.driving_function)
 
     @cached_property
     def keys(self) -> dict[str, ReferenceKeys]:

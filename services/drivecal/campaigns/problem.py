@@ -6,26 +6,25 @@ specification is reported at once, each with its field and what would be right.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from decimal import Decimal
 from functools import cached_property
-from typing import TypeVar
 
 from pydantic import BaseModel, ValidationError
 
+from drivecal.campaigns.findings import Findings
+from drivecal.campaigns.spaces import baseline_set, free_values, search_space
 from drivecal.contracts.campaign import ExpectedRuns
 from drivecal.contracts.specification import (
     CampaignSpecification,
     EvaluationSpecification,
-    ParameterSpecification,
     SensitivitySpecification,
     SeparateThresholds,
     VehicleSpecification,
 )
 from drivecal.contracts.work import SetupRequest
-from drivecal.domain.errors import InvalidInputError, Problem
-from drivecal.domain.parameters import Parameter, ParameterSet, ParameterSpace, billionths, decimal, text
+from drivecal.domain.errors import InvalidInputError
+from drivecal.domain.parameters import ParameterSet, ParameterSpace
 from drivecal.domain.scenarios import Scenario
 from drivecal.domain.setups import Setup
 from drivecal.plugins import registry
@@ -34,8 +33,6 @@ from drivecal.plugins.setups import setup_of
 from drivecal.sensitivity import thresholds
 from drivecal.sensitivity.analysis import SensitivityAnalysis
 from drivecal.sensitivity.settings import SensitivitySettings
-
-T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -144,31 +141,17 @@ class EvaluationProblem:
     parameter_set: ParameterSet
 
 
-class _Findings:
-    """Collects problems, so that a user sees all of them at once."""
-
-    def __init__(self) -> None:
-        self.problems: list[Problem] = []
-
-    def add(self, field: str, message: str, remedy: str = "") -> None:
-        self.problems.append(Problem(field, message, remedy))
-
-    def raise_if_any(self) -> None:
-        if self.problems:
-            raise InvalidInputError(*self.problems)
-
-
 def resolve(specification: CampaignSpecification) -> CalibrationProblem:
     """The problem that a specification describes. Raises InvalidInputError with everything that is wrong."""
-    findings = _Findings()
+    findings = Findings()
     scenarios = _scenarios(specification.catalogue, findings)
-    function = _load(findings, registry.driving_function, specification.driving_function)
+    function = findings.attempt(lambda: registry.driving_function(specification.driving_function))
     vehicle, vehicle_parameters = _vehicle(specification.vehicle, findings)
-    evaluator = _load(findings, registry.evaluator, specification.evaluator)
+    evaluator = findings.attempt(lambda: registry.evaluator(specification.evaluator))
     optimization = _optimization(specification, findings)
     weights, notes = _weights(specification.weights, list(scenarios), findings)
-    space = None if function is None else _space(specification, function, findings)
-    baseline = _baseline(specification.baseline, space, findings)
+    space = None if function is None else search_space(specification, function, findings)
+    baseline = baseline_set(specification.baseline, space, findings)
     if space is not None and isinstance(specification.sensitivity, SensitivitySpecification):
         try:
             _analysis(specification.sensitivity, space, tuple(weights))
@@ -183,17 +166,17 @@ def resolve(specification: CampaignSpecification) -> CalibrationProblem:
 
 def resolve_evaluation(specification: EvaluationSpecification) -> EvaluationProblem:
     """The cells that a single evaluation asks for. Values need not lie on a grid, only within the driving function's limits."""
-    findings = _Findings()
+    findings = Findings()
     scenarios = _scenarios(specification.catalogue, findings)
     if specification.scenario is not None:
         if specification.scenario in scenarios:
             scenarios = {specification.scenario: scenarios[specification.scenario]}
         elif scenarios:
             findings.add("scenario", f"there is no scenario {specification.scenario!r}", f"one of {', '.join(scenarios)}")
-    function = _load(findings, registry.driving_function, specification.driving_function)
+    function = findings.attempt(lambda: registry.driving_function(specification.driving_function))
     vehicle, vehicle_parameters = _vehicle(specification.vehicle, findings)
-    evaluator = _load(findings, registry.evaluator, specification.evaluator)
-    values = {} if function is None else _free_values(specification.parameters, function, findings)
+    evaluator = findings.attempt(lambda: registry.evaluator(specification.evaluator))
+    values = {} if function is None else free_values(specification.parameters, function, findings)
     findings.raise_if_any()
     if function is None or vehicle is None or evaluator is None:
         raise AssertionError("a part is missing without a finding")
@@ -201,64 +184,15 @@ def resolve_evaluation(specification: EvaluationSpecification) -> EvaluationProb
     return EvaluationProblem(bench, ParameterSet.of(values))
 
 
-def search_parameters(
-    parameters: str | Sequence[ParameterSpecification], function: DrivingFunction, field: str = "parameters"
-) -> tuple[Parameter, ...]:
-    """The grid of each listed parameter. Raises InvalidInputError for unknown spaces and names, empty grids, forbidden values."""
-    if isinstance(parameters, str):
-        if parameters not in function.spaces:
-            remedy = f"one of {', '.join(function.spaces)}, or a list of parameters"
-            raise InvalidInputError(Problem(field, f"{function.name} has no parameter space {parameters!r}", remedy))
-        return function.spaces[parameters]
-    findings = _Findings()
-    found: list[Parameter] = []
-    known = function_names(function)
-    for index, listed in enumerate(parameters):
-        where = f"{field}[{index}]"
-        if listed.name not in known:
-            findings.add(f"{where}.name", f"{function.name} has no parameter {listed.name!r}", f"one of {', '.join(known)}")
-            continue
-        if any(listed.name == other.name for other in found):
-            findings.add(f"{where}.name", f"{listed.name} is listed twice", "list each parameter once")
-            continue
-        try:
-            parameter = Parameter.from_step(
-                listed.name, decimal(listed.lower), decimal(listed.upper), decimal(listed.step), listed.unit
-            )
-        except InvalidInputError as error:
-            for problem in error.problems:
-                attribute = problem.field.removeprefix(f"{listed.name}.")
-                findings.add(f"{where}.{attribute}", problem.message, problem.remedy)
-            continue
-        _within_limits(function, listed.name, parameter.lower, f"{where}.lower", findings)
-        _within_limits(function, listed.name, parameter.upper, f"{where}.upper", findings)
-        found.append(parameter)
-    findings.raise_if_any()
-    return tuple(sorted(found, key=lambda parameter: known.index(parameter.name)))
-
-
 def catalogue_scenarios(catalogue: str | list[str]) -> dict[str, tuple[str, Scenario]]:
     """The scenarios of a catalogue, or those listed: id to (catalogue's name, scenario). Raises InvalidInputError."""
-    findings = _Findings()
+    findings = Findings()
     found = _scenarios(catalogue, findings)
     findings.raise_if_any()
     return found
 
 
-def function_names(function: DrivingFunction) -> tuple[str, ...]:
-    """The names of all parameters of a driving function, in its order."""
-    return tuple(parameter.name for parameter in next(iter(function.spaces.values())))
-
-
-def _load(findings: _Findings, find: Callable[[str], T], name: str) -> T | None:
-    try:
-        return find(name)
-    except InvalidInputError as error:
-        findings.problems.extend(error.problems)
-        return None
-
-
-def _scenarios(catalogue: str | list[str], findings: _Findings) -> dict[str, tuple[str, Scenario]]:
+def _scenarios(catalogue: str | list[str], findings: Findings) -> dict[str, tuple[str, Scenario]]:
     if isinstance(catalogue, str):
         try:
             found = registry.catalogue(catalogue)
@@ -273,8 +207,8 @@ def _scenarios(catalogue: str | list[str], findings: _Findings) -> dict[str, tup
     return {name: entry for name, entry in every.items() if name in catalogue}
 
 
-def _vehicle(specification: VehicleSpecification, findings: _Findings) -> tuple[Vehicle | None, dict[str, float]]:
-    vehicle = _load(findings, registry.vehicle, specification.model)
+def _vehicle(specification: VehicleSpecification, findings: Findings) -> tuple[Vehicle | None, dict[str, float]]:
+    vehicle = findings.attempt(lambda: registry.vehicle(specification.model))
     if vehicle is None:
         return None, {}
     known = {parameter.name: parameter for parameter in vehicle.parameters}
@@ -284,13 +218,13 @@ def _vehicle(specification: VehicleSpecification, findings: _Findings) -> tuple[
     return vehicle, {name: parameter.nominal for name, parameter in known.items()} | specification.parameters
 
 
-def _optimization(specification: CampaignSpecification, findings: _Findings) -> Optimization | None:
+def _optimization(specification: CampaignSpecification, findings: Findings) -> Optimization | None:
     wanted = specification.optimizer
     if wanted is None:
         if not isinstance(specification.sensitivity, SensitivitySpecification):
             findings.add("optimizer", "there is nothing to do", "choose an optimizer, or a sensitivity analysis, or both")
         return None
-    plugin = _load(findings, registry.optimizer, wanted.kind)
+    plugin = findings.attempt(lambda: registry.optimizer(wanted.kind))
     if plugin is None:
         return None
     try:
@@ -322,7 +256,7 @@ def _analysis(wanted: SensitivitySpecification, space: ParameterSpace, scenarios
 
 
 def _weights(
-    given: Mapping[str, float], scenarios: Sequence[str], findings: _Findings
+    given: Mapping[str, float], scenarios: Sequence[str], findings: Findings
 ) -> tuple[dict[str, float], tuple[str, ...]]:
     for name in given:
         if scenarios and name not in scenarios:
@@ -337,81 +271,3 @@ def _weights(
     left_out = [name for name, weight in weights.items() if weight == 0]
     notes = (f"not simulated because their weight is 0: {', '.join(left_out)}",) if left_out else ()
     return {name: weight / total for name, weight in weights.items() if weight > 0}, notes
-
-
-def _space(specification: CampaignSpecification, function: DrivingFunction, findings: _Findings) -> ParameterSpace | None:
-    try:
-        listed = search_parameters(specification.parameters, function)
-    except InvalidInputError as error:
-        findings.problems.extend(error.problems)
-        return None
-    by_name = {parameter.name: parameter for parameter in listed}
-    fixed: dict[str, Decimal] = {}
-    names = function_names(function)
-    for name, given in specification.fixed.items():
-        where = f"fixed.{name}"
-        value = decimal(given)
-        if name not in names:
-            findings.add(where, f"{function.name} has no parameter {name!r}", f"one of {', '.join(names)}")
-        elif name in by_name:
-            try:
-                by_name[name].index(value, where)
-            except InvalidInputError as error:
-                findings.problems.extend(error.problems)
-        else:
-            _exact(value, where, findings)
-            _within_limits(function, name, value, where, findings)
-        fixed[name] = value
-    for name in names:
-        if name not in by_name and name not in fixed:
-            findings.add(
-                f"fixed.{name}", f"{function.name} needs a value of {name}", "list it in `parameters` or hold it in `fixed`"
-            )
-    if by_name and set(by_name) <= set(fixed):
-        findings.add("fixed", "every parameter is held, so there is nothing to search", "leave at least one parameter free")
-    if findings.problems:
-        return None
-    defaults = {parameter.name: parameter for parameter in next(iter(function.spaces.values()))}
-    return ParameterSpace(tuple(by_name.get(name, defaults[name]) for name in names), fixed)
-
-
-def _baseline(given: Mapping[str, float] | None, space: ParameterSpace | None, findings: _Findings) -> ParameterSet | None:
-    if given is None or space is None:
-        return None
-    try:
-        return space.parameter_set(space.indices({name: decimal(value) for name, value in given.items()}, "baseline").tolist())
-    except InvalidInputError as error:
-        findings.problems.extend(error.problems)
-        return None
-
-
-def _free_values(given: Mapping[str, float], function: DrivingFunction, findings: _Findings) -> dict[str, Decimal]:
-    names = function_names(function)
-    for name in given:
-        if name not in names:
-            findings.add(f"parameters.{name}", f"{function.name} has no parameter {name!r}", f"one of {', '.join(names)}")
-    values: dict[str, Decimal] = {}
-    for name in names:
-        where = f"parameters.{name}"
-        if name not in given:
-            findings.add(where, "the value is missing", "give one value per parameter")
-            continue
-        values[name] = decimal(given[name])
-        _exact(values[name], where, findings)
-        _within_limits(function, name, values[name], where, findings)
-    return values
-
-
-def _exact(value: Decimal, field: str, findings: _Findings) -> None:
-    try:
-        billionths(value)
-    except ValueError as error:
-        findings.add(field, str(error), "round it")
-
-
-def _within_limits(function: DrivingFunction, name: str, value: Decimal, field: str, findings: _Findings) -> None:
-    smallest, largest = function.limits.get(name, (None, None))
-    if smallest is not None and value < decimal(smallest):
-        findings.add(field, f"{value} is too small for {name}", f"give at least {text(decimal(smallest))}")
-    if largest is not None and value > decimal(largest):
-        findings.add(field, f"{value} is too large for {name}", f"give at most {text(decimal(largest))}")

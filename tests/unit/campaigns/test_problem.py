@@ -37,7 +37,7 @@ def test_weights_and_bounds_are_not_in_the_fingerprint_but_the_vehicle_is() -> N
     plain = _resolve().bench.setups["S1"].fingerprint
     narrow = [{"name": "P1", "lower": 0, "upper": 1, "step": 0.5}]
     held = {name: value for name, value in MIDDLE.items() if name != "P1"}
-    assert _resolve(parameters=narrow, fixed=held, weights={"S1": 3}).bench.setups["S1"].fingerprint == plain
+    assert _resolve(parameters=narrow, fixed=held, weights={"S1": 3}, sensitivity=None).bench.setups["S1"].fingerprint == plain
     heavy = {"model": "single_track", "parameters": {_vehicle_parameter(): 2100.0}}
     assert _resolve(vehicle=heavy).bench.setups["S1"].fingerprint != plain
 
@@ -73,6 +73,8 @@ def test_a_weight_of_zero_leaves_the_scenario_out_and_says_so() -> None:
         ({"parameters": [{"name": "P2", "lower": -1, "upper": 1, "step": 1}]}, "parameters[0].lower", "at least 0"),
         ({"parameters": [{"name": "P1", "lower": 0, "upper": 1, "step": 0}]}, "parameters[0].step", "continuous"),
         ({"parameters": [{"name": "P1", "lower": 0, "upper": 1, "step": 0.3}]}, "parameters[0].step", "multiple"),
+        ({"sensitivity": {"intervals": 59}}, "sensitivity.intervals", "at most 58"),
+        ({"sensitivity": None, "optimizer": None}, "optimizer", "nothing to do"),
         ({"fixed": {"P9": 5.05}}, "fixed.P9", "5 or 5.1"),
         ({"fixed": {"P99": 5}}, "fixed.P99", "P11"),
         ({"fixed": MIDDLE}, "fixed", "nothing to search"),

@@ -42,7 +42,7 @@ def complaints(document: object, model: type[BaseModel] = CampaignSpecification)
         ({"reduction": {"mode": "x"}}, "reduction.mode: x is not one of the choices; give off, exact or influence"),
         ({"reduction": {"audt": 1}}, "reduction.audt: there is no such field; did you mean audit?"),
         ({"name": "a\0"}, "name: 'a\\x00' is no valid name; leave out control characters"),
-        ({"sensitivity": {}}, "sensitivity.map: the value is missing; give it"),
+        ({"parameters": [{"name": "P1", "lower": 0, "upper": 1}]}, "parameters[0].step: the value is missing; give it"),
         ([], "a list does not fit; give an object"),
     ],
 )

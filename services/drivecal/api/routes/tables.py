@@ -15,7 +15,8 @@ from drivecal.api.dependencies import Accept, DatabaseDependency
 from drivecal.api.queries import SolutionsQuery, TableOf, TableQuery, form_of
 from drivecal.api.ranking import ranking
 from drivecal.api.tables import Column, Row, download
-from drivecal.campaigns.problem import CalibrationProblem, function_names, resolve, resolve_evaluation
+from drivecal.campaigns.problem import CalibrationProblem, resolve, resolve_evaluation
+from drivecal.campaigns.spaces import function_names
 from drivecal.contracts.campaign import Solution
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
 from drivecal.contracts.validation import validated
