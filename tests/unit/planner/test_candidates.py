@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from drivecal.domain.scenarios import SpeedKnot, Task
 from drivecal.planner.candidates import desired_speeds, lateral_ends, longitudinal_ends
-from drivecal.planner.cost import COMFORTABLE_DECELERATION
+from drivecal.planner.cost import LATEST_DECELERATION
 
 S = np.linspace(0.0, 500.0, 1001)
 
@@ -53,7 +53,7 @@ def test_a_lower_speed_is_reached_with_comfortable_deceleration_and_a_higher_one
     assert speeds[600] == pytest.approx(20.0)
     assert speeds[799] == pytest.approx(20.0)
     assert speeds[800] == pytest.approx(25.0)
-    assert speeds[500] == pytest.approx(min(30.0, np.sqrt(20.0**2 + 2 * COMFORTABLE_DECELERATION * 50.0)))
+    assert speeds[500] == pytest.approx(min(30.0, np.sqrt(20.0**2 + 2 * LATEST_DECELERATION * 50.0)))
 
 
 @given(st.lists(st.tuples(st.floats(0, 480), st.floats(5, 40)), min_size=1, max_size=6, unique_by=lambda knot: round(knot[0])))
@@ -62,6 +62,6 @@ def test_the_desired_speed_never_exceeds_the_task_nor_asks_for_hard_braking(knot
     speeds = np.array(speeds_along(*knots))
     task = np.array([next((speed for s, speed in reversed(knots) if s <= here), knots[0][1]) for here in S])
     assert (speeds <= task + 1e-9).all()
-    assert (np.diff(speeds**2) >= -2 * COMFORTABLE_DECELERATION * 0.5 - 1e-9).all()
+    assert (np.diff(speeds**2) >= -2 * LATEST_DECELERATION * 0.5 - 1e-9).all()
     later = np.minimum.accumulate(task[::-1])[::-1]
     assert (speeds >= later - 1e-9).all()

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drivecal.domain.scenarios import Task
-from drivecal.planner.cost import COMFORTABLE_DECELERATION
+from drivecal.planner.cost import LATEST_DECELERATION
 
 Floats = npt.NDArray[np.float64]
 
@@ -27,15 +27,15 @@ FURTHER_HORIZONS = (5.5, 3.0)
 
 LONGITUDINAL_ENDS = (
     (7.5, 0.0),
+    (6.7, 0.0),
     (6.0, 0.0),
-    (4.8, 0.0),
-    (3.6, 0.0),
-    (2.5, 0.0),
+    (5.3, 0.0),
+    (4.4, 0.0),
+    (3.2, 0.0),
     (7.5, -2.5),
     (7.5, -5.0),
     (4.5, 1.5),
-    (4.5, -2.5),
-    (4.5, -5.0),
+    (4.5, -4.0),
     (2.5, -8.0),
 )
 """(horizon in s, end speed relative to the desired speed in m/s): reach it calmly or quickly, go part of the way, overshoot to
@@ -66,12 +66,12 @@ def longitudinal_ends() -> Floats:
 
 def desired_speeds(task: Task, s: Floats) -> Floats:
     """The desired speed (m/s) at arc lengths `s` (uniform, shape (n,)): the task's, lowered ahead of a lower one such that
-    `COMFORTABLE_DECELERATION` suffices. A higher one holds from its knot on. Before the first knot its speed holds already."""
+    `LATEST_DECELERATION` suffices. A higher one holds from its knot on. Before the first knot its speed holds already."""
     knots = np.array([knot.s for knot in task.speeds])
     speeds = np.array([knot.speed for knot in task.speeds])
     in_force = np.maximum(np.searchsorted(knots, s, side="right") - 1, 0)
     reachable = speeds[in_force] ** 2
-    ahead = 2.0 * COMFORTABLE_DECELERATION * (s[-1] - s)
+    ahead = 2.0 * LATEST_DECELERATION * (s[-1] - s)
     # v²(s) <= v²(s') + 2 a (s' - s) for every s' ahead: a running minimum from the end of v² - 2 a (end - s).
     squared: Floats = np.minimum.accumulate((reachable - ahead)[::-1])[::-1] + ahead
     return np.sqrt(squared)

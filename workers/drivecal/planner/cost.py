@@ -29,28 +29,29 @@ class Term:
 TERMS = (
     Term("P1", 0.4, "m²/s⁶", 0.0, "mean square of lateral plus longitudinal jerk"),  # a lane change in 5 s has 0.43
     Term("P2", 0.2, "m²/s⁴", 1.0, "mean square of lateral acceleration, the curve's v²κ included"),  # 0.26 in 5 s
-    Term("P3", 0.1, "1", 100.0, "mean of e²/(1 + e²), e = offset (m) to the nearest lane centre"),  # 0.2: half a metre off
-    Term("P4", 2e-4, "rad²", 1000.0, "mean square of the heading relative to the road"),  # a lane change in 5 s at 30 m/s
+    Term("P3", 0.1, "1", 100.0, "mean of e²/(1 + e²), e = offset (m) to the nearest lane centre"),  # a third of a metre off
+    Term("P4", 2e-4, "rad²", 1000.0, "mean square of the heading relative to the road"),  # a third of a lane change in 5 s
     Term("P5", 0.02, "m²", 750.0, "mean square of the distance to the lateral plan before, saturating at half a metre"),
-    Term("P6", 1.0, "s", 0.5, "time until the target lane is reached"),  # about 0.6 of a lane change in 5 s
-    Term("P7", 0.1, "1", 100.0, "mean shortfall of an ellipse of clear space around other vehicles"),  # passing side by side
-    Term("P8", 0.02, "1/s²", 1000.0, "largest 1/TTC² to a vehicle ahead"),  # 5 s to collision
-    Term("P9", 0.25, "1", 5.0, "mean of (shortfall of clear space to the lane boundary / 0.5 m)²"),  # 0.35 m too near
+    Term("P6", 1.0, "s", 0.5, "time until the target lane is reached"),  # what 1.5 s more of lane change cost
+    Term("P7", 0.08, "1", 100.0, "mean shortfall of an ellipse of clear space around other vehicles"),  # passing side by side
+    Term("P8", 0.02, "1/s²", 1000.0, "largest 1/TTC² to a vehicle ahead"),  # 7 s to collision
+    Term("P9", 0.25, "1", 5.0, "mean of (shortfall of clear space to the lane boundary / 0.7 m)²"),  # 0.35 m too near
     Term("P10", 0.02, "1/s²", 10.0, "mean of (lateral closing speed / lateral gap)² to neighbours alongside"),
-    Term("P11", 0.02, "1/s²", 100.0, "largest 1/TTC² of a follower in the target lane"),  # 5 s to collision
+    Term("P11", 0.02, "1/s²", 100.0, "largest 1/TTC² of a follower in the target lane"),  # 7 s to collision
 )
 
-SPEED_ERROR = 0.5
-"""Base cost per (m/s)² of mean square speed error: 3 m/s too slow weigh as much as a typical term at mid-range."""
+SPEED_ERROR = 0.4
+"""Base cost per (m/s)² of mean square speed error: 1.6 m/s beside the desired speed weigh as much as a typical term at mid-range."""
 TERMINAL_OFFSET = 3.0
 """Base cost of a plan that ends 1 m (times 2) beside the target lane's centre; grows linearly beyond a metre: about 9 for a lane."""
-ACCELERATION = 0.2
+ACCELERATION = 0.1
 """Base cost per (m/s²)² of mean square longitudinal acceleration: breaks ties towards calm speed changes."""
 COLLISION = 3000.0
 """Base cost of touching another vehicle all along the horizon; one of thirty samples costs 100, more than all terms together."""
 
-COMFORTABLE_DECELERATION = 0.7
-"""m/s², of the desired speed ahead of a lower limit: within what ISO 11270 and drivers call comfortable."""
+LATEST_DECELERATION = 3.0
+"""m/s², with which the desired speed falls ahead of a lower limit: what ISO 15622 allows (3.5) with some reserve. How much earlier
+and calmer the vehicle slows down is what the parameters decide."""
 
 N_WEIGHTS = len(TERMS) + 1
 
