@@ -131,7 +131,8 @@ def self_check_text(campaign: Campaign) -> str:
     )
     if not audited:
         return ""
-    text = f"{audited:,} reusable cells were simulated all the same: {different:,} scored differently, {wrong:,} by more than 1"
+    cells = "1 reusable cell was" if audited == 1 else f"{audited:,} reusable cells were"
+    text = f"{cells} simulated all the same: {different:,} scored differently, {wrong:,} by more than 1"
     stopped = [name for name, rate in rates.items() if rate.stopped]
     return f"{text}; reuse was stopped in {', '.join(stopped)}" if stopped else text
 

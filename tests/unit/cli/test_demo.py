@@ -1,0 +1,51 @@
+"""The demo's own coordinator; the demo as a whole is run by `make demo`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from drivecal.campaigns.problem import resolve
+from drivecal.cli.demo.command import BASELINE, CAMPAIGN, OTHER_WEIGHTS
+from drivecal.cli.demo.coordinator import coordinator, fresh_folder
+from drivecal.contracts.specification import CampaignSpecification
+from drivecal.contracts.validation import validated
+from drivecal.domain.errors import ConflictError, DrivecalError
+
+
+def test_the_campaign_is_large_enough_and_can_run() -> None:
+    problem = resolve(validated(CampaignSpecification, dict(CAMPAIGN)))
+    assert problem.optimization is not None
+    assert problem.optimization.population >= 100
+    assert problem.optimization.iterations >= 10
+    assert set(OTHER_WEIGHTS) < set(problem.scenarios) == {"S1", "S2", "S3", "S4", "S5", "S6"}
+
+
+def test_the_baseline_is_the_middle_of_every_range() -> None:
+    for parameter in resolve(CampaignSpecification()).space.parameters:
+        middle = (parameter.lower + parameter.upper) / 2
+        step = (parameter.upper - parameter.lower) / (parameter.n_values - 1)
+        assert abs(float(middle) - BASELINE[parameter.name]) <= float(step)
+
+
+def test_each_demo_begins_with_an_empty_folder(tmp_path: Path) -> None:
+    folder = tmp_path / "home" / "demo"
+    for _ in range(2):
+        with fresh_folder(folder):
+            assert list(folder.iterdir()) == []
+            (folder / "left behind").touch()
+
+
+def test_two_demos_do_not_share_a_folder(tmp_path: Path) -> None:
+    with fresh_folder(tmp_path / "demo"):
+        (tmp_path / "demo" / "summary.json").touch()
+        with pytest.raises(ConflictError, match="another demo is running"), fresh_folder(tmp_path / "demo"):
+            pass
+        assert (tmp_path / "demo" / "summary.json").exists()
+
+
+def test_a_coordinator_that_does_not_start_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DRIVECAL_WORKERS", "many")
+    with pytest.raises(DrivecalError, match=r"did not start \(exit status 2\)(.|\n)*workers"), coordinator(tmp_path):
+        pass
