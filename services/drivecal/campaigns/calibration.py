@@ -57,6 +57,7 @@ class Calibration:
         population = self._optimization.population
         self._scores = np.full((population, len(problem.scenarios)), np.nan)
         self._ratings = np.full((population, len(problem.scenarios)), np.nan)
+        self._expected = problem.expected_runs()
         self._before = CellCounts()
         self._iteration: int | None = None
         self._proposal: Proposal | None = None
@@ -269,7 +270,7 @@ class Calibration:
         )
 
     def _progress(self, counts: CellCounts) -> Progress:
-        total = self._problem.expected_runs().calibration_at_most
+        total = self._expected.calibration_at_most
         done = counts.requested - self._done_before
         left = max(total - counts.requested, 0)
         eta = (self._clock() - self._started) / done * left if done else None

@@ -53,6 +53,7 @@ class Sensitivity:
         self._view = view
         self._analysis: SensitivityAnalysis = analysis
         self._ledger = Ledger(view, campaign.sensitivity_cells.model_dump(), campaign.simulating_seconds)
+        self._expected = problem.expected_runs()
         self._clock = clock
         self._started, self._done_before = clock(), campaign.sensitivity_cells.requested
         self._phase: Phase | None = None
@@ -163,8 +164,7 @@ class Sensitivity:
         counts = SensitivityCellCounts(**self._ledger.counts)
         phase = None if self._phase is None else self._phase.number
         done = counts.requested - self._done_before
-        expected = self._problem.expected_runs()
-        left = max(expected.sensitivity, counts.proposed) - counts.requested
+        left = max(self._expected.sensitivity, counts.proposed) - counts.requested
         campaigns.save_progress(
             connection,
             self._campaign.sequence,
