@@ -49,17 +49,30 @@ def coordinator(home: Path) -> Iterator[Client]:
         "DRIVECAL_HOME": str(home),
         "DRIVECAL_DATABASE_URL": f"sqlite:///{home / 'drivecal.db'}",
     }
-    command = [sys.executable, "-m", "drivecal.cli", "serve", "--host", "127.0.0.1", "--port", "0", "--json"]
+    # The guardian ends the server, whatever becomes of the demo: it notices when our end of its standard input is gone.
+    guardian = [sys.executable, "-m", "drivecal.campaigns.guardian", str(SECONDS_TO_STOP), ""]
+    serve = [sys.executable, "-m", "drivecal.cli", "serve", "--host", "127.0.0.1", "--port", "0", "--json"]
     with (home / ANNOUNCEMENT).open("wb") as announcement, (home / LOG).open("wb") as log:
         # In a session of its own: Ctrl-C reaches the demo alone, which then stops the server as it should be stopped.
         process = subprocess.Popen(  # noqa: S603  # our own command
-            command, env=environment, stdin=subprocess.DEVNULL, stdout=announcement, stderr=log, start_new_session=True
+            [*guardian, *serve], env=environment, stdin=subprocess.PIPE, stdout=announcement, stderr=log, start_new_session=True
         )
     try:
-        with Client(_url_when_ready(process, home)) as client:
+        with _interrupted_by_sigterm(), Client(_url_when_ready(process, home)) as client:
             yield client
     finally:
-        _stop(process)
+        process.terminate()
+        process.wait()
+
+
+@contextmanager
+def _interrupted_by_sigterm() -> Iterator[None]:
+    """Makes SIGTERM the same as Ctrl-C: an exception, after which everything is cleaned up."""
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _url_when_ready(process: subprocess.Popen[bytes], home: Path) -> str:
@@ -72,16 +85,6 @@ def _url_when_ready(process: subprocess.Popen[bytes], home: Path) -> str:
             raise DrivecalError(f"the coordinator did not start (exit status {process.returncode}):\n{_end_of(home / LOG)}")
         time.sleep(0.1)
     raise DrivecalError(f"the coordinator is not ready after {SECONDS_TO_START:.0f} s:\n{_end_of(home / LOG)}")
-
-
-def _stop(process: subprocess.Popen[bytes]) -> None:
-    """SIGTERM, and where that does not help, an end to its whole session."""
-    process.terminate()
-    try:
-        process.wait(SECONDS_TO_STOP)
-    except subprocess.TimeoutExpired:
-        os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
 
 
 def _end_of(log: Path, lines: int = 15) -> str:
