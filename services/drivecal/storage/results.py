@@ -110,16 +110,6 @@ def stream(connection: Connection, campaign_sequence: int) -> Iterator[StoredEva
         yield _evaluation(row)
 
 
-def count_outcomes(connection: Connection, campaign_sequence: int, stage: Stage) -> dict[Outcome | None, int]:
-    """How many cells of a stage each outcome has answered; None counts the pending ones. What has none is left out."""
-    query = (
-        select(evaluations.c.outcome, func.count())
-        .where(evaluations.c.campaign_sequence == campaign_sequence, evaluations.c.stage == stage)
-        .group_by(evaluations.c.outcome)
-    )
-    return {None if outcome is None else Outcome(outcome): count for outcome, count in connection.execute(query)}
-
-
 def count_audits(connection: Connection, campaign_sequence: int) -> list[AuditCount]:
     """What the self-check of a campaign found so far, by scenario: simulated scores against those of the donors."""
     donor = evaluations.alias("donor")

@@ -180,6 +180,9 @@ def test_a_campaign_names_its_map_and_the_campaign_it_repeats(database: Database
         )
         first = campaigns.insert(connection, name="first", spec={}, influence_map_id=influence_map.id)
         second = campaigns.insert(connection, name="second", spec={}, rerun_of=first.id)
+    with database.transaction() as connection:
+        campaigns.set_influence_map(connection, second.sequence, influence_map.id)
+        assert campaigns.get(connection, second.id).influence_map_id == influence_map.id
     assert (first.influence_map_id, second.rerun_of) == (influence_map.id, first.id)
 
 

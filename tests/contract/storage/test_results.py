@@ -3,7 +3,7 @@ from __future__ import annotations
 from itertools import product
 
 import pytest
-from tests.support.storage import campaign, sample_set_ids, setup_id, simulate
+from tests.support.storage import campaign, sample_set_ids, sample_sets, setup_id, simulate
 
 from drivecal.domain.campaigns import Stage
 from drivecal.domain.errors import InvalidInputError, NotFoundError
@@ -64,7 +64,7 @@ def test_an_evaluation_that_is_not_there_is_not_found(database: Database, unknow
         results.by_id(connection, unknown)
 
 
-def test_outcomes_and_audits_are_counted(database: Database) -> None:
+def test_audits_are_counted(database: Database) -> None:
     with database.transaction() as connection:
         sequence, setup = campaign(connection).sequence, setup_id(connection)
         sets = sample_set_ids(connection, 8)
@@ -82,12 +82,6 @@ def test_outcomes_and_audits_are_counted(database: Database) -> None:
             evaluations.answer(connection, [Answer(one, Outcome.SIMULATED, score, float(score), run)])
         copy = NewEvaluation(CALIBRATION, 2, 0, "S1", setup, sets[7], Outcome.REUSED, donor=donor)
         evaluations.insert(connection, sequence, [copy])
-        assert results.count_outcomes(connection, sequence, CALIBRATION) == {
-            Outcome.SIMULATED: 6,
-            Outcome.REUSED: 1,
-            None: 1,
-        }
-        assert results.count_outcomes(connection, sequence, Stage.SENSITIVITY) == {}
         assert results.count_audits(connection, sequence) == [AuditCount("S1", audited=4, different=3, wrong=1)]
         assert second != first
 
@@ -117,3 +111,31 @@ def test_answers_say_whether_they_are_the_sets_own(database: Database) -> None:
         assert {type(one.own) for one in everything} == {bool}
         assert list(results.answers(connection, sequence, CALIBRATION, iteration=1)) == everything[2:]
         assert list(results.answers(connection, sequence, Stage.SENSITIVITY)) == []
+
+
+def test_donors_are_the_simulated_cells_of_a_stage_with_their_sets(database: Database) -> None:
+    with database.transaction() as connection:
+        sequence, setup = campaign(connection).sequence, setup_id(connection)
+        sets = sample_set_ids(connection, 3)
+        cells = [NewEvaluation(Stage.SENSITIVITY, 4, n, "S1", setup, one, Outcome.SIMULATED) for n, one in enumerate(sets[:2])]
+        first, second = simulate(connection, sequence, cells)
+        waiting = [NewEvaluation(Stage.SENSITIVITY, 5, 0, "S1", setup, sets[2], Outcome.SIMULATED)]
+        evaluations.insert(connection, sequence, waiting)
+        zero, one, _ = sample_sets(3)
+        assert list(results.donors(connection, sequence, Stage.SENSITIVITY)) == [(first, "S1", zero), (second, "S1", one)]
+        assert list(results.donors(connection, sequence, CALIBRATION)) == []
+        asked = [results.has_iteration(connection, sequence, Stage.SENSITIVITY, iteration) for iteration in (3, 4, 5)]
+        assert asked == [False, True, True]
+        assert not results.has_iteration(connection, sequence, CALIBRATION, 4)
+
+
+def test_cells_get_their_keys_once_a_map_is_known(database: Database) -> None:
+    key = b"k" * 16
+    with database.transaction() as connection:
+        sequence, setup = campaign(connection).sequence, setup_id(connection)
+        (one,) = sample_set_ids(connection, 1)
+        (simulated,) = simulate(connection, sequence, [NewEvaluation(CALIBRATION, 0, 0, "S1", setup, one, Outcome.SIMULATED)])
+        assert evaluations.own_references(connection, sequence, "S1", [key]) == {}
+        evaluations.set_reference_keys(connection, {})
+        evaluations.set_reference_keys(connection, {simulated: key})
+        assert evaluations.own_references(connection, sequence, "S1", [key])[key].evaluation == simulated
