@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+import numpy as np
 from sqlalchemy import Connection
 
+from drivecal.campaigns.maps import analysis_to_document
 from drivecal.campaigns.problem import CalibrationProblem, resolve, resolve_evaluation
 from drivecal.contracts.campaign import Best, CellCounts, ErrorRate, Progress, SensitivityCellCounts
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
 from drivecal.contracts.validation import validated
 from drivecal.domain.campaigns import CampaignState, Stage
 from drivecal.domain.evaluations import Outcome
-from drivecal.domain.parameters import ParameterSet
-from drivecal.storage import campaigns, evaluations, generations, parameter_sets, runs, setups
+from drivecal.domain.parameters import ParameterSet, text
+from drivecal.storage import campaigns, evaluations, generations, influence_maps, parameter_sets, runs, setups
 from drivecal.storage.campaigns import Snapshot, StoredCampaign
 from drivecal.storage.database import Database
 from drivecal.storage.evaluations import Answer, NewEvaluation
@@ -140,3 +143,45 @@ def carry_out_evaluation(database: Database, evaluation_id: str) -> None:
         ids = evaluations.insert(connection, campaign.sequence, cells)
         _answer(connection, campaign, cells, ids, problem.bench.evaluator_id, names[0])
         campaigns.end(connection, campaign.sequence, CampaignState.SUCCEEDED)
+
+
+def analyse(database: Database, campaign_id: str, score: Callable[[str, Mapping[str, float]], int]) -> None:
+    """Gives a campaign the map that its analysis finds where a run scores `score(scenario, parameters)`; stores no runs."""
+    with database.transaction() as connection:
+        campaign = campaigns.get(connection, campaign_id)
+        problem = resolve(validated(CampaignSpecification, campaign.spec))
+        analysis = problem.analysis()
+        assert analysis is not None
+        while phase := analysis.ask():
+            told = {
+                scenario: np.array([score(scenario, one.floats) for one in problem.space.parameter_sets(points)], dtype=float)
+                for scenario, points in phase.points.items()
+            }
+            analysis.tell(told)
+        stored = influence_maps.insert(
+            connection,
+            name=campaign.name,
+            source=campaign.id,
+            driving_function=problem.bench.driving_function.name,
+            parameters=campaign.spec["parameters"],
+            scenarios=analysis_to_document(analysis.result()),
+            basis={
+                "sensitivity": campaign.spec["sensitivity"],
+                "space": [
+                    {
+                        "name": one.name,
+                        "lower": text(one.lower),
+                        "upper": text(one.upper),
+                        "n_values": one.n_values,
+                        "unit": one.unit,
+                    }
+                    for one in problem.space.searched
+                ],
+                "fixed": {name: text(value) for name, value in problem.space.fixed.items()},
+                "setups": {scenario: setup.fingerprint for scenario, setup in problem.bench.setups.items()},
+                "evaluator": problem.bench.evaluator_id,
+                "runs": 0,
+                "simulated": 0,
+            },
+        )
+        campaigns.set_influence_map(connection, campaign.sequence, stored.id)

@@ -8,7 +8,6 @@ from typing import Any
 
 from drivecal.contracts.campaign import Campaign, Seconds
 from drivecal.contracts.evaluation import EvaluatedCell, Evaluation
-from drivecal.contracts.inventory import InfluenceRow
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.setups import canonical_json, digest
 from drivecal.storage.campaigns import StoredCampaign
@@ -115,11 +114,3 @@ def evaluation_answer(stored: StoredCampaign, items: list[EvaluatedCell]) -> Eva
         error=stored.error,
         links={"self": f"{ROOT}/evaluations/{stored.id}"},
     )
-
-
-def influence_row(scenario: str, parameter: str, stored: Mapping[str, Any] | None) -> InfluenceRow:
-    """One row of an influence map from what is `stored` of it; what a map does not list counts as influential."""
-    entry = stored or {"influential": True}
-    bounds = {name: None if entry.get(name) is None else float(entry[name]) for name in ("lower", "upper")}
-    measures = {name: entry.get(name) for name in ("s_rel_intervals", "mu", "sigma", "mu_star")}
-    return InfluenceRow(scenario=scenario, parameter=parameter, influential=entry["influential"], **bounds, **measures)

@@ -40,10 +40,14 @@ class CampaignsOf(PageOf):
     state: CampaignState | None = None
 
 
-class TableOf(PageOf):
-    """Which part of a table; `format` csv or parquet gives all of it, as does an `Accept` header that asks for them."""
+class FormOf(_Query):
+    """In which form; an `Accept` header can ask for it as well."""
 
     format: Form | None = None
+
+
+class TableOf(PageOf, FormOf):
+    """Which part of a table; `format` csv or parquet gives all of it, as does an `Accept` header that asks for them."""
 
 
 class SolutionsOf(TableOf):
@@ -61,12 +65,13 @@ class SubmissionOf(_Query):
 
 PageQuery = Annotated[PageOf, Query()]
 CampaignsQuery = Annotated[CampaignsOf, Query()]
+FormQuery = Annotated[FormOf, Query()]
 TableQuery = Annotated[TableOf, Query()]
 SolutionsQuery = Annotated[SolutionsOf, Query()]
 SubmissionQuery = Annotated[SubmissionOf, Query()]
 
 
-def form_of(query: TableOf, accept: str) -> Form:
+def form_of(query: FormOf, accept: str) -> Form:
     """The format that was asked for: by the query, else by the `Accept` header, else JSON."""
     if query.format is not None:
         return query.format

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -14,6 +15,9 @@ from drivecal.api.queries import PARQUET
 
 Kind = Literal["integer", "number", "text", "truth", "numbers"]
 Row = Mapping[str, Any]
+TABLE_ANSWERS: dict[int | str, dict[str, Any]] = {
+    200: {"content": {"text/csv": {}, "application/vnd.apache.parquet": {}}, "description": "A page, or the whole table"}
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +39,7 @@ def download(
 
 
 def _csv(columns: Sequence[Column], pieces: Iterable[Sequence[Row]]) -> Iterator[bytes]:
-    """RFC 4180 with a header; missing values are empty, truth is `true` and `false`, floats round-trip."""
+    """RFC 4180 with a header; missing values are empty, truth is `true` and `false`, lists are JSON, floats round-trip."""
     text = io.StringIO()
     writer = csv.writer(text)
     writer.writerow([column.name for column in columns])
@@ -51,7 +55,7 @@ def _plain(value: object) -> object:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, list):
-        return " ".join(map(repr, value))
+        return json.dumps(value)
     return value
 
 

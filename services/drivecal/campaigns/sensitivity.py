@@ -150,7 +150,13 @@ class Sensitivity:
         return {
             "sensitivity": self._problem.specification.model_dump(mode="json")["sensitivity"],
             "space": [
-                {"name": one.name, "lower": text(one.lower), "upper": text(one.upper), "n_values": one.n_values}
+                {
+                    "name": one.name,
+                    "lower": text(one.lower),
+                    "upper": text(one.upper),
+                    "n_values": one.n_values,
+                    "unit": one.unit,
+                }
                 for one in space.searched
             ],
             "fixed": {name: text(value) for name, value in space.fixed.items()},

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from datetime import datetime
+from typing import Any
 
 from pydantic import Field
 
@@ -10,7 +11,8 @@ from drivecal.contracts.campaign import Answer
 
 
 class InfluenceRow(Answer):
-    """One parameter in one scenario. Bounds are inclusive and in parameter units; what only an analysis can know is null."""
+    """One parameter in one scenario. `lower` and `upper` are the inclusive influential bounds in parameter units, the space's own
+    where nothing is cut, null where nothing is influential. What only an analysis can know is null in maps that a user posted."""
 
     scenario: str
     parameter: str
@@ -18,13 +20,21 @@ class InfluenceRow(Answer):
     lower: float | None
     upper: float | None
     s_rel_intervals: list[float | None] | None = None
+    """One for each interval, from the lower end of the space to its upper; null where too few runs gave a result."""
     mu: float | None = None
     sigma: float | None = None
     mu_star: float | None = None
+    unknown: bool = False
+    """Nothing is known about it, which counts as influential: the map does not list it, or no run of the scenario scored above 0."""
+    unit: str | None = None
+    space_lower: float | None = None
+    space_upper: float | None = None
+    n_values: int | None = None
+    """How many values the parameter may take from `space_lower` to `space_upper`."""
 
 
 class InfluenceMapAnswer(Answer):
-    """A stored influence map. `source` says where it comes from; `rows` is left out of lists."""
+    """A stored influence map. `source` is the id of the campaign that made it, or `expert`; `rows` and `basis` are left out of lists."""
 
     id: str
     name: str
@@ -32,6 +42,8 @@ class InfluenceMapAnswer(Answer):
     driving_function: str
     created_at: datetime | None = None
     rows: list[InfluenceRow] | None = None
+    basis: dict[str, Any] | None = None
+    """What an analysis rests on: its settings, space, setups, evaluator and runs; null for a map that a user posted."""
     links: dict[str, str] = Field(default_factory=dict)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import csv
 import io
+import json
 from collections.abc import Sequence
 from typing import Any, Literal
 
@@ -29,7 +30,7 @@ rows = st.lists(
             "score": st.none() | finite,
             "name": st.none() | st.text(st.characters(codec="utf-8", exclude_characters="\r\0")),
             "audited": st.none() | st.booleans(),
-            "effects": st.none() | st.lists(finite),
+            "effects": st.none() | st.lists(st.none() | finite),
         }
     ),
     max_size=5,
@@ -64,4 +65,4 @@ def test_csv_gives_back_what_was_written(pieces: list[list[dict[str, Any]]]) -> 
         assert (float(line[1]) if line[1] else None) == row["score"]
         assert line[2] == (row["name"] or "")
         assert line[3] == {None: "", True: "true", False: "false"}[row["audited"]]
-        assert [float(one) for one in line[4].split()] == (row["effects"] or [])
+        assert (json.loads(line[4]) if line[4] else None) == row["effects"]

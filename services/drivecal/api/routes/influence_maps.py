@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from fastapi import APIRouter, Response
+from fastapi.responses import JSONResponse
 
-from drivecal.api.answers import ROOT, influence_row
+from drivecal.api.answers import ROOT
 from drivecal.api.bodies import StrictRoute
-from drivecal.api.dependencies import DatabaseDependency
-from drivecal.api.queries import PageQuery
+from drivecal.api.dependencies import Accept, DatabaseDependency
+from drivecal.api.influence import COLUMNS, map_rows
+from drivecal.api.queries import FormQuery, PageQuery, form_of
+from drivecal.api.tables import TABLE_ANSWERS, download
 from drivecal.campaigns.maps import map_to_document, resolve_map
 from drivecal.contracts.inventory import InfluenceMapAnswer, InfluenceMapPage
 from drivecal.contracts.specification import InfluenceMapSpecification
@@ -43,26 +46,26 @@ def list_maps(query: PageQuery, database: DatabaseDependency) -> InfluenceMapPag
     return InfluenceMapPage(items=[_answer(one, with_rows=False) for one in found], next_cursor=following)
 
 
-@router.get("/{map_id}")
-def read(map_id: str, database: DatabaseDependency) -> InfluenceMapAnswer:
-    """One influence map. A bound that is null is the parameter's own; what is not listed counts as influential."""
+@router.get("/{map_id}", response_model=InfluenceMapAnswer, responses=TABLE_ANSWERS)
+def read(map_id: str, query: FormQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
+    """One influence map with its rows, which `Accept: text/csv` or `format` gives as a table. What is not listed counts as influential."""
     with database.read() as connection:
         stored = influence_maps.get(connection, map_id)
-    return _answer(stored, with_rows=True)
+    form = form_of(query, accept)
+    answer = _answer(stored, with_rows=True)
+    if form == "json":
+        return JSONResponse(answer.model_dump(mode="json"), headers={"Vary": "Accept"})
+    return download(f"influence-map-{stored.id}", form, COLUMNS, [[row.model_dump() for row in answer.rows or []]])
 
 
 def _answer(stored: StoredInfluenceMap, *, with_rows: bool) -> InfluenceMapAnswer:
-    rows = [
-        influence_row(scenario, parameter, entry)
-        for scenario, listed in stored.scenarios.items()
-        for parameter, entry in listed.items()
-    ]
     return InfluenceMapAnswer(
         id=stored.id,
         name=stored.name,
         source=stored.source,
         driving_function=stored.driving_function,
         created_at=stored.created_at,
-        rows=rows if with_rows else None,
+        rows=map_rows(stored) if with_rows else None,
+        basis=dict(stored.basis) if with_rows and stored.basis is not None else None,
         links={"self": f"{ROOT}/influence-maps/{stored.id}"},
     )

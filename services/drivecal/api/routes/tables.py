@@ -9,12 +9,13 @@ from typing import Any
 from fastapi import APIRouter, Response
 from fastapi.responses import JSONResponse
 
-from drivecal.api.answers import evaluation_row, influence_row, parameter_column
+from drivecal.api import influence
+from drivecal.api.answers import evaluation_row, parameter_column
 from drivecal.api.bodies import StrictRoute
 from drivecal.api.dependencies import Accept, DatabaseDependency
 from drivecal.api.queries import SolutionsQuery, TableOf, TableQuery, form_of
 from drivecal.api.ranking import ranking
-from drivecal.api.tables import Column, Row, download
+from drivecal.api.tables import TABLE_ANSWERS, Column, Row, download
 from drivecal.campaigns.problem import CalibrationProblem, resolve, resolve_evaluation
 from drivecal.campaigns.spaces import function_names
 from drivecal.contracts.campaign import Solution
@@ -28,9 +29,6 @@ from drivecal.storage.database import Database
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["results"], route_class=StrictRoute)
 
 ROWS_AT_A_TIME = 2000
-TABLE_ANSWERS: dict[int | str, dict[str, Any]] = {
-    200: {"content": {"text/csv": {}, "application/vnd.apache.parquet": {}}, "description": "A page, or the whole table"}
-}
 
 Page = tuple[Sequence[Row], str | None]
 Pages = Callable[[int, str | None], Page]
@@ -119,7 +117,7 @@ def list_solutions(campaign_id: str, query: SolutionsQuery, database: DatabaseDe
 
 @router.get("/influence", responses=TABLE_ANSWERS)
 def list_influence(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
-    """The influence map that the campaign uses: one row per scenario and parameter, none where it uses no map."""
+    """The influence map that the campaign uses: one row per scenario and searched parameter, none where it has no map (yet)."""
     campaign = _campaign(database, campaign_id)
     rows = _influence_rows(database, campaign)
 
@@ -128,20 +126,7 @@ def list_influence(campaign_id: str, query: TableQuery, database: DatabaseDepend
         following = start + limit
         return rows[start:following], cursors.encode(following) if following < len(rows) else None
 
-    def columns() -> list[Column]:
-        return [
-            Column("scenario", "text"),
-            Column("parameter", "text"),
-            Column("influential", "truth"),
-            Column("lower", "number"),
-            Column("upper", "number"),
-            Column("s_rel_intervals", "numbers"),
-            Column("mu", "number"),
-            Column("sigma", "number"),
-            Column("mu_star", "number"),
-        ]
-
-    return _answer(f"influence-{campaign.id}", query, accept, columns, pages)
+    return _answer(f"influence-{campaign.id}", query, accept, lambda: influence.COLUMNS, pages)
 
 
 def _answer(name: str, query: TableOf, accept: str, columns: Callable[[], Sequence[Column]], pages: Pages) -> Response:
@@ -197,10 +182,5 @@ def _influence_rows(database: Database, campaign: StoredCampaign) -> list[Row]:
     if campaign.influence_map_id is None:
         return []
     with database.read() as connection:
-        scenarios = influence_maps.get(connection, campaign.influence_map_id).scenarios
-    problem = _problem(campaign)
-    return [
-        influence_row(scenario, parameter, scenarios.get(scenario, {}).get(parameter)).model_dump(mode="json")
-        for scenario in problem.scenarios
-        for parameter in problem.space.names
-    ]
+        stored = influence_maps.get(connection, campaign.influence_map_id)
+    return [row.model_dump(mode="json") for row in influence.campaign_rows(stored, _problem(campaign))]
