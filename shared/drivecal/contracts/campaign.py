@@ -52,13 +52,15 @@ class SensitivityCellCounts(Answer):
 
 class ErrorRate(Answer):
     """What the self-check found in one scenario: `different`: any change; `wrong`: |dF| > 1 (Eq. 8); `upper_95`: the upper end of
-    the 95 % Clopper-Pearson interval of wrong / audited, null before the first audit."""
+    the 95 % Clopper-Pearson interval of wrong / audited, null before the first audit; `contradictions`: reference keys under which
+    simulated results have different scores, among the campaign's own and the references of their keys."""
 
     audited: int = 0
     different: int = 0
     wrong: int = 0
     upper_95: float | None = None
     stopped: bool = False
+    contradictions: int = 0
 
 
 class Best(Answer):
@@ -76,6 +78,22 @@ class Baseline(Answer):
     objective: float | None
     parameters: dict[str, float]
     scores: dict[str, int | None]
+
+
+class Narrowed(Answer):
+    """A parameter whose range was narrowed to the area in which it matters in any scenario, in parameter units, inclusive.
+
+    `lower` and `upper` are what is searched, `removed_values` of `values` grid points are left out. Where both are equal the parameter
+    is held: it matters in no scenario.
+    """
+
+    parameter: str
+    lower: float
+    upper: float
+    full_lower: float
+    full_upper: float
+    values: int
+    removed_values: int
 
 
 class Seconds(Answer):
@@ -100,6 +118,8 @@ class Campaign(Answer):
     error_rate: dict[str, ErrorRate] = {}
     best: Best | None = None
     baseline: Baseline | None = None
+    narrowed: list[Narrowed] | None = None
+    """What `reduction.narrow` removed, by parameter; null where it was not asked for or is not known yet."""
     seconds: Seconds = Seconds()
     error: str | None = None
     notes: list[str] = []
@@ -183,6 +203,9 @@ class ExpectedRuns(Answer):
     calibration_at_most: int
     robustness: int
     validation: int
+    break_even_share: float | None = None
+    """The share of requested cells that would have to be reused for the interval analysis to pay within this campaign, all runs counted
+    alike: above 1 it cannot. Null without both stages. How many will be reused cannot be known before."""
     notes: list[str] = []
 
 

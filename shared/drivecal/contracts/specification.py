@@ -77,17 +77,23 @@ class OptimizerSpecification(BaseModel):
     iterations: Annotated[int, Field(ge=1, le=LARGEST_ITERATIONS)] = 20
     start: Literal["lhs", "halton"] = "lhs"
     seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 1
+    start_sets: Annotated[
+        list[Annotated[dict[Identifier, Number], Field(max_length=200)]], Field(max_length=LARGEST_POPULATION)
+    ] = []
+    """Sets from expert knowledge: in the start population, after the baseline."""
 
 
 class ReductionSpecification(Model):
     """Which cells may be answered without a simulation.
 
     `off`: none but in-population duplicates' own repeats is ever copied; `exact`: equal parameter sets; `influence`: Figure 6.
+    `narrow`: search only the smallest common area, where some scenario is influenced (Section III).
     """
 
     mode: Literal["off", "exact", "influence"] = "influence"
     audit: Annotated[float, Field(ge=0, le=1)] = 0.02
     max_error: Annotated[float, Field(gt=0, le=1)] = 0.02
+    narrow: bool = False
     certified: bool = False
     """Certified reuse is not there yet, so only false is accepted."""
 
@@ -139,10 +145,15 @@ class CampaignSpecification(Model):
 
 
 class RerunSpecification(Model):
-    """What a rerun changes; everything else, the references and the influence map included, is taken from the first campaign."""
+    """What a rerun changes; everything else, the references and the influence map included, is taken from the first campaign.
+
+    Weights of 0 leave scenarios out. Another `evaluator` rates the stored runs anew, without a simulation; a map that was computed from
+    the first one's ratings is then computed again, mostly from stored runs.
+    """
 
     weights: Annotated[dict[Identifier, Annotated[float, Field(ge=0, le=1e6)]], Field(max_length=1000)]
     name: Name | None = None
+    evaluator: Identifier | None = None
     optimizer: OptimizerSpecification | None = None
     reduction: ReductionSpecification | None = None
 

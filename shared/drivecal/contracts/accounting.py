@@ -1,0 +1,91 @@
+"""What the service answers when it is asked what reuse saved, and what it cost."""
+
+from __future__ import annotations
+
+from drivecal.contracts.campaign import Answer
+
+
+class SensitivityCost(Answer):
+    """What a sensitivity stage cost: cells it asked for, runs it had made, CPU seconds of the workers."""
+
+    requested: int = 0
+    repeated: int = 0
+    simulated: int = 0
+    failed: int = 0
+    seconds: float = 0.0
+
+
+class MapCost(Answer):
+    """The influence map in use and what making it cost. `paid_here`: by this campaign's own sensitivity stage; else by `made_by`, an
+    earlier campaign's id, or by nobody (null: expert knowledge)."""
+
+    id: str
+    made_by: str | None
+    paid_here: bool
+    runs: int
+    seconds: float
+
+
+class ScenarioAccount(Answer):
+    """The calibration stage in one scenario. `mean_seconds`: CPU time per simulated cell; where none was simulated, per stored run that
+    answered cells; null where there is neither. Savings are numbers of cells times it."""
+
+    scenario: str
+    requested: int
+    repeated: int
+    reused: int
+    certified: int
+    simulated: int
+    failed: int
+    audited: int
+    mean_seconds: float | None
+    simulated_seconds: float
+    audited_seconds: float
+    repeated_saved_seconds: float
+    reused_saved_seconds: float
+    certified_saved_seconds: float
+
+
+class BreakEven(Answer):
+    """When a map pays: its cost against what reuse saves at the share observed in this campaign.
+
+    `requested_cells`: from so many requested cells on; `campaigns`: from so many campaigns like this one on the same map, the first
+    included; `reruns`: the same without the first. All null where nothing was reused, so that the map never pays at that share.
+    """
+
+    requested_cells: int | None
+    campaigns: int | None
+    reruns: int | None
+
+
+class Accounting(Answer):
+    """What a campaign saved and what that cost, in cells and in CPU seconds of the workers.
+
+    `saved_seconds`: by repeated, reused and certified cells. `audited_seconds` is the price of the self-check: audited cells could have
+    been reused but were simulated, so they are not among the saved, and are not taken off once more. `net_seconds` = `saved_seconds` -
+    `sensitivity.seconds`. `map_net_seconds` = what reuse alone saved - what the map cost, whoever paid; null without a map.
+    `share_without_simulation`: (repeated + reused + certified) / requested; `share_reused`: reused / requested; null before the first.
+    """
+
+    campaign: str
+    state: str
+    sensitivity: SensitivityCost
+    map: MapCost | None
+    scenarios: list[ScenarioAccount]
+    requested: int
+    answered_without_simulation: int
+    simulated: int
+    audited: int
+    share_without_simulation: float | None
+    share_reused: float | None
+    simulated_seconds: float
+    audited_seconds: float
+    repeated_saved_seconds: float
+    reused_saved_seconds: float
+    certified_saved_seconds: float
+    saved_seconds: float
+    net_seconds: float
+    map_net_seconds: float | None
+    break_even: BreakEven | None
+    """Null without a map, or where its cost is nothing."""
+    sentence: str
