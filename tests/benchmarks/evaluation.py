@@ -1,7 +1,7 @@
 """What one evaluation costs, beside SUMO alone stepping the same scenarios: `python tests/benchmarks/evaluation.py`.
 
-SUMO alone: the same vehicles, the ego vehicle driven by SUMO as any other, only simulation steps. Both are measured in turn, and the
-fastest of several rounds counts, so that what else the machine does disturbs the ratio least.
+SUMO alone: the same vehicles, the ego vehicle driven by SUMO as any other, only simulation steps. Both are measured in turn; of each
+run the fastest of several rounds counts, so that what else the machine does disturbs the ratio least. CPU time.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import json
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from time import perf_counter
+from time import thread_time
 from typing import Any
 
 import libsumo
@@ -30,8 +30,8 @@ from drivecal.vehicle.plugin import SINGLE_TRACK
 TARGET = Path(".drivecal/bench/evaluation.json")
 AT_MOST = 4.0
 """Times SUMO alone, summed over the scenarios."""
-ROUNDS = 7
-SETS = 8
+ROUNDS = 15
+SETS = 6
 DEFAULT_SPEED_MODE = 31
 DEFAULT_LANE_CHANGE_MODE = 1621
 
@@ -60,10 +60,10 @@ def alone(scenario: Scenario) -> float:
     libsumo.vehicle.setSpeedMode(EGO, DEFAULT_SPEED_MODE)
     libsumo.vehicle.setLaneChangeMode(EGO, DEFAULT_LANE_CHANGE_MODE)
     steps = range(round(scenario.duration / scenario.step))
-    begin = perf_counter()
+    begin = thread_time()
     for _ in steps:
         libsumo.simulationStep()
-    return perf_counter() - begin
+    return thread_time() - begin
 
 
 class Clock:
@@ -77,9 +77,9 @@ class Clock:
         self.seconds[name] = 0.0
 
         def timed(*arguments: Any) -> Any:
-            begin = perf_counter()
+            begin = thread_time()
             answer = function(*arguments)
-            self.seconds[name] += perf_counter() - begin
+            self.seconds[name] += thread_time() - begin
             return answer
 
         return timed
@@ -112,10 +112,10 @@ def breakdown(runner: Runner, sets: Sequence[Sequence[float]]) -> dict[str, floa
     drive = inner.drive
     inner.drive = clock.around("drive", drive)
     try:
-        begin = perf_counter()
+        begin = thread_time()
         for parameters in sets:
             runner.run(parameters)
-        total = perf_counter() - begin
+        total = thread_time() - begin
     finally:
         inner._planner, inner._vehicle, inner._simulation, loop.place, loop.hits = plain
         Simulation._read = read  # type: ignore[method-assign]
@@ -136,14 +136,16 @@ def main() -> int:
         runner = runner_of(scenario)
         full = [parameters for parameters in sets if runner.run(parameters).metrics["driven_s"] > scenario.duration - 0.05]
         full = full or sets
-        bare, own = [], []
-        for _ in range(ROUNDS):
-            bare.append(min(alone(scenario) for _ in range(len(full))))
-            begin = perf_counter()
-            for parameters in full:
+        bare = np.zeros((ROUNDS, len(full)))
+        own = np.zeros((ROUNDS, len(full)))
+        for turn in range(ROUNDS):
+            for column, parameters in enumerate(full):
+                bare[turn, column] = alone(scenario)
+                begin = thread_time()
                 runner.run(parameters)
-            own.append((perf_counter() - begin) / len(full))
-        table[name] = {"alone_ms": 1e3 * min(bare), "evaluation_ms": 1e3 * min(own), "vehicles": len(scenario.traffic) + 1.0}
+                own[turn, column] = thread_time() - begin
+        seconds = {"alone_ms": 1e3 * bare.min(axis=0).mean(), "evaluation_ms": 1e3 * own.min(axis=0).mean()}
+        table[name] = seconds | {"vehicles": len(scenario.traffic) + 1.0}
         parts[name] = breakdown(runner, full)
     total_alone = sum(row["alone_ms"] for row in table.values())
     total = sum(row["evaluation_ms"] for row in table.values())

@@ -97,6 +97,7 @@ S2 = Scenario(
         TrafficVehicle("leader", lane=1, s=222.0, speed=28.0, desired_speed=28.0),
         TrafficVehicle("behind", lane=0, s=108.0, speed=27.0, desired_speed=28.0),
         TrafficVehicle("beside", lane=2, s=165.0, speed=30.0, desired_speed=30.5),
+        TrafficVehicle("ahead", lane=2, s=270.0, speed=31.0, desired_speed=31.5),
     ),
 )
 
@@ -122,6 +123,8 @@ S3 = Scenario(
         ),
         TrafficVehicle("leader", lane=1, s=215.0, speed=30.5, desired_speed=30.5),
         TrafficVehicle("follower", lane=1, s=110.0, speed=31.5, desired_speed=33.0),
+        truck("second", lane=0, s=115.0, speed=24.5),
+        TrafficVehicle("fast", lane=2, s=80.0, speed=32.5, desired_speed=33.0),
     ),
 )
 
@@ -147,6 +150,8 @@ S4 = Scenario(
         ),
         TrafficVehicle("leader", lane=1, s=200.0, speed=28.5, desired_speed=28.5),
         TrafficVehicle("follower", lane=1, s=110.0, speed=30.0, desired_speed=31.0),
+        truck("second", lane=0, s=115.0, speed=22.5),
+        TrafficVehicle("ahead", lane=2, s=270.0, speed=32.5, desired_speed=33.0),
     ),
 )
 
@@ -165,6 +170,8 @@ S5 = Scenario(
         TrafficVehicle("follower", lane=0, s=118.0, speed=22.2, desired_speed=33.0, acceleration=2.4, time_headway=0.9),
         TrafficVehicle("beside", lane=1, s=150.0, speed=22.2, desired_speed=32.0, acceleration=1.8),
         TrafficVehicle("second", lane=1, s=190.0, speed=22.2, desired_speed=30.0, acceleration=1.4),
+        TrafficVehicle("behind", lane=1, s=110.0, speed=22.2, desired_speed=32.0, acceleration=1.4),
+        TrafficVehicle("fast", lane=2, s=130.0, speed=23.0, desired_speed=34.0, acceleration=2.0),
     ),
 )
 
@@ -183,6 +190,8 @@ S6 = Scenario(
         TrafficVehicle("follower", lane=0, s=110.0, speed=32.0, desired_speed=34.0, time_headway=0.9),
         TrafficVehicle("beside", lane=1, s=150.0, speed=33.0, desired_speed=34.0),
         TrafficVehicle("second", lane=1, s=240.0, speed=33.0, desired_speed=33.0),
+        TrafficVehicle("behind", lane=1, s=95.0, speed=32.0, desired_speed=33.0),
+        TrafficVehicle("fast", lane=2, s=190.0, speed=35.0, desired_speed=36.0),
     ),
 )
 

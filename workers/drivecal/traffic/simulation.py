@@ -53,8 +53,11 @@ class Simulation:
         self._drifts: list[tuple[int, str, list[float]]] = []
         """Row, id and offset from the lane's centre (m) after each step, of the vehicles that drift."""
         self._start: Floats = np.zeros((0, 6))
-        self._lanes: Floats = np.zeros(0)
+        self._names: list[str] = []
+        self._lanes: list[float] = []
         self._raw: Floats = np.zeros((0, 4))
+        self._cells = memoryview(self._raw.reshape(-1))
+        """`_raw` again: plain item assignment is several times faster through a memoryview than through numpy."""
         self.neighbours: Floats = np.zeros((0, 6))
         self.outlines: Floats = np.zeros((0, 5))
 
@@ -94,8 +97,11 @@ class Simulation:
             raise SimulationError(f"the network of scenario {scenario.id} does not hold its vehicles: {error}") from error
         rows = [(vehicle.s, vehicle.lane * width, 0.0, 0.0, vehicle.length, vehicle.width) for vehicle in traffic]
         self._start = np.array(rows, dtype=np.float64).reshape(-1, 6)
-        self._lanes = self._start[:, 1].copy()
+        self._names = [vehicle.id for vehicle in traffic]
+        self._lanes = self._start[:, 1].tolist()
         self._raw = np.zeros((len(rows), 4))
+        self._raw[:, 3] = self._lanes  # nobody but the ego vehicle changes lane: `reset` switches that off
+        self._cells = memoryview(self._raw.reshape(-1))
         self.neighbours = self._start.copy()
         self.outlines = np.zeros((len(rows), 5))
         self._scenario = scenario
@@ -148,15 +154,15 @@ class Simulation:
             raise SimulationError(f"SUMO lost a vehicle at step {index}: {error}") from error
 
     def _read(self, since: float) -> None:
-        vehicle, raw = libsumo.vehicle, self._raw
-        position, speed = vehicle.getPosition, vehicle.getSpeed
-        for row, (name, *_) in enumerate(self._places[:-1]):
-            raw[row, 0], raw[row, 1] = position(name)
-            raw[row, 2] = speed(name)
-        raw[:, 3] = self._lanes  # nobody but the ego vehicle changes lane: `reset` switches that off
+        position, speed, cells = libsumo.vehicle.getPosition, libsumo.vehicle.getSpeed, self._cells
+        cell = 0
+        for name in self._names:
+            cells[cell], cells[cell + 1] = position(name)
+            cells[cell + 2] = speed(name)
+            cell += 4
         for row, name, _ in self._drifts:
-            raw[row, 3] += vehicle.getLateralLanePosition(name)
-        locate(self._line, raw, self.neighbours, self.outlines, since)
+            cells[4 * row + 3] = self._lanes[row] + libsumo.vehicle.getLateralLanePosition(name)
+        locate(self._line, self._raw, self.neighbours, self.outlines, since)
 
 
 @cache
