@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import Any, Literal
 
 import pyarrow.parquet as pq
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivecal.api.tables import Column, download
@@ -47,6 +47,7 @@ def content(form: Literal["csv", "parquet"], pieces: Sequence[list[dict[str, Any
     return asyncio.run(collect())
 
 
+@settings(deadline=None)
 @given(st.lists(rows, max_size=3))
 def test_parquet_gives_back_what_was_written(pieces: list[list[dict[str, Any]]]) -> None:
     table = pq.read_table(io.BytesIO(content("parquet", pieces)))
@@ -54,6 +55,7 @@ def test_parquet_gives_back_what_was_written(pieces: list[list[dict[str, Any]]])
     assert table.to_pylist() == [row for piece in pieces for row in piece]
 
 
+@settings(deadline=None)
 @given(st.lists(rows, max_size=3))
 def test_csv_gives_back_what_was_written(pieces: list[list[dict[str, Any]]]) -> None:
     lines = list(csv.reader(io.StringIO(content("csv", pieces).decode(), newline="")))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import BaseModel
 
@@ -77,6 +77,7 @@ anything: st.SearchStrategy[Any] = st.recursive(
 fields = [*CampaignSpecification.model_fields, "scenarios", "scenario", "map"]
 
 
+@settings(deadline=None)
 @given(st.dictionaries(st.sampled_from(fields), anything), st.sampled_from([CampaignSpecification, EvaluationSpecification]))
 def test_any_document_is_either_accepted_or_refused_with_reasons(document: object, model: type[BaseModel]) -> None:
     try:
