@@ -10,6 +10,7 @@ import numpy as np
 from sqlalchemy import Connection
 
 from drivecal.campaigns.ledger import Ledger, Work
+from drivecal.campaigns.pace import Pace
 from drivecal.campaigns.planning import View, WantedCell, plan_cells, sync_reference_keys
 from drivecal.campaigns.problem import CalibrationProblem
 from drivecal.campaigns.scheduler import Completed
@@ -20,7 +21,7 @@ from drivecal.domain.campaigns import Stage
 from drivecal.domain.parameters import ParameterSet
 from drivecal.plugins.ports import Optimizer, Proposal
 from drivecal.reduction.assignment import Policy
-from drivecal.storage import campaigns, evaluations, generations, parameter_sets, results
+from drivecal.storage import audits, campaigns, generations, parameter_sets, results
 from drivecal.storage.campaigns import Snapshot, StoredCampaign
 from drivecal.storage.database import Database
 from drivecal.storage.generations import Figures
@@ -62,8 +63,7 @@ class Calibration:
         self._iteration: int | None = None
         self._proposal: Proposal | None = None
         self._optimizer: Optimizer | None = None
-        self._clock = clock
-        self._started, self._done_before = clock(), campaign.cells.requested
+        self._pace = Pace(clock, campaign.cells.requested)
         self.finished = False
 
     def work(self) -> list[Work]:
@@ -156,10 +156,7 @@ class Calibration:
         with self._database.transaction() as connection:
             self._take_in(connection, iterations=[self._iteration])
             objectives, ratings = self._weighted(self._scores), self._weighted(self._ratings)
-            evaluations.settle_audits(connection, self._campaign.sequence, Stage.CALIBRATION, self._iteration)
-            counts = results.count_audits(connection, self._campaign.sequence)
-            limit = self._problem.specification.reduction.max_error
-            self._error_rate = error_rates(counts, self._error_rate, self._problem.scenarios, limit)
+            self._check_reuse(connection, self._iteration)
             self._describe_best(connection)
             figures = self._figures(objectives)
             generations.finish(connection, self._campaign.sequence, self._iteration, figures, objectives.tolist())
@@ -167,6 +164,15 @@ class Calibration:
         self._before = CellCounts(**self._ledger.counts)
         self._optimizer.tell(objectives, ratings)
         self._proposal = None
+
+    def _check_reuse(self, connection: Connection, iteration: int) -> None:
+        """What the audits of this and all earlier iterations say, and which results contradict each other."""
+        view, sequence, evaluator = self._view, self._campaign.sequence, self._view.bench.evaluator_id
+        audits.settle(connection, sequence, Stage.CALIBRATION, iteration, evaluator)
+        found = audits.contradictions(connection, sequence, view.influence_map_sequence, evaluator, view.watermark)
+        limit = self._problem.specification.reduction.max_error
+        counts = audits.count(connection, sequence, evaluator)
+        self._error_rate = error_rates(counts, self._error_rate, self._problem.scenarios, limit, found)
 
     @property
     def _shares_runs(self) -> bool:
@@ -270,8 +276,4 @@ class Calibration:
         )
 
     def _progress(self, counts: CellCounts) -> Progress:
-        total = self._expected.calibration_at_most
-        done = counts.requested - self._done_before
-        left = max(total - counts.requested, 0)
-        eta = (self._clock() - self._started) / done * left if done else None
-        return Progress(done=counts.requested, total=counts.requested + left, eta_seconds=eta)
+        return self._pace.progress(counts.requested, max(self._expected.calibration_at_most, counts.requested))

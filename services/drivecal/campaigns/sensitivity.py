@@ -10,11 +10,12 @@ import numpy as np
 from sqlalchemy import Connection
 
 from drivecal.campaigns.ledger import Ledger, Work
+from drivecal.campaigns.pace import Pace
 from drivecal.campaigns.maps import analysis_to_document
 from drivecal.campaigns.planning import View, WantedCell, plan_cells
 from drivecal.campaigns.problem import CalibrationProblem
 from drivecal.campaigns.scheduler import Completed
-from drivecal.contracts.campaign import Progress, SensitivityCellCounts
+from drivecal.contracts.campaign import SensitivityCellCounts
 from drivecal.domain.campaigns import Stage
 from drivecal.domain.influence import InfluenceMap
 from drivecal.domain.parameters import ParameterSet, text
@@ -54,8 +55,7 @@ class Sensitivity:
         self._analysis: SensitivityAnalysis = analysis
         self._ledger = Ledger(view, campaign.sensitivity_cells.model_dump(), campaign.simulating_seconds)
         self._expected = problem.expected_runs()
-        self._clock = clock
-        self._started, self._done_before = clock(), campaign.sensitivity_cells.requested
+        self._pace = Pace(clock, campaign.sensitivity_cells.requested)
         self._phase: Phase | None = None
         self.finished = False
 
@@ -169,8 +169,6 @@ class Sensitivity:
     def _save(self, connection: Connection) -> None:
         counts = SensitivityCellCounts(**self._ledger.counts)
         phase = None if self._phase is None else self._phase.number
-        done = counts.requested - self._done_before
-        left = max(self._expected.sensitivity, counts.proposed) - counts.requested
         campaigns.save_progress(
             connection,
             self._campaign.sequence,
@@ -179,11 +177,7 @@ class Sensitivity:
                 iteration=phase,
                 cells=self._campaign.cells,
                 sensitivity_cells=counts,
-                progress=Progress(
-                    done=counts.requested,
-                    total=counts.requested + left,
-                    eta_seconds=(self._clock() - self._started) / done * left if done else None,
-                ),
+                progress=self._pace.progress(counts.requested, max(self._expected.sensitivity, counts.proposed)),
                 error_rate={},
                 best=None,
                 baseline=None,
