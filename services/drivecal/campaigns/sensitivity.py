@@ -10,8 +10,8 @@ import numpy as np
 from sqlalchemy import Connection
 
 from drivecal.campaigns.ledger import Ledger, Work
-from drivecal.campaigns.pace import Pace
 from drivecal.campaigns.maps import analysis_to_document
+from drivecal.campaigns.pace import Pace
 from drivecal.campaigns.planning import View, WantedCell, plan_cells
 from drivecal.campaigns.problem import CalibrationProblem
 from drivecal.campaigns.scheduler import Completed
