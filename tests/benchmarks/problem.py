@@ -114,7 +114,8 @@ def features_of(scenario: str, sets: list[list[float]]) -> Floats:
 def correlation(features: Floats) -> Floats:
     """Pearson's r, shape (11, 11); 0 where a feature never differs."""
     with np.errstate(invalid="ignore"):
-        return np.nan_to_num(np.corrcoef(features.T))
+        matrix: Floats = np.nan_to_num(np.asarray(np.corrcoef(features.T)))
+    return matrix
 
 
 def regions(changes: Floats) -> str:

@@ -10,12 +10,16 @@ from drivecal.domain.scenarios import Scenario
 from drivecal.domain.setups import Setup
 from drivecal.plugins.ports import DrivingFunction, Vehicle
 
+CLOSED_LOOP = "1"
+"""Version of what puts planner, vehicle and SUMO together and measures the run (`drivecal.traffic`, `.episode`, `.comfort.metrics`):
+counted up whenever a run may change by a bit. `tests/golden` notices."""
+
 
 @cache
 def simulator() -> str:
-    """The simulator and its version, without importing it."""
+    """The simulator and its version, without importing it, with that of the closed loop around it."""
     try:
-        return f"libsumo {version('libsumo')}"
+        return f"libsumo {version('libsumo')}, closed loop {CLOSED_LOOP}"
     except PackageNotFoundError:
         return "libsumo not installed"
 

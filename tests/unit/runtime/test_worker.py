@@ -4,7 +4,6 @@ import os
 import pickle
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ from drivecal.contracts.work import Batch, Cell, CellResult, SetupRequest
 from drivecal.domain.errors import ConflictError
 from drivecal.domain.evaluations import Failure, Rating, RunResult
 from drivecal.plugins import registry
-from drivecal.plugins.setups import setup_of
+from drivecal.plugins.setups import setup_of, simulator
 from drivecal.runtime import compilation
 from drivecal.runtime.worker import LONGEST_DETAIL, MOST_RUNNERS, Worker
 
@@ -165,7 +164,7 @@ def test_a_worker_with_another_version_refuses_and_names_both() -> None:
     assert result.breakdown == "error"
     detail = result.detail or ""
     assert detail.startswith("coordinator and worker differ: ")
-    assert f"simulator is libsumo 0.9 at the coordinator and libsumo {version('libsumo')} at the worker" in detail
+    assert f"simulator is libsumo 0.9 at the coordinator and {simulator()} at the worker" in detail
     assert "seed is 77" in detail
 
 

@@ -10,6 +10,7 @@ import tempfile
 from functools import cache
 from math import degrees, hypot
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -56,7 +57,7 @@ class Simulation:
         self._names: list[str] = []
         self._lanes: list[float] = []
         self._raw: Floats = np.zeros((0, 4))
-        self._cells = memoryview(self._raw.reshape(-1))
+        self._cells: Any = self._raw.reshape(-1).data
         """`_raw` again: plain item assignment is several times faster through a memoryview than through numpy."""
         self.neighbours: Floats = np.zeros((0, 6))
         self.outlines: Floats = np.zeros((0, 5))
@@ -101,7 +102,7 @@ class Simulation:
         self._lanes = self._start[:, 1].tolist()
         self._raw = np.zeros((len(rows), 4))
         self._raw[:, 3] = self._lanes  # nobody but the ego vehicle changes lane: `reset` switches that off
-        self._cells = memoryview(self._raw.reshape(-1))
+        self._cells = self._raw.reshape(-1).data
         self.neighbours = self._start.copy()
         self.outlines = np.zeros((len(rows), 5))
         self._scenario = scenario
