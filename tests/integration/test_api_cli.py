@@ -250,7 +250,7 @@ def test_influence_maps_are_posted_listed_and_shown(run: Run, tmp_path: Path) ->
     file.write_text("name: mine\nscenarios: {S1: {P1: {lower: -10, upper: 3.5}, P2: {influential: false}}}\n")
     posted = json.loads(run("influence-maps", "post", str(file), "--json").stdout)
     assert posted["id"] in run("influence-maps", "list").stdout
-    assert "S1        P1         yes            -10    3.5" in run("influence-maps", "show", posted["id"]).stdout
+    assert "P1         yes            -10    3.5  dB" in run("influence-maps", "show", posted["id"]).stdout
     file.write_text("scenarios: {S1: {P1: {lower: -10.2}}}\n")
     refused = run("influence-maps", "post", str(file))
     assert refused.exit_code == 2

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from enum import IntEnum
 from typing import Annotated, Any
 
@@ -29,8 +30,22 @@ class ExitCode(IntEnum):
 
 
 ORDER = (
-    *("demo", "serve", "submit", "list", "show", "watch", "pause", "resume", "cancel", "rerun", "solutions", "export"),
-    *("evaluate", "influence-maps", "workers", "db"),
+    *(
+        "demo",
+        "serve",
+        "submit",
+        "list",
+        "show",
+        "watch",
+        "pause",
+        "resume",
+        "cancel",
+        "rerun",
+        "solutions",
+        "report",
+        "export",
+    ),
+    *("explain", "influence", "influence-maps", "evaluate", "workers", "db"),
 )
 """In which the help lists the commands."""
 
@@ -115,7 +130,18 @@ def full_id(client: Client, identifier: str) -> str:
     """The id that `identifier` abbreviates, looked for among the newest campaigns. An unknown one is left as it is."""
     if len(identifier) >= 32 or not identifier:
         return identifier
-    found = [campaign.id for campaign in client.campaigns(limit=200).items if campaign.id.startswith(identifier)]
+    return _beginning("campaign", [campaign.id for campaign in client.campaigns(limit=200).items], identifier)
+
+
+def full_map_id(client: Client, identifier: str) -> str:
+    """As `full_id`, of an influence map."""
+    if len(identifier) >= 32 or not identifier:
+        return identifier
+    return _beginning("influence map", [one.id for one in client.influence_maps(limit=200).items], identifier)
+
+
+def _beginning(kind: str, ids: Sequence[str], identifier: str) -> str:
+    found = [one for one in ids if one.startswith(identifier)]
     if len(found) > 1:
-        raise NotFoundError("single campaign", f"{identifier} ({len(found)} begin so; give more characters)")
+        raise NotFoundError(f"single {kind}", f"{identifier} ({len(found)} begin so; give more characters)")
     return found[0] if found else identifier

@@ -7,11 +7,23 @@ from typing import Annotated
 
 import typer
 
-from drivecal.cli import campaigns, evaluations, influence_maps, maintenance, results, serve
+from drivecal.cli import campaigns, evaluations, explain, influence, influence_maps, maintenance, results, serve
 from drivecal.cli.commands import app
 from drivecal.cli.demo import command as demo
 
-__all__ = ["app", "campaigns", "demo", "evaluations", "influence_maps", "main", "maintenance", "results", "serve"]
+__all__ = [
+    "app",
+    "campaigns",
+    "demo",
+    "evaluations",
+    "explain",
+    "influence",
+    "influence_maps",
+    "main",
+    "maintenance",
+    "results",
+    "serve",
+]
 
 
 def _print_version(wanted: bool) -> None:

@@ -14,9 +14,11 @@ import httpx
 from pydantic import BaseModel, ValidationError
 
 from drivecal.client.answers import raise_for, unreachable
+from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns, SolutionPage
 from drivecal.contracts.evaluation import Evaluation
-from drivecal.contracts.inventory import InfluenceMapAnswer, InfluenceMapPage, Readiness, WorkerPage
+from drivecal.contracts.explanation import Explanation
+from drivecal.contracts.inventory import InfluenceMapAnswer, InfluenceMapPage, InfluenceRow, Readiness, ScenarioPage, WorkerPage
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import UnavailableError
 
@@ -132,6 +134,22 @@ class Client:
             if cursor is None:
                 return
 
+    def influence(self, identifier: str) -> list[InfluenceRow]:
+        """The rows of the influence map that a campaign uses; none where it has no map (yet)."""
+        try:
+            return [InfluenceRow.model_validate(row) for row in self.rows(identifier, "influence")]
+        except ValidationError as error:
+            raise self._strange() from error
+
+    def accounting(self, identifier: str) -> Accounting:
+        """What a campaign saved, and what that cost."""
+        path = _path("campaigns", identifier, "accounting")
+        return self._get(path, Accounting, kind="campaign", identifier=identifier)
+
+    def explanation(self, evaluation: str) -> Explanation:
+        """Why a cell was, or was not, answered without a simulation; `evaluation` is its number in the table `evaluations`."""
+        return self._get(_path("evaluations", evaluation, "explain"), Explanation, kind="evaluation", identifier=evaluation)
+
     def evaluate(self, specification: Mapping[str, Any], key: str | None = None) -> Evaluation:
         """Queues the evaluation of one parameter set."""
         return self._post("/api/v1/evaluations", Evaluation, specification, key=key or uuid.uuid4().hex)
@@ -144,14 +162,18 @@ class Client:
         """Stores an influence map."""
         return self._post("/api/v1/influence-maps", InfluenceMapAnswer, specification)
 
-    def influence_maps(self, cursor: str | None = None) -> InfluenceMapPage:
+    def influence_maps(self, limit: int | None = None, cursor: str | None = None) -> InfluenceMapPage:
         """A page of influence maps, newest first."""
-        return self._get("/api/v1/influence-maps", InfluenceMapPage, query={"cursor": cursor})
+        return self._get("/api/v1/influence-maps", InfluenceMapPage, query={"limit": limit, "cursor": cursor})
 
     def influence_map(self, identifier: str) -> InfluenceMapAnswer:
         """One influence map with its rows."""
         path = _path("influence-maps", identifier)
         return self._get(path, InfluenceMapAnswer, kind="influence map", identifier=identifier)
+
+    def scenarios(self) -> ScenarioPage:
+        """The scenarios of all catalogues that the server has."""
+        return self._get("/api/v1/scenarios", ScenarioPage)
 
     def workers(self) -> WorkerPage:
         """The workers."""
@@ -210,9 +232,12 @@ class Client:
         try:
             return model.model_validate_json(response.content)
         except ValidationError as error:
-            raise UnavailableError(
-                f"the server at {self.url} answers in a form this drivecal does not know; are both of one version?"
-            ) from error
+            raise self._strange() from error
+
+    def _strange(self) -> UnavailableError:
+        return UnavailableError(
+            f"the server at {self.url} answers in a form this drivecal does not know; are both of one version?"
+        )
 
 
 def _path(*parts: str) -> str:

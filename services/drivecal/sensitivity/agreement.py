@@ -1,0 +1,102 @@
+"""Do two influence maps say the same? For reproducibility over samples, seeds and designs, as the authors checked theirs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from drivecal.contracts.inventory import InfluenceRow
+
+Pair = tuple[str, str]
+"""Scenario and parameter."""
+ROUNDING = 1e-9
+"""Bounds are decimals that became floats; differences below this share of a parameter's range come from that."""
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """A pair on which two maps do not agree."""
+
+    first: InfluenceRow
+    second: InfluenceRow
+
+
+@dataclass(frozen=True, slots=True)
+class Agreement:
+    """`pairs`: how many both maps know. `only_first`, `only_second`: pairs that the other does not know."""
+
+    pairs: int
+    differences: tuple[Difference, ...]
+    only_first: tuple[Pair, ...]
+    only_second: tuple[Pair, ...]
+
+    @property
+    def agreeing(self) -> int:
+        """Pairs on which they agree."""
+        return self.pairs - len(self.differences)
+
+    @property
+    def share(self) -> float | None:
+        """`agreeing` of `pairs`; None where they have none in common."""
+        return self.agreeing / self.pairs if self.pairs else None
+
+    def document(self) -> dict[str, Any]:
+        """JSON-ready."""
+
+        def side(row: InfluenceRow) -> dict[str, Any]:
+            return row.model_dump(include={"influential", "lower", "upper", "unknown"})
+
+        return {
+            "pairs": self.pairs,
+            "agreeing": self.agreeing,
+            "share": self.share,
+            "differences": [
+                {
+                    "scenario": one.first.scenario,
+                    "parameter": one.first.parameter,
+                    "first": side(one.first),
+                    "second": side(one.second),
+                }
+                for one in self.differences
+            ],
+            "only_first": [list(pair) for pair in self.only_first],
+            "only_second": [list(pair) for pair in self.only_second],
+        }
+
+
+def agreement(first: Iterable[InfluenceRow], second: Iterable[InfluenceRow]) -> Agreement:
+    """Two maps agree on a pair where it is influential in both or in neither and both bounds are within one interval."""
+    ours = {(row.scenario, row.parameter): row for row in first}
+    theirs = {(row.scenario, row.parameter): row for row in second}
+    shared = [pair for pair in ours if pair in theirs]
+    return Agreement(
+        pairs=len(shared),
+        differences=tuple(Difference(ours[pair], theirs[pair]) for pair in shared if not agree(ours[pair], theirs[pair])),
+        only_first=tuple(pair for pair in ours if pair not in theirs),
+        only_second=tuple(pair for pair in theirs if pair not in ours),
+    )
+
+
+def agree(first: InfluenceRow, second: InfluenceRow) -> bool:
+    """Whether two maps agree on one pair. Bounds may differ by one interval of the coarser analysis, and by half a grid step, by which
+    an interval's edge may be snapped; not at all where neither map comes from an analysis."""
+    if not (first.influential and second.influential):
+        return first.influential == second.influential
+    allowed = max(_interval(first), _interval(second)) + ROUNDING * max(_range(first), _range(second))
+    return _near(first.lower, second.lower, allowed) and _near(first.upper, second.upper, allowed)
+
+
+def _near(one: float | None, other: float | None, allowed: float) -> bool:
+    return one == other if one is None or other is None else abs(one - other) <= allowed
+
+
+def _range(row: InfluenceRow) -> float:
+    return 0.0 if row.space_lower is None or row.space_upper is None else row.space_upper - row.space_lower
+
+
+def _interval(row: InfluenceRow) -> float:
+    """The width of the intervals that were analysed, in parameter units; 0 where none were."""
+    if not row.s_rel_intervals or row.n_values is None:
+        return 0.0
+    return _range(row) * (1 / len(row.s_rel_intervals) + 0.5 / max(1, row.n_values - 1))

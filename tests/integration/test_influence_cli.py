@@ -1,0 +1,141 @@
+"""`drivecal influence` and `drivecal influence-maps` against a real server: what is found, compared, shortened, missing."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+from tests.support.found import analyse
+from tests.support.server import RunningApi, serving
+from typer.testing import CliRunner, Result
+
+from drivecal.cli.main import app
+
+Run = Callable[..., Result]
+ANALYSED: dict[str, Any] = {
+    "name": "mine",
+    "catalogue": ["S1", "S2"],
+    "parameters": [{"name": f"P{i}", "lower": 0, "upper": 1, "step": 0.05, "unit": "s"} for i in range(1, 4)],
+    "fixed": {f"P{i}": 0.5 for i in range(4, 12)},
+    "sensitivity": {"intervals": 5, "samples": 6, "threshold": 0.02},
+    "optimizer": None,
+}
+
+
+@pytest.fixture(scope="module")
+def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
+    with serving(f"sqlite:///{tmp_path_factory.mktemp('influence') / 'drivecal.db'}") as running:
+        yield running
+
+
+@pytest.fixture
+def run(api: RunningApi, monkeypatch: pytest.MonkeyPatch) -> Run:
+    monkeypatch.setenv("DRIVECAL_URL", api.url)
+
+    def invoke(*arguments: str, stdin: str | None = None) -> Result:
+        return CliRunner().invoke(app, list(arguments), input=stdin)
+
+    return invoke
+
+
+def campaign(api: RunningApi, document: dict[str, Any]) -> str:
+    return str(api.http.post("/api/v1/campaigns", json=document).raise_for_status().json()["id"])
+
+
+@pytest.fixture(scope="module")
+def analysed(api: RunningApi) -> str:
+    """P1 matters up to 0.5 in S1; S2 tells nothing."""
+    identifier = campaign(api, ANALYSED)
+    analyse(api.database, identifier, lambda scenario, values: 0 if scenario == "S2" else round(7 * min(values["P1"], 0.5)))
+    return identifier
+
+
+@pytest.fixture(scope="module")
+def other(api: RunningApi) -> str:
+    """P1 matters from 0.5 on in both, P2 nowhere; the same settings but for the seed."""
+    identifier = campaign(api, ANALYSED | {"sensitivity": {**ANALYSED["sensitivity"], "seed": 2}})
+    analyse(api.database, identifier, lambda _, values: round(7 * max(values["P1"] - 0.5, 0)) + 1)
+    return identifier
+
+
+def test_influence_shows_a_table_per_scenario_with_a_picture_of_each_range(run: Run, analysed: str) -> None:
+    result = run("influence", analysed[:10])
+    assert result.exit_code == 0, result.output
+    lines = result.stdout.splitlines()
+    assert lines[0] == f"campaign {analysed}  mine"
+    assert lines[2] == "S1"
+    assert lines[3].split() == [
+        "parameter",
+        "influential",
+        "lower",
+        "upper",
+        "unit",
+        "range",
+        "mu",
+        "sigma",
+        "mu*",
+        "largest",
+        "s_rel",
+    ]
+    assert lines[4].split()[:3] == ["P1", "yes", "0"]
+    assert "##########" in lines[4]
+    assert lines[4].split()[5].endswith("....")
+    assert lines[5].split()[:6] == ["P2", "no", "-", "-", "s", "." * 20]
+    assert "S2  unknown: no run scored above 0, so everything counts as influential" in lines
+    assert "design lines, 5 intervals, 6 samples, threshold 0.02, seed 1" in result.stdout
+    assert "the smallest s_rel of an interval that is not 0 is 0." in result.stdout
+    rows = json.loads(run("influence", analysed, "--json").stdout)
+    assert [(row["scenario"], row["parameter"]) for row in rows] == [(s, f"P{i}") for s in ("S1", "S2") for i in (1, 2, 3)]
+
+
+@pytest.mark.usefixtures("other")
+def test_a_map_is_shown_by_its_own_id_as_well(run: Run, api: RunningApi, analysed: str) -> None:
+    map_id = api.http.get(f"/api/v1/campaigns/{analysed}").json()["links"]["influence_map"].rpartition("/")[2]
+    by_map, by_campaign = run("influence", map_id).stdout, run("influence", analysed).stdout
+    assert by_map.splitlines()[1:] == by_campaign.splitlines()[1:]
+    shown = run("influence-maps", "show", map_id[:12]).stdout
+    assert shown.splitlines()[0] == f"influence map {map_id}  mine  ({analysed})"
+    assert shown.splitlines()[1:] == by_map.splitlines()[1:]
+    listed = run("influence-maps", "list", "--limit", "1")
+    assert "there are more than 1" in listed.stderr
+    assert len(listed.stdout.splitlines()) == 2
+
+
+def test_comparing_lists_the_pairs_that_differ_and_the_share_that_agrees(run: Run, analysed: str, other: str) -> None:
+    result = run("influence", analysed, "--compare", other)
+    assert result.exit_code == 0, result.output
+    assert "they agree within one interval on 2 of 6 pairs (33.3%)" in result.stdout
+    differing = [line.split()[:2] for line in result.stdout.splitlines() if line.startswith(("S1 ", "S2 "))]
+    assert differing == [["S1", "P1"], ["S2", "P1"], ["S2", "P2"], ["S2", "P3"]]
+    assert "0 .. 1 (unknown)" in result.stdout
+    found = json.loads(run("influence", analysed, "--compare", other, "--json").stdout)
+    assert (found["pairs"], found["agreeing"]) == (6, 2)
+    assert found["differences"][0]["second"]["upper"] == 1
+    assert json.loads(run("influence", analysed, "--compare", analysed, "--json").stdout)["share"] == 1
+
+
+def test_comparing_with_a_posted_map_says_what_only_one_of_them_knows(run: Run, analysed: str) -> None:
+    document = "catalogue: [S1]\nscenarios: {S1: {P2: {influential: false}, P4: {upper: 20}}}"
+    posted = json.loads(run("influence-maps", "post", "-", "--json", stdin=document).stdout)["id"]
+    printed = run("influence", analysed, "--compare", posted).stdout
+    assert "on 1 of 1 pairs (100.0%)" in printed
+    assert "only the first knows S1 P1, P3; S2 P1, P2, P3" in printed
+    assert "only the second knows S1 P4" in printed
+
+
+def test_a_campaign_without_a_map_says_so(run: Run, api: RunningApi, analysed: str) -> None:
+    bare = campaign(api, {"sensitivity": None})
+    assert "no influence map is in use" in run("influence", bare).stdout
+    assert json.loads(run("influence", bare, "--json").stdout) == []
+    refused = run("influence", analysed, "--compare", bare)
+    assert refused.exit_code == 1
+    assert "has no influence map to compare" in refused.stderr
+
+
+def test_what_is_neither_campaign_nor_map_is_not_found(run: Run, analysed: str) -> None:
+    for arguments in (["influence", "0" * 32], ["influence", analysed, "--compare", "nothing"]):
+        result = run(*arguments)
+        assert result.exit_code == 5
+        assert "there is no campaign or influence map" in result.stderr
