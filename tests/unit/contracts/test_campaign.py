@@ -21,7 +21,7 @@ def test_cells_are_counted_under_the_names_of_the_interface() -> None:
         "proposed", "carried_over", "pending", "requested", "repeated", "reused", "certified", "simulated", "failed", "audited",
     ]  # fmt: skip
     assert list(SensitivityCellCounts.model_fields)[:5] == ["requested", "repeated", "certified", "simulated", "failed"]
-    assert list(ErrorRate.model_fields) == ["audited", "different", "wrong", "upper_95", "stopped"]
+    assert set(ErrorRate.model_fields) >= {"audited", "different", "wrong", "upper_95", "stopped"}
 
 
 def test_a_client_reads_answers_of_a_newer_server() -> None:

@@ -220,10 +220,11 @@ def test_settings_of_another_optimizer_are_refused() -> None:
 
 
 def test_defaults_are_those_of_the_campaign_file() -> None:
-    assert GeneticSettings().model_dump() == {
+    defaults = {
         "kind": "genetic", "population": 1000, "iterations": 20, "start": "lhs", "seed": 1,
         "selection": 0.8, "recombination": 0.7, "mutation": 0.5,
     }  # fmt: skip
+    assert GeneticSettings().model_dump(include=set(defaults)) == defaults
 
 
 @both
