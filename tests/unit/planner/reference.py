@@ -84,7 +84,7 @@ class ReferencePlanner:
 
     def where_to_start(self, observation: Observation) -> list[float]:
         measured = [float(value) for value in observation.ego]
-        self.rest = 0.0
+        self.rest_aside = self.rest_ahead = 0.0
         if self.before is None:
             return measured
         since, along, aside = self.before
@@ -93,7 +93,7 @@ class ReferencePlanner:
         deviations = [abs(measured[index] - planned[index]) for index in (0, 1, 3, 4)]
         if any(deviation > allowed for deviation, allowed in zip(deviations, kernel.LARGEST_DEVIATIONS, strict=True)):
             return measured
-        self.rest = aside.horizon - elapsed
+        self.rest_aside, self.rest_ahead = aside.horizon - elapsed, along.horizon - elapsed
         return planned
 
     def fit(self, observation: Observation) -> None:
@@ -102,8 +102,10 @@ class ReferencePlanner:
         wanted, other = lanes if observation.time < task.lane_change_after else lanes[::-1]
         self.target = wanted * road.lane_width
         ends = list(candidates.lateral_ends(road.lane_width, wanted, other).T)
-        if self.before is not None and self.rest >= kernel.SHORTEST_REST:
-            ends[-1] = np.array([self.before[2](1e9), self.rest])
+        self.goes_on_aside = self.before is not None and self.rest_aside >= kernel.SHORTEST_REST
+        self.goes_on_ahead = self.before is not None and self.rest_ahead >= kernel.SHORTEST_REST
+        if self.before is not None and self.goes_on_aside:
+            ends[-1] = np.array([self.before[2](1e9), self.rest_aside])
         self.aside = [curve(self.start[3:], [(0, end), (1, 0.0), (2, 0.0)], horizon) for end, horizon in ends]
         s, speed = self.start[:2]
         self.limit = self.desired_at(s)
@@ -113,6 +115,9 @@ class ReferencePlanner:
             desired = min(self.limit, self.desired_at(s + 0.5 * (speed + first_guess) * horizon))
             end_speed = max(desired + difference, 0.0)
             self.along.append(curve(self.start[:3], [(1, end_speed), (2, 0.0)], horizon, end_speed))
+        if self.before is not None and self.goes_on_ahead:
+            end_speed = self.before[1].end_speed
+            self.along[-1] = curve(self.start[:3], [(1, end_speed), (2, 0.0)], self.rest_ahead, end_speed)
 
         self.samples_aside = [[tuple(plan(t, order) for order in range(4)) for t in TIMES] for plan in self.aside]
         self.samples_along = [[tuple(plan(t, order) for order in range(4)) for t in TIMES] for plan in self.along]
@@ -151,11 +156,13 @@ class ReferencePlanner:
         for neighbour in observation.neighbours:
             collision += self.neighbour(neighbour, aside, along, sums)
         end_offset = abs(aside[-1][0] - self.target)
+        changes_ahead = cost.CHANGE_AHEAD if self.goes_on_ahead and j != len(self.along) - 1 else 0.0
+        changes_aside = cost.CHANGE_ASIDE if self.goes_on_aside and i != len(self.aside) - 1 else 0.0
         n = kernel.POINTS
         features = [0.0] * 12
         features[0] = (
-            self.rounded((cost.SPEED_ERROR * error + cost.ACCELERATION * acceleration) / n)
-            + self.rounded(cost.TERMINAL_OFFSET * 2 * end_offset**2 / (1 + end_offset))
+            self.rounded((cost.SPEED_ERROR * error + cost.ACCELERATION * acceleration) / n + changes_ahead)
+            + self.rounded(cost.TERMINAL_OFFSET * 2 * end_offset**2 / (1 + end_offset) + changes_aside)
             + self.rounded(cost.COLLISION * collision / n)
         )
         for index, term in enumerate(cost.TERMS, start=1):

@@ -31,7 +31,9 @@ def test_there_are_enough_candidates_and_the_first_ends_in_the_wanted_lane_at_th
     assert min(lateral[1].min(), longitudinal[1].min()) >= 2.0
     assert lateral.flags.c_contiguous
     assert len({*map(tuple, lateral[:, :-1].T.tolist())}) == lateral.shape[1] - 1, "no candidate twice"
-    assert len({*map(tuple, longitudinal.T.tolist())}) == longitudinal.shape[1]
+    assert (longitudinal[:, -1] == longitudinal[:, 0]).all()
+    assert longitudinal.flags.c_contiguous
+    assert len({*map(tuple, longitudinal[:, :-1].T.tolist())}) == longitudinal.shape[1] - 1
 
 
 def test_the_other_lane_of_the_task_is_offered_and_no_third_one() -> None:

@@ -96,7 +96,7 @@ def test_a_parameter_set_of_the_wrong_length_is_refused() -> None:
 
 
 def test_scales_are_positive() -> None:
-    assert scales().shape == (16,)
+    assert scales().shape == (18,)
     assert (scales()[1:] > 0.0).all()
 
 

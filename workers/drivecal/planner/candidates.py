@@ -60,8 +60,10 @@ def lateral_ends(lane_width: float, wanted_lane: int, other_lane: int) -> Floats
 
 
 def longitudinal_ends() -> Floats:
-    """Ends of the longitudinal plans, shape (2, 11): rows end speed relative to the desired speed (m/s) and horizon (s)."""
-    return np.array([[offset for _, offset in LONGITUDINAL_ENDS], [horizon for horizon, _ in LONGITUDINAL_ENDS]])
+    """Ends of the longitudinal plans, shape (2, n): rows end speed relative to the desired speed (m/s) and horizon (s). The last
+    column is a copy of the first for the rest of the plan before, as in `lateral_ends`."""
+    ends = [(offset, horizon) for horizon, offset in LONGITUDINAL_ENDS]
+    return np.ascontiguousarray(np.array([*ends, ends[0]]).T)
 
 
 def desired_speeds(task: Task, s: Floats) -> Floats:

@@ -49,11 +49,14 @@ ACCELERATION = 0.1
 COLLISION = 3000.0
 """Base cost of touching another vehicle all along the horizon; one of thirty samples costs 100, more than all terms together."""
 
+CHANGE_ASIDE = 0.5
+CHANGE_AHEAD = 0.2
+"""Base cost of leaving the lateral, the longitudinal plan before for another one while it is not at its end. A planner that changes
+its mind for nothing drives restlessly; and what a parameter set decides then hangs on a few clear decisions, which many sets share."""
+
 LATEST_DECELERATION = 3.0
 """m/s², with which the desired speed falls ahead of a lower limit: what ISO 15622 allows (3.5) with some reserve. How much earlier
 and calmer the vehicle slows down is what the parameters decide."""
-
-N_WEIGHTS = len(TERMS) + 1
 
 
 def weights(parameters: Sequence[float]) -> Floats:
@@ -64,6 +67,7 @@ def weights(parameters: Sequence[float]) -> Floats:
 
 
 def scales() -> Floats:
-    """What the kernel multiplies raw quantities by, shape (16,): [0] unused, [1..11] 1 / typical of the terms, [12] speed error,
-    [13] terminal offset, [14] acceleration, [15] collision."""
-    return np.array([0.0, *(1.0 / term.typical for term in TERMS), SPEED_ERROR, TERMINAL_OFFSET, ACCELERATION, COLLISION])
+    """What the kernel multiplies raw quantities by, shape (18,): [0] unused, [1..11] 1 / typical of the terms, [12] speed error,
+    [13] terminal offset, [14] acceleration, [15] collision, [16] change of the lateral, [17] of the longitudinal plan."""
+    base = [SPEED_ERROR, TERMINAL_OFFSET, ACCELERATION, COLLISION, CHANGE_ASIDE, CHANGE_AHEAD]
+    return np.array([0.0, *(1.0 / term.typical for term in TERMS), *base])

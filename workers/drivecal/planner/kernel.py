@@ -8,9 +8,10 @@ Arrays (float64, SI units, C order):
 road (n, 8): s, x, y, heading, curvature (as from `domain.roads.reference_line`), desired speed, cosine and sine of the heading
 scene (8,): wanted lane's centre, lane width, last lane, half length and half width of the ego vehicle, lowest and highest allowed d,
     time step of the trajectory
-scales (16,): see `cost.scales`
+scales (18,): see `cost.scales`
 lateral_ends (2, n_lateral), longitudinal_ends (2, n_longitudinal): see `candidates`
-start, ego (6,): s, s', s'', d, d', d''; neighbours (m, 6): see `ports.Observation`
+ego (6,): s, s', s'', d, d', d''; start (8,): the same where the plan starts, and what is left (s) of the lateral and of the
+    longitudinal plan before, 0 where there is nothing to go on with; neighbours (m, 6): see `ports.Observation`
 quintics (8, n_lateral): six coefficients of d(t), end offset, horizon; quartics (7, n_longitudinal): five of s(t), end speed, horizon
 memory (8, 2): the plan before, its quintic in column 0 and its quartic in column 1; horizons of 0 where there is none
 lateral (6, n_lateral), longitudinal (2, n_longitudinal), combined (7, n_longitudinal, n_lateral): features, rows named below
@@ -31,14 +32,14 @@ POINTS = 30
 INTERVAL = 0.25
 """Seconds between the points at which candidates are judged, in the middle of thirty intervals: a horizon of 7.5 s."""
 
-FEATURE_GRID = 4096.0
-"""Features are multiples of 1 / 4096, exact in binary. Differences below that cannot be felt, and without them rounding errors would
+FEATURE_GRID = 256.0
+"""Features are multiples of 1 / 256, exact in binary. Differences below that cannot be felt, and without them rounding errors would
 decide between plans that are the same: such plans tie, and the tie goes to the same candidate whatever the weights."""
 
 LATERAL_BASE, LATERAL_JERK, CENTRE, CONSISTENCY, ARRIVAL, BOUNDARY = range(6)
-"""Rows of `lateral`: terminal offset (base), P1, P3, P5, P6, P9."""
+"""Rows of `lateral`: terminal offset and change of plan (base), P1, P3, P5, P6, P9."""
 LONGITUDINAL_BASE, LONGITUDINAL_JERK = range(2)
-"""Rows of `longitudinal`: speed error and acceleration (base), P1."""
+"""Rows of `longitudinal`: speed error, acceleration and change of plan (base), P1."""
 COLLISION, LATERAL_ACCELERATION, HEADING, CLEARANCE, LEADER, CLOSING, FOLLOWER = range(7)
 """Rows of `combined`: collision (base), P2, P4, P7, P8, P10, P11."""
 
@@ -46,7 +47,7 @@ COLLISION, LATERAL_ACCELERATION, HEADING, CLEARANCE, LEADER, CLOSING, FOLLOWER =
 # the plan, and with it the ride, as rough as the tracking. Farther away it starts from what was measured.
 LARGEST_DEVIATIONS = (1.5, 1.0, 0.4, 0.5)
 SHORTEST_REST = 0.3
-"""s: what is left of a lateral plan below this is not offered as a candidate of its own."""
+"""s: what is left of a plan below this is not offered as a candidate of its own."""
 
 CLEAR_SIDE = 2.0
 CLEAR_TIME = 1.0
@@ -160,12 +161,13 @@ def fit_quartic(quartics: Any, j: int, s: float, s1: float, s2: float, speed: fl
 
 
 @compiled
-def start_of(ego: Any, memory: Any, elapsed: float, start: Any) -> bool:
-    """Writes where the plan starts: on the plan before where the vehicle is close to it (True), else as measured."""
+def start_at(ego: Any, memory: Any, elapsed: float, start: Any) -> None:
+    """Writes where the plan starts: on the plan before where the vehicle is close to it, else as measured."""
     for index in range(6):
         start[index] = ego[index]
+    start[6], start[7] = 0.0, 0.0
     if memory[7, 0] == 0.0:
-        return False
+        return
     d, d1, d2 = lateral_at(memory, 0, elapsed)
     s, s1, s2, _ = longitudinal_at(memory, 1, elapsed)
     if (
@@ -174,30 +176,31 @@ def start_of(ego: Any, memory: Any, elapsed: float, start: Any) -> bool:
         or abs(ego[3] - d) > LARGEST_DEVIATIONS[2]
         or abs(ego[4] - d1) > LARGEST_DEVIATIONS[3]
     ):
-        return False
+        return
     start[0], start[1], start[2], start[3], start[4], start[5] = s, s1, s2, d, d1, d2
-    return True
+    aside, ahead = memory[7, 0] - elapsed, memory[6, 1] - elapsed
+    start[6] = aside if aside >= SHORTEST_REST else 0.0
+    start[7] = ahead if ahead >= SHORTEST_REST else 0.0
 
 
 @compiled
-def fit(
-    road: Any, lateral_ends: Any, longitudinal_ends: Any, start: Any, rest: float, memory: Any, quintics: Any, quartics: Any
-) -> None:
-    """Fits all plans from `start`. `rest`: what is left of the lateral plan before (s); the last lateral plan goes on with it."""
+def fit(road: Any, lateral_ends: Any, longitudinal_ends: Any, start: Any, memory: Any, quintics: Any, quartics: Any) -> None:
+    """Fits all plans from `start`. The last lateral and the last longitudinal one go on with the plan before."""
     last = lateral_ends.shape[1] - 1
-    for i in range(last):
+    for i in range(last + 1):
         fit_quintic(quintics, i, start[3], start[4], start[5], lateral_ends[0, i], lateral_ends[1, i])
-    if rest >= SHORTEST_REST:
-        fit_quintic(quintics, last, start[3], start[4], start[5], memory[6, 0], rest)
-    else:
-        fit_quintic(quintics, last, start[3], start[4], start[5], lateral_ends[0, last], lateral_ends[1, last])
+    if start[6] > 0.0:
+        fit_quintic(quintics, last, start[3], start[4], start[5], memory[6, 0], start[6])
     _, _, limit = road_ahead(road, start[0])
-    for j in range(longitudinal_ends.shape[1]):
+    last = longitudinal_ends.shape[1] - 1
+    for j in range(last + 1):
         horizon = longitudinal_ends[1, j]
         _, _, desired = road_ahead(road, start[0] + start[1] * horizon)
         _, _, desired = road_ahead(road, start[0] + 0.5 * (start[1] + min(limit, desired)) * horizon)
         speed = max(min(limit, desired) + longitudinal_ends[0, j], 0.0)
         fit_quartic(quartics, j, start[0], start[1], start[2], speed, horizon)
+    if start[7] > 0.0:
+        fit_quartic(quartics, last, start[0], start[1], start[2], memory[5, 1], start[7])
 
 
 @compiled
@@ -254,7 +257,8 @@ def evaluate(
     consistency = scales[5] / POINTS if memory[7, 0] > 0.0 else 0.0
     for i in range(n_lateral):
         offset = abs(d[POINTS - 1, i] - wanted)
-        lateral[LATERAL_BASE, i] = on_grid(2.0 * offset * offset / (1.0 + offset), scales[13])
+        changed = scales[16] if start[6] > 0.0 and i != n_lateral - 1 else 0.0
+        lateral[LATERAL_BASE, i] = on_grid(scales[13] * 2.0 * offset * offset / (1.0 + offset) + changed, 1.0)
         lateral[LATERAL_JERK, i] = on_grid(lateral[LATERAL_JERK, i], scales[1] / POINTS)
         lateral[CENTRE, i] = on_grid(lateral[CENTRE, i], scales[3] / POINTS)
         lateral[CONSISTENCY, i] = on_grid(lateral[CONSISTENCY, i], consistency)
@@ -279,7 +283,9 @@ def evaluate(
                 heading = d1[k, i] * slowness
                 combined[LATERAL_ACCELERATION, j, i] += side * side
                 combined[HEADING, j, i] += heading * heading
-        longitudinal[LONGITUDINAL_BASE, j] = on_grid(scales[12] * error_sum + scales[14] * acceleration_sum, 1.0 / POINTS)
+        changed = scales[17] if start[7] > 0.0 and j != n_longitudinal - 1 else 0.0
+        base = (scales[12] * error_sum + scales[14] * acceleration_sum) / POINTS + changed
+        longitudinal[LONGITUDINAL_BASE, j] = on_grid(base, 1.0)
         longitudinal[LONGITUDINAL_JERK, j] = on_grid(jerk_sum, scales[1] / POINTS)
 
     for m in range(len(neighbours)):
@@ -458,10 +464,9 @@ def consider(
     memory: Any, quintics: Any, quartics: Any, lateral: Any, longitudinal: Any, combined: Any,
 ) -> None:  # fmt: skip
     """Writes plans and features of all candidates; changes nothing else."""
-    start = np.empty(6)
-    stitched = start_of(ego, memory, elapsed, start)
-    rest = memory[7, 0] - elapsed if stitched else 0.0
-    fit(road, lateral_ends, longitudinal_ends, start, rest, memory, quintics, quartics)
+    start = np.empty(8)
+    start_at(ego, memory, elapsed, start)
+    fit(road, lateral_ends, longitudinal_ends, start, memory, quintics, quartics)
     evaluate(road, scene, scales, start, neighbours, memory, elapsed, quintics, quartics, lateral, longitudinal, combined)
 
 
