@@ -129,6 +129,7 @@ class Scenario:
 
     @property
     def digest(self) -> str:
-        """Content hash of the whole definition, the network's bytes included."""
+        """Content hash of all that decides a run, the network's bytes included; the title may be reworded."""
         document = asdict(self) | {"network": digest(self.network)}
+        del document["title"]
         return digest(canonical_json(document).encode())

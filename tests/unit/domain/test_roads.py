@@ -68,9 +68,10 @@ def test_the_line_between_its_rows_follows_the_finer_line(s: float) -> None:
     x, y, heading, curvature, _ = pose_on(coarse, s)
     row = round(s / 0.01)
     shift = s - fine[row, 0]
-    assert x == pytest.approx(fine[row, 1] + shift * cos(fine[row, 3]), abs=2e-6)
-    assert y == pytest.approx(fine[row, 2] + shift * sin(fine[row, 3]), abs=2e-6)
-    assert heading == pytest.approx(fine[row, 3] + shift * fine[row, 4], abs=2e-6)
+    # between rows 0.5 m apart the heading is off by up to 0.5**2 / 8 times the curvature's slope
+    assert x == pytest.approx(fine[row, 1] + shift * cos(fine[row, 3]), abs=5e-6)
+    assert y == pytest.approx(fine[row, 2] + shift * sin(fine[row, 3]), abs=5e-6)
+    assert heading == pytest.approx(fine[row, 3] + shift * fine[row, 4], abs=5e-6)
     assert curvature == pytest.approx(fine[row, 4], abs=2e-5)
 
 
