@@ -142,23 +142,6 @@ def simulate_instead(connection: Connection, evaluation_ids: Sequence[int]) -> N
         connection.execute(statement.values(plan=Outcome.SIMULATED, reference=None), rows)
 
 
-def settle_audits(connection: Connection, campaign_sequence: int, stage: Stage, iteration: int) -> None:
-    """Writes down for the audited cells of a finished iteration whether the donor that was not trusted had the same score."""
-    donor = evaluations.alias("donor")
-    score = select(donor.c.score).where(donor.c.id == evaluations.c.reference).scalar_subquery()
-    connection.execute(
-        update(evaluations)
-        .where(
-            evaluations.c.campaign_sequence == campaign_sequence,
-            evaluations.c.stage == stage,
-            evaluations.c.iteration == iteration,
-            evaluations.c.audited,
-            evaluations.c.outcome == Outcome.SIMULATED,
-        )
-        .values(agrees=evaluations.c.score == score)
-    )
-
-
 def set_reference_keys(connection: Connection, keys: Mapping[int, bytes]) -> None:
     """Gives evaluations, by id, the keys under a map that was not known when they were asked for."""
     statement = update(evaluations).where(evaluations.c.id == bindparam("evaluation")).values(reference_key=bindparam("key"))

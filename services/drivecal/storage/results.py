@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import Connection, Row, Select, case, func, literal, select, tuple_
+from sqlalchemy import Connection, Row, Select, literal, select, tuple_
 
 from drivecal.domain.campaigns import Stage
 from drivecal.domain.errors import NotFoundError
@@ -33,7 +33,9 @@ class StoredEvaluation:
     individual: int
     scenario: str
     setup_id: int
+    parameter_set_id: int
     parameters: dict[str, float]
+    plan: Outcome
     outcome: Outcome | None
     score: int | None
     rating: float | None
@@ -62,16 +64,6 @@ class CellAnswer:
     own: bool
     iteration: int
     individual: int
-
-
-@dataclass(frozen=True, slots=True)
-class AuditCount:
-    """The self-check of one scenario: `different`: any change of the score; `wrong`: by more than 1 (Eq. 8 of the paper)."""
-
-    scenario: str
-    audited: int
-    different: int
-    wrong: int
 
 
 def by_id(connection: Connection, evaluation_id: int) -> StoredEvaluation:
@@ -108,30 +100,6 @@ def stream(connection: Connection, campaign_sequence: int) -> Iterator[StoredEva
     query = _of_campaign(campaign_sequence).execution_options(yield_per=BATCH)
     for row in connection.execute(query):
         yield _evaluation(row)
-
-
-def count_audits(connection: Connection, campaign_sequence: int) -> list[AuditCount]:
-    """What the self-check of a campaign found so far, by scenario: simulated scores against those of the donors."""
-    donor = evaluations.alias("donor")
-    change = func.abs(evaluations.c.score - donor.c.score)
-    query = (
-        select(
-            evaluations.c.scenario,
-            func.count(),
-            func.count(case((change > 0, 1))),
-            func.count(case((change > 1, 1))),
-        )
-        .join(donor, donor.c.id == evaluations.c.reference)
-        .where(
-            evaluations.c.campaign_sequence == campaign_sequence,
-            evaluations.c.audited,
-            evaluations.c.outcome == Outcome.SIMULATED,
-            donor.c.score.is_not(None),
-        )
-        .group_by(evaluations.c.scenario)
-        .order_by(evaluations.c.scenario)
-    )
-    return [AuditCount(*row) for row in connection.execute(query)]
 
 
 def answers(connection: Connection, campaign_sequence: int, stage: Stage, iteration: int | None = None) -> Iterator[CellAnswer]:
@@ -201,7 +169,9 @@ def _evaluation(row: Row[Any]) -> StoredEvaluation:
         individual=row.individual,
         scenario=row.scenario,
         setup_id=row.setup_id,
+        parameter_set_id=row.parameter_set_id,
         parameters={name: float(value) for name, value in json.loads(row.parameter_values).items()},
+        plan=Outcome(row.plan),
         outcome=None if row.outcome is None else Outcome(row.outcome),
         score=row.score,
         rating=row.rating,

@@ -99,6 +99,11 @@ def look_up_exact(
     return found
 
 
+def scores(connection: Connection, run_ids: Sequence[int], evaluator: str) -> dict[int, int]:
+    """The scores that an evaluator gave to runs, by their id. Runs that it has not rated are left out."""
+    return {run_id: score for (run_id, by), (score, _) in _ratings(connection, run_ids).items() if by == evaluator}
+
+
 def metrics(connection: Connection, run_ids: Sequence[int]) -> dict[int, dict[str, float | None]]:
     """The measured metrics of runs by id, None for what was not finite. Ids that are not stored are left out."""
     found: dict[int, dict[str, float | None]] = {}

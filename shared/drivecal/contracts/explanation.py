@@ -18,14 +18,16 @@ Reason = Literal[
     "audited",
     "blocked",
     "nothing_stored",
+    "unanswered",
     "stopped",
     "no_map",
     "exact_only",
     "off",
     "analysis",
 ]
-"""`blocked`: something is stored, but every set differs where it matters. `stopped`: the self-check stopped reuse in this scenario.
-`no_map`, `exact_only`, `off`: the campaign allows no reuse. `analysis`: a cell of the sensitivity stage, which only repeats."""
+"""`blocked`: something is stored, but every set differs where it matters. `unanswered`: the cell that was to answer it has no result.
+`stopped`: the self-check stopped reuse in this scenario. `no_map`, `exact_only`, `off`: the campaign allows no reuse. `analysis`: a cell
+of the sensitivity stage, which only repeats."""
 
 
 class Difference(Answer):
@@ -51,7 +53,6 @@ class Reference(Answer):
     iteration: int
     individual: int
     score: int | None
-    rating: float | None
     failure: str | None
 
 

@@ -168,18 +168,3 @@ def test_copies_of_a_cell_without_a_result_are_simulated_instead(database: Datab
             (copy, SIMULATED, None)
         ]
         assert results.by_id(connection, answered).reference == leader
-
-
-def test_audits_are_settled_by_comparing_the_score_with_the_donors(database: Database) -> None:
-    with database.transaction() as connection:
-        sequence, setup = campaign(connection).sequence, setup_id(connection)
-        sets = sample_set_ids(connection, 4)
-        simulate(connection, sequence, [cell(0, setup, sets[0])], score=5)
-        donor = evaluations.own_exact(connection, sequence, "S1", sets)[sets[0]]
-        first = [cell(n, setup, sets[n], iteration=1, donor=donor, audited=True) for n in (1, 2)]
-        (equal,) = simulate(connection, sequence, first[:1], score=5)
-        (other,) = simulate(connection, sequence, first[1:], score=4)
-        (later,) = simulate(connection, sequence, [cell(3, setup, sets[3], iteration=2, donor=donor, audited=True)], score=4)
-        evaluations.settle_audits(connection, sequence, Stage.CALIBRATION, 1)
-        agrees = {one.id: one.agrees for one in results.stream(connection, sequence) if one.iteration}
-    assert agrees == {equal: True, other: False, later: None}

@@ -18,7 +18,7 @@ from tests.support.storage import EVALUATOR, campaign, new_run, sample_set_ids, 
 
 from drivecal.domain.campaigns import Stage
 from drivecal.domain.evaluations import Outcome
-from drivecal.storage import campaigns, evaluations, parameter_sets, reference_keys, results, runs
+from drivecal.storage import audits, campaigns, evaluations, parameter_sets, reference_keys, results, runs
 from drivecal.storage.database import Database
 from drivecal.storage.evaluations import Answer, NewEvaluation
 from drivecal.storage.membership import LARGEST_IN
@@ -145,6 +145,30 @@ def test_look_ups_use_their_indexes(filled: Database, subtests: pytest.Subtests)
         with subtests.test("the check for scans finds one"):
             query = text("SELECT count(*) FROM runs WHERE milliseconds > 1")
             assert scanned(plans(connection, lambda one: one.execute(query).all())) == {"runs"}
+
+
+def test_the_self_check_reads_the_campaigns_own_cells_only(filled: Database, subtests: pytest.Subtests) -> None:
+    with filled.transaction() as connection:
+        sequence = campaign(connection).sequence
+        donor = evaluations.own_references(connection, 1, "S1", KEYS[1:2])[KEYS[1]]
+        cells = [
+            NewEvaluation(Stage.CALIBRATION, 0, n, "S1", 1, 1 + n, Outcome.SIMULATED, KEYS[n], donor, audited=True)
+            for n in range(30)
+        ]
+        ids = evaluations.insert(connection, sequence, cells)
+        evaluations.answer(connection, [Answer(n, Outcome.SIMULATED, 5, 5.25, 1) for n in ids])
+    gather_statistics(filled)
+    checks: dict[str, Callable[[Connection], Any]] = {
+        "contradictions": lambda connection: audits.contradictions(connection, sequence, 1, EVALUATOR, 10**6),
+        "counted audits": lambda connection: audits.count(connection, sequence, EVALUATOR),
+        "audits by iteration": lambda connection: audits.by_iteration(connection, sequence, "S1", EVALUATOR),
+        "settled audits": lambda connection: audits.settle(connection, sequence, Stage.CALIBRATION, 0, EVALUATOR),
+    }
+    with filled.transaction() as connection:
+        for name, use in checks.items():
+            with subtests.test(name):
+                plan = plans(connection, use)
+                assert scanned(plan) == set(), plan
 
 
 def test_the_dispatcher_finds_active_campaigns_among_many_ended_ones(database: Database) -> None:

@@ -7,11 +7,11 @@ from tests.support.storage import campaign, sample_set_ids, sample_sets, setup_i
 
 from drivecal.domain.campaigns import Stage
 from drivecal.domain.errors import InvalidInputError, NotFoundError
-from drivecal.domain.evaluations import Donor, Outcome
+from drivecal.domain.evaluations import Outcome
 from drivecal.storage import cursors, evaluations, results
 from drivecal.storage.database import Database
 from drivecal.storage.evaluations import Answer, NewEvaluation
-from drivecal.storage.results import AuditCount, CellAnswer, StoredEvaluation
+from drivecal.storage.results import CellAnswer, StoredEvaluation
 
 CALIBRATION = Stage.CALIBRATION
 
@@ -62,28 +62,6 @@ def test_a_cursor_of_a_stage_that_does_not_exist_ends_the_list(database: Databas
 def test_an_evaluation_that_is_not_there_is_not_found(database: Database, unknown: int) -> None:
     with database.read() as connection, pytest.raises(NotFoundError, match="there is no evaluation"):
         results.by_id(connection, unknown)
-
-
-def test_audits_are_counted(database: Database) -> None:
-    with database.transaction() as connection:
-        sequence, setup = campaign(connection).sequence, setup_id(connection)
-        sets = sample_set_ids(connection, 8)
-        cells = [NewEvaluation(CALIBRATION, 0, n, "S1", setup, one, Outcome.SIMULATED) for n, one in enumerate(sets[:2])]
-        first, second = simulate(connection, sequence, cells, score=5)
-        run = results.by_id(connection, first).run_id
-        assert run is not None
-        donor = Donor(first, run, 5, 5.25, None)
-        audits = [
-            NewEvaluation(CALIBRATION, 1, n, "S1", setup, one, Outcome.SIMULATED, donor=donor, audited=True)
-            for n, one in enumerate(sets[2:7])
-        ]
-        audited = evaluations.insert(connection, sequence, audits)
-        for one, score in zip(audited, (5, 4, 6, 2), strict=False):  # the last one is still pending
-            evaluations.answer(connection, [Answer(one, Outcome.SIMULATED, score, float(score), run)])
-        copy = NewEvaluation(CALIBRATION, 2, 0, "S1", setup, sets[7], Outcome.REUSED, donor=donor)
-        evaluations.insert(connection, sequence, [copy])
-        assert results.count_audits(connection, sequence) == [AuditCount("S1", audited=4, different=3, wrong=1)]
-        assert second != first
 
 
 def test_answers_say_whether_they_are_the_sets_own(database: Database) -> None:

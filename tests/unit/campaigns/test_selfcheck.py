@@ -7,9 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from drivecal.campaigns.selfcheck import clopper_pearson, error_rates
+from drivecal.campaigns.selfcheck import clopper_pearson, error_rates, stopped_after
 from drivecal.contracts.campaign import ErrorRate
-from drivecal.storage.results import AuditCount
+from drivecal.storage.audits import AuditCount
 
 
 @given(st.integers(1, 500).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n))))
@@ -40,3 +40,21 @@ def test_a_different_score_that_is_not_wrong_never_stops_reuse() -> None:
 def test_reuse_stays_stopped_whatever_comes_later() -> None:
     later = error_rates([AuditCount("S1", 5_000, 0, 0)], {"S1": ErrorRate(stopped=True)}, ["S1"], 0.02)
     assert later["S1"].stopped
+
+
+def test_contradictions_stand_beside_the_audits_and_stop_nothing() -> None:
+    rates = error_rates([AuditCount("S1", 10, 0, 0)], {}, ["S1", "S2", "S3"], 0.02, {"S1": 2, "S2": 7})
+    assert [rates[name].contradictions for name in ("S1", "S2", "S3")] == [2, 7, 0]
+    assert not any(rate.stopped for rate in rates.values())
+
+
+@given(st.lists(st.integers(0, 12).flatmap(lambda n: st.tuples(st.just(n), st.integers(0, n))), max_size=8))
+def test_when_reuse_was_stopped_is_found_again_from_the_audits_of_each_iteration(audits: list[tuple[int, int]]) -> None:
+    listed = [(iteration, AuditCount("S1", audited, wrong, wrong)) for iteration, (audited, wrong) in enumerate(audits)]
+    rate, expected = ErrorRate(), None
+    for iteration, _ in listed:
+        audited, wrong = (sum(one[part] for one in audits[: iteration + 1]) for part in (0, 1))
+        rate = error_rates([AuditCount("S1", audited, wrong, wrong)], {"S1": rate}, ["S1"], 0.05)["S1"]
+        if rate.stopped and expected is None:
+            expected = iteration, AuditCount("S1", audited, wrong, wrong)
+    assert stopped_after(listed, 0.05) == expected

@@ -11,9 +11,11 @@ from drivecal.api import submission
 from drivecal.api.answers import evaluated_cell, evaluation_answer, evaluation_row
 from drivecal.api.bodies import StrictRoute
 from drivecal.api.dependencies import DatabaseDependency, IdempotencyKey
+from drivecal.campaigns.explaining import explain
 from drivecal.contracts.evaluation import Evaluation
+from drivecal.contracts.explanation import Explanation
 from drivecal.contracts.specification import EvaluationSpecification
-from drivecal.domain.errors import NotFoundError
+from drivecal.domain.errors import ConflictError, NotFoundError
 from drivecal.storage import campaigns, results, runs
 from drivecal.storage.campaigns import StoredCampaign
 
@@ -43,19 +45,51 @@ def read(evaluation_id: str, response: Response, database: DatabaseDependency) -
     """A single evaluation by the id that posting it gave; or, by the number in the first column of a campaign's table, that row with
     its metrics."""
     with database.read() as connection:
-        if evaluation_id.isascii() and evaluation_id.isdecimal() and len(evaluation_id) < 20:
+        if _is_number(evaluation_id):
             row = results.by_id(connection, int(evaluation_id))
             measured = runs.metrics(connection, [] if row.run_id is None else [row.run_id])
             return evaluation_row(row) | {"metrics": None if row.run_id is None else measured[row.run_id]}
-        try:
-            stored = campaigns.get(connection, evaluation_id)
-        except NotFoundError:
-            stored = None
-        if stored is None or stored.kind != "evaluation":
-            raise NotFoundError("evaluation", evaluation_id)
+        stored = _single(connection, evaluation_id)
         if not stored.state.ended:
             response.headers["Retry-After"] = str(SECONDS_BETWEEN_POLLS)
         return _evaluation(connection, stored)
+
+
+@router.get("/{evaluation_id}/explain")
+def explain_evaluation(evaluation_id: str, database: DatabaseDependency) -> Explanation:
+    """Why a cell was answered from the reference table, or why it was not: by its number in a campaign's table, or by the id of a single
+    evaluation in one scenario."""
+    with database.read() as connection:
+        return explain(connection, _number(connection, evaluation_id))
+
+
+def _number(connection: Connection, evaluation_id: str) -> int:
+    """The number of the one cell that an id names. Raises NotFoundError, and ConflictError where it names none yet, or several."""
+    if _is_number(evaluation_id):
+        return int(evaluation_id)
+    rows, _ = results.page(connection, _single(connection, evaluation_id).sequence, limit=MOST_SCENARIOS)
+    if len(rows) != 1:
+        listed = ", ".join(f"{row.id} ({row.scenario})" for row in rows)
+        raise ConflictError(f"evaluation {evaluation_id} has {len(rows)} cells; ask for one of {listed}" if rows else _NOT_YET)
+    return rows[0].id
+
+
+_NOT_YET = "nothing of it has been asked for yet; try again when it has started"
+
+
+def _is_number(evaluation_id: str) -> bool:
+    return evaluation_id.isascii() and evaluation_id.isdecimal() and len(evaluation_id) < 20
+
+
+def _single(connection: Connection, evaluation_id: str) -> StoredCampaign:
+    """A single evaluation. Raises NotFoundError."""
+    try:
+        stored = campaigns.get(connection, evaluation_id)
+    except NotFoundError:
+        stored = None
+    if stored is None or stored.kind != "evaluation":
+        raise NotFoundError("evaluation", evaluation_id)
+    return stored
 
 
 def _evaluation(connection: Connection, stored: StoredCampaign) -> Evaluation:

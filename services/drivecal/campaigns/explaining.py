@@ -1,0 +1,245 @@
+"""Why a cell was reused, or why it was not: looked up on demand, from what the campaign saw when it asked for the cell."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from sqlalchemy import Connection
+
+from drivecal.campaigns.maps import map_from_document
+from drivecal.campaigns.problem import resolve, resolve_evaluation
+from drivecal.campaigns.reasons import sentence
+from drivecal.campaigns.selfcheck import stopped_after
+from drivecal.contracts.explanation import Audit, Difference, Explanation, Reason, Reference
+from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
+from drivecal.domain.campaigns import Stage
+from drivecal.domain.evaluations import Outcome
+from drivecal.domain.influence import InfluenceMap
+from drivecal.domain.parameters import Parameter, billionths, from_billionths
+from drivecal.reduction import explanation
+from drivecal.reduction.explanation import Comparison, Nearest
+from drivecal.storage import audits, campaigns, influence_maps, parameter_sets, results, runs, visible
+from drivecal.storage.audits import AuditCount
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.results import StoredEvaluation
+
+LARGEST_AGREEMENT = 1
+"""Scores that differ by more are wrong (Eq. 8)."""
+
+
+@dataclass(frozen=True)
+class _Case:
+    """A cell with all that decided over it."""
+
+    connection: Connection
+    cell: StoredEvaluation
+    campaign: StoredCampaign
+
+    @cached_property
+    def specification(self) -> CampaignSpecification | None:
+        """Of the campaign; None of a single evaluation."""
+        return None if self.campaign.kind == "evaluation" else CampaignSpecification.model_validate(self.campaign.spec)
+
+    @cached_property
+    def influence_map(self) -> InfluenceMap | None:
+        if self.campaign.influence_map_id is None:
+            return None
+        return map_from_document(influence_maps.get(self.connection, self.campaign.influence_map_id).scenarios)
+
+    @cached_property
+    def comparison(self) -> Comparison:
+        own = self.cell.parameter_set_id
+        parameters = parameter_sets.load(self.connection, [own])[own]
+        ranges = {one.name: billionths(one.upper) - billionths(one.lower) for one in self._space}
+        return Comparison(
+            self.influence_map or InfluenceMap({}),
+            self.cell.scenario,
+            parameters.names,
+            np.array(parameters.billionths, dtype=np.int64),
+            np.array([ranges[name] for name in parameters.names], dtype=np.int64),
+        )
+
+    @cached_property
+    def evaluator(self) -> str:
+        """Who rated the campaign's cells: the campaign's evaluator in the installed version."""
+        return self._resolved[0]
+
+    @property
+    def _space(self) -> Sequence[Parameter]:
+        return self._resolved[1]
+
+    @cached_property
+    def _resolved(self) -> tuple[str, Sequence[Parameter]]:
+        if self.specification is None:
+            bench = resolve_evaluation(EvaluationSpecification.model_validate(self.campaign.spec)).bench
+            return bench.evaluator_id, next(iter(bench.driving_function.spaces.values()))
+        problem = resolve(self.specification)
+        return problem.bench.evaluator_id, problem.space.parameters
+
+
+def explain(connection: Connection, evaluation_id: int) -> Explanation:
+    """Why an evaluation was answered as it was. Raises NotFoundError, and InvalidInputError where its plug-ins are gone."""
+    cell = results.by_id(connection, evaluation_id)
+    case = _Case(connection, cell, campaigns.by_sequence(connection, cell.campaign_sequence))
+    if cell.plan is Outcome.SIMULATED and not cell.audited:
+        return _not_reused(case)
+    reason: Reason = "audited" if cell.audited else _REASONS[cell.plan]
+    if cell.reference is None:
+        raise AssertionError(f"evaluation {cell.id} names no reference")
+    reference, differences = _reference(case, cell.reference)
+    return _explanation(
+        case, reason, reference=reference, differences=differences, audit=_audit(case, reference) if cell.audited else None
+    )
+
+
+_REASONS: Mapping[Outcome, Reason] = {
+    Outcome.REPEATED: "repeated",
+    Outcome.REUSED: "reused",
+    Outcome.CERTIFIED: "certified",
+}
+
+
+def _not_reused(case: _Case) -> Explanation:
+    reason, stop = _forbidden(case)
+    if reason is not None:
+        return _explanation(case, reason, stop=stop)
+    found, stored = _nearest(case)
+    if found is None:
+        return _explanation(case, "nothing_stored", stored=0)
+    reference, differences = _reference(case, found.evaluation)
+    return _explanation(
+        case,
+        "blocked" if found.blocking else "unanswered",
+        reference=reference,
+        differences=differences,
+        distance=found.distance,
+        stored=stored,
+    )
+
+
+def _forbidden(case: _Case) -> tuple[Reason | None, tuple[int, AuditCount] | None]:
+    """Why nothing could be reused at all; where the self-check stopped it, after which iteration and by which audits."""
+    specification, cell = case.specification, case.cell
+    if specification is None:
+        return "exact_only", None
+    if specification.reduction.mode == "off":
+        return "off", None
+    if cell.stage is Stage.SENSITIVITY:
+        return "analysis", None
+    if specification.reduction.mode == "exact":
+        return "exact_only", None
+    if case.influence_map is None:
+        return "no_map", None
+    rate = case.campaign.error_rate.get(cell.scenario)
+    if rate is not None and rate.stopped:
+        counts = audits.by_iteration(case.connection, case.campaign.sequence, cell.scenario, case.evaluator)
+        stop = stopped_after(counts, specification.reduction.max_error)
+        if stop is not None and cell.iteration > stop[0]:
+            return "stopped", stop
+    return None, None
+
+
+def _nearest(case: _Case) -> tuple[Nearest | None, int]:
+    """The nearest of all sets that the campaign saw when it asked, and how many those were. References of earlier campaigns come before
+    its own."""
+    cell, names = case.cell, tuple(case.cell.parameters)
+    watermark = case.campaign.watermark or 0
+    nearest: Nearest | None = None
+    stored = 0
+    place = (cell.stage, cell.iteration, cell.individual)
+    sources = (
+        visible.stored_sets(case.connection, cell.setup_id, watermark, names),
+        visible.own_sets(case.connection, cell.campaign_sequence, cell.scenario, place, names),
+    )
+    for rank, source in enumerate(sources):
+        for sets in source:
+            stored += len(sets.values)
+            places = np.insert(sets.places, 0, rank, axis=1)
+            found = case.comparison.nearest(sets.values, places, sets.evaluations)
+            if found is not None and (nearest is None or found.order < nearest.order):
+                nearest = found
+    return nearest, stored
+
+
+def _reference(case: _Case, evaluation_id: int) -> tuple[Reference, list[Difference]]:
+    donor = results.by_id(case.connection, evaluation_id)
+    stored = parameter_sets.load(case.connection, [donor.parameter_set_id])[donor.parameter_set_id]
+    by_name = dict(zip(stored.names, stored.billionths, strict=True))
+    values = np.array([by_name[name] for name in case.cell.parameters], dtype=np.int64)
+    score = donor.score
+    if donor.run_id is not None and donor.campaign_sequence != case.campaign.sequence:
+        score = runs.scores(connection=case.connection, run_ids=[donor.run_id], evaluator=case.evaluator).get(
+            donor.run_id, score
+        )
+    reference = Reference(
+        evaluation=donor.id,
+        campaign=campaigns.by_sequence(case.connection, donor.campaign_sequence).id,
+        stage=donor.stage,
+        iteration=donor.iteration,
+        individual=donor.individual,
+        score=score,
+        failure=donor.failure,
+    )
+    return reference, [_difference(one) for one in case.comparison.differences(values)]
+
+
+def _difference(one: explanation.Difference) -> Difference:
+    influence = one.influence
+    return Difference(
+        parameter=one.parameter,
+        value=float(from_billionths(one.value)),
+        reference_value=float(from_billionths(one.reference_value)),
+        region=one.region,
+        reference_region=one.reference_region,
+        lower=None if influence.lower is None else float(influence.lower),
+        upper=None if influence.upper is None else float(influence.upper),
+        blocks=one.blocks,
+    )
+
+
+def _audit(case: _Case, reference: Reference) -> Audit:
+    own, donor = case.cell.score, reference.score
+    known = own is not None and donor is not None
+    change = abs((own or 0) - (donor or 0))
+    return Audit(
+        score=own,
+        reference_score=donor,
+        agrees=change == 0 if known else None,
+        wrong=change > LARGEST_AGREEMENT if known else None,
+    )
+
+
+def _explanation(
+    case: _Case,
+    reason: Reason,
+    *,
+    reference: Reference | None = None,
+    differences: Sequence[Difference] = (),
+    audit: Audit | None = None,
+    distance: float | None = None,
+    stored: int | None = None,
+    stop: tuple[int, AuditCount] | None = None,
+) -> Explanation:
+    cell = case.cell
+    found = Explanation(
+        evaluation=cell.id,
+        campaign=case.campaign.id,
+        stage=cell.stage,
+        iteration=cell.iteration,
+        individual=cell.individual,
+        scenario=cell.scenario,
+        outcome=cell.outcome,
+        score=cell.score,
+        failure=cell.failure,
+        reason=reason,
+        sentence="",
+        reference=reference,
+        differences=list(differences),
+        audit=audit,
+        distance=distance,
+        stored=stored,
+    )
+    return found.model_copy(update={"sentence": sentence(found, stop)})

@@ -1,0 +1,105 @@
+"""Explanations in words. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from drivecal.contracts.explanation import Difference, Explanation, Reference
+from drivecal.storage.audits import AuditCount
+
+
+def sentence(one: Explanation, stop: tuple[int, AuditCount] | None = None) -> str:
+    """What an explanation says, in a sentence or two. `stop`: after which iteration and by which audits reuse was stopped."""
+    beginning = {None: "To be simulated", "failed": "Sent to be simulated, without a result"}.get(one.outcome, "Simulated")
+    where = "" if one.reference is None else _where(one.reference, one.campaign)
+    match one.reason:
+        case "repeated":
+            return f"{_copied('Repeated', one)}: {where} has the same parameter set in the same setup."
+        case "reused" | "certified":
+            listed = _listed(one.differences)
+            return f"{_copied(one.reason.capitalize(), one)}: {where} differs only where {one.scenario} is not influenced: {listed}."
+        case "audited":
+            return f"{beginning} to check the reduction, which would have reused {where}: {_listed(one.differences)}. {_verdict(one)}"
+        case "blocked":
+            blocking = [difference for difference in one.differences if difference.blocks]
+            count = f"{len(blocking)} parameter{'s' if len(blocking) != 1 else ''}"
+            nearest = f"the nearest, {where}, is blocked by {count}: {_listed(blocking)}"
+            return f"{beginning}: none of {one.stored:,} stored sets fits; {nearest}."
+        case "nothing_stored":
+            return f"{beginning}: nothing was stored for this setup when the campaign asked."
+        case "unanswered":
+            return f"{beginning}: the cell that was to answer it ended without a result; since then {where} would fit."
+        case "stopped":
+            return f"{beginning}: {_stopped(one.scenario, stop)}"
+        case "no_map":
+            return f"{beginning}: without an influence map only equal parameter sets are answered from the table, and this one was new."
+        case "exact_only":
+            return (
+                f"{beginning}: only equal parameter sets are answered from the table here (exact only), and this one was new."
+            )
+        case "off":
+            return f"{beginning}: reuse is off in this campaign (reduction.mode: off)."
+        case "analysis":
+            return f"{beginning}: the sensitivity analysis makes the map that reuse rests on, so it takes equal parameter sets only."
+
+
+def _copied(done: str, one: Explanation) -> str:
+    return f"{done} (its answer is awaited)" if one.outcome is None else done
+
+
+def _where(reference: Reference, campaign: str) -> str:
+    place = f"{reference.stage} iteration {reference.iteration}, individual {reference.individual}"
+    owner = "" if reference.campaign == campaign else f" of campaign {reference.campaign}"
+    return f"evaluation {reference.evaluation} ({place}{owner})"
+
+
+def _listed(differences: Sequence[Difference]) -> str:
+    return "; ".join(map(_difference, differences)) or "no parameter differs"
+
+
+def _difference(one: Difference) -> str:
+    return f"{one.parameter} is {one.value:g} here and {one.reference_value:g} there ({_regions(one)})"
+
+
+def _regions(one: Difference) -> str:
+    if one.region == "anywhere":
+        return "of no influence"
+    if one.region == one.reference_region and one.region != "influential":
+        return f"both {_region(one, one.region)}"
+    if one.region == one.reference_region:
+        return f"both {_bounds(one)}"
+    return f"{_region(one, one.region)} and {_region(one, one.reference_region)}"
+
+
+def _region(one: Difference, region: str) -> str:
+    if region == "below":
+        return f"below {one.lower:g}"
+    return f"above {one.upper:g}" if region == "above" else _bounds(one)
+
+
+def _bounds(one: Difference) -> str:
+    if one.lower is None and one.upper is None:
+        return "influential everywhere"
+    if one.lower is None:
+        return f"influential up to {one.upper:g}"
+    if one.upper is None:
+        return f"influential from {one.lower:g} on"
+    return f"influential from {one.lower:g} to {one.upper:g}"
+
+
+def _verdict(one: Explanation) -> str:
+    audit = one.audit
+    if audit is None or audit.agrees is None or audit.score is None:
+        return "The two cannot be compared: one of them has no result." if one.outcome else "Its answer is awaited."
+    scores = f"the simulation gave {audit.score}, the reference {audit.reference_score}"
+    if audit.agrees:
+        return f"They agree: {scores}."
+    return f"Reuse would have been wrong: {scores}." if audit.wrong else f"They differ by no more than 1: {scores}."
+
+
+def _stopped(scenario: str, stop: tuple[int, AuditCount] | None) -> str:
+    if stop is None:
+        return f"the self-check had stopped reuse in {scenario}."
+    iteration, count = stop
+    audits = f"{count.wrong} of {count.audited} audited cells were wrong"
+    return f"the self-check stopped reuse in {scenario} after iteration {iteration}: {audits}."

@@ -1,0 +1,120 @@
+"""Why a stored set may, or may not, answer a cell: the parameters in which they differ, and the regions in which their values lie.
+
+Reference keys say whether two sets are of one class (`drivecal.reduction.keys`); this says by which parameters they are not. Pure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from drivecal.contracts.explanation import Region
+from drivecal.domain.influence import Influence, InfluenceMap
+from drivecal.domain.parameters import billionths
+
+Integers = npt.NDArray[np.int64]
+Floats = npt.NDArray[np.float64]
+
+_NONE_BELOW, _NONE_ABOVE = np.iinfo(np.int64).min, np.iinfo(np.int64).max
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """A parameter in which a cell and a stored set differ; values in billionths. It `blocks` where a change may change the score."""
+
+    parameter: str
+    value: int
+    reference_value: int
+    region: Region
+    reference_region: Region
+    influence: Influence
+    blocks: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Nearest:
+    """A stored set: how many parameters block it, how far it is away in them, its place in the order of references, its evaluation."""
+
+    blocking: int
+    distance: float
+    place: tuple[int, ...]
+    evaluation: int
+
+    @property
+    def order(self) -> tuple[int, float, tuple[int, ...]]:
+        """Sorts the nearest first."""
+        return self.blocking, self.distance, self.place
+
+
+class Comparison:
+    """Compares one cell with stored sets, under an influence map in one scenario."""
+
+    def __init__(
+        self, influence_map: InfluenceMap, scenario: str, names: Sequence[str], values: Integers, ranges: Integers
+    ) -> None:
+        """`values`: the cell's, in billionths in the order of `names`, shape (n_p,); `ranges`: the extent of each parameter, by which
+        distances are measured, positive, in billionths, shape (n_p,)."""
+        self._names = tuple(names)
+        self._influences = [influence_map.influence(scenario, name) for name in names]
+        self._values = values
+        self._ranges = ranges
+        self._matters = np.array([one.influential for one in self._influences])
+        self._lower = np.array([_NONE_BELOW if one.lower is None else billionths(one.lower) for one in self._influences])
+        self._upper = np.array([_NONE_ABOVE if one.upper is None else billionths(one.upper) for one in self._influences])
+
+    def blocking(self, stored: Integers) -> npt.NDArray[np.bool_]:
+        """Which parameters of which stored sets forbid reuse, shape (n, n_p), for `stored` in billionths, shape (n, n_p)."""
+        both_below = (stored < self._lower) & (self._values < self._lower)
+        both_above = (stored > self._upper) & (self._values > self._upper)
+        blocks: npt.NDArray[np.bool_] = self._matters & (stored != self._values) & ~both_below & ~both_above
+        return blocks
+
+    def distances(self, stored: Integers, blocking: npt.NDArray[np.bool_]) -> Floats:
+        """Euclidean, of the blocking parameters alone, each in units of its range, shape (n,): what differs elsewhere does not matter."""
+        total = np.zeros(len(stored))
+        for column in range(len(self._names)):  # one column after the other: the same bits whatever the number of rows
+            share = (stored[:, column] - self._values[column]) / self._ranges[column]
+            total += np.where(blocking[:, column], share * share, 0.0)
+        return np.sqrt(total)
+
+    def nearest(self, stored: Integers, places: Integers, evaluations: Integers) -> Nearest | None:
+        """The stored set with the fewest blocking parameters, then the smallest distance, then the first place in the order of references.
+
+        `places`: what references are ordered by, shape (n, k); `evaluations`: their ids, shape (n,). None where nothing is stored. Of two
+        chunks of stored sets the one with the smaller `order` is the nearest of both.
+        """
+        if not len(stored):
+            return None
+        blocking = self.blocking(stored)
+        counts, distances = blocking.sum(axis=1), self.distances(stored, blocking)
+        columns = [places[:, column] for column in reversed(range(places.shape[1]))]
+        first = int(np.lexsort([*columns, distances, counts])[0])
+        place = tuple(int(one) for one in places[first])
+        return Nearest(int(counts[first]), float(distances[first]), place, int(evaluations[first]))
+
+    def differences(self, stored: Integers) -> list[Difference]:
+        """Every parameter in which one stored set, shape (n_p,), differs from the cell; in the order of the names."""
+        blocking = self.blocking(stored[np.newaxis, :])[0]
+        return [
+            Difference(
+                parameter=name,
+                value=int(self._values[column]),
+                reference_value=int(stored[column]),
+                region=self._region(column, int(self._values[column])),
+                reference_region=self._region(column, int(stored[column])),
+                influence=self._influences[column],
+                blocks=bool(blocking[column]),
+            )
+            for column, name in enumerate(self._names)
+            if stored[column] != self._values[column]
+        ]
+
+    def _region(self, column: int, value: int) -> Region:
+        if not self._matters[column]:
+            return "anywhere"
+        if value < self._lower[column]:
+            return "below"
+        return "above" if value > self._upper[column] else "influential"

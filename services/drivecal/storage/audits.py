@@ -1,0 +1,124 @@
+"""The self-check: what audited cells scored against the donors that were not trusted, and results that contradict each other.
+
+A donor's score is its run's rating by the campaign's own evaluator: the evaluation that made the run may have been rated by another one.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import Connection, FromClause, case, func, select, update
+
+from drivecal.domain.campaigns import Stage
+from drivecal.domain.evaluations import Outcome
+from drivecal.storage.evaluations import DONORS
+from drivecal.storage.tables import evaluations, ratings, reference_keys
+
+_donor = evaluations.alias("donor")
+_trusted = ratings.alias("trusted")
+
+
+@dataclass(frozen=True, slots=True)
+class AuditCount:
+    """The self-check of one scenario: `different`: any change of the score; `wrong`: by more than 1 (Eq. 8 of the paper)."""
+
+    scenario: str
+    audited: int
+    different: int
+    wrong: int
+
+
+def settle(connection: Connection, campaign_sequence: int, stage: Stage, iteration: int, evaluator: str) -> None:
+    """Writes down for the audited cells of a finished iteration whether the donor that was not trusted had the same score."""
+    score = (
+        select(_trusted.c.score)
+        .join(_donor, _donor.c.run_id == _trusted.c.run_id)
+        .where(_donor.c.id == evaluations.c.reference, _trusted.c.evaluator == evaluator)
+        .scalar_subquery()
+    )
+    connection.execute(
+        update(evaluations)
+        .where(
+            evaluations.c.campaign_sequence == campaign_sequence,
+            evaluations.c.stage == stage,
+            evaluations.c.iteration == iteration,
+            evaluations.c.audited,
+            evaluations.c.outcome == Outcome.SIMULATED,
+        )
+        .values(agrees=evaluations.c.score == score)
+    )
+
+
+def count(connection: Connection, campaign_sequence: int, evaluator: str) -> list[AuditCount]:
+    """What the self-check of a campaign found so far, by scenario: simulated scores against those of the donors."""
+    query = (
+        select(evaluations.c.scenario, *_CHANGES)
+        .select_from(_audited(evaluator))
+        .where(*_settled(campaign_sequence))
+        .group_by(evaluations.c.scenario)
+        .order_by(evaluations.c.scenario)
+    )
+    return [AuditCount(*row) for row in connection.execute(query)]
+
+
+def by_iteration(connection: Connection, campaign_sequence: int, scenario: str, evaluator: str) -> list[tuple[int, AuditCount]]:
+    """The same of each iteration alone, of one scenario, in order."""
+    query = (
+        select(evaluations.c.iteration, evaluations.c.scenario, *_CHANGES)
+        .select_from(_audited(evaluator))
+        .where(*_settled(campaign_sequence), evaluations.c.scenario == scenario)
+        .group_by(evaluations.c.iteration, evaluations.c.scenario)
+        .order_by(evaluations.c.iteration)
+    )
+    return [(iteration, AuditCount(*rest)) for iteration, *rest in connection.execute(query)]
+
+
+def contradictions(
+    connection: Connection, campaign_sequence: int, influence_map_sequence: int | None, evaluator: str, watermark: int
+) -> dict[str, int]:
+    """Under how many reference keys simulated results differ in their score, by scenario; scenarios without any are left out.
+
+    Compared are the campaign's own simulated cells with each other, and with the stored references of their keys up to `watermark`.
+    """
+    stored_key, stored = reference_keys.alias("stored_key"), ratings.alias("stored")
+    joined = evaluations.outerjoin(
+        stored_key,
+        (stored_key.c.influence_map_sequence == influence_map_sequence)
+        & (stored_key.c.setup_id == evaluations.c.setup_id)
+        & (stored_key.c.key == evaluations.c.reference_key)
+        & (stored_key.c.run_id <= watermark),
+    ).outerjoin(stored, (stored.c.run_id == stored_key.c.run_id) & (stored.c.evaluator == evaluator))
+    own, other = evaluations.c.score, stored.c.score
+    contradicting = (
+        select(evaluations.c.scenario)
+        .select_from(joined)
+        .where(
+            evaluations.c.campaign_sequence == campaign_sequence,
+            evaluations.c.reference_key.is_not(None),
+            evaluations.c.plan.in_(DONORS),
+            evaluations.c.outcome.in_(DONORS),
+        )
+        .group_by(evaluations.c.scenario, evaluations.c.reference_key)
+        .having((func.min(own) != func.max(own)) | (func.min(other) != func.max(other)) | (func.min(other) != func.min(own)))
+    )
+    return dict(Counter(connection.scalars(contradicting)))
+
+
+_CHANGE = func.abs(evaluations.c.score - _trusted.c.score)
+_CHANGES = func.count(), func.count(case((_CHANGE > 0, 1))), func.count(case((_CHANGE > 1, 1)))
+
+
+def _audited(evaluator: str) -> FromClause:
+    return evaluations.join(_donor, _donor.c.id == evaluations.c.reference).join(
+        _trusted, (_trusted.c.run_id == _donor.c.run_id) & (_trusted.c.evaluator == evaluator)
+    )
+
+
+def _settled(campaign_sequence: int) -> tuple[Any, ...]:
+    return (
+        evaluations.c.campaign_sequence == campaign_sequence,
+        evaluations.c.audited,
+        evaluations.c.outcome == Outcome.SIMULATED,
+    )

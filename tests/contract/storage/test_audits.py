@@ -1,0 +1,104 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from sqlalchemy import Connection
+from tests.support.storage import EVALUATOR, campaign, new_run, sample_set_ids, setup_id, simulate
+
+from drivecal.domain.campaigns import Stage
+from drivecal.domain.evaluations import Outcome
+from drivecal.storage import audits, evaluations, reference_keys, results, runs
+from drivecal.storage.audits import AuditCount
+from drivecal.storage.database import Database
+from drivecal.storage.evaluations import NewEvaluation
+
+SIMULATED = Outcome.SIMULATED
+KEY, OTHER_KEY = b"k" * 16, b"o" * 16
+
+
+def cell(individual: int, setup: int, parameter_set: int, **changes: object) -> NewEvaluation:
+    one = NewEvaluation(Stage.CALIBRATION, 0, individual, "S1", setup, parameter_set, SIMULATED)
+    return replace(one, **changes)  # type: ignore[arg-type]
+
+
+def audited(connection: Connection) -> tuple[int, list[int]]:
+    """A campaign with a donor of score 5 and audits of it: scores 5, 4 in iteration 1, 2 in iteration 2, one pending."""
+    sequence, setup = campaign(connection).sequence, setup_id(connection)
+    sets = sample_set_ids(connection, 6)
+    simulate(connection, sequence, [cell(0, setup, sets[0])], score=5)
+    donor = evaluations.own_exact(connection, sequence, "S1", sets)[sets[0]]
+    ids: list[int] = []
+    for number, (iteration, score) in enumerate([(1, 5), (1, 4), (2, 2)], 1):
+        one = cell(number, setup, sets[number], iteration=iteration, donor=donor, audited=True)
+        ids += simulate(connection, sequence, [one], score=score)
+    ids += evaluations.insert(connection, sequence, [cell(4, setup, sets[4], iteration=2, donor=donor, audited=True)])
+    evaluations.insert(connection, sequence, [cell(5, setup, sets[5], iteration=2, plan=Outcome.REUSED, donor=donor)])
+    return sequence, ids
+
+
+def test_audits_are_counted_for_the_campaign_and_by_iteration(database: Database) -> None:
+    with database.transaction() as connection:
+        sequence, _ = audited(connection)
+        assert audits.count(connection, sequence, EVALUATOR) == [AuditCount("S1", audited=3, different=2, wrong=1)]
+        assert audits.by_iteration(connection, sequence, "S1", EVALUATOR) == [
+            (1, AuditCount("S1", audited=2, different=1, wrong=0)),
+            (2, AuditCount("S1", audited=1, different=1, wrong=1)),
+        ]
+        assert audits.by_iteration(connection, sequence, "S2", EVALUATOR) == []
+
+
+def test_audits_are_settled_by_comparing_the_score_with_the_donors(database: Database) -> None:
+    with database.transaction() as connection:
+        sequence, (equal, other, later, waiting) = audited(connection)
+        audits.settle(connection, sequence, Stage.CALIBRATION, 1, EVALUATOR)
+        agrees = {one.id: one.agrees for one in results.stream(connection, sequence) if one.audited}
+    assert agrees == {equal: True, other: False, later: None, waiting: None}
+
+
+def test_a_donor_counts_as_the_campaigns_own_evaluator_rates_it(database: Database) -> None:
+    """The evaluation that made a run may have been rated by another evaluator: its score is not the one to compare with."""
+    with database.transaction() as connection:
+        sequence, setup = campaign(connection).sequence, setup_id(connection)
+        sets = sample_set_ids(connection, 2)
+        simulate(connection, campaign(connection).sequence, [cell(0, setup, sets[0])], score=5)
+        rated = new_run(setup, sets[0], evaluator="learned 1", score=2, rating=2.0)
+        runs.insert_results(connection, [rated])
+        donor = runs.look_up_exact(connection, setup, sets, "learned 1", 10**6)[sets[0]]
+        audit = cell(1, setup, sets[1], donor=donor, audited=True)
+        simulate(connection, sequence, [audit], score=2)
+        assert audits.count(connection, sequence, "learned 1") == [AuditCount("S1", audited=1, different=0, wrong=0)]
+        audits.settle(connection, sequence, Stage.CALIBRATION, 0, "learned 1")
+        assert [one.agrees for one in results.stream(connection, sequence)] == [True]
+
+
+@pytest.mark.parametrize(("scores", "expected"), [((5, 5), {}), ((5, 4), {"S1": 1}), ((5, 4, 3), {"S1": 1})])
+def test_different_scores_under_one_key_contradict_each_other_once(
+    database: Database, scores: tuple[int, ...], expected: dict[str, int]
+) -> None:
+    with database.transaction() as connection:
+        sequence, setup = campaign(connection).sequence, setup_id(connection)
+        sets = sample_set_ids(connection, len(scores) + 2)
+        for number, score in enumerate(scores):
+            simulate(connection, sequence, [cell(number, setup, sets[number], reference_key=KEY)], score=score)
+        others = [cell(90, setup, sets[-1], reference_key=OTHER_KEY), cell(91, setup, sets[-2])]
+        simulate(connection, sequence, others, score=1)
+        simulate(connection, sequence, [cell(0, setup, sets[0], scenario="S2", reference_key=KEY)], score=0)
+        other = campaign(connection).sequence
+        simulate(connection, other, [cell(0, setup, sets[-1], reference_key=KEY)], score=0)
+        assert audits.contradictions(connection, sequence, None, EVALUATOR, 10**6) == expected
+
+
+def test_a_stored_reference_contradicts_as_well_but_only_one_that_the_campaign_sees(database: Database) -> None:
+    with database.transaction() as connection:
+        first, sequence, setup = campaign(connection).sequence, campaign(connection).sequence, setup_id(connection)
+        sets = sample_set_ids(connection, 2)
+        simulate(connection, first, [cell(0, setup, sets[0])], score=5)
+        watermark = runs.largest_id(connection)
+        simulate(connection, sequence, [cell(0, setup, sets[1], reference_key=KEY)], score=3)
+    reference_keys.sync(database, 1, setup, watermark, lambda _, values: [KEY] * len(values))
+    with database.read() as connection:
+        assert audits.contradictions(connection, sequence, 1, EVALUATOR, watermark) == {"S1": 1}
+        assert audits.contradictions(connection, sequence, 1, EVALUATOR, watermark - 1) == {}
+        assert audits.contradictions(connection, sequence, 1, "learned 1", watermark) == {}
+        assert audits.contradictions(connection, sequence, 2, EVALUATOR, watermark) == {}
