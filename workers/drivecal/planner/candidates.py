@@ -1,6 +1,6 @@
 """The candidate set: where lateral and longitudinal plans end, and the desired speed along the road. Independent of any parameter.
 
-Every lateral plan is combined with every longitudinal one: 24 x 11 = 264 candidates.
+Every lateral plan is combined with every longitudinal one: 24 x 12 = 288 candidates.
 """
 
 from __future__ import annotations
