@@ -35,7 +35,7 @@ TERMS = (
     Term("P6", 1.0, "s", 0.5, "time until the target lane is reached"),  # what 1.5 s more of lane change cost
     Term("P7", 0.08, "1", 100.0, "mean shortfall of an ellipse of clear space around other vehicles"),  # passing side by side
     Term("P8", 0.02, "1/s²", 1000.0, "largest 1/TTC² to a vehicle ahead"),  # 7 s to collision
-    Term("P9", 0.25, "1", 5.0, "mean of (shortfall of clear space to the lane boundary / 0.7 m)²"),  # 0.35 m too near
+    Term("P9", 0.25, "1", 5.0, "mean of (shortfall of clear space to the lane boundary / 0.5 m)²"),  # 0.25 m too near
     Term("P10", 0.02, "1/s²", 10.0, "mean of (lateral closing speed / lateral gap)² to neighbours alongside"),
     Term("P11", 0.02, "1/s²", 100.0, "largest 1/TTC² of a follower in the target lane"),  # 7 s to collision
 )

@@ -53,9 +53,10 @@ CLEAR_SIDE = 2.0
 CLEAR_TIME = 1.0
 SHORTEST_CLEARANCE = 5.0
 """P7: half axes of the ellipse of clear space around a vehicle, between the bodies: 2 m, one second (at least 5 m)."""
-ARRIVED, NOT_ARRIVED = 0.6, 1.2
-"""P6: m beside the target lane's centre; the time between counts in part, so that the feature is continuous."""
-BOUNDARY_SPACE = 0.7
+ARRIVED, NOT_ARRIVED = 1.0, 1.8
+"""P6: m beside the target lane's centre, around the marking at half a lane; the time between counts in part (no jump). It is a matter of
+lane changes: inside the lane everything has arrived, offsets are what P3 and P9 judge."""
+BOUNDARY_SPACE = 0.5
 """P9: m between the vehicle's side and the lane boundary."""
 LARGEST_CHANGE = 0.5
 """P5: m, differences to the plan before saturate around this: another decision is another decision, however far it leads."""

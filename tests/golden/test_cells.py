@@ -1,0 +1,98 @@
+"""What a handful of cells gave, to the last digit: numerics shall not change without anybody noticing.
+
+Stored results are found again by fingerprint, so whoever changes what a run gives must change a version: `FRENET.version` follows its
+sources, `SINGLE_TRACK.version`, `REFERENCE.version` and `drivecal.plugins.setups.CLOSED_LOOP` (traffic, episode and metrics) are
+counted up by hand, a scenario's digest follows its definition. Then write the file anew: `python tests/golden/test_cells.py`.
+
+Another processor or libm may differ in the last bits, so the file is compared within a tight tolerance; on one machine two
+fresh processes must agree in every bit.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from drivecal.comfort.plugin import REFERENCE
+from drivecal.episode.runner import Runner
+from drivecal.planner.plugin import FRENET
+from drivecal.plugins.setups import simulator
+from drivecal.scenarios.plugin import HIGHWAY
+from drivecal.vehicle.plugin import SINGLE_TRACK
+
+FILE = Path(__file__).with_name("cells.json")
+SETS: dict[str, list[float]] = {
+    "calm": [11.0, 0.04, 174, 1692, 153, 0.67, 73, 195, 5.8, 9.9, 164],
+    "middle": [-0.5, 1, 100, 1000, 750, 0.5, 100, 1000, 5, 10, 100],
+    "hasty": [-14.5, 0.06, 182, 235, 132, 0.77, 124, 1486, 5.9, 8.3, 87],
+}
+METRICS = ("peak_lateral_jerk_mps3", "peak_longitudinal_acceleration_mps2", "offset_rms_m", "final_speed_error_mps")
+
+
+def versions() -> dict[str, str]:
+    """What the results are promised for."""
+    digests = {name: scenario.digest for name, scenario in HIGHWAY.scenarios.items()}
+    plugins = {"driving function": FRENET.version, "vehicle": SINGLE_TRACK.version, "evaluator": REFERENCE.version}
+    return plugins | {"simulator": simulator()} | digests
+
+
+def results() -> dict[str, dict[str, Any]]:
+    """Score, failure, and floats in hexadecimal, by cell."""
+    found: dict[str, dict[str, Any]] = {}
+    for name, scenario in HIGHWAY.scenarios.items():
+        vehicle = SINGLE_TRACK.create({parameter.name: parameter.nominal for parameter in SINGLE_TRACK.parameters})
+        runner = Runner(scenario, FRENET, vehicle, REFERENCE)
+        for label, parameters in SETS.items():
+            result = runner.run(parameters)
+            floats = {"rating": result.rating.rating} | {metric: result.metrics[metric] for metric in METRICS}
+            found[f"{name} {label}"] = {
+                "score": result.rating.score,
+                "failure": result.failure,
+                "floats": {metric: value.hex() for metric, value in floats.items()},
+            }
+    return found
+
+
+def in_a_fresh_process() -> str:
+    return subprocess.run([sys.executable, __file__, "--show"], capture_output=True, text=True, check=True).stdout
+
+
+def test_the_golden_cells_give_what_they_gave() -> None:
+    golden = json.loads(FILE.read_text())
+    promised = golden["versions"] == versions()
+    remedy = (
+        "no version changed: count up the one that belongs to the change, then write the file anew"
+        if promised
+        else "a version changed, so this may be on purpose: then write the file anew (python tests/golden/test_cells.py)"
+    )
+    found = results()
+    assert set(found) == set(golden["cells"]), remedy
+    for cell, was in golden["cells"].items():
+        now = found[cell]
+        assert (now["score"], now["failure"]) == (was["score"], was["failure"]), f"{cell}: {remedy}"
+        for metric, value in was["floats"].items():
+            expected = pytest.approx(float.fromhex(value), rel=1e-9, abs=1e-9)
+            assert float.fromhex(now["floats"][metric]) == expected, f"{cell}, {metric}: {remedy}"
+
+
+def test_the_golden_cells_show_good_and_bad_driving() -> None:
+    scores = {cell: was["score"] for cell, was in json.loads(FILE.read_text())["cells"].items()}
+    assert all(scores[f"{name} calm"] > scores[f"{name} hasty"] for name in ("S1", "S2", "S4", "S6"))
+
+
+def test_two_fresh_processes_give_the_same_bits_as_this_one() -> None:
+    here = json.dumps(results())
+    assert in_a_fresh_process() == here
+    assert in_a_fresh_process() == here
+
+
+if __name__ == "__main__":
+    if "--show" in sys.argv:
+        sys.stdout.write(json.dumps(results()))
+    else:
+        FILE.write_text(json.dumps({"versions": versions(), "cells": results()}, indent=1) + "\n")
