@@ -122,13 +122,15 @@ class CalibrationProblem:
             proposed = chosen.population * chosen.iterations * len(self.scenarios)
             requested = chosen.plugin.requested_individuals(chosen.settings) * len(self.scenarios)
         phases = {} if analysis is None else analysis.expected_runs()
+        intervals = phases.get("intervals", 0) * len(self.scenarios)
         return ExpectedRuns(
-            sensitivity=phases.get("intervals", 0) * len(self.scenarios),
+            sensitivity=intervals,
             sensitivity_at_most=sum(phases.values()) * len(self.scenarios),
             calibration_proposed=proposed,
             calibration_at_most=requested,
             robustness=0,
             validation=0,
+            break_even_share=intervals / requested if intervals and requested else None,
             notes=list(self.notes),
         )
 

@@ -6,15 +6,20 @@ from typing import Annotated
 
 from fastapi import APIRouter, Header, Response
 from fastapi.responses import JSONResponse
+from sqlalchemy import Connection
 
 from drivecal.api import submission
 from drivecal.api.answers import ROOT, campaign_answer, etag
 from drivecal.api.bodies import StrictRoute
 from drivecal.api.dependencies import DatabaseDependency, IdempotencyKey
 from drivecal.api.queries import CampaignsQuery, SubmissionQuery
+from drivecal.campaigns.accounting import MapOrigin, account
+from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns
 from drivecal.contracts.specification import CampaignSpecification, RerunSpecification
-from drivecal.storage import campaigns
+from drivecal.domain.campaigns import Stage
+from drivecal.domain.errors import ConflictError
+from drivecal.storage import campaigns, costs, influence_maps
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.database import Database
 from drivecal.storage.types import now
@@ -64,6 +69,29 @@ def read(
     if if_none_match is not None and _matches(if_none_match, tag):
         return Response(status_code=304, headers=headers)
     return JSONResponse(campaign.model_dump(mode="json"), headers=headers)
+
+
+@router.get("/{campaign_id}/accounting")
+def accounting(campaign_id: str, database: DatabaseDependency) -> Accounting:
+    """What answering cells without a simulation saved so far, what the sensitivity stage cost, and from when on its map pays."""
+    with database.read() as connection:
+        stored = campaigns.get(connection, campaign_id)
+        if stored.kind != "calibration":
+            raise ConflictError(f"{stored.id} is a single evaluation, which saves nothing; GET {ROOT}/evaluations/{stored.id}")
+        found = costs.by_outcome(connection, stored.sequence)
+        origin = _map_origin(connection, stored)
+    known = [*stored.error_rate, *(one.scenario for one in found if one.stage is Stage.CALIBRATION)]
+    return account(stored.id, stored.state, dict.fromkeys(known), found, origin)
+
+
+def _map_origin(connection: Connection, campaign: StoredCampaign) -> MapOrigin | None:
+    if campaign.influence_map_id is None:
+        return None
+    stored = influence_maps.get(connection, campaign.influence_map_id)
+    if stored.basis is None:
+        return MapOrigin(stored.id, made_by=None)
+    maker = campaigns.get(connection, stored.source)
+    return MapOrigin(stored.id, maker.id, costs.by_outcome(connection, maker.sequence))
 
 
 @router.post("/{campaign_id}/pause", status_code=202)

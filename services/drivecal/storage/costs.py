@@ -1,0 +1,50 @@
+"""What the cells of a campaign cost, summed up by how they were answered."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from sqlalchemy import Connection, func, select
+
+from drivecal.domain.campaigns import Stage
+from drivecal.domain.evaluations import Outcome
+from drivecal.storage.tables import evaluations, runs
+
+
+@dataclass(frozen=True, slots=True)
+class CellCosts:
+    """Answered cells of one stage and scenario that have outcome and `audited` in common.
+
+    `seconds`: CPU time that the campaign's own attempts took; `run_seconds`: that of the `runs` stored runs that answered the cells.
+    """
+
+    stage: Stage
+    scenario: str
+    outcome: Outcome
+    audited: bool
+    cells: int
+    seconds: float
+    runs: int
+    run_seconds: float
+
+
+def by_outcome(connection: Connection, campaign_sequence: int) -> list[CellCosts]:
+    """The answered cells of a campaign, ordered by stage and scenario."""
+    group = (evaluations.c.stage, evaluations.c.scenario, evaluations.c.outcome, evaluations.c.audited)
+    query = (
+        select(
+            *group,
+            func.count(),
+            func.coalesce(func.sum(evaluations.c.milliseconds), 0.0),
+            func.count(runs.c.id),
+            func.coalesce(func.sum(runs.c.milliseconds), 0.0),
+        )
+        .select_from(evaluations.outerjoin(runs, runs.c.id == evaluations.c.run_id))
+        .where(evaluations.c.campaign_sequence == campaign_sequence, evaluations.c.outcome.is_not(None))
+        .group_by(*group)
+        .order_by(*group)
+    )
+    return [
+        CellCosts(stage, scenario, Outcome(outcome), audited, cells, own / 1000, stored, answered / 1000)
+        for stage, scenario, outcome, audited, cells, own, stored, answered in connection.execute(query)
+    ]
