@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from drivecal.cli import campaigns, evaluations, explain, influence, influence_maps, maintenance, results, serve
+from drivecal.cli import campaigns, evaluations, explain, influence, influence_maps, maintenance, report, results, serve
 from drivecal.cli.commands import app
 from drivecal.cli.demo import command as demo
 
@@ -21,6 +21,7 @@ __all__ = [
     "influence_maps",
     "main",
     "maintenance",
+    "report",
     "results",
     "serve",
 ]

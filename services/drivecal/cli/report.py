@@ -1,0 +1,36 @@
+"""The command that writes a report."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from drivecal.cli.commands import CampaignArgument, JsonOption, UrlOption, app, connect, full_id
+from drivecal.cli.output import print_json
+from drivecal.client.client import Table
+
+TABLES: tuple[Table, ...] = ("generations", "solutions", "influence")
+
+
+@app.command()
+def report(
+    identifier: CampaignArgument,
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="The folder to write to; made if need be.")],
+    url: UrlOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Write a campaign's figures (SVG and PNG), tables (CSV) and one self-contained page, index.html."""
+    from drivecal.report.findings import collect
+    from drivecal.report.writing import write_report  # matplotlib's second or two, for this command only
+
+    with connect(url) as client:
+        findings = collect(client, full_id(client, identifier))
+        tables: dict[str, Iterator[bytes]] = {name: client.table(findings.campaign.id, name, "csv") for name in TABLES}
+        written = write_report(findings, tables, output)
+    if as_json:
+        print_json({"campaign": findings.campaign.id, "page": str(written[-1]), "files": [str(path) for path in written]})
+    else:
+        typer.echo(f"{written[-1]}: the report, with {len(written) - 1} files beside it")

@@ -1,0 +1,1 @@
+"""The report of a campaign: the paper's figures, tables and one page that a colleague can read and print."""

@@ -1,0 +1,60 @@
+"""Figure 11: the accumulated cells by what answered them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import accumulate
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
+
+from drivecal.contracts.campaign import Generation
+from drivecal.report.drawing import BLUE, GREEN, SKY, VERMILION, style, whole_numbers
+
+OUTCOMES = (
+    ("simulated", "simulated", "#D9D9D9", ""),
+    ("audited", "simulated as an audit", "#B0B0B0", "\\\\\\\\"),
+    ("failed", "failed", VERMILION, "xxxx"),
+    ("certified", "certified", GREEN, "...."),
+    ("repeated", "repeated", SKY, ""),
+    ("reused", "answered by a reference", BLUE, "////"),
+)
+"""Field, label, colour and hatching, from the bottom: what was simulated below, what was saved above."""
+
+
+def cells_figure(generations: Sequence[Generation]) -> Figure:
+    """Requested cells of all iterations up to each, stacked by outcome; outcomes that never occurred are left out."""
+    totals = {field: list(accumulate(_count(one, field) for one in generations)) for field, *_ in OUTCOMES}
+    numbers = [one.iteration + 1 for one in generations]
+    edges = np.append(np.array(numbers) - 0.5, numbers[-1] + 0.5)
+    requested = sum(values[-1] for values in totals.values())
+    saved = sum(totals[field][-1] for field in ("repeated", "reused", "certified")) / max(1, requested)
+    with style():
+        figure = Figure(figsize=(7.4, 3.6), layout="constrained")
+        axes = figure.subplots()
+        base = np.zeros(len(numbers))
+        for field, label, colour, hatch in OUTCOMES:
+            values = totals[field]
+            if not values[-1]:
+                continue
+            share = f"{label}: {values[-1]:,} ({values[-1] / requested:.1%})"
+            part = axes.stairs(base + values, edges, baseline=base, fill=True, facecolor=colour, label=share)
+            part.set(hatch=hatch or None, edgecolor="white", linewidth=0.0)
+            part.set_gid(f"cells.{field}")
+            axes.stairs(base + values, edges, baseline=None, color="#222222", linewidth=0.5)
+            base += values
+        whole_numbers(axes)
+        axes.set(xlabel="iteration", ylabel="accumulated cells", xlim=(edges[0], edges[-1]))
+        axes.set_title(f"{requested:,} requested cells, {saved:.1%} answered without a simulation")
+        axes.set_ylim(0, max(1.0, float(base[-1])) * 1.05)
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
+        handles, labels = axes.get_legend_handles_labels()
+        figure.legend(handles[::-1], labels[::-1], loc="outside right center")
+    return figure
+
+
+def _count(generation: Generation, field: str) -> int:
+    """Audited cells are among the simulated; here each is counted once."""
+    count: int = getattr(generation, field)
+    return count - generation.audited if field == "simulated" else count

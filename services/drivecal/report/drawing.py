@@ -1,0 +1,91 @@
+"""How all figures look, and how they become SVG and PNG: the same bytes for the same data, readable in print and without colours."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+
+DOTS_PER_INCH = 200
+BLUE, SKY, GREEN, VERMILION, ORANGE = "#0072B2", "#56B4E9", "#009E73", "#D55E00", "#E69F00"
+"""Of the palette of Okabe and Ito, which the colour-blind can tell apart."""
+INK, RULE, INFLUENTIAL = "#222222", "#C8C8C8", "#8A8A8A"
+STYLE: dict[Any, Any] = {
+    "font.family": "DejaVu Sans",  # comes with matplotlib, so that every machine draws the same
+    "font.size": 8,
+    "axes.titlesize": 9,
+    "axes.labelsize": 8,
+    "axes.edgecolor": INK,
+    "axes.labelcolor": INK,
+    "axes.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": RULE,
+    "grid.linewidth": 0.4,
+    "text.color": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "xtick.labelsize": 7.5,
+    "ytick.labelsize": 7.5,
+    "legend.fontsize": 7.5,
+    "legend.frameon": False,
+    "hatch.linewidth": 0.5,
+    "savefig.facecolor": "white",
+    "svg.fonttype": "none",  # text stays text: to be searched, copied and read aloud
+}
+FALLBACK = "'DejaVu Sans', Verdana, sans-serif"
+"""Verdana is as wide as DejaVu Sans, so that labels keep their places where the latter is missing."""
+
+
+@contextmanager
+def style() -> Iterator[None]:
+    """Within it figures look as they should."""
+    with mpl.rc_context(STYLE):
+        yield
+
+
+def svg(figure: Figure, name: str) -> str:
+    """The figure as SVG. `name` keeps its ids apart from those of other figures in one page."""
+    FigureCanvasSVG(figure)
+    stream = io.StringIO()
+    with style(), mpl.rc_context({"svg.hashsalt": name}):
+        figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
+    return stream.getvalue().replace("'DejaVu Sans'", FALLBACK)
+
+
+def png(figure: Figure) -> bytes:
+    """The figure as PNG, at print resolution."""
+    FigureCanvasAgg(figure)
+    stream = io.BytesIO()
+    with style():
+        figure.savefig(stream, format="png", dpi=DOTS_PER_INCH, metadata={"Software": None})
+    return stream.getvalue()
+
+
+def inlined(document: str, name: str, title: str) -> str:
+    """An SVG document as a part of an HTML page: ids of its own, no XML head, as wide as the page allows, named for screen readers."""
+    body = document[document.index("<svg") :]
+    body = re.sub(r"<metadata>.*?</metadata>\s*", "", body, flags=re.DOTALL)
+    body = re.sub(r'\bid="', f'id="{name}-', body)
+    body = body.replace('href="#', f'href="#{name}-').replace("url(#", f"url(#{name}-")
+    body = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", body, count=1)
+    width = re.search(r'<svg[^>]*? width="([0-9.]+)pt"', body)
+    limit = f' style="max-width: {float(width[1]) * 4 / 3:.0f}px"' if width else ""
+    return re.sub(r'(<svg[^>]*?) width="[^"]*"', rf'\1 width="100%"{limit} role="img" aria-label="{title}"', body, count=1)
+
+
+def whole_numbers(axes: Axes) -> None:
+    """Ticks of the horizontal axis at whole numbers only."""
+    from matplotlib.ticker import MaxNLocator
+
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
