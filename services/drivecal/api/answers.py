@@ -35,6 +35,7 @@ def campaign_answer(stored: StoredCampaign, now: datetime) -> Campaign:
         error_rate=dict(stored.error_rate),
         best=stored.best,
         baseline=stored.baseline,
+        narrowed=None if stored.narrowed is None else list(stored.narrowed),
         seconds=Seconds(wall=max(0.0, wall), simulating=stored.simulating_seconds),
         error=stored.error,
         notes=list(stored.notes),

@@ -9,7 +9,7 @@ from pydantic import BaseModel
 from sqlalchemy import Connection
 
 from drivecal.campaigns.maps import check_basis
-from drivecal.campaigns.problem import CalibrationProblem, resolve, resolve_evaluation
+from drivecal.campaigns.problem import CalibrationProblem, evaluator_id, resolve, resolve_evaluation
 from drivecal.contracts.campaign import ExpectedRuns
 from drivecal.contracts.specification import (
     CampaignSpecification,
@@ -20,9 +20,11 @@ from drivecal.contracts.specification import (
 from drivecal.contracts.validation import validated
 from drivecal.domain.errors import ConflictError, InvalidInputError, NotFoundError, Problem
 from drivecal.domain.setups import canonical_json, digest
+from drivecal.plugins import registry
 from drivecal.storage import campaigns, influence_maps
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.database import Database
+from drivecal.storage.influence_maps import StoredInfluenceMap
 
 
 def submit(database: Database, specification: CampaignSpecification, key: str | None) -> StoredCampaign:
@@ -44,11 +46,12 @@ def rerun(database: Database, first_id: str, changes: RerunSpecification, key: s
     """Queues a campaign like an ended one but for `changes`. Raises ConflictError while the first is not ended."""
     with database.read() as connection:
         first = campaigns.get(connection, first_id)
+        used = None if first.influence_map_id is None else influence_maps.get(connection, first.influence_map_id)
     if first.kind != "calibration":
         raise ConflictError(f"{first_id} is a single evaluation, which has no weights; post another one to /api/v1/evaluations")
     if not first.state.ended:
         raise ConflictError(f"campaign {first_id} is {first.state}; rerun it when it has ended, or cancel it first")
-    specification = validated(CampaignSpecification, _changed(first, changes))
+    specification = validated(CampaignSpecification, _changed(first, used, changes))
     problem = resolve(specification)
     with database.transaction() as connection:
         return _queue(connection, problem, key, _digest(f"campaigns/{first_id}/rerun", changes), rerun_of=first_id)
@@ -100,8 +103,11 @@ def _influence_map(connection: Connection, problem: CalibrationProblem) -> str |
     return stored.id
 
 
-def _changed(first: StoredCampaign, changes: RerunSpecification) -> dict[str, Any]:
-    """The first campaign's specification with the changes; its influence map, wherever it came from, is taken over."""
+def _changed(first: StoredCampaign, used: StoredInfluenceMap | None, changes: RerunSpecification) -> dict[str, Any]:
+    """The first campaign's specification with the changes; the influence map that it `used`, wherever it came from, is taken over.
+
+    A map that was computed from the ratings of another evaluator does not hold, so its analysis is made again: mostly from stored runs.
+    """
     document = dict(first.spec)
     document["weights"] = dict(changes.weights)
     document["name"] = changes.name or f"{first.name[:190]} (rerun)"
@@ -109,8 +115,14 @@ def _changed(first: StoredCampaign, changes: RerunSpecification) -> dict[str, An
         given: BaseModel | None = getattr(changes, section)
         if given is not None:
             document[section] = _merged(document[section], given.model_dump(mode="json", exclude_unset=True))
-    if first.influence_map_id is not None:
-        document["sensitivity"] = {"map": first.influence_map_id}
+    if changes.evaluator is not None:
+        document["evaluator"] = changes.evaluator
+    if used is not None:
+        rater = evaluator_id(registry.evaluator(document["evaluator"]))
+        if used.basis is not None and used.basis["evaluator"] != rater:
+            document["sensitivity"] = used.basis["sensitivity"]
+        else:
+            document["sensitivity"] = {"map": used.id}
     return document
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from sqlalchemy import Connection
 
 from drivecal.campaigns.ledger import Ledger, Work
+from drivecal.campaigns.narrowing import given_indices, search_area
 from drivecal.campaigns.pace import Pace
 from drivecal.campaigns.planning import View, WantedCell, plan_cells, sync_reference_keys
 from drivecal.campaigns.problem import CalibrationProblem
@@ -50,7 +51,10 @@ class Calibration:
         self._ledger = Ledger(view, campaign.cells.model_dump(), campaign.simulating_seconds)
         self._standing = Standing(problem.weights)
         self._error_rate: dict[str, ErrorRate] = dict(campaign.error_rate)
+        self._area = search_area(problem, view.influence_map)
         self._notes = problem.notes
+        if problem.specification.reduction.narrow:
+            self._notes = (*problem.notes, self._area.note())
         self._best, self._baseline = campaign.best, campaign.baseline
         if problem.optimization is None:
             raise ValueError("the campaign has no calibration stage")
@@ -98,14 +102,14 @@ class Calibration:
         with self._database.transaction() as connection:
             last = generations.last(connection, self._campaign.sequence)
             if last is None or last.optimizer_state is None:
-                start = None
-                if problem.baseline is not None:
-                    start = problem.space.indices(problem.baseline.values)[np.newaxis, :]
-                self._optimizer = self._optimization.plugin.create(self._optimization.settings, problem.space.n_values, start)
+                start = self._area.contract(given_indices(problem)) if problem.start_sets else None
+                self._optimizer = self._optimization.plugin.create(self._optimization.settings, self._area.n_values, start)
+                if problem.specification.reduction.narrow:
+                    campaigns.set_narrowed(connection, self._campaign.sequence, self._area.narrowed())
                 self._remember_baseline(connection)
                 return []
             self._optimizer = self._optimization.plugin.restore(
-                self._optimization.settings, problem.space.n_values, last.optimizer_state
+                self._optimization.settings, self._area.n_values, last.optimizer_state
             )
             self._iteration = last.iteration
             self._proposal = Proposal(np.array(last.population, dtype=np.int64), np.array(last.changed, dtype=np.bool_))
@@ -123,9 +127,10 @@ class Calibration:
         proposal = self._optimizer.ask()
         iteration = 0 if self._iteration is None else self._iteration + 1
         changed = [int(index) for index in np.flatnonzero(proposal.changed)]
+        sets = problem.space.parameter_sets(self._area.expand(proposal.population[changed]))
         wanted = [
             WantedCell(individual, scenario, parameters)
-            for individual, parameters in zip(changed, problem.space.parameter_sets(proposal.population[changed]), strict=True)
+            for individual, parameters in zip(changed, sets, strict=True)
             for scenario in problem.scenarios
         ]
         stopped = [scenario for scenario, rate in self._error_rate.items() if rate.stopped]

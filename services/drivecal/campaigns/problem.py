@@ -13,7 +13,7 @@ from functools import cached_property
 from pydantic import BaseModel, ValidationError
 
 from drivecal.campaigns.findings import Findings
-from drivecal.campaigns.spaces import baseline_set, free_values, search_space
+from drivecal.campaigns.spaces import free_values, given_set, search_space
 from drivecal.contracts.campaign import ExpectedRuns
 from drivecal.contracts.specification import (
     CampaignSpecification,
@@ -33,6 +33,11 @@ from drivecal.plugins.setups import setup_of
 from drivecal.sensitivity import thresholds
 from drivecal.sensitivity.analysis import SensitivityAnalysis
 from drivecal.sensitivity.settings import SensitivitySettings
+
+
+def evaluator_id(evaluator: Evaluator) -> str:
+    """Name and version of an evaluator, under which ratings are stored."""
+    return f"{evaluator.name} {evaluator.version}"
 
 
 @dataclass(frozen=True)
@@ -74,7 +79,7 @@ class Bench:
     @property
     def evaluator_id(self) -> str:
         """Name and version of the evaluator: with the run fingerprint it names a rating."""
-        return f"{self.evaluator.name} {self.evaluator.version}"
+        return evaluator_id(self.evaluator)
 
 
 @dataclass(frozen=True)
@@ -100,6 +105,8 @@ class CalibrationProblem:
     optimization: Optimization | None
     """None where only the sensitivity analysis is wanted."""
     baseline: ParameterSet | None
+    start_sets: tuple[ParameterSet, ...]
+    """What must be in the start population, each once: the baseline, then the sets from expert knowledge."""
     notes: tuple[str, ...]
 
     def analysis(self) -> SensitivityAnalysis | None:
@@ -153,7 +160,11 @@ def resolve(specification: CampaignSpecification) -> CalibrationProblem:
     optimization = _optimization(specification, findings)
     weights, notes = _weights(specification.weights, list(scenarios), findings)
     space = None if function is None else search_space(specification, function, findings)
-    baseline = baseline_set(specification.baseline, space, findings)
+    baseline = given_set(specification.baseline, space, "baseline", findings)
+    start_sets = _start_sets(specification, baseline, space, findings)
+    if specification.reduction.narrow and specification.sensitivity is None:
+        remedy = "ask for a sensitivity analysis, name a map, or leave `narrow` out"
+        findings.add("reduction.narrow", "there is no influence map by which the search space could be narrowed", remedy)
     if space is not None and isinstance(specification.sensitivity, SensitivitySpecification):
         try:
             _analysis(specification.sensitivity, space, tuple(weights))
@@ -163,7 +174,7 @@ def resolve(specification: CampaignSpecification) -> CalibrationProblem:
     if function is None or vehicle is None or evaluator is None or space is None:
         raise AssertionError("a part is missing without a finding")
     bench = Bench({name: scenarios[name] for name in weights}, function, vehicle, vehicle_parameters, evaluator)
-    return CalibrationProblem(specification, bench, space, weights, optimization, baseline, notes)
+    return CalibrationProblem(specification, bench, space, weights, optimization, baseline, start_sets, notes)
 
 
 def resolve_evaluation(specification: EvaluationSpecification) -> EvaluationProblem:
@@ -230,7 +241,7 @@ def _optimization(specification: CampaignSpecification, findings: Findings) -> O
     if plugin is None:
         return None
     try:
-        settings = plugin.settings.model_validate(wanted.model_dump())
+        settings = plugin.settings.model_validate(wanted.model_dump(exclude={"start_sets"}))
     except ValidationError as error:
         for detail in error.errors(include_url=False):
             field = ".".join(["optimizer", *(str(part) for part in detail["loc"])])
@@ -241,6 +252,19 @@ def _optimization(specification: CampaignSpecification, findings: Findings) -> O
                 findings.add(field, detail["msg"])
         return None
     return Optimization(plugin, settings, wanted.population, wanted.iterations, wanted.seed)
+
+
+def _start_sets(
+    specification: CampaignSpecification, baseline: ParameterSet | None, space: ParameterSpace | None, findings: Findings
+) -> tuple[ParameterSet, ...]:
+    wanted = specification.optimizer
+    listed = [] if wanted is None else wanted.start_sets
+    found = [given_set(one, space, f"optimizer.start_sets[{index}]", findings) for index, one in enumerate(listed)]
+    together = tuple(dict.fromkeys(one for one in (baseline, *found) if one is not None))
+    if wanted is not None and len(together) > wanted.population:
+        message = f"{len(together)} sets, the baseline included, do not fit into a population of {wanted.population}"
+        findings.add("optimizer.start_sets", message, "give fewer, or a larger population")
+    return together
 
 
 def _analysis(wanted: SensitivitySpecification, space: ParameterSpace, scenarios: Sequence[str]) -> SensitivityAnalysis:

@@ -90,12 +90,14 @@ def search_space(specification: CampaignSpecification, function: DrivingFunction
     return ParameterSpace(tuple(by_name.get(name, defaults[name]) for name in names), fixed)
 
 
-def baseline_set(given: Mapping[str, float] | None, space: ParameterSpace | None, findings: Findings) -> ParameterSet | None:
-    """The baseline as a parameter set; None where there is none or something is wrong with it."""
+def given_set(
+    given: Mapping[str, float] | None, space: ParameterSpace | None, field: str, findings: Findings
+) -> ParameterSet | None:
+    """A set that the user gave, on the grid; None where there is none or something is wrong with it, which `findings` takes."""
     if given is None or space is None:
         return None
     try:
-        return space.parameter_set(space.indices({name: decimal(value) for name, value in given.items()}, "baseline").tolist())
+        return space.parameter_set(space.indices({name: decimal(value) for name, value in given.items()}, field).tolist())
     except InvalidInputError as error:
         findings.problems.extend(error.problems)
         return None

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from drivecal.campaigns.calibration import Calibration
 from drivecal.campaigns.ledger import Work
 from drivecal.campaigns.maps import map_from_document
 from drivecal.campaigns.planning import View
 from drivecal.campaigns.problem import CalibrationProblem
+from drivecal.campaigns.rerating import rate_stored_runs
 from drivecal.campaigns.scheduler import Completed
 from drivecal.campaigns.sensitivity import Sensitivity
 from drivecal.storage import campaigns, influence_maps
@@ -22,6 +24,8 @@ class StagedCampaign:
     def __init__(self, database: Database, campaign: StoredCampaign, problem: CalibrationProblem) -> None:
         self._database = database
         self._problem = problem
+        self._view = View(campaign.sequence, campaign.watermark or 0, problem.bench)
+        self._rated = False
         self._stage: Sensitivity | Calibration | None = self._next(campaign)
 
     @property
@@ -31,6 +35,9 @@ class StagedCampaign:
 
     def work(self) -> list[Work]:
         """What to simulate next; empty where answers are awaited or everything is `finished`."""
+        if not self._rated:
+            rate_stored_runs(self._database, self._view)
+            self._rated = True
         while self._stage is not None:
             work = self._stage.work()
             if work or not self._stage.finished:
@@ -49,15 +56,14 @@ class StagedCampaign:
 
     def _next(self, campaign: StoredCampaign) -> Sensitivity | Calibration | None:
         self._sequence = campaign.sequence
-        watermark = campaign.watermark or 0
         if campaign.influence_map_id is None and self._problem.analysis() is not None:
-            return Sensitivity(self._database, campaign, self._problem, View(campaign.sequence, watermark, self._problem.bench))
+            return Sensitivity(self._database, campaign, self._problem, self._view)
         if self._problem.optimization is None:
             return None
-        view = View(campaign.sequence, watermark, self._problem.bench)
+        view = self._view
         if campaign.influence_map_id is not None:
             with self._database.read() as connection:
                 stored = influence_maps.get(connection, campaign.influence_map_id)
             found = map_from_document(stored.scenarios)
-            view = View(campaign.sequence, watermark, self._problem.bench, found, stored.sequence)
+            view = replace(view, influence_map=found, influence_map_sequence=stored.sequence)
         return Calibration(self._database, campaign, self._problem, view)

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from sqlalchemy import Connection, Row, Update, case, select, update
 
-from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, Progress, SensitivityCellCounts
+from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, Narrowed, Progress, SensitivityCellCounts
 from drivecal.domain.campaigns import CampaignState, Stage
 from drivecal.domain.errors import ConflictError, NotFoundError
 from drivecal.storage import cursors, runs
@@ -49,6 +49,8 @@ class StoredCampaign:
     error_rate: Mapping[str, ErrorRate]
     best: Best | None
     baseline: Baseline | None
+    narrowed: tuple[Narrowed, ...] | None
+    """What the common reduction left out; None where it was not asked for or is not known yet."""
     simulating_seconds: float
     created_at: datetime
     started_at: datetime | None
@@ -256,6 +258,11 @@ def set_influence_map(connection: Connection, sequence: int, influence_map_id: s
     connection.execute(_of(sequence).values(influence_map_id=influence_map_id))
 
 
+def set_narrowed(connection: Connection, sequence: int, narrowed: Collection[Narrowed]) -> None:
+    """Notes what the common reduction left out of the search space."""
+    connection.execute(_of(sequence).values(narrowed=[one.model_dump(mode="json") for one in narrowed]))
+
+
 def degrade(connection: Connection, sequences: Collection[int], reason: str | None) -> None:
     """Says of running campaigns why they go on more slowly, or not at all, for now; None where all is well."""
     if sequences:
@@ -301,6 +308,7 @@ def _campaign(row: Row[Any]) -> StoredCampaign:
         error_rate={scenario: ErrorRate(**rate) for scenario, rate in row.error_rate.items()},
         best=None if row.best is None else Best(**row.best),
         baseline=None if row.baseline is None else Baseline(**row.baseline),
+        narrowed=None if row.narrowed is None else tuple(Narrowed(**one) for one in row.narrowed),
         simulating_seconds=float(row.simulating_seconds),
         created_at=row.created_at,
         started_at=row.started_at,

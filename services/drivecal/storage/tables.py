@@ -70,6 +70,7 @@ campaigns = Table(
     Column("error_rate", Document, nullable=False),
     Column("best", Document),
     Column("baseline", Document),
+    Column("narrowed", Document),
     Column("simulating_seconds", Float, nullable=False),
     Column("created_at", UtcDateTime, nullable=False),
     Column("started_at", UtcDateTime),

@@ -51,9 +51,12 @@ def test_the_account_of_a_campaign_with_its_own_map() -> None:
     found = account("c", "succeeded", ["S1", "S2"], ANALYSIS + CALIBRATION, MapOrigin("m", "c", ANALYSIS + CALIBRATION))
     assert found.sensitivity.model_dump() == {"requested": 622, "repeated": 20, "simulated": 600, "failed": 2, "seconds": 10.0}
     first, second = found.scenarios
-    assert (first.requested, first.simulated, first.audited, first.mean_seconds) == (500, 100, 10, pytest.approx(0.01))
-    assert (first.repeated_saved_seconds, first.reused_saved_seconds) == (pytest.approx(0.4), pytest.approx(3.6))
-    assert (second.requested, second.failed, second.mean_seconds) == (500, 5, pytest.approx(0.02))
+    assert (first.requested, first.simulated, first.audited) == (500, 100, 10)
+    assert first.mean_seconds == pytest.approx(0.01)
+    assert first.repeated_saved_seconds == pytest.approx(0.4)
+    assert first.reused_saved_seconds == pytest.approx(3.6)
+    assert (second.requested, second.failed) == (500, 5)
+    assert second.mean_seconds == pytest.approx(0.02)
     assert second.reused_saved_seconds == pytest.approx(0.9)
     assert (found.requested, found.answered_without_simulation, found.simulated, found.audited) == (1000, 445, 550, 10)
     assert (found.share_without_simulation, found.share_reused) == (0.445, 0.405)

@@ -1,0 +1,58 @@
+"""Another evaluator's view of stored runs: their metrics are rated again, in bulk, instead of being simulated again."""
+
+from __future__ import annotations
+
+import logging
+from math import isfinite, nan
+
+from drivecal.campaigns.planning import View, ensure_setups
+from drivecal.domain.evaluations import Rating
+from drivecal.domain.scenarios import Manoeuvre
+from drivecal.plugins.ports import Evaluator
+from drivecal.storage import ratings
+from drivecal.storage.database import Database
+from drivecal.storage.ratings import UnratedRun
+
+log = logging.getLogger(__name__)
+
+CHUNK = 10_000
+"""Runs per transaction: some 20 MB of metrics."""
+FAILED = Rating(rating=0.0, score=0)
+
+
+def rate_stored_runs(database: Database, view: View, chunk: int = CHUNK) -> int:
+    """Has the campaign's evaluator rate every run that the campaign sees and it has not rated yet; says how many it could rate.
+
+    Failed runs score 0 whoever rates. Runs that lack what the evaluator asks for stay without its rating, and are simulated when needed.
+    Resumable: what is rated is not asked for again.
+    """
+    with database.transaction() as connection:
+        setup_ids = ensure_setups(connection, view.bench)
+    evaluator, evaluator_id = view.bench.evaluator, view.bench.evaluator_id
+    total = missing = 0
+    for scenario, setup_id in setup_ids.items():
+        manoeuvre = view.bench.scenarios[scenario][1].manoeuvre
+        reached = 0
+        while True:
+            with database.read() as connection:
+                found = ratings.unrated(connection, setup_id, evaluator_id, after=reached, upto=view.watermark, limit=chunk)
+            if not found:
+                break
+            rated = [(one.id, rating) for one in found if (rating := _rating(evaluator, manoeuvre, one)) is not None]
+            with database.transaction() as connection:
+                ratings.insert(connection, evaluator_id, rated)
+            total, missing, reached = total + len(rated), missing + len(found) - len(rated), found[-1].id
+    if total or missing:
+        log.info("%s rated %d stored runs; %d lack what it asks for", evaluator_id, total, missing)
+    return total
+
+
+def _rating(evaluator: Evaluator, manoeuvre: Manoeuvre, run: UnratedRun) -> Rating | None:
+    if run.failure is not None:
+        return FAILED
+    metrics = {name: nan if value is None else value for name, value in run.metrics.items()}
+    try:
+        rating = evaluator.rate(manoeuvre, metrics)
+    except (KeyError, ValueError):  # a metric that was not measured then, or not finite
+        return None
+    return rating if isfinite(rating.rating) else None

@@ -1,0 +1,119 @@
+"""The common reduction (Section III): the search space narrowed to the smallest area outside which no scenario is influenced. Pure.
+
+Neighbouring intervals of an analysis share their edges, so a bound lies in the cut region as well: the sets at the bound answer for those
+that are left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from drivecal.contracts.campaign import Narrowed
+from drivecal.domain.influence import Influence, InfluenceMap
+from drivecal.domain.parameters import Indices, Parameter, ParameterSpace, billionths, text
+
+
+@dataclass(frozen=True)
+class SearchArea:
+    """The box of a space that is searched, as inclusive grid indices of the searched parameters, shape (n_searched,) each.
+
+    An optimizer sees the parameters with more than one value, counted from the box's corner; values keep their places on the space's grid,
+    so that stored results are found whatever was narrowed.
+    """
+
+    space: ParameterSpace
+    first: Indices
+    last: Indices
+
+    @cached_property
+    def columns(self) -> Indices:
+        """The searched parameters that are left to the optimizer, by position."""
+        return np.flatnonzero(self.first < self.last)
+
+    @property
+    def n_values(self) -> Indices:
+        """Grid sizes for the optimizer, shape (n_left,)."""
+        return (self.last - self.first + 1)[self.columns]
+
+    def expand(self, population: Indices) -> Indices:
+        """Grid indices of the space, shape (n, n_searched), of an optimizer's population, shape (n, n_left)."""
+        expanded = np.tile(self.first, (len(population), 1))
+        expanded[:, self.columns] += population
+        return expanded
+
+    def contract(self, indices: Indices) -> Indices:
+        """The inverse of `expand`, for sets inside the box."""
+        return (indices - self.first)[:, self.columns]
+
+    def narrowed(self) -> list[Narrowed]:
+        """The parameters of which something is left out."""
+        found: list[Narrowed] = []
+        for parameter, first, last in zip(self.space.searched, self.first.tolist(), self.last.tolist(), strict=True):
+            left = last - first + 1
+            if left < parameter.n_values:
+                found.append(
+                    Narrowed(
+                        parameter=parameter.name,
+                        lower=float(parameter.value(first)),
+                        upper=float(parameter.value(last)),
+                        full_lower=float(parameter.lower),
+                        full_upper=float(parameter.upper),
+                        values=parameter.n_values,
+                        removed_values=parameter.n_values - left,
+                    )
+                )
+        return found
+
+    def note(self) -> str:
+        """What was removed, in words."""
+        parts: list[str] = []
+        for parameter, first, last in zip(self.space.searched, self.first.tolist(), self.last.tolist(), strict=True):
+            if first == last:
+                parts.append(f"{parameter.name} held at {text(parameter.value(first))}")
+            elif last - first + 1 < parameter.n_values:
+                parts.append(f"{parameter.name} from {text(parameter.value(first))} to {text(parameter.value(last))}")
+        if not parts:
+            return "the search space was not narrowed: there is no region that influences no scenario"
+        share = float(np.prod((self.last - self.first + 1) / self.space.n_values))
+        return f"the search space was narrowed to {share:.3g} of its sets: {', '.join(parts)}"
+
+
+def full_area(space: ParameterSpace) -> SearchArea:
+    """All of it."""
+    return SearchArea(space, np.zeros_like(space.n_values), space.n_values - 1)
+
+
+def common_area(space: ParameterSpace, influence_map: InfluenceMap, scenarios: Sequence[str], given: Indices) -> SearchArea:
+    """The smallest box that holds, of each parameter, the influential bounds of all scenarios and the sets `given`, shape (n, n_searched).
+
+    A parameter that influences no scenario is held at the given sets' value, or in the middle of its range where there are none. Where
+    nothing would be left to search, for no parameter influences any scenario, the area is the whole space.
+    """
+    first, last = full_area(space).first, full_area(space).last
+    for column, parameter in enumerate(space.searched):
+        listed = [influence_map.influence(scenario, parameter.name) for scenario in scenarios]
+        reach = [found for one in listed if (found := _influential_indices(parameter, one)) is not None]
+        reach += [(index, index) for index in given[:, column].tolist()]
+        middle = (parameter.n_values - 1) // 2
+        first[column] = min((low for low, _ in reach), default=middle)
+        last[column] = max((high for _, high in reach), default=middle)
+    area = SearchArea(space, first, last)
+    return area if len(area.columns) else full_area(space)
+
+
+def _influential_indices(parameter: Parameter, influence: Influence) -> tuple[int, int] | None:
+    """The grid indices between the bounds; where the bounds lie between two values, these two; None where nothing is influential here."""
+    if not influence.influential:
+        return None
+    values = parameter.all_billionths
+    first = 0 if influence.lower is None else int(np.searchsorted(values, billionths(influence.lower), side="left"))
+    last = len(values) - 1
+    if influence.upper is not None:
+        last = int(np.searchsorted(values, billionths(influence.upper), side="right")) - 1
+    if first >= len(values) or last < 0:
+        return None
+    return min(first, last), max(first, last)

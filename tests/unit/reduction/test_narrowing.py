@@ -1,0 +1,131 @@
+"""The common reduction: the smallest box that holds all influential bounds, on the places of the space's own grid."""
+
+from __future__ import annotations
+
+from decimal import Decimal
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivecal.domain.influence import EVERYWHERE, Influence, InfluenceMap
+from drivecal.domain.parameters import Indices, Parameter, ParameterSpace
+from drivecal.reduction.keys import ReferenceKeys, billionths_matrix
+from drivecal.reduction.narrowing import SearchArea, common_area, full_area
+
+SCENARIOS = ("S1", "S2")
+SPACE = ParameterSpace(
+    (
+        Parameter.from_step("P1", Decimal(0), Decimal(10), Decimal(1)),
+        Parameter.from_step("P2", Decimal(0), Decimal(1), Decimal("0.1")),
+        Parameter.from_bits("P3", Decimal(0), Decimal(1), 3),
+        Parameter.from_step("P4", Decimal(-2), Decimal(2), Decimal(1)),
+    ),
+    {"P4": Decimal(1)},
+)
+NOTHING = Influence(influential=False)
+
+
+def _between(lower: str | None, upper: str | None) -> Influence:
+    return Influence(True, None if lower is None else Decimal(lower), None if upper is None else Decimal(upper))
+
+
+def _given(*rows: tuple[int, ...]) -> Indices:
+    return np.array(rows, dtype=np.int64).reshape(len(rows), 3)
+
+
+def _area(first: dict[str, Influence], second: dict[str, Influence], *rows: tuple[int, ...]) -> SearchArea:
+    return common_area(SPACE, InfluenceMap({"S1": first, "S2": second}), SCENARIOS, _given(*rows))
+
+
+def test_the_area_is_the_union_of_the_influential_bounds_of_all_scenarios() -> None:
+    area = _area(
+        {"P1": _between("2", "5"), "P2": NOTHING, "P3": _between(None, "0.5")},
+        {"P1": _between("4", "7"), "P2": _between("0.3", None), "P3": _between(None, "0.3")},
+    )
+    assert (area.first.tolist(), area.last.tolist()) == ([2, 3, 0], [7, 10, 3])
+    assert area.n_values.tolist() == [6, 8, 4]
+    assert [(one.parameter, one.lower, one.upper, one.removed_values) for one in area.narrowed()] == [
+        ("P1", 2.0, 7.0, 5),
+        ("P2", 0.3, 1.0, 3),
+        ("P3", 0.0, 0.428571429, 4),
+    ]
+    assert area.note().startswith("the search space was narrowed to 0.198 of its sets: P1 from 2 to 7, P2 from 0.3 to 1, P3")
+
+
+def test_what_a_map_does_not_list_is_searched_everywhere() -> None:
+    area = _area({"P1": _between("2", "5")}, {})
+    assert area.narrowed() == []
+    assert "not narrowed" in area.note()
+
+
+@pytest.mark.parametrize(("rows", "held"), [((), 5), (((3, 0, 0),), 3)])
+def test_a_parameter_that_influences_nothing_is_held(rows: tuple[tuple[int, ...], ...], held: int) -> None:
+    area = _area({"P1": NOTHING}, {"P1": NOTHING}, *rows)
+    assert area.columns.tolist() == [1, 2]
+    assert area.expand(np.array([[4, 2]])).tolist() == [[held, 4, 2]]
+    assert f"P1 held at {held}" in area.note()
+
+
+def test_given_sets_widen_the_area_so_that_they_lie_in_it() -> None:
+    influences = {"P1": _between("2", "5"), "P2": NOTHING, "P3": EVERYWHERE}
+    area = _area(influences, influences, (9, 4, 0), (3, 6, 0))
+    assert (area.first.tolist(), area.last.tolist()) == ([2, 4, 0], [9, 6, 7])
+    assert area.contract(_given((9, 4, 0), (3, 6, 0))).tolist() == [[7, 0, 0], [1, 2, 0]]
+
+
+def test_where_nothing_matters_everything_is_searched() -> None:
+    nothing = dict.fromkeys(("P1", "P2", "P3"), NOTHING)
+    assert _area(nothing, nothing).n_values.tolist() == full_area(SPACE).n_values.tolist() == [11, 11, 8]
+
+
+@pytest.mark.parametrize(
+    ("influence", "expected"),
+    [
+        (_between("2.4", "2.6"), (2, 3)),  # between two values, which it may tell apart
+        (_between("-5", "-1"), (5, 5)),  # below the range: all values lie above the bounds
+        (_between("11", None), (5, 5)),
+        (_between("2.5", None), (3, 10)),
+        (_between("-3", "4.9"), (0, 4)),
+    ],
+)
+def test_bounds_of_another_grid_are_met_by_the_nearest_values_inside(influence: Influence, expected: tuple[int, int]) -> None:
+    area = _area({"P1": influence}, {"P1": NOTHING})
+    assert (area.first[0], area.last[0]) == expected
+
+
+bounds = st.tuples(st.integers(0, 10), st.integers(0, 10)).map(sorted)
+influences = st.one_of(st.just(NOTHING), st.just(EVERYWHERE), bounds.map(lambda pair: _between(str(pair[0]), str(pair[1]))))
+
+
+@given(influences, influences, st.integers(0, 10))
+def test_every_set_outside_has_its_value_in_a_region_that_influences_no_scenario(
+    first: Influence, second: Influence, index: int
+) -> None:
+    """The value next to it, inside, has the same reference key but for the bound itself, which the cut region shares."""
+    area = _area({"P1": first}, {"P1": second})
+    low, high = int(area.first[0]), int(area.last[0])
+    if low <= index <= high or low == high:
+        return
+    outermost = 0 if index < low else 10
+    influence_map = InfluenceMap({"S1": {"P1": first}, "S2": {"P1": second}})
+    sets = SPACE.parameter_sets(_given((index, 0, 0), (outermost, 0, 0)))
+    for scenario in SCENARIOS:
+        keys = ReferenceKeys(influence_map, scenario, SPACE.names).keys(billionths_matrix(sets))
+        assert keys[0] == keys[1]
+
+
+@given(influences, influences, st.lists(st.tuples(st.integers(0, 10), st.integers(0, 10), st.integers(0, 7)), max_size=3))
+def test_contracting_and_expanding_given_sets_gives_them_back(
+    first: Influence, second: Influence, rows: list[tuple[int, ...]]
+) -> None:
+    area = _area({"P1": first, "P2": NOTHING}, {"P1": second, "P2": NOTHING}, *rows)
+    assert area.expand(area.contract(_given(*rows))).tolist() == [list(row) for row in rows]
+
+
+def test_values_keep_their_exact_decimals() -> None:
+    influences = {"P3": _between("0.2", "0.6")}
+    area = _area(influences, influences)
+    expanded = area.expand(np.zeros((1, 3), dtype=np.int64))
+    assert SPACE.parameter_sets(expanded)[0].values["P3"] == Decimal("0.285714286")
