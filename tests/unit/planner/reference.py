@@ -77,8 +77,9 @@ class ReferencePlanner:
         self.costs = [sum(w * c for w, c in zip(self.weights, row, strict=True)) for row in self.features]
         order = sorted(range(len(self.costs)), key=lambda index: (self.costs[index], index))
         feasible = (index for index in order if self.is_feasible(index % len(self.aside), index // len(self.aside)))
-        chosen = next(feasible, order[0])
-        self.infeasible = set(order[: order.index(chosen)])
+        found = next(feasible, None)
+        self.infeasible = set(order if found is None else order[: order.index(found)])
+        chosen = order[0] if found is None else found
         self.before = (observation.time, self.along[chosen // len(self.aside)], self.aside[chosen % len(self.aside)])
         return chosen
 
@@ -102,8 +103,8 @@ class ReferencePlanner:
         wanted, other = lanes if observation.time < task.lane_change_after else lanes[::-1]
         self.target = wanted * road.lane_width
         ends = list(candidates.lateral_ends(road.lane_width, wanted, other).T)
-        self.goes_on_aside = self.before is not None and self.rest_aside >= kernel.SHORTEST_REST
-        self.goes_on_ahead = self.before is not None and self.rest_ahead >= kernel.SHORTEST_REST
+        self.goes_on_aside = self.before is not None and bool(self.rest_aside >= kernel.SHORTEST_REST)
+        self.goes_on_ahead = self.before is not None and bool(self.rest_ahead >= kernel.SHORTEST_REST)
         if self.before is not None and self.goes_on_aside:
             ends[-1] = np.array([self.before[2](1e9), self.rest_aside])
         self.aside = [curve(self.start[3:], [(0, end), (1, 0.0), (2, 0.0)], horizon) for end, horizon in ends]

@@ -83,7 +83,7 @@ def random_neighbours(random: np.random.Generator, s: float, lanes: int) -> Floa
 def random_drive(random: np.random.Generator, scenario: Scenario, plans: int) -> list[Observation]:
     """Observations 0.2 s apart of a vehicle that keeps its speed; the last of them far from what could have been planned."""
     start = np.array([random.uniform(-5, 620), random.uniform(12, 38), random.normal(0, 0.7), 0.0, 0.0, 0.0])
-    start[3:] = random.uniform(-0.5, (scenario.road.lanes - 1) * LANE + 0.5), random.normal(0, 0.3), random.normal(0, 0.3)
+    start[3:] = random.uniform(-2.5, (scenario.road.lanes - 1) * LANE + 2.5), random.normal(0, 0.3), random.normal(0, 0.3)
     neighbours = random_neighbours(random, start[0], scenario.road.lanes)
     drive = []
     for index in range(plans):

@@ -76,6 +76,27 @@ def test_features_costs_and_decisions_are_those_of_the_reference(seed: int) -> N
         assert_same(planner, reference, observation)
 
 
+def test_plans_that_come_to_their_end_are_judged_as_by_the_reference() -> None:
+    went_on = set()
+    for seed in range(3):
+        random = np.random.default_rng(seed)
+        scenario = random_scenario(random)
+        planner, reference = FrenetPlanner(scenario), ReferencePlanner(scenario)
+        parameters = random_parameters(random)
+        planner.reset(parameters)
+        reference.reset(parameters)
+        observation = random_drive(random, scenario, plans=1)[0]
+        for _ in range(5):
+            assert_same(planner, reference, observation)
+            assert reference.before is not None
+            time, ahead, aside = reference.before
+            elapsed = 0.5 * (ahead.horizon + aside.horizon)
+            ego = [*(ahead(elapsed, order) for order in range(3)), *(aside(elapsed, order) for order in range(3))]
+            observation = Observation(time + elapsed, np.array(ego), observation.neighbours)
+            went_on.add((reference.goes_on_aside, reference.goes_on_ahead))
+    assert went_on & {(True, False), (False, True)}, "only one of the two has come to its end"
+
+
 def test_random_situations_reach_every_feature_and_infeasible_candidates() -> None:
     found = np.zeros(12)
     infeasible = 0
