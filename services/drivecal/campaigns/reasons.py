@@ -44,7 +44,8 @@ def sentence(one: Explanation, stop: tuple[int, AuditCount] | None = None) -> st
 
 
 def _copied(done: str, one: Explanation) -> str:
-    return f"{done} (its answer is awaited)" if one.outcome is None else done
+    state = {None: " (its answer is awaited)", "failed": " without a result"}
+    return f"{done}{state.get(one.outcome, '')}"
 
 
 def _where(reference: Reference, campaign: str) -> str:

@@ -1,0 +1,248 @@
+"""Narrowed spaces, expert start sets and reruns by weights, scenarios and evaluator: whole campaigns on a formula."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.support.computed import ComputedBackend
+from tests.support.runs import dispatcher, get, run
+
+from drivecal.api import submission
+from drivecal.campaigns.maps import map_from_document
+from drivecal.campaigns.planning import View
+from drivecal.campaigns.problem import resolve
+from drivecal.campaigns.rerating import rate_stored_runs
+from drivecal.contracts.specification import CampaignSpecification, RerunSpecification
+from drivecal.contracts.work import Cell, CellResult
+from drivecal.domain.campaigns import Stage
+from drivecal.domain.errors import InvalidInputError
+from drivecal.domain.evaluations import Outcome, Rating
+from drivecal.domain.scenarios import Manoeuvre
+from drivecal.plugins import registry
+from drivecal.plugins.ports import Evaluator
+from drivecal.storage import influence_maps, results
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.database import Database
+
+SPECIFICATION: dict[str, Any] = {
+    "catalogue": ["S1", "S2"],
+    "parameters": [{"name": f"P{i}", "lower": 0, "upper": 1, "step": 0.05} for i in range(1, 5)],
+    "fixed": {f"P{i}": 0.5 for i in range(5, 12)},
+    "sensitivity": {"intervals": 5, "samples": 8, "threshold": 0.02},
+    "optimizer": {"kind": "genetic", "population": 40, "iterations": 5, "seed": 2},
+    "reduction": {"audit": 0.1},
+}
+
+
+def answer(scenario: str, cell: Cell) -> CellResult:
+    """S1 depends on P1 everywhere and on P2 up to 0.5; S2 depends on P3 from 0.4 on, and fails beyond 0.95; P4 matters nowhere."""
+    p = cell.parameters
+    rating = 6.4 * p["P1"] * (1 - min(p["P2"], 0.5)) if scenario == "S1" else 1 + 9 * max(p["P3"] - 0.4, 0)
+    if scenario == "S2" and p["P3"] > 0.95:
+        return CellResult(cell.id, 0.0, 0, {"comfort": rating}, "collision", 7.0)
+    return CellResult(cell.id, rating, round(rating), {"comfort": rating, "undefined": float("nan")}, None, 7.0)
+
+
+@dataclass(frozen=True)
+class Strict:
+    """Rates 1 lower than the simulation did, never below 0, from the metric that it left."""
+
+    name: str = "strict"
+    version: str = "7"
+
+    def rate(self, manoeuvre: Manoeuvre, metrics: Mapping[str, float]) -> Rating:
+        del manoeuvre
+        rating = max(0.0, metrics["comfort"] - 1)
+        return Rating(rating, round(rating))
+
+
+def strict_answer(scenario: str, cell: Cell) -> CellResult:
+    """What a worker with that evaluator gives."""
+    usual = answer(scenario, cell)
+    if usual.failure:
+        return usual
+    rating = Strict().rate(Manoeuvre.LANE_CHANGE, usual.metrics)
+    return CellResult(cell.id, rating.rating, rating.score, usual.metrics, None, 7.0)
+
+
+@pytest.fixture
+def database(tmp_path: Path) -> Iterator[Database]:
+    """A new SQLite database."""
+    opened = Database.open(f"sqlite:///{tmp_path / 'drivecal.db'}")
+    opened.upgrade()
+    yield opened
+    opened.dispose()
+
+
+@pytest.fixture
+def strict(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A second evaluator is installed."""
+    usual = registry.evaluator
+
+    def find(name: str, field: str = "evaluator") -> Evaluator:
+        return Strict() if name == "strict" else usual(name, field)
+
+    monkeypatch.setattr(registry, "evaluator", find)
+
+
+def _run(database: Database, **changes: Any) -> StoredCampaign:
+    specification = CampaignSpecification.model_validate(SPECIFICATION | changes)
+    return run(database, submission.submit(database, specification, None), ComputedBackend(answer=answer))
+
+
+def _rerun(database: Database, first: StoredCampaign, backend: ComputedBackend | None = None, **changes: Any) -> StoredCampaign:
+    wanted = RerunSpecification.model_validate({"weights": {}} | changes)
+    return run(database, submission.rerun(database, first.id, wanted, None), backend or ComputedBackend(answer=answer))
+
+
+def test_a_narrowed_campaign_searches_where_some_scenario_is_influenced(database: Database) -> None:
+    wide = _run(database)
+    assert wide.narrowed is None
+    narrow = _run(database, reduction={"audit": 0.1, "narrow": True})
+    assert narrow.narrowed is not None
+    found = {one.parameter: one for one in narrow.narrowed}
+    assert set(found) == {"P2", "P3", "P4"}
+    assert (found["P4"].lower, found["P4"].upper, found["P4"].removed_values) == (0.5, 0.5, 20)
+    assert (found["P2"].lower, found["P3"].upper) == (0.0, 1.0)
+    assert 0.5 <= found["P2"].upper <= 0.7
+    assert 0.2 <= found["P3"].lower <= 0.4
+    with database.read() as connection:
+        rows = [row for row in results.stream(connection, narrow.sequence) if row.stage is Stage.CALIBRATION]
+    for name, one in found.items():
+        assert all(one.lower <= row.parameters[name] <= one.upper for row in rows)
+    assert any("narrowed" in note and "P4 held at 0.5" in note for note in narrow.notes)
+    assert narrow.best is not None
+    assert wide.best is not None
+    assert narrow.best.objective >= wide.best.objective
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_narrowed_campaign_that_was_killed_ends_like_one_that_was_not(tmp_path: Path, seed: int) -> None:
+    draw = random.Random(seed)
+    ends = []
+    expert = {"P1": 1, "P2": 0, "P3": 0.9, "P4": 0.1}
+    changes: dict[str, Any] = {
+        "reduction": {"audit": 0.1, "narrow": True},
+        "optimizer": SPECIFICATION["optimizer"] | {"start_sets": [expert]},
+        "baseline": dict.fromkeys(("P1", "P2", "P3", "P4"), 0.2),
+    }
+    for killed in (False, True):
+        opened = Database.open(f"sqlite:///{tmp_path / str(killed)}.db")
+        opened.upgrade()
+        specification = CampaignSpecification.model_validate(SPECIFICATION | changes)
+        campaign = submission.submit(opened, specification, None)
+        while not get(opened, campaign).state.ended:
+            one = dispatcher(opened, ComputedBackend(draw.randrange(99), answer=answer))
+            for _ in range(draw.randrange(1, 12) if killed else 9_999):
+                one.step()
+                if get(opened, campaign).state.ended:
+                    break
+        ended = get(opened, campaign)
+        with opened.read() as connection:
+            cells = [
+                (row.iteration, row.individual, row.parameters, row.outcome, row.score) for row in results.stream(connection, 1)
+            ]
+        ends.append((cells, ended.cells, ended.best, ended.narrowed, ended.notes, ended.baseline))
+        opened.dispose()
+    assert ends[0] == ends[1]
+    assert ends[0][3]
+
+
+def test_expert_sets_are_in_the_start_population_after_the_baseline(database: Database) -> None:
+    baseline = dict.fromkeys(("P1", "P2", "P3", "P4"), 0.2)
+    experts = [{"P1": 1, "P2": 0, "P3": 0.9, "P4": 0.1}, baseline, {"P1": 0, "P2": 1, "P3": 0.1, "P4": 0.9}]
+    optimizer = SPECIFICATION["optimizer"] | {"start_sets": experts}
+    for reduction in ({}, {"narrow": True}):
+        ended = _run(database, baseline=baseline, optimizer=optimizer, reduction=reduction)
+        with database.read() as connection:
+            rows = [row for row in results.stream(connection, ended.sequence) if row.stage is Stage.CALIBRATION]
+        first = {row.individual: row.parameters for row in rows if row.iteration == 0}
+        given = [{name: first[place][name] for name in baseline} for place in range(3)]
+        assert given == [baseline, experts[0], experts[2]], "each once"
+        assert ended.baseline is not None
+        assert ended.baseline.objective is not None
+
+
+def test_start_sets_that_do_not_fit_are_refused_by_name() -> None:
+    optimizer = {
+        "kind": "random",
+        "population": 2,
+        "start_sets": [{"P1": 0.033}, *({f"P{i}": n / 10 for i in range(1, 5)} for n in range(3))],
+    }
+    specification = CampaignSpecification.model_validate(SPECIFICATION | {"optimizer": optimizer})
+    with pytest.raises(InvalidInputError) as caught:
+        resolve(specification)
+    text = str(caught.value)
+    assert "optimizer.start_sets[0].P1: 0.033 is not on the grid" in text
+    assert "optimizer.start_sets[0].P2: the value is missing" in text
+    assert "optimizer.start_sets: 3 sets" in text
+
+
+def test_without_a_map_there_is_nothing_to_narrow_by() -> None:
+    specification = CampaignSpecification.model_validate(SPECIFICATION | {"sensitivity": None, "reduction": {"narrow": True}})
+    with pytest.raises(InvalidInputError, match=r"reduction\.narrow: there is no influence map"):
+        resolve(specification)
+
+
+def test_a_rerun_of_a_subset_of_the_scenarios_simulates_those_alone(database: Database) -> None:
+    first = _run(database)
+    backend = ComputedBackend(answer=answer)
+    again = _rerun(database, first, backend, weights={"S1": 0})
+    assert again.influence_map_id == first.influence_map_id
+    assert again.sensitivity_cells.requested == 0
+    assert set(again.error_rate) == {"S2"}
+    assert {scenario for scenario, _ in backend.sent} <= {"S2"}
+    assert any("S1" in note for note in again.notes)
+    assert (again.cells.repeated + again.cells.reused) / again.cells.requested > 0.8
+
+
+@pytest.mark.usefixtures("strict")
+def test_another_evaluator_rates_stored_runs_and_simulates_only_what_is_new(database: Database) -> None:
+    first = _run(database)
+    backend = ComputedBackend(answer=strict_answer)
+    again = _rerun(database, first, backend, evaluator="strict")
+    assert again.spec["evaluator"] == "strict"
+    assert again.influence_map_id != first.influence_map_id, "the map was made from the other ratings"
+    assert again.sensitivity_cells.repeated > 0.7 * again.sensitivity_cells.requested
+    assert again.cells.repeated + again.cells.reused > 0
+    with database.read() as connection:
+        rows = list(results.stream(connection, again.sequence))
+        made = influence_maps.get(connection, again.influence_map_id or "none")
+    assert made.basis is not None
+    assert made.basis["evaluator"] == "strict 7"
+    assert map_from_document(made.scenarios).influence("S1", "P1").influential
+    for row in rows:
+        if row.outcome is not Outcome.REUSED:
+            expected = strict_answer(row.scenario, Cell(1, row.parameters))
+            assert (row.score, row.rating, row.failure) == (expected.score, expected.rating, expected.failure)
+    assert any(row.failure == "collision" and row.score == 0 and row.outcome is Outcome.REPEATED for row in rows)
+    assert len(backend.sent) == again.cells.simulated + again.sensitivity_cells.simulated
+    for rate in again.error_rate.values():
+        assert rate.wrong == rate.different == 0
+    third = _rerun(database, again, weights={"S1": 3}, evaluator="strict")
+    assert third.influence_map_id == again.influence_map_id
+    back = _rerun(database, again, evaluator="reference")
+    assert back.sensitivity_cells.simulated == 0
+    assert back.best == first.best
+
+
+@pytest.mark.usefixtures("strict")
+def test_ratings_are_added_in_chunks_to_what_the_campaign_sees_and_once(database: Database) -> None:
+    first = _run(database, sensitivity=None)
+    problem = resolve(CampaignSpecification.model_validate(SPECIFICATION | {"evaluator": "strict"}))
+    view = View(1, 10, problem.bench)
+    assert rate_stored_runs(database, view, chunk=3) == 10
+    assert rate_stored_runs(database, view, chunk=3) == 0
+    everything = View(1, 10**6, problem.bench)
+    assert rate_stored_runs(database, everything) == first.cells.simulated - 10
+
+
+def test_an_evaluator_that_is_not_installed_is_refused(database: Database) -> None:
+    first = _run(database)
+    with pytest.raises(InvalidInputError, match="evaluator: there is no evaluator 'learnt'"):
+        submission.rerun(database, first.id, RerunSpecification(weights={}, evaluator="learnt"), None)

@@ -1,0 +1,80 @@
+"""Campaigns run to their end by a dispatcher on a computed backend."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from tests.support.computed import ComputedBackend
+
+from drivecal.campaigns.dispatcher import Dispatcher
+from drivecal.campaigns.maps import map_to_document, resolve_map
+from drivecal.campaigns.pool import WorkPool
+from drivecal.contracts.specification import CampaignSpecification, InfluenceMapSpecification
+from drivecal.storage import campaigns, influence_maps
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.database import Database
+
+EXPERT_SPACE: list[dict[str, Any]] = [{"name": f"P{i}", "lower": 0, "upper": 1, "step": 0.5} for i in range(1, 12)]
+SMALL: dict[str, Any] = {
+    "sensitivity": None,
+    "parameters": EXPERT_SPACE,
+    "catalogue": ["S1", "S2", "S3"],
+    "optimizer": {"kind": "genetic", "population": 24, "iterations": 6, "seed": 3},
+}
+MOST_STEPS = 5_000
+
+
+def nothing_matters() -> dict[str, Any]:
+    """A map that says that no parameter influences anything."""
+    return {scenario: {f"P{i}": {"influential": False} for i in range(1, 12)} for scenario in ("S1", "S2", "S3")}
+
+
+def post_map(database: Database, scenarios: dict[str, Any]) -> str:
+    """Stores a map as a user would post it; gives its id."""
+    document = {"scenarios": scenarios, "parameters": EXPERT_SPACE}
+    found = resolve_map(InfluenceMapSpecification.model_validate(document))
+    with database.transaction() as connection:
+        return influence_maps.insert(
+            connection,
+            name="posted",
+            source="expert",
+            driving_function="frenet",
+            parameters=EXPERT_SPACE,
+            scenarios=map_to_document(found),
+        ).id
+
+
+def submit(database: Database, *, stored_map: str | None = None, **changes: Any) -> StoredCampaign:
+    """Queues `SMALL` with changes, on a stored map where one is given."""
+    document = SMALL | changes
+    if stored_map is not None:
+        document["sensitivity"] = {"map": stored_map}
+    specification = CampaignSpecification.model_validate(document)
+    with database.transaction() as connection:
+        return campaigns.insert(
+            connection, name="test", spec=specification.model_dump(mode="json"), influence_map_id=stored_map
+        )
+
+
+def get(database: Database, campaign: StoredCampaign) -> StoredCampaign:
+    """A campaign as it is now."""
+    with database.read() as connection:
+        return campaigns.get(connection, campaign.id)
+
+
+def dispatcher(database: Database, backend: ComputedBackend | None = None) -> Dispatcher:
+    """One that looks and reports in every step."""
+    ticks = iter(range(10**9))
+    return Dispatcher(database, WorkPool(backend or ComputedBackend()), clock=lambda: float(next(ticks)))
+
+
+def run(database: Database, campaign: StoredCampaign, backend: ComputedBackend | None = None) -> StoredCampaign:
+    """Runs a campaign to its end."""
+    one = dispatcher(database, backend)
+    for _ in range(MOST_STEPS):
+        found = get(database, campaign)
+        if found.state.ended:
+            assert found.error is None
+            return found
+        one.step()
+    raise AssertionError("the campaign did not end")
