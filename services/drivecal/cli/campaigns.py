@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from drivecal.cli.accounts import pays_text, print_accounting, print_error_rates, print_narrowed
 from drivecal.cli.commands import CampaignArgument, ExitCode, JsonOption, UrlOption, app, code_of_state, connect, full_id, tell
 from drivecal.cli.documents import read_document
 from drivecal.cli.output import print_campaign, print_columns, print_json, saved, when
@@ -80,8 +81,7 @@ def list_campaigns(
 def show(identifier: CampaignArgument, url: UrlOption = None, as_json: JsonOption = False) -> None:
     """Show one campaign."""
     with connect(url) as client:
-        campaign = client.campaign(full_id(client, identifier))
-    _print(campaign, as_json)
+        _print_whole(client, client.campaign(full_id(client, identifier)), as_json)
 
 
 @app.command()
@@ -91,7 +91,7 @@ def watch(
     """Follow a campaign until it has ended. Ctrl-C detaches and cancels nothing."""
     with connect(url) as client:
         campaign = follow(client, full_id(client, identifier), timeout)
-    _print(campaign, as_json)
+        _print_whole(client, campaign, as_json)
     raise typer.Exit(code_of_state(campaign.state))
 
 
@@ -115,8 +115,7 @@ def cancel(identifier: CampaignArgument, url: UrlOption = None, as_json: JsonOpt
 
 def _act(identifier: str, action: Action, url: str | None, as_json: bool) -> None:
     with connect(url) as client:
-        campaign = client.act(full_id(client, identifier), action)
-    _print(campaign, as_json)
+        _print_whole(client, client.act(full_id(client, identifier), action), as_json)
 
 
 def _submitted(client: Client, campaign: Campaign, wait: bool, timeout: float | None, as_json: bool) -> None:
@@ -127,15 +126,23 @@ def _submitted(client: Client, campaign: Campaign, wait: bool, timeout: float | 
         code = code_of_state(campaign.state)
     elif not as_json:
         tell(f"queued; follow it with `drivecal watch {campaign.id}`")
-    _print(campaign, as_json)
+    _print_whole(client, campaign, as_json)
     raise typer.Exit(code)
 
 
-def _print(campaign: Campaign, as_json: bool) -> None:
+def _print_whole(client: Client, campaign: Campaign, as_json: bool) -> None:
+    """A campaign with its account, from the first answered cell on. Single evaluations, which have no iterations, have none."""
+    answered = campaign.cells.requested or campaign.sensitivity_cells.requested
+    account = client.accounting(campaign.id) if answered and "generations" in campaign.links else None
     if as_json:
-        print_json(campaign)
-    else:
-        print_campaign(campaign)
+        dumped = None if account is None else account.model_dump(mode="json")
+        print_json({**campaign.model_dump(mode="json"), "accounting": dumped})
+        return
+    print_campaign(campaign)
+    print_narrowed(campaign.narrowed)
+    print_error_rates(campaign.error_rate)
+    if account is not None:
+        print_accounting(account)
 
 
 def _print_expected(expected: ExpectedRuns, as_json: bool) -> None:
@@ -150,6 +157,8 @@ def _print_expected(expected: ExpectedRuns, as_json: bool) -> None:
         ("validation", expected.validation),
     ):
         typer.echo(f"  {stage:<12}{runs:>12,}")
+    if expected.break_even_share is not None:
+        typer.echo(pays_text(expected.break_even_share))
     for note in expected.notes:
         typer.echo(f"note: {note}")
 

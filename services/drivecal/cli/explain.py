@@ -35,7 +35,7 @@ def explain(
 
 def print_explanation(found: Explanation) -> None:
     """Prints the answer in a sentence, the stored set it speaks of, and the parameters in which the two differ."""
-    where = f"{found.stage}, iteration {found.iteration + 1}, individual {found.individual}, {found.scenario}"
+    where = f"{found.stage}, iteration {found.iteration}, individual {found.individual}, {found.scenario}"
     result = found.outcome or "pending"
     if found.score is not None:
         result += f", score {found.score}"
@@ -45,7 +45,7 @@ def print_explanation(found: Explanation) -> None:
     if found.reference is not None:
         one = found.reference
         score = "no score yet" if one.score is None else f"score {one.score}"
-        at = f"{one.stage}, iteration {one.iteration + 1}, individual {one.individual}"
+        at = f"{one.stage}, iteration {one.iteration}, individual {one.individual}"
         typer.echo(f"\nstored set: evaluation {one.evaluation} of campaign {one.campaign} ({at}), {score}")
     if found.differences:
         typer.echo("")

@@ -53,7 +53,8 @@ def print_campaign(campaign: Campaign) -> None:
         best = campaign.best
         lines.append(("best", f"{_objective(best.objective)}  {parameters_text(best.parameters)}"))
         lines.append(("scores", "  ".join(f"{name} {score}" for name, score in best.scores.items())))
-        lines.append(("alternatives", f"{best.alternatives} parameter sets share the best objective"))
+        share = "1 parameter set has" if best.alternatives == 1 else f"{best.alternatives:,} parameter sets share"
+        lines.append(("alternatives", f"{share} the best objective"))
     if self_check := self_check_text(campaign):
         lines.append(("self-check", self_check))
     lines += [("note", note) for note in campaign.notes]

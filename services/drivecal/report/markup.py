@@ -7,22 +7,22 @@ from html import escape
 
 STYLE = """
 :root { color-scheme: light; }
-body { margin: 2rem auto; max-width: 60rem; padding: 0 1rem; color: #222; background: #fff;
+body { margin: 2rem auto; max-width: 62rem; padding: 0 1rem; color: #222; background: #fff;
   font: 15px/1.5 system-ui, "Segoe UI", Roboto, "DejaVu Sans", Verdana, sans-serif; }
 h1 { font-size: 1.7rem; margin: 0 0 .2rem; } h2 { font-size: 1.2rem; margin: 2.2rem 0 .6rem; border-bottom: 1px solid #bbb; }
 p.sub { color: #555; margin: 0 0 1.2rem; }
 figure { margin: 1rem 0; text-align: center; } figure svg { height: auto; }
 figcaption, caption { color: #444; font-size: .87rem; text-align: left; padding: .3rem 0; }
 .scroll { overflow-x: auto; } table { border-collapse: collapse; font-size: .87rem; font-variant-numeric: tabular-nums; margin: .6rem 0; }
-th, td { padding: .15rem .6rem; border-bottom: 1px solid #ddd; text-align: left; white-space: nowrap; }
+th, td { padding: .15rem .45rem; border-bottom: 1px solid #ddd; text-align: left; white-space: nowrap; }
 th { border-bottom: 1.5px solid #555; } td.n, th.n { text-align: right; } td.on { background: #d6d6d6; }
-td.wide { white-space: normal; }
+td.wide { white-space: normal; } ul { columns: 20rem; padding-left: 1.2rem; }
 pre { background: #f4f4f4; padding: .7rem; font-size: .8rem; white-space: pre-wrap; overflow-wrap: anywhere; }
 a { color: #00568a; } .warn { border-left: 4px solid #D55E00; padding-left: .7rem; }
 @page { size: A4; margin: 15mm; }
 @media print {
   body { margin: 0; max-width: none; padding: 0; font-size: 10pt; }
-  figure, tr { break-inside: avoid; } h2 { break-after: avoid; }
+  figure, table, tr { break-inside: avoid; } h2 { break-after: avoid; }
   .scroll { overflow: visible; } table { font-size: 8pt; } th, td { padding: .1rem .3rem; }
 }
 """

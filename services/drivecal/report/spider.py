@@ -41,7 +41,7 @@ def segment(row: InfluenceRow) -> tuple[float, float] | None:
 def scenario_figure(rows: Sequence[InfluenceRow], title: str = "") -> Figure:
     """The spider plot of one scenario with the bounds of its parameters."""
     with style():
-        figure = Figure(figsize=(4.6, 5.2))
+        figure = Figure(figsize=(6.3, 5.2))
         axes = figure.add_axes((0.0, 0.055, 1.0, 0.885))
         _spider(axes, rows, with_bounds=True)
         figure.text(0.5, 0.98, rows[0].scenario, ha="center", va="top", fontsize=11, fontweight="bold")
@@ -105,17 +105,18 @@ def _spider(axes: Axes, rows: Sequence[InfluenceRow], *, with_bounds: bool) -> N
 
 def _label(axes: Axes, row: InfluenceRow, angle: float, size: float, *, with_bounds: bool) -> None:
     x, y = math.cos(angle), math.sin(angle)
-    far = 1.22 if with_bounds else 1.12
     if not with_bounds or row.space_lower is None or row.space_upper is None:
-        axes.text(far * x, far * y, row.parameter, ha="center", va="center", fontsize=size)
+        axes.text(1.12 * x, 1.12 * y, row.parameter, ha="center", va="center", fontsize=size)
         return
     unit = "" if row.unit in {None, "", "1"} else f" {row.unit}"
     below = [f"{_text(row.space_lower)} … {_text(row.space_upper)}{unit}"]
     if row.influential and (row.lower, row.upper) != (row.space_lower, row.space_upper):
         below.append(f"influential {_text(row.lower)} … {_text(row.upper)}")
-    x, y = far * x, far * y + 0.03 * len(below)
-    axes.text(x, y, row.parameter, ha="center", va="center", fontsize=size, fontweight="bold")
-    axes.text(x, y - 0.05, "\n".join(below), ha="center", va="top", fontsize=size - 1.5, linespacing=1.2)
+    side = "left" if x > 0.15 else "right" if x < -0.15 else "center"
+    far = 1.06 if side != "center" else 1.1
+    x, y = far * x, far * y + 0.03 * len(below) + 0.06 * y
+    axes.text(x, y, row.parameter, ha=side, va="center", fontsize=size, fontweight="bold")
+    axes.text(x, y - 0.05, "\n".join(below), ha=side, va="top", fontsize=size - 1.5, linespacing=1.2)
 
 
 def _text(value: float | None) -> str:

@@ -1,0 +1,133 @@
+"""`drivecal report`, `explain` and the account that `show` prints, against a real server over HTTP."""
+
+from __future__ import annotations
+
+import csv
+import json
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from tests.support.found import analyse, carry_out
+from tests.support.server import RunningApi, serving
+from typer.testing import CliRunner, Result
+
+from drivecal.cli.main import app
+
+Run = Callable[..., Result]
+
+
+@pytest.fixture(scope="module")
+def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
+    with serving(f"sqlite:///{tmp_path_factory.mktemp('report') / 'drivecal.db'}") as running:
+        yield running
+
+
+@pytest.fixture
+def run(api: RunningApi, monkeypatch: pytest.MonkeyPatch) -> Run:
+    monkeypatch.setenv("DRIVECAL_URL", api.url)
+
+    def invoke(*arguments: str) -> Result:
+        return CliRunner().invoke(app, list(arguments))
+
+    return invoke
+
+
+@pytest.fixture(scope="module")
+def ended(api: RunningApi) -> str:
+    """A campaign with a map and one generation, every cell simulated."""
+    document = {
+        "name": "to be reported",
+        "catalogue": ["S1", "S4"],
+        "sensitivity": {"intervals": 5, "samples": 2},
+        "optimizer": {"population": 10, "iterations": 3},
+    }
+    identifier = str(api.http.post("/api/v1/campaigns", json=document).raise_for_status().json()["id"])
+    analyse(api.database, identifier, lambda scenario, values: 3 + (scenario == "S1" and values["P2"] > 1))
+    carry_out(api.database, identifier)
+    return identifier
+
+
+def test_a_report_is_written_from_what_the_server_answers(run: Run, ended: str, tmp_path: Path) -> None:
+    folder = tmp_path / "report"
+    result = run("report", ended[:12], "-o", str(folder), "--json")
+    assert result.exit_code == 0, result.output
+    answer = json.loads(result.stdout)
+    assert answer["campaign"] == ended
+    assert answer["page"] == str(folder / "index.html")
+    assert {path for path in folder.rglob("*") if path.is_file()} == {Path(name) for name in answer["files"]}
+    names = ["9-influence", "9-S1", "9-S4", "10-population", "11-cells"]
+    assert {path.name for path in (folder / "figures").iterdir()} == {
+        f"figure-{n}.{form}" for n in names for form in ("svg", "png")
+    }
+    tables = {path.stem: list(csv.DictReader(path.open(newline=""))) for path in (folder / "tables").iterdir()}
+    assert {name: len(rows) for name, rows in tables.items() if name != "balance"} == {
+        "generations": 1,
+        "solutions": 5,
+        "influence": 22,
+        "accounting": 3,
+    }
+    drawing = (folder / "figures" / "figure-9-influence.svg").read_text()
+    assert drawing.count('.influential"') == sum(row["influential"] == "true" for row in tables["influence"]) > 0
+    page = (folder / "index.html").read_text()
+    assert "to be reported" in page
+    assert page.count("<svg") == 3
+    again = run("report", ended, "-o", str(folder))
+    assert again.exit_code == 0
+    assert again.stdout == f"{folder / 'index.html'}: the report, with {len(answer['files']) - 1} files beside it\n"
+    assert (folder / "index.html").read_text() == page, "the same campaign gives the same page"
+
+
+def test_the_reports_campaign_can_be_submitted_again(run: Run, ended: str, tmp_path: Path) -> None:
+    run("report", ended, "-o", str(tmp_path))
+    result = run("submit", str(tmp_path / "campaign.json"), "--dry-run")
+    assert result.exit_code == 0, result.output
+
+
+def test_a_report_that_cannot_be_made_says_why(run: Run, api: RunningApi, ended: str, tmp_path: Path) -> None:
+    assert run("report", "0" * 32, "-o", str(tmp_path / "report")).exit_code == 5
+    assert run("report", ended).exit_code == 2
+    (tmp_path / "file").write_text("")
+    refused = run("report", ended, "-o", str(tmp_path / "file"))
+    assert refused.exit_code == 2
+    assert "it cannot be written" in refused.stderr
+    parameters = {f"P{number}": 1 for number in range(1, 12)}
+    single = api.http.post("/api/v1/evaluations", json={"parameters": parameters}).raise_for_status().json()["id"]
+    refused = run("report", single, "-o", str(tmp_path / "report"))
+    assert refused.exit_code == 1
+    assert "single evaluation" in refused.stderr
+    assert not (tmp_path / "report").exists()
+
+
+def test_a_cell_is_explained_within_its_campaign(run: Run, api: RunningApi, ended: str) -> None:
+    number = api.http.get(f"/api/v1/campaigns/{ended}/evaluations?limit=1").json()["items"][0]["id"]
+    found = json.loads(run("explain", ended[:12], str(number), "--json").stdout)
+    assert (found["evaluation"], found["campaign"], found["outcome"]) == (number, ended, "simulated")
+    printed = run("explain", ended, str(number))
+    assert printed.exit_code == 0, printed.output
+    assert printed.stdout.startswith(f"evaluation {number}: calibration, iteration 0, individual 0, S1\nsimulated, score 0")
+    assert found["sentence"] in printed.stdout
+    assert run("explain", ended, "999999999").exit_code == 5
+    assert run("explain", ended, "nonsense").exit_code == 5
+    other = api.http.post("/api/v1/campaigns", json={"sensitivity": None}).raise_for_status().json()["id"]
+    wrong = run("explain", other, str(number))
+    assert wrong.exit_code == 5
+    assert f"it is of campaign {ended}" in wrong.stderr
+
+
+def test_show_prints_the_account_and_gives_it_as_json(run: Run, api: RunningApi, ended: str) -> None:
+    printed = run("show", ended).stdout
+    shown = json.loads(run("show", ended, "--json").stdout)
+    assert shown["accounting"]["requested"] == 10
+    assert shown["id"] == ended
+    assert "what was saved, in CPU time of the workers" in printed
+    assert shown["accounting"]["sentence"] in printed
+    queued = api.http.post("/api/v1/campaigns", json={}).raise_for_status().json()["id"]
+    assert json.loads(run("show", queued, "--json").stdout)["accounting"] is None
+
+
+def test_only_the_report_pays_for_matplotlib() -> None:
+    code = "import sys, drivecal.cli.main; sys.exit('matplotlib' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -1,0 +1,79 @@
+"""Figures 10 and 11: what the lines and areas stand for."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import StepPatch
+from tests.unit.report.rows import generation
+
+from drivecal.report.cells import cells_figure
+from drivecal.report.drawing import svg
+from drivecal.report.population import population_figure
+
+
+def line(figure: Figure, name: str) -> Line2D:
+    (found,) = [one for axes in figure.axes for one in axes.lines if one.get_gid() == name]
+    return found
+
+
+def areas(figure: Figure) -> dict[str, StepPatch]:
+    patches = figure.axes[0].patches
+    return {str(one.get_gid()): one for one in patches if isinstance(one, StepPatch) and one.get_gid()}
+
+
+def test_the_population_is_drawn_as_it_was() -> None:
+    figure = population_figure([generation(0), generation(1, mean=None), generation(2, alternatives=7)], baseline=4.5)
+    np.testing.assert_equal(line(figure, "population.best").get_xydata(), [[1, 5], [2, 6], [3, 7]])
+    np.testing.assert_equal(line(figure, "population.mean").get_ydata(), [3, np.nan, 3])
+    np.testing.assert_equal(line(figure, "population.alternatives").get_ydata(), [2, 2, 7])
+    np.testing.assert_equal(line(figure, "population.baseline").get_ydata(), [4.5, 4.5])
+    text = svg(figure, "test")
+    assert "Alternative optima, F(ps) = 7.000" in text
+    for label in ("best", "mean", "minimum", "baseline", "number of parameter sets"):
+        assert f">{label}</text>" in text
+
+
+def test_lines_differ_in_more_than_colour() -> None:
+    figure = population_figure([generation(0), generation(1)])
+    styles = {(one.get_linestyle(), one.get_marker()) for one in figure.axes[0].lines}
+    assert len(styles) == len(figure.axes[0].lines) == 3
+
+
+def test_a_campaign_without_any_result_can_be_drawn() -> None:
+    empty = generation(0, best=None, mean=None, minimum=None, alternatives=0)
+    assert ">Alternative optima</text>" in svg(population_figure([empty]), "test")
+
+
+@pytest.mark.parametrize("iterations", [1, 2, 300])
+def test_cells_are_added_up_and_each_is_counted_once(iterations: int) -> None:
+    figure = cells_figure([generation(number) for number in range(iterations)])
+    found = areas(figure)
+    assert list(found) == ["cells.simulated", "cells.audited", "cells.failed", "cells.repeated", "cells.reused"]
+    tops = {name: part.get_data()[0] for name, part in found.items()}
+    steps = np.arange(1, iterations + 1)
+    np.testing.assert_allclose(tops["cells.simulated"], 20 * steps)
+    np.testing.assert_allclose(tops["cells.audited"], 24 * steps)
+    np.testing.assert_allclose(tops["cells.reused"], 40 * steps)
+    assert f"{40 * iterations:,} requested cells, 37.5% answered without a simulation" in svg(figure, "test")
+
+
+def test_what_never_occurred_is_not_in_the_legend() -> None:
+    labels = re.findall(
+        r">([a-z ]+): [0-9,]+ \([0-9.]+%\)</text>", svg(cells_figure([generation(0, reused=0, requested=30)]), "test")
+    )
+    assert labels == ["repeated", "failed", "simulated as an audit", "simulated"]
+
+
+def test_areas_differ_in_more_than_colour() -> None:
+    marks = [
+        (to_rgb(part.get_facecolor()), part.get_hatch()) for part in areas(cells_figure([generation(0, certified=3)])).values()
+    ]
+    bright = [0.299 * r + 0.587 * g + 0.114 * b for (r, g, b), hatch in marks if not hatch]
+    assert len({hatch for _, hatch in marks if hatch}) + len(bright) == len(marks)
+    assert min(abs(one - other) for i, one in enumerate(bright) for other in bright[:i]) > 0.1
