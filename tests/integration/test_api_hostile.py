@@ -31,7 +31,9 @@ GETS = [
     "/api/v1/campaigns/{}/evaluations",
     "/api/v1/campaigns/{}/solutions",
     "/api/v1/campaigns/{}/influence",
+    "/api/v1/campaigns/{}/accounting",
     "/api/v1/evaluations/{}",
+    "/api/v1/evaluations/{}/explain",
     "/api/v1/influence-maps/{}",
 ]
 many = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

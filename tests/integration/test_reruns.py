@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 from tests.support.computed import ComputedBackend
-from tests.support.runs import dispatcher, get, run
+from tests.support.runs import WITH_ANALYSIS, dispatcher, get, influenced, run
 
 from drivecal.api import submission
 from drivecal.campaigns.maps import map_from_document
@@ -29,24 +29,6 @@ from drivecal.storage import influence_maps, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.database import Database
 
-SPECIFICATION: dict[str, Any] = {
-    "catalogue": ["S1", "S2"],
-    "parameters": [{"name": f"P{i}", "lower": 0, "upper": 1, "step": 0.05} for i in range(1, 5)],
-    "fixed": {f"P{i}": 0.5 for i in range(5, 12)},
-    "sensitivity": {"intervals": 5, "samples": 8, "threshold": 0.02},
-    "optimizer": {"kind": "genetic", "population": 40, "iterations": 5, "seed": 2},
-    "reduction": {"audit": 0.1},
-}
-
-
-def answer(scenario: str, cell: Cell) -> CellResult:
-    """S1 depends on P1 everywhere and on P2 up to 0.5; S2 depends on P3 from 0.4 on, and fails beyond 0.95; P4 matters nowhere."""
-    p = cell.parameters
-    rating = 6.4 * p["P1"] * (1 - min(p["P2"], 0.5)) if scenario == "S1" else 1 + 9 * max(p["P3"] - 0.4, 0)
-    if scenario == "S2" and p["P3"] > 0.95:
-        return CellResult(cell.id, 0.0, 0, {"comfort": rating}, "collision", 7.0)
-    return CellResult(cell.id, rating, round(rating), {"comfort": rating, "undefined": float("nan")}, None, 7.0)
-
 
 @dataclass(frozen=True)
 class Strict:
@@ -63,7 +45,7 @@ class Strict:
 
 def strict_answer(scenario: str, cell: Cell) -> CellResult:
     """What a worker with that evaluator gives."""
-    usual = answer(scenario, cell)
+    usual = influenced(scenario, cell)
     if usual.failure:
         return usual
     rating = Strict().rate(Manoeuvre.LANE_CHANGE, usual.metrics)
@@ -91,13 +73,13 @@ def strict(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def _run(database: Database, **changes: Any) -> StoredCampaign:
-    specification = CampaignSpecification.model_validate(SPECIFICATION | changes)
-    return run(database, submission.submit(database, specification, None), ComputedBackend(answer=answer))
+    specification = CampaignSpecification.model_validate(WITH_ANALYSIS | changes)
+    return run(database, submission.submit(database, specification, None), ComputedBackend(answer=influenced))
 
 
 def _rerun(database: Database, first: StoredCampaign, backend: ComputedBackend | None = None, **changes: Any) -> StoredCampaign:
     wanted = RerunSpecification.model_validate({"weights": {}} | changes)
-    return run(database, submission.rerun(database, first.id, wanted, None), backend or ComputedBackend(answer=answer))
+    return run(database, submission.rerun(database, first.id, wanted, None), backend or ComputedBackend(answer=influenced))
 
 
 def test_a_narrowed_campaign_searches_where_some_scenario_is_influenced(database: Database) -> None:
@@ -128,16 +110,16 @@ def test_a_narrowed_campaign_that_was_killed_ends_like_one_that_was_not(tmp_path
     expert = {"P1": 1, "P2": 0, "P3": 0.9, "P4": 0.1}
     changes: dict[str, Any] = {
         "reduction": {"audit": 0.1, "narrow": True},
-        "optimizer": SPECIFICATION["optimizer"] | {"start_sets": [expert]},
+        "optimizer": WITH_ANALYSIS["optimizer"] | {"start_sets": [expert]},
         "baseline": dict.fromkeys(("P1", "P2", "P3", "P4"), 0.2),
     }
     for killed in (False, True):
         opened = Database.open(f"sqlite:///{tmp_path / str(killed)}.db")
         opened.upgrade()
-        specification = CampaignSpecification.model_validate(SPECIFICATION | changes)
+        specification = CampaignSpecification.model_validate(WITH_ANALYSIS | changes)
         campaign = submission.submit(opened, specification, None)
         while not get(opened, campaign).state.ended:
-            one = dispatcher(opened, ComputedBackend(draw.randrange(99), answer=answer))
+            one = dispatcher(opened, ComputedBackend(draw.randrange(99), answer=influenced))
             for _ in range(draw.randrange(1, 12) if killed else 9_999):
                 one.step()
                 if get(opened, campaign).state.ended:
@@ -156,7 +138,7 @@ def test_a_narrowed_campaign_that_was_killed_ends_like_one_that_was_not(tmp_path
 def test_expert_sets_are_in_the_start_population_after_the_baseline(database: Database) -> None:
     baseline = dict.fromkeys(("P1", "P2", "P3", "P4"), 0.2)
     experts = [{"P1": 1, "P2": 0, "P3": 0.9, "P4": 0.1}, baseline, {"P1": 0, "P2": 1, "P3": 0.1, "P4": 0.9}]
-    optimizer = SPECIFICATION["optimizer"] | {"start_sets": experts}
+    optimizer = WITH_ANALYSIS["optimizer"] | {"start_sets": experts}
     for reduction in ({}, {"narrow": True}):
         ended = _run(database, baseline=baseline, optimizer=optimizer, reduction=reduction)
         with database.read() as connection:
@@ -174,7 +156,7 @@ def test_start_sets_that_do_not_fit_are_refused_by_name() -> None:
         "population": 2,
         "start_sets": [{"P1": 0.033}, *({f"P{i}": n / 10 for i in range(1, 5)} for n in range(3))],
     }
-    specification = CampaignSpecification.model_validate(SPECIFICATION | {"optimizer": optimizer})
+    specification = CampaignSpecification.model_validate(WITH_ANALYSIS | {"optimizer": optimizer})
     with pytest.raises(InvalidInputError) as caught:
         resolve(specification)
     text = str(caught.value)
@@ -184,14 +166,14 @@ def test_start_sets_that_do_not_fit_are_refused_by_name() -> None:
 
 
 def test_without_a_map_there_is_nothing_to_narrow_by() -> None:
-    specification = CampaignSpecification.model_validate(SPECIFICATION | {"sensitivity": None, "reduction": {"narrow": True}})
+    specification = CampaignSpecification.model_validate(WITH_ANALYSIS | {"sensitivity": None, "reduction": {"narrow": True}})
     with pytest.raises(InvalidInputError, match=r"reduction\.narrow: there is no influence map"):
         resolve(specification)
 
 
 def test_a_rerun_of_a_subset_of_the_scenarios_simulates_those_alone(database: Database) -> None:
     first = _run(database)
-    backend = ComputedBackend(answer=answer)
+    backend = ComputedBackend(answer=influenced)
     again = _rerun(database, first, backend, weights={"S1": 0})
     assert again.influence_map_id == first.influence_map_id
     assert again.sensitivity_cells.requested == 0
@@ -234,7 +216,7 @@ def test_another_evaluator_rates_stored_runs_and_simulates_only_what_is_new(data
 @pytest.mark.usefixtures("strict")
 def test_ratings_are_added_in_chunks_to_what_the_campaign_sees_and_once(database: Database) -> None:
     first = _run(database, sensitivity=None)
-    problem = resolve(CampaignSpecification.model_validate(SPECIFICATION | {"evaluator": "strict"}))
+    problem = resolve(CampaignSpecification.model_validate(WITH_ANALYSIS | {"evaluator": "strict"}))
     view = View(1, 10, problem.bench)
     assert rate_stored_runs(database, view, chunk=3) == 10
     assert rate_stored_runs(database, view, chunk=3) == 0

@@ -10,6 +10,7 @@ from drivecal.campaigns.dispatcher import Dispatcher
 from drivecal.campaigns.maps import map_to_document, resolve_map
 from drivecal.campaigns.pool import WorkPool
 from drivecal.contracts.specification import CampaignSpecification, InfluenceMapSpecification
+from drivecal.contracts.work import Cell, CellResult
 from drivecal.storage import campaigns, influence_maps
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.database import Database
@@ -21,7 +22,24 @@ SMALL: dict[str, Any] = {
     "catalogue": ["S1", "S2", "S3"],
     "optimizer": {"kind": "genetic", "population": 24, "iterations": 6, "seed": 3},
 }
+WITH_ANALYSIS: dict[str, Any] = {
+    "catalogue": ["S1", "S2"],
+    "parameters": [{"name": f"P{i}", "lower": 0, "upper": 1, "step": 0.05} for i in range(1, 5)],
+    "fixed": {f"P{i}": 0.5 for i in range(5, 12)},
+    "sensitivity": {"intervals": 5, "samples": 8, "threshold": 0.02},
+    "optimizer": {"kind": "genetic", "population": 40, "iterations": 5, "seed": 2},
+    "reduction": {"audit": 0.1},
+}
 MOST_STEPS = 5_000
+
+
+def influenced(scenario: str, cell: Cell) -> CellResult:
+    """S1 depends on P1 everywhere and on P2 up to 0.5; S2 depends on P3 from 0.4 on, and fails beyond 0.95; P4 matters nowhere."""
+    p = cell.parameters
+    rating = 6.4 * p["P1"] * (1 - min(p["P2"], 0.5)) if scenario == "S1" else 1 + 9 * max(p["P3"] - 0.4, 0)
+    if scenario == "S2" and p["P3"] > 0.95:
+        return CellResult(cell.id, 0.0, 0, {"comfort": rating}, "collision", 7.0)
+    return CellResult(cell.id, rating, round(rating), {"comfort": rating, "undefined": float("nan")}, None, 7.0)
 
 
 def nothing_matters() -> dict[str, Any]:

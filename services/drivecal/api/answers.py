@@ -14,6 +14,8 @@ from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.results import StoredEvaluation
 
 ROOT = "/api/v1"
+TABLES = ("generations", "evaluations", "solutions", "influence", "accounting")
+"""What a campaign links to below itself."""
 BEFORE_PARAMETERS = ("id", "stage", "iteration", "individual", "scenario")
 AFTER_PARAMETERS = ("outcome", "score", "rating", "reference", "audited", "agrees", "failure", "milliseconds", "worker")
 
@@ -58,7 +60,7 @@ def _links(stored: StoredCampaign) -> dict[str, str]:
     if stored.kind == "evaluation":
         return {"self": f"{ROOT}/evaluations/{stored.id}"}
     here = f"{ROOT}/campaigns/{stored.id}"
-    links = {"self": here} | {table: f"{here}/{table}" for table in ("generations", "evaluations", "solutions", "influence")}
+    links = {"self": here} | {table: f"{here}/{table}" for table in TABLES}
     if stored.influence_map_id is not None:
         links["influence_map"] = f"{ROOT}/influence-maps/{stored.influence_map_id}"
     if stored.rerun_of is not None:

@@ -1,0 +1,145 @@
+"""What reuse did, over HTTP, on both databases: explanations, accounts, narrowed spaces, contradictions, reruns."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+from tests.support.computed import ComputedBackend
+from tests.support.runs import WITH_ANALYSIS, influenced, run
+from tests.support.server import RunningApi, new_database, serving
+
+from drivecal.contracts.accounting import Accounting
+from drivecal.contracts.explanation import Explanation
+from drivecal.storage import campaigns
+
+
+@dataclass(frozen=True)
+class Ended:
+    """A campaign with an analysis and a narrowed space, and its rerun, both ended."""
+
+    api: RunningApi
+    first: dict[str, Any]
+    rerun: dict[str, Any]
+
+    def rows(self, campaign: dict[str, Any]) -> list[dict[str, Any]]:
+        found: list[dict[str, Any]] = []
+        cursor: str | None = None
+        while True:
+            page = self.api.http.get(
+                campaign["links"]["evaluations"], params={"limit": 1000} | ({"cursor": cursor} if cursor else {})
+            )
+            found += page.json()["items"]
+            cursor = page.json()["next_cursor"]
+            if cursor is None:
+                return found
+
+
+def _carry_out(api: RunningApi, campaign: dict[str, Any]) -> dict[str, Any]:
+    with api.database.read() as connection:
+        stored = campaigns.get(connection, campaign["id"])
+    run(api.database, stored, ComputedBackend(answer=influenced))
+    ended: dict[str, Any] = api.http.get(campaign["links"]["self"]).json()
+    return ended
+
+
+@pytest.fixture(scope="module", params=["sqlite", "postgresql"])
+def ended(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ended]:
+    changes = {"reduction": {"audit": 0.1, "narrow": True}}
+    with serving(new_database(request, request.param, tmp_path_factory.mktemp("reuse"))) as api:
+        submitted = api.http.post("/api/v1/campaigns", json=WITH_ANALYSIS | changes)
+        assert submitted.status_code == 202, submitted.text
+        first = _carry_out(api, submitted.json())
+        again = api.http.post(f"{first['links']['self']}/rerun", json={"weights": {"S1": 3}})
+        yield Ended(api, first, _carry_out(api, again.json()))
+
+
+def test_every_cell_can_be_explained(ended: Ended) -> None:
+    reasons = set()
+    for row in ended.rows(ended.first)[::7]:
+        response = ended.api.http.get(f"/api/v1/evaluations/{row['id']}/explain")
+        assert response.status_code == 200, response.text
+        found = Explanation.model_validate(response.json())
+        assert (found.evaluation, found.outcome, found.score) == (row["id"], row["outcome"], row["score"])
+        assert found.sentence
+        if row["reference"] is not None:
+            assert found.reference is not None
+            assert found.reference.evaluation == row["reference"]
+        reasons.add(found.reason)
+    assert reasons >= {"analysis", "reused", "blocked"}
+
+
+def test_references_of_an_earlier_campaign_are_named_with_it(ended: Ended) -> None:
+    copied = next(row for row in ended.rows(ended.rerun) if row["outcome"] == "repeated")
+    found = ended.api.http.get(f"/api/v1/evaluations/{copied['id']}/explain").json()
+    assert found["reason"] == "repeated"
+    assert found["reference"]["campaign"] == ended.first["id"]
+    assert ended.first["id"] in found["sentence"]
+
+
+def test_the_account_adds_up(ended: Ended) -> None:
+    response = ended.api.http.get(f"{ended.first['links']['self']}/accounting")
+    assert response.status_code == 200, response.text
+    found = Accounting.model_validate(response.json())
+    cells, analysis = ended.first["cells"], ended.first["sensitivity_cells"]
+    assert (found.requested, found.simulated, found.audited) == (cells["requested"], cells["simulated"], cells["audited"])
+    assert found.answered_without_simulation == cells["repeated"] + cells["reused"]
+    assert (found.sensitivity.requested, found.sensitivity.simulated) == (analysis["requested"], analysis["simulated"])
+    seconds = 0.007  # of every simulation
+    assert found.sensitivity.seconds == pytest.approx(analysis["simulated"] * seconds)
+    assert found.saved_seconds == pytest.approx(found.answered_without_simulation * seconds)
+    assert found.net_seconds == pytest.approx(found.saved_seconds - found.sensitivity.seconds)
+    assert found.simulated_seconds + found.sensitivity.seconds == pytest.approx(ended.first["seconds"]["simulating"])
+    assert [one.scenario for one in found.scenarios] == ["S1", "S2"]
+    assert found.map is not None
+    assert found.map.paid_here
+    assert found.break_even is not None
+    assert found.break_even.requested_cells == pytest.approx(analysis["simulated"] / found.share_reused, abs=1)
+
+
+def test_a_rerun_reports_what_it_saved_and_who_paid_for_the_map(ended: Ended) -> None:
+    found = Accounting.model_validate(ended.api.http.get(f"{ended.rerun['links']['self']}/accounting").json())
+    assert found.sensitivity.requested == 0
+    assert found.net_seconds == found.saved_seconds > 0
+    assert found.map is not None
+    assert (found.map.made_by, found.map.paid_here) == (ended.first["id"], False)
+    assert found.share_without_simulation is not None
+    assert found.share_without_simulation > 0.5
+
+
+def test_the_campaign_shows_what_was_narrowed_and_what_contradicts(ended: Ended) -> None:
+    assert {one["parameter"] for one in ended.first["narrowed"]} == {"P2", "P3", "P4"}
+    assert {name: rate["contradictions"] for name, rate in ended.first["error_rate"].items()} == {"S1": 0, "S2": 0}
+    assert {"accounting"} <= set(ended.first["links"])
+
+
+def test_before_a_campaign_the_share_from_which_the_map_pays_is_told(ended: Ended) -> None:
+    def expected(**changes: Any) -> dict[str, Any]:
+        response = ended.api.http.post("/api/v1/campaigns?validate_only=true", json=WITH_ANALYSIS | changes)
+        assert response.status_code == 200, response.text
+        found: dict[str, Any] = response.json()
+        return found
+
+    usual = expected()
+    assert usual["break_even_share"] == usual["sensitivity"] / usual["calibration_at_most"]
+    assert expected(sensitivity=None)["break_even_share"] is None
+    assert expected(optimizer=None)["break_even_share"] is None
+
+
+def test_a_single_evaluation_is_explained_by_its_own_id(ended: Ended) -> None:
+    one = {"parameters": {f"P{i}": 0.5 for i in range(1, 12)}}
+    alone = ended.api.http.post("/api/v1/evaluations", json=one | {"scenario": "S2"}).json()
+    early = ended.api.http.get(f"{alone['links']['self']}/explain")
+    assert early.status_code == 409
+    _carry_out(ended.api, alone)
+    found = ended.api.http.get(f"{alone['links']['self']}/explain").json()
+    assert found["reason"] in {"exact_only", "repeated"}
+    every = ended.api.http.post("/api/v1/evaluations", json=one).json()
+    _carry_out(ended.api, every)
+    several = ended.api.http.get(f"{every['links']['self']}/explain")
+    assert several.status_code == 409
+    assert "6 cells" in several.json()["detail"]
+    account = ended.api.http.get(f"/api/v1/campaigns/{every['id']}/accounting")
+    assert account.status_code == 409
