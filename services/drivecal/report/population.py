@@ -36,7 +36,8 @@ def population_figure(generations: Sequence[Generation], baseline: float | None 
         left.set(xlabel="iteration", ylabel="objective F(ps)", title="Population")
         left.margins(y=0.08)
         figure.legend(*left.get_legend_handles_labels(), loc="outside lower left", ncols=4)
-        counts = [one.alternatives for one in generations]
+        # An iteration that has no best yet is still being answered, and its alternatives are not counted.
+        counts = [float("nan") if one.best is None else one.alternatives for one in generations]
         (line,) = right.plot(numbers, counts, color=BLUE, linewidth=1.4, drawstyle="steps-mid")
         line.set_gid("population.alternatives")
         if marked:
@@ -44,7 +45,7 @@ def population_figure(generations: Sequence[Generation], baseline: float | None 
         best = next((one.best for one in reversed(generations) if one.best is not None), None)
         title = "Alternative optima" if best is None else f"Alternative optima, F(ps) = {best:.3f}"
         right.set(xlabel="iteration", ylabel="number of parameter sets", title=title)
-        right.set_ylim(0, max([1, *counts]) * 1.08)
+        right.set_ylim(0, max(1, *(one.alternatives for one in generations)) * 1.08)
         for axes in (left, right):
             whole_numbers(axes)
             axes.set_xlim(0.5, max(numbers) + 0.5)

@@ -45,6 +45,14 @@ def test_lines_differ_in_more_than_colour() -> None:
     assert len(styles) == len(figure.axes[0].lines) == 3
 
 
+def test_an_iteration_that_is_not_answered_yet_has_no_point() -> None:
+    pending = generation(1, best=None, mean=None, minimum=None, alternatives=0)
+    figure = population_figure([generation(0), pending])
+    for name, value in (("best", 5), ("alternatives", 2)):
+        np.testing.assert_equal(line(figure, f"population.{name}").get_ydata(), [value, np.nan])
+    assert "Alternative optima, F(ps) = 5.000" in svg(figure, "test")
+
+
 def test_a_campaign_without_any_result_can_be_drawn() -> None:
     empty = generation(0, best=None, mean=None, minimum=None, alternatives=0)
     assert ">Alternative optima</text>" in svg(population_figure([empty]), "test")
