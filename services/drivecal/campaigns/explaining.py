@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from sqlalchemy import Connection
 
-from drivecal.campaigns.maps import map_from_document
+from drivecal.campaigns.maps import stored_map
 from drivecal.campaigns.problem import resolve, resolve_evaluation
 from drivecal.campaigns.reasons import sentence
 from drivecal.campaigns.selfcheck import stopped_after
@@ -47,7 +47,7 @@ class _Case:
     def influence_map(self) -> InfluenceMap | None:
         if self.campaign.influence_map_id is None:
             return None
-        return map_from_document(influence_maps.get(self.connection, self.campaign.influence_map_id).scenarios)
+        return stored_map(influence_maps.get(self.connection, self.campaign.influence_map_id))
 
     @cached_property
     def comparison(self) -> Comparison:

@@ -9,12 +9,13 @@ from typing import Any
 
 from drivecal.campaigns.problem import CalibrationProblem, catalogue_scenarios
 from drivecal.campaigns.spaces import search_parameters
-from drivecal.contracts.specification import InfluenceMapSpecification, InfluenceSpecification
+from drivecal.contracts.specification import InfluenceMapSpecification, InfluenceSpecification, ParameterSpecification
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.influence import Influence, InfluenceMap
 from drivecal.domain.parameters import Parameter, decimal, text
 from drivecal.plugins import registry
 from drivecal.sensitivity.scenario import ScenarioInfluence
+from drivecal.storage.influence_maps import StoredInfluenceMap
 
 
 def resolve_map(specification: InfluenceMapSpecification) -> InfluenceMap:
@@ -130,6 +131,23 @@ def analysis_to_document(found: Mapping[str, ScenarioInfluence]) -> dict[str, An
 
 def _finite(value: float) -> float | None:
     return value if isfinite(value) else None
+
+
+def stored_map(stored: StoredInfluenceMap) -> InfluenceMap:
+    """A map as it was stored, with the ranges that it speaks of: those it was made in, or checked against.
+
+    Raises InvalidInputError where the space that a posted map names is not installed any more.
+    """
+    found = map_from_document(stored.scenarios)
+    if stored.basis is not None:
+        ranges = {one["name"]: (Decimal(one["lower"]), Decimal(one["upper"])) for one in stored.basis["space"]}
+        ranges |= {name: (Decimal(value), Decimal(value)) for name, value in stored.basis["fixed"].items()}
+        return InfluenceMap(found.scenarios, ranges)
+    listed = stored.parameters
+    if not isinstance(listed, str):
+        listed = [ParameterSpecification.model_validate(one) for one in listed]
+    space = search_parameters(listed, registry.driving_function(stored.driving_function))
+    return InfluenceMap(found.scenarios, {one.name: (one.lower, one.upper) for one in space})
 
 
 def map_from_document(document: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> InfluenceMap:

@@ -10,7 +10,7 @@ import numpy as np
 from sqlalchemy import Connection
 
 from drivecal.campaigns.ledger import Ledger, Work
-from drivecal.campaigns.maps import analysis_to_document
+from drivecal.campaigns.maps import analysis_to_document, stored_map
 from drivecal.campaigns.pace import Pace
 from drivecal.campaigns.planning import View, WantedCell, plan_cells
 from drivecal.campaigns.problem import CalibrationProblem
@@ -117,7 +117,6 @@ class Sensitivity:
 
     def _make_map(self) -> None:
         """Stores the map, and gives the stage's runs their keys under it, so that they are references from the first population on."""
-        found = self._analysis.influence_map()
         with self._database.transaction() as connection:
             stored = influence_maps.insert(
                 connection,
@@ -129,7 +128,7 @@ class Sensitivity:
                 basis=self._basis(),
             )
             campaigns.set_influence_map(connection, self._campaign.sequence, stored.id)
-            self._give_keys(connection, found)
+            self._give_keys(connection, stored_map(stored))
 
     def _give_keys(self, connection: Connection, influence_map: InfluenceMap) -> None:
         cells: dict[str, list[tuple[int, ParameterSet]]] = {}

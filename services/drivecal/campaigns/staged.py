@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from drivecal.campaigns.calibration import Calibration
 from drivecal.campaigns.ledger import Work
-from drivecal.campaigns.maps import map_from_document
+from drivecal.campaigns.maps import check_basis, stored_map
 from drivecal.campaigns.planning import View
 from drivecal.campaigns.problem import CalibrationProblem
 from drivecal.campaigns.rerating import rate_stored_runs
@@ -64,6 +64,6 @@ class StagedCampaign:
         if campaign.influence_map_id is not None:
             with self._database.read() as connection:
                 stored = influence_maps.get(connection, campaign.influence_map_id)
-            found = map_from_document(stored.scenarios)
+            found = stored_map(stored)
             view = replace(view, influence_map=found, influence_map_sequence=stored.sequence)
         return Calibration(self._database, campaign, self._problem, view)

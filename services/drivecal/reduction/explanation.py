@@ -61,6 +61,9 @@ class Comparison:
         self._influences = [influence_map.influence(scenario, name) for name in names]
         self._values = values
         self._ranges = ranges
+        covered = [influence_map.ranges.get(name) for name in names]
+        self._lowest = np.array([_NONE_BELOW if one is None else billionths(one[0]) for one in covered])
+        self._highest = np.array([_NONE_ABOVE if one is None else billionths(one[1]) for one in covered])
         self._matters = np.array([one.influential for one in self._influences])
         self._lower = np.array([_NONE_BELOW if one.lower is None else billionths(one.lower) for one in self._influences])
         self._upper = np.array([_NONE_ABOVE if one.upper is None else billionths(one.upper) for one in self._influences])
@@ -69,8 +72,14 @@ class Comparison:
         """Which parameters of which stored sets forbid reuse, shape (n, n_p), for `stored` in billionths, shape (n, n_p)."""
         both_below = (stored < self._lower) & (self._values < self._lower)
         both_above = (stored > self._upper) & (self._values > self._upper)
-        blocks: npt.NDArray[np.bool_] = self._matters & (stored != self._values) & ~both_below & ~both_above
+        covered = self._covers(stored) & self._covers(self._values)
+        blocks: npt.NDArray[np.bool_] = (stored != self._values) & ~(covered & (~self._matters | both_below | both_above))
         return blocks
+
+    def _covers(self, values: Integers) -> npt.NDArray[np.bool_]:
+        """Which values the map speaks of; of others it says nothing."""
+        covered: npt.NDArray[np.bool_] = (values >= self._lowest) & (values <= self._highest)
+        return covered
 
     def distances(self, stored: Integers, blocking: npt.NDArray[np.bool_]) -> Floats:
         """Euclidean, of the blocking parameters alone, each in units of its range, shape (n,): what differs elsewhere does not matter."""
@@ -113,6 +122,8 @@ class Comparison:
         ]
 
     def _region(self, column: int, value: int) -> Region:
+        if not self._lowest[column] <= value <= self._highest[column]:
+            return "influential"
         if not self._matters[column]:
             return "anywhere"
         if value < self._lower[column]:

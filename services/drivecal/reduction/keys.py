@@ -28,6 +28,9 @@ class ReferenceKeys:
         ordered = [names[position] for position in self._order]
         influences = [influence_map.influence(scenario, name) for name in ordered]
         self._header = "\0".join([scenario, *ordered]).encode()
+        ranges = [influence_map.ranges.get(name) for name in ordered]
+        self._lowest = np.array([BELOW if one is None else billionths(one[0]) for one in ranges], dtype=np.int64)
+        self._highest = np.array([ABOVE if one is None else billionths(one[1]) for one in ranges], dtype=np.int64)
         self._matters = np.array([influence.influential for influence in influences])
         self._lower = np.array([BELOW if one.lower is None else billionths(one.lower) for one in influences], dtype=np.int64)
         self._upper = np.array([ABOVE if one.upper is None else billionths(one.upper) for one in influences], dtype=np.int64)
@@ -39,7 +42,8 @@ class ReferenceKeys:
         """
         ordered = values[:, self._order]
         codes = np.where(ordered < self._lower, BELOW, np.where(ordered > self._upper, ABOVE, ordered))
-        return np.where(self._matters, codes, ANY)
+        covered = (ordered >= self._lowest) & (ordered <= self._highest)  # of other values the map says nothing
+        return np.where(covered, np.where(self._matters, codes, ANY), ordered)
 
     def keys(self, values: npt.NDArray[np.int64]) -> list[bytes]:
         """One key of 16 bytes per row of `values`, shape (n, n_p), in billionths in the order of `names`."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from decimal import Decimal
 
 
@@ -26,9 +26,14 @@ EVERYWHERE = Influence(influential=True)
 
 @dataclass(frozen=True, slots=True)
 class InfluenceMap:
-    """Influences by scenario id, then by parameter name. What is not listed counts as influential everywhere."""
+    """Influences by scenario id, then by parameter name. What is not listed counts as influential everywhere.
+
+    `ranges`: the values by parameter that the map speaks of, from lowest to highest; of values outside it says nothing, so any change
+    there may matter. A parameter that is not in it has no limits.
+    """
 
     scenarios: Mapping[str, Mapping[str, Influence]]
+    ranges: Mapping[str, tuple[Decimal, Decimal]] = field(default_factory=dict)
 
     def influence(self, scenario: str, parameter: str) -> Influence:
         """The influence of one parameter in one scenario."""

@@ -22,7 +22,9 @@ def is_valid_reference(stored: ParameterSet, new: ParameterSet, influence_map: I
         other = stored.values[name]
         below = influence.lower is not None and value < influence.lower and other < influence.lower
         above = influence.upper is not None and value > influence.upper and other > influence.upper
-        if not (other == value or not influence.influential or below or above):
+        lowest, highest = influence_map.ranges.get(name, (min(value, other), max(value, other)))
+        covered = lowest <= min(value, other) and max(value, other) <= highest
+        if not (other == value or (covered and (not influence.influential or below or above))):
             return False
     return True
 
@@ -50,7 +52,8 @@ def _random_case(draw: random.Random) -> tuple[InfluenceMap, list[ParameterSet],
         return ParameterSet.of({name: draw.randrange(size) * step for name in names})
 
     table = [parameter_set() for _ in range(draw.randint(0, 30))]
-    return InfluenceMap({"S1": influences}), table, parameter_set()
+    ranges = {name: (step, (size - 2) * step) for name in names if draw.random() < 0.3}
+    return InfluenceMap({"S1": influences}, ranges), table, parameter_set()
 
 
 def test_the_keyed_look_up_agrees_with_the_naive_scan_on_ten_thousand_random_tables() -> None:
@@ -74,6 +77,14 @@ def test_one_set_below_and_one_above_are_no_references_of_each_other() -> None:
     below, also_below, above, at_lower, at_upper = keys
     assert below == also_below
     assert len({below, above, at_lower, at_upper}) == 4
+
+
+def test_of_values_outside_its_ranges_a_map_says_nothing() -> None:
+    nowhere = {"S1": {"P1": Influence(influential=False)}}
+    keys = ReferenceKeys(InfluenceMap(nowhere, {"P1": (Decimal(0), Decimal(1))}), "S1", ["P1"])
+    inside, other_inside, outside, other_outside = keys.keys(np.array([[0], [1], [2], [-1]]) * 10**9)
+    assert inside == other_inside
+    assert len({inside, outside, other_outside}) == 3
 
 
 def test_a_parameter_of_which_the_map_says_nothing_is_influential_everywhere() -> None:
