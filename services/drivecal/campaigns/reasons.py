@@ -63,18 +63,20 @@ def _difference(one: Difference) -> str:
 
 
 def _regions(one: Difference) -> str:
-    if one.region == "anywhere":
+    if one.region == one.reference_region == "anywhere":
         return "of no influence"
-    if one.region == one.reference_region and one.region != "influential":
-        return f"both {_region(one, one.region)}"
     if one.region == one.reference_region:
-        return f"both {_bounds(one)}"
+        return f"both {_region(one, one.region)}"
     return f"{_region(one, one.region)} and {_region(one, one.reference_region)}"
 
 
 def _region(one: Difference, region: str) -> str:
     if region == "below":
         return f"below {one.lower:g}"
+    if region == "anywhere":
+        return "where it has no influence"
+    if region == "outside":
+        return "outside of what the map covers"
     return f"above {one.upper:g}" if region == "above" else _bounds(one)
 
 

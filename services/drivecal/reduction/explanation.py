@@ -123,7 +123,7 @@ class Comparison:
 
     def _region(self, column: int, value: int) -> Region:
         if not self._lowest[column] <= value <= self._highest[column]:
-            return "influential"
+            return "outside"
         if not self._matters[column]:
             return "anywhere"
         if value < self._lower[column]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from decimal import Decimal
 from functools import cached_property
 
 import numpy as np
@@ -90,6 +91,8 @@ def full_area(space: ParameterSpace) -> SearchArea:
 def common_area(space: ParameterSpace, influence_map: InfluenceMap, scenarios: Sequence[str], given: Indices) -> SearchArea:
     """The smallest box that holds, of each parameter, the influential bounds of all scenarios and the sets `given`, shape (n, n_searched).
 
+    Values that the map does not speak of count as influential.
+
     A parameter that influences no scenario is held at the given sets' value, or in the middle of its range where there are none. Where
     nothing would be left to search, for no parameter influences any scenario, the area is the whole space.
     """
@@ -97,12 +100,24 @@ def common_area(space: ParameterSpace, influence_map: InfluenceMap, scenarios: S
     for column, parameter in enumerate(space.searched):
         listed = [influence_map.influence(scenario, parameter.name) for scenario in scenarios]
         reach = [found for one in listed if (found := _influential_indices(parameter, one)) is not None]
+        reach += _uncovered_indices(parameter, influence_map.ranges.get(parameter.name))
         reach += [(index, index) for index in given[:, column].tolist()]
         middle = (parameter.n_values - 1) // 2
         first[column] = min((low for low, _ in reach), default=middle)
         last[column] = max((high for _, high in reach), default=middle)
     area = SearchArea(space, first, last)
     return area if len(area.columns) else full_area(space)
+
+
+def _uncovered_indices(parameter: Parameter, covered: tuple[Decimal, Decimal] | None) -> list[tuple[int, int]]:
+    """The grid indices of which the map says nothing, at either end, each with the next value that it covers."""
+    if covered is None:
+        return []
+    values, last = parameter.all_billionths, parameter.n_values - 1
+    first_covered = int(np.searchsorted(values, billionths(covered[0]), side="left"))
+    last_covered = int(np.searchsorted(values, billionths(covered[1]), side="right")) - 1
+    below = [(0, min(first_covered, last))] if first_covered > 0 else []
+    return [*below, (max(last_covered, 0), last)] if last_covered < last else below
 
 
 def _influential_indices(parameter: Parameter, influence: Influence) -> tuple[int, int] | None:

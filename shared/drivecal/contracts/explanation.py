@@ -8,8 +8,9 @@ from pydantic import Field
 
 from drivecal.contracts.campaign import Answer
 
-Region = Literal["below", "influential", "above", "anywhere"]
-"""Where a value lies under the influence map: outside the influential bounds, between them, or `anywhere` where none exist."""
+Region = Literal["below", "influential", "above", "anywhere", "outside"]
+"""Where a value lies under the influence map: beyond the influential bounds, between them, `anywhere` where none exist, or `outside` of
+the space that the map speaks of."""
 
 Reason = Literal[
     "repeated",

@@ -38,6 +38,7 @@ def _explanation(reason: Any, **changes: Any) -> Explanation:
     ("difference", "words"),
     [
         (_difference("anywhere", "anywhere", None, None), "of no influence"),
+        (_difference("anywhere", "outside", None, None), "where it has no influence and outside of what the map covers"),
         (_difference("below", "below", 0.3, 0.7), "both below 0.3"),
         (_difference("above", "above", 0.3, 0.05), "both above 0.05"),
         (_difference("below", "influential", 0.2, None), "below 0.2 and influential from 0.2 on"),

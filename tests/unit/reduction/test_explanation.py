@@ -26,7 +26,7 @@ influences = st.one_of(
     .map(lambda pair: Influence(influential=True, lower=pair[0], upper=pair[1])),
 )
 maps = st.tuples(influences, influences, influences).map(
-    lambda listed: InfluenceMap({"S1": dict(zip(NAMES, listed, strict=True))})
+    lambda listed: InfluenceMap({"S1": dict(zip(NAMES, listed, strict=True))}, {"P1": (Decimal(1), Decimal(3))})
 )
 values = st.tuples(*(st.integers(0, 4) for _ in NAMES))
 tables = st.lists(values, max_size=30)
@@ -54,7 +54,8 @@ def _scan(influence_map: InfluenceMap, cell: tuple[int, ...], table: list[tuple[
     def order(position: int) -> tuple[int, float, int]:
         total, blocking = 0.0, 0
         for name, one, other, extent in zip(NAMES, cell, table[position], RANGES.tolist(), strict=True):
-            if _blocks(influence_map.influence("S1", name), one, other):
+            covered = name != "P1" or 1 <= min(one, other) <= max(one, other) <= 3
+            if _blocks(influence_map.influence("S1", name) if covered else EVERYWHERE, one, other):
                 blocking += 1
                 total += ((other - one) * BILLION / extent) ** 2
         return blocking, sqrt(total), position
@@ -119,3 +120,9 @@ def test_values_at_the_bounds_are_influential() -> None:
     comparison = _compare(InfluenceMap({"S1": {"P1": limited}}), (1, 0, 0))
     [difference] = comparison.differences(_stored([(3, 0, 0)])[0])
     assert (difference.region, difference.reference_region, difference.blocks) == ("influential", "influential", True)
+
+
+def test_of_values_outside_its_space_the_map_says_nothing() -> None:
+    influence_map = InfluenceMap({"S1": {"P1": Influence(influential=False)}}, {"P1": (Decimal(1), Decimal(3))})
+    [difference] = _compare(influence_map, (2, 0, 0)).differences(_stored([(4, 0, 0)])[0])
+    assert (difference.region, difference.reference_region, difference.blocks) == ("anywhere", "outside", True)

@@ -95,6 +95,13 @@ def test_bounds_of_another_grid_are_met_by_the_nearest_values_inside(influence: 
     assert (area.first[0], area.last[0]) == expected
 
 
+def test_values_that_the_map_does_not_speak_of_are_not_cut() -> None:
+    inner = {"P1": (Decimal(2), Decimal(10)), "P2": (Decimal(0), Decimal("0.7"))}
+    influences = {"P1": _between("4", "6"), "P2": NOTHING, "P3": EVERYWHERE}
+    area = common_area(SPACE, InfluenceMap({"S1": influences, "S2": influences}, inner), SCENARIOS, _given())
+    assert (area.first.tolist(), area.last.tolist()) == ([0, 7, 0], [6, 10, 7])
+
+
 bounds = st.tuples(st.integers(0, 10), st.integers(0, 10)).map(sorted)
 influences = st.one_of(st.just(NOTHING), st.just(EVERYWHERE), bounds.map(lambda pair: _between(str(pair[0]), str(pair[1]))))
 
