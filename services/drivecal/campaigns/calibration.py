@@ -19,6 +19,7 @@ from drivecal.campaigns.selfcheck import error_rates
 from drivecal.campaigns.solutions import Solution, Standing
 from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, Progress
 from drivecal.domain.campaigns import Stage
+from drivecal.domain.errors import NoResultError
 from drivecal.domain.parameters import ParameterSet
 from drivecal.plugins.ports import Optimizer, Proposal
 from drivecal.reduction.assignment import Policy
@@ -80,12 +81,20 @@ class Calibration:
             if self._proposal is not None:
                 self._tell()
             if self._iteration is not None and self._iteration + 1 >= self._optimization.iterations:
+                self._refuse_nothing()
                 self.finished = True
                 return []
             work = self._ask()
             if work:
                 return work
         return []
+
+    def _refuse_nothing(self) -> None:
+        if self._standing.best() is None:
+            failed = CellCounts(**self._ledger.counts).failed
+            raise NoResultError(
+                f"no parameter set has a result in every scenario: {failed} cells failed; the server's log says why"
+            )
 
     def record(self, completed: Sequence[Completed]) -> list[Work]:
         """Writes results down, in one transaction with the counters that they change; gives what is to be simulated instead of cells
@@ -261,8 +270,8 @@ class Calibration:
         for scenario, rate in self._error_rate.items():
             if rate.stopped:
                 notes.append(f"reuse in {scenario} was stopped: {rate.wrong} of {rate.audited} audited cells were wrong")
-        if self._ledger.contradictions:
-            notes.append(f"{self._ledger.contradictions} simulations gave other bits than the stored run of the same cell")
+        if counts.unrepeatable:
+            notes.append(f"{counts.unrepeatable} simulations gave other bits than the stored run of the same cell")
         campaigns.save_progress(
             connection,
             self._campaign.sequence,

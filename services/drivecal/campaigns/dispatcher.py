@@ -14,6 +14,7 @@ import threading
 import time
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import asdict, dataclass, field
+from typing import Any
 
 from drivecal.campaigns.evaluation import SingleEvaluation
 from drivecal.campaigns.ledger import Work
@@ -26,7 +27,7 @@ from drivecal.campaigns.settings import load_settings
 from drivecal.campaigns.staged import StagedCampaign
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
 from drivecal.domain.campaigns import CampaignState
-from drivecal.domain.errors import DrivecalError, UnavailableError
+from drivecal.domain.errors import ConflictError, DrivecalError, UnavailableError
 from drivecal.storage import campaigns, locks, processes
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.database import Database
@@ -124,20 +125,27 @@ class Dispatcher:
             found = campaigns.active(connection)
         for campaign in found:
             active = self._active.get(campaign.sequence)
-            match campaign.state:
-                case CampaignState.QUEUED:
-                    self._start(campaign)
-                case CampaignState.RUNNING | CampaignState.CANCELLING if active is None:
-                    self._active[campaign.sequence] = _Active(campaign)
-                case CampaignState.PAUSED if campaign.requested_action == "resume":
-                    self._resume(campaign)
-        for campaign in found:
-            active = self._active.get(campaign.sequence)
-            if active is not None and active.stopping is None:
-                if campaign.requested_action == "cancel" or campaign.state is CampaignState.CANCELLING:
-                    self._stop(active, CampaignState.CANCELLED)
-                elif campaign.requested_action == "pause":
-                    self._stop(active, CampaignState.PAUSED)
+            cancelled = campaign.requested_action == "cancel" or campaign.state is CampaignState.CANCELLING
+            if active is None:
+                self._welcome(campaign, cancelled=cancelled)
+            elif cancelled:
+                self._stop(active, CampaignState.CANCELLED)
+            elif campaign.requested_action == "pause":
+                self._stop(active, CampaignState.PAUSED)
+            elif active.stopping is CampaignState.PAUSED:  # and resumed again before it rested
+                active.stopping = active.job = None
+
+    def _welcome(self, campaign: StoredCampaign, *, cancelled: bool) -> None:
+        """Begins to look after a campaign that it did not look after so far."""
+        match campaign.state:
+            case CampaignState.QUEUED:
+                self._start(campaign)
+            case CampaignState.PAUSED if cancelled:
+                self._end(_Active(campaign), CampaignState.CANCELLED)
+            case CampaignState.PAUSED if campaign.requested_action == "resume":
+                self._resume(campaign)
+            case CampaignState.RUNNING | CampaignState.CANCELLING:
+                self._active[campaign.sequence] = _Active(campaign, stopping=CampaignState.CANCELLED if cancelled else None)
 
     def _start(self, campaign: StoredCampaign) -> None:
         with self._database.transaction() as connection:
@@ -148,13 +156,15 @@ class Dispatcher:
 
     def _resume(self, campaign: StoredCampaign) -> None:
         with self._database.transaction() as connection:
-            campaigns.change_state(connection, campaign.sequence, [CampaignState.PAUSED], CampaignState.RUNNING)
-            resumed = campaigns.by_sequence(connection, campaign.sequence)
-        log.info("campaign %s goes on", campaign.id)
-        self._active[campaign.sequence] = _Active(resumed)
+            resumed = campaigns.change_state(connection, campaign.sequence, [CampaignState.PAUSED], CampaignState.RUNNING)
+        if resumed:  # and not cancelled meanwhile
+            log.info("campaign %s goes on", campaign.id)
+            self._active[campaign.sequence] = _Active(campaign)
 
     def _stop(self, active: _Active, state: CampaignState) -> None:
-        """Sends nothing more of a campaign to workers; what is there already is still written down."""
+        """Sends nothing more of a campaign to workers; what is there already is still written down. A cancel overrules a pause."""
+        if active.stopping is state:
+            return
         active.stopping = state
         self._pool.withdraw(active.tag)
         if state is CampaignState.CANCELLED:
@@ -168,6 +178,10 @@ class Dispatcher:
             if active.job is None:
                 if self._pool.held(active.tag):
                     return  # cells of a forgotten job; their results come first
+                if active.stopping is not None:  # nobody waits for them any more; a resumed campaign asks for them again
+                    active.unwritten.clear()
+                    self._finish_stopping(active)
+                    return
                 active.job = self._take_up(active)
                 self._submit(active, _without(active.job.work(), {one.result.id for one in active.unwritten}))
             if active.unwritten:
@@ -189,15 +203,30 @@ class Dispatcher:
             self._end(active, CampaignState.FAILED, f"internal error: {type(error).__name__}: {error}")
 
     def _take_up(self, active: _Active) -> Job:
-        """A job that goes on from the campaign's rows."""
+        """A job that goes on from the campaign's rows. Raises ConflictError where it was begun with another version of anything."""
         with self._database.read() as connection:
             campaign = active.campaign = campaigns.by_sequence(connection, active.campaign.sequence)
         if campaign.kind == "evaluation":
             wanted = resolve_evaluation(EvaluationSpecification.model_validate(campaign.spec))
-            return SingleEvaluation(
-                self._database, campaign, wanted, View(campaign.sequence, campaign.watermark or 0, wanted.bench)
+            self._pin(campaign, wanted.resolution())
+            view = View(campaign.sequence, campaign.watermark or 0, wanted.bench)
+            return SingleEvaluation(self._database, campaign, wanted, view)
+        problem = resolve(CampaignSpecification.model_validate(campaign.spec))
+        self._pin(campaign, problem.resolution())
+        return StagedCampaign(self._database, campaign, problem)
+
+    def _pin(self, campaign: StoredCampaign, resolution: dict[str, Any]) -> None:
+        """Writes down what a campaign is begun with; later, makes sure that it goes on with the same."""
+        if campaign.resolution is None:
+            with self._database.transaction() as connection:
+                campaigns.set_resolution(connection, campaign.sequence, resolution)
+            return
+        changed = [part for part in resolution if resolution[part] != campaign.resolution.get(part)]
+        if changed:
+            raise ConflictError(
+                f"the campaign was begun with another version of its {' and '.join(changed)}; submit it again: results of two versions"
+                " cannot be compared"
             )
-        return StagedCampaign(self._database, campaign, resolve(CampaignSpecification.model_validate(campaign.spec)))
 
     def _submit(self, active: _Active, work: list[Work]) -> None:
         if active.stopping is None:
@@ -211,16 +240,19 @@ class Dispatcher:
             self._end(active, CampaignState.CANCELLED)
             return
         with self._database.transaction() as connection:
-            campaigns.change_state(connection, active.campaign.sequence, [CampaignState.RUNNING], CampaignState.PAUSED)
-        log.info("campaign %s is paused", active.campaign.id)
-        del self._active[active.campaign.sequence]
+            paused = campaigns.pause(connection, active.campaign.sequence)
+        if paused:
+            log.info("campaign %s is paused", active.campaign.id)
+            del self._active[active.campaign.sequence]
+        else:  # resumed or cancelled meanwhile: the next look sees which
+            active.stopping = active.job = None
 
     def _end(self, active: _Active, state: CampaignState, error: str | None = None) -> None:
         self._pool.withdraw(active.tag)
         with self._database.transaction() as connection:
             campaigns.end(connection, active.campaign.sequence, state, error)
         log.info("campaign %s %s%s", active.campaign.id, state, f": {error}" if error else "")
-        del self._active[active.campaign.sequence]
+        self._active.pop(active.campaign.sequence, None)
 
     def _forget_jobs(self) -> None:
         """A transaction failed, perhaps at its commit: what is in memory may differ from the rows, so jobs are taken up anew."""

@@ -12,10 +12,9 @@ from dataclasses import dataclass, replace
 
 from sqlalchemy import Connection
 
-from drivecal.campaigns.planning import View, ensure_setups
+from drivecal.campaigns.planning import View
 from drivecal.campaigns.scheduler import Completed
 from drivecal.contracts.work import Cell, SetupRequest
-from drivecal.domain.errors import ConflictError
 from drivecal.domain.evaluations import Donor, Outcome
 from drivecal.storage import evaluations, runs
 from drivecal.storage.evaluations import COPIES, Answer, NewEvaluation, PendingEvaluation
@@ -41,8 +40,6 @@ class Ledger:
         self._pending: dict[int, PendingEvaluation] = {}
         self._copies: dict[int, list[PendingEvaluation]] = {}
         self.simulating_seconds = simulating_seconds
-        self.contradictions = 0
-        """Simulations that gave other bits than the stored run of the same setup and parameter set."""
 
     @property
     def counts(self) -> dict[str, int]:
@@ -69,14 +66,13 @@ class Ledger:
         """Reads what waits for an answer; gives what is to be simulated.
 
         With `share_runs`, a cell that another campaign has simulated meanwhile takes that run: it counts as simulated all the same, for
-        the campaign did not see it when it planned. Raises ConflictError where the cells were planned by another version.
+        the campaign did not see it when it planned.
         """
         self._pending = {one.id: one for one in evaluations.pending(connection, self._view.campaign)}
         self._copies = {}
         for one in self._pending.values():
             if one.plan in COPIES and one.reference is not None:
                 self._copies.setdefault(one.reference, []).append(one)
-        self._refuse_other_versions(connection)
         if share_runs:
             self._share_runs(connection)
         return self._work([one for one in self._pending.values() if one.plan is Outcome.SIMULATED])
@@ -124,7 +120,7 @@ class Ledger:
     def _simulated(self, cell: PendingEvaluation, one: Completed, run: StoredRun, answers: list[Answer]) -> None:
         if one.result.score is None or one.result.rating is None:
             raise ValueError(f"the worker gave no score for evaluation {cell.id}")
-        self.contradictions += not run.agrees
+        self._counts["unrepeatable"] += not run.agrees
         self.simulating_seconds += one.result.milliseconds / 1000
         donor = Donor(cell.id, run.id, one.result.score, one.result.rating, one.result.failure)
         self._answer(cell, donor, answers, one)
@@ -205,11 +201,3 @@ class Ledger:
             iteration=cell.iteration,
             individual=cell.individual,
         )
-
-    def _refuse_other_versions(self, connection: Connection) -> None:
-        setup_ids = ensure_setups(connection, self._view.bench)
-        if any(setup_ids.get(one.scenario) != one.setup_id for one in self._pending.values()):
-            raise ConflictError(
-                "the campaign was started with another version of a scenario, the driving function, the vehicle or the simulator; "
-                "submit it again: what was simulated before counts for the old version only"
-            )

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
@@ -24,7 +25,7 @@ from drivecal.contracts.specification import (
 )
 from drivecal.contracts.work import SetupRequest
 from drivecal.domain.errors import InvalidInputError
-from drivecal.domain.parameters import ParameterSet, ParameterSpace
+from drivecal.domain.parameters import ParameterSet, ParameterSpace, text
 from drivecal.domain.scenarios import Scenario
 from drivecal.domain.setups import Setup
 from drivecal.plugins import registry
@@ -141,6 +142,13 @@ class CalibrationProblem:
             notes=list(self.notes),
         )
 
+    def resolution(self) -> dict[str, Any]:
+        """What decides how the campaign goes on, and must not change before it ends: setups, evaluator, space; JSON-ready."""
+        return resolution_of(self.bench) | {
+            "space": [[one.name, text(one.lower), text(one.upper), one.n_values] for one in self.space.parameters],
+            "fixed": {name: text(value) for name, value in self.space.fixed.items()},
+        }
+
 
 @dataclass(frozen=True)
 class EvaluationProblem:
@@ -148,6 +156,18 @@ class EvaluationProblem:
 
     bench: Bench
     parameter_set: ParameterSet
+
+    def resolution(self) -> dict[str, Any]:
+        """See `CalibrationProblem.resolution`."""
+        return resolution_of(self.bench)
+
+
+def resolution_of(bench: Bench) -> dict[str, Any]:
+    """What a bench was resolved to, JSON-ready."""
+    return {
+        "setups": {scenario: setup.fingerprint for scenario, setup in bench.setups.items()},
+        "evaluator": bench.evaluator_id,
+    }
 
 
 def resolve(specification: CampaignSpecification) -> CalibrationProblem:

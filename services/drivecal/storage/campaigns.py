@@ -36,6 +36,8 @@ class StoredCampaign:
     stage: Stage | None
     iteration: int | None
     spec: Mapping[str, Any]
+    resolution: Mapping[str, Any] | None
+    """What the specification came to when the campaign was taken up first: setups, evaluator, space."""
     rerun_of: str | None
     influence_map_id: str | None
     watermark: int | None
@@ -253,6 +255,21 @@ def save_progress(connection: Connection, sequence: int, snapshot: Snapshot) -> 
     connection.execute(statement)
 
 
+def set_resolution(connection: Connection, sequence: int, resolution: Mapping[str, Any]) -> None:
+    """Pins what a campaign was taken up with."""
+    connection.execute(_of(sequence).values(resolution=dict(resolution)))
+
+
+def pause(connection: Connection, sequence: int) -> bool:
+    """Lets a running campaign rest, where that is still what is asked for; False where it was taken back or overtaken by a cancel."""
+    statement = (
+        _of(sequence)
+        .where(campaigns.c.state == CampaignState.RUNNING, campaigns.c.requested_action == "pause")
+        .values(state=CampaignState.PAUSED, requested_action=None, degraded=None)
+    )
+    return connection.execute(statement).rowcount == 1
+
+
 def set_influence_map(connection: Connection, sequence: int, influence_map_id: str) -> None:
     """Notes the map that a campaign's own analysis made."""
     connection.execute(_of(sequence).values(influence_map_id=influence_map_id))
@@ -296,6 +313,7 @@ def _campaign(row: Row[Any]) -> StoredCampaign:
         stage=row.stage,
         iteration=row.iteration,
         spec=row.spec,
+        resolution=row.resolution,
         rerun_of=row.rerun_of,
         influence_map_id=row.influence_map_id,
         watermark=row.watermark,

@@ -121,13 +121,13 @@ def last(connection: Connection, campaign_sequence: int) -> StoredGeneration | N
 def page(
     connection: Connection, campaign_sequence: int, *, limit: int = 100, cursor: str | None = None
 ) -> tuple[list[tuple[int, Figures]], str | None]:
-    """At most `limit` iterations with their figures, in order, and the cursor of the next page (None on the last).
+    """At most `limit` finished iterations with their figures, in order, and the cursor of the next page (None on the last).
 
     Raises InvalidInputError.
     """
     query = (
         select(generations.c.iteration, *(generations.c[name] for name in _FIGURES))
-        .where(generations.c.campaign_sequence == campaign_sequence)
+        .where(generations.c.campaign_sequence == campaign_sequence, generations.c.finished)
         .order_by(generations.c.iteration)
         .limit(limit + 1)
     )

@@ -36,6 +36,8 @@ class CellCounts(Answer):
     simulated: int = 0
     failed: int = 0
     audited: int = 0
+    unrepeatable: int = 0
+    """Simulations that gave other bits than the stored run of the same cell: the setup does not name all that decides a run."""
 
 
 class SensitivityCellCounts(Answer):
@@ -48,6 +50,7 @@ class SensitivityCellCounts(Answer):
     failed: int = 0
     proposed: int = 0
     pending: int = 0
+    unrepeatable: int = 0
 
 
 class ErrorRate(Answer):

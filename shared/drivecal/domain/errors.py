@@ -56,6 +56,10 @@ class ConflictError(DrivecalError):
     """The request does not fit the state of what it is about, or contradicts an earlier request."""
 
 
+class NoResultError(DrivecalError):
+    """Everything was tried and nothing came of it."""
+
+
 class UnavailableError(DrivecalError):
     """Something drivecal depends on (database, server, Ray) does not answer; trying again later may work."""
 

@@ -89,6 +89,8 @@ def test_iterations_are_paged_in_order(database: Database) -> None:
         sequence = campaign(connection).sequence
         for iteration in (2, 0, 1):
             generations.insert(connection, sequence, iteration, figures=ASKED, population=[], changed=[], optimizer_state={})
+            generations.finish(connection, sequence, iteration, ASKED, [])
+        generations.insert(connection, sequence, 3, figures=ASKED, population=[], changed=[], optimizer_state={})
         first, cursor = generations.page(connection, sequence, limit=2)
         second, end = generations.page(connection, sequence, limit=2, cursor=cursor)
         with pytest.raises(InvalidInputError):

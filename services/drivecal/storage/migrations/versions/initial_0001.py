@@ -88,6 +88,8 @@ def upgrade() -> None:
         sa.Column("stage", sa.SmallInteger(), nullable=True),
         sa.Column("iteration", sa.Integer(), nullable=True),
         sa.Column("spec", sa.JSON(), nullable=False),
+        sa.Column("resolution", sa.JSON(), nullable=True),
+        sa.Column("narrowed", sa.JSON(), nullable=True),
         sa.Column("rerun_of", NAME, nullable=True),
         sa.Column("influence_map_id", NAME, nullable=True),
         sa.Column("idempotency_key", NAME, nullable=True),

@@ -1,0 +1,242 @@
+"""Requests that overtake each other, versions that change, databases that do not answer: a campaign ends as it should all the same."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from sqlalchemy import Connection
+from tests.support.computed import ComputedBackend
+
+from drivecal.campaigns.dispatcher import Dispatcher
+from drivecal.campaigns.maps import map_to_document, resolve_map
+from drivecal.campaigns.pool import WorkPool
+from drivecal.campaigns.problem import CalibrationProblem
+from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, InfluenceMapSpecification
+from drivecal.contracts.work import Cell, CellResult
+from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.errors import UnavailableError
+from drivecal.storage import campaigns, generations, influence_maps, results
+from drivecal.storage.campaigns import Action, StoredCampaign
+from drivecal.storage.database import Database
+
+SPECIFICATION: dict[str, Any] = {
+    "sensitivity": None,
+    "parameters": [{"name": f"P{i}", "lower": 0, "upper": 1, "step": 0.5} for i in range(1, 12)],
+    "catalogue": ["S1", "S2"],
+    "optimizer": {"kind": "genetic", "population": 24, "iterations": 5, "seed": 3},
+}
+
+
+@pytest.fixture
+def database(tmp_path: Path) -> Iterator[Database]:
+    """A new SQLite database."""
+    opened = Database.open(f"sqlite:///{tmp_path / 'drivecal.db'}")
+    opened.upgrade()
+    yield opened
+    opened.dispose()
+
+
+class HeldBackend(ComputedBackend):
+    """Gives nothing back while it is held."""
+
+    held = False
+
+    def wait(self, timeout: float) -> list[Any]:
+        return [] if self.held else super().wait(timeout)
+
+
+def _submit(database: Database, **changes: Any) -> StoredCampaign:
+    specification = CampaignSpecification.model_validate(SPECIFICATION | changes)
+    named = (specification.model_dump()["sensitivity"] or {}).get("map")
+    with database.transaction() as connection:
+        return campaigns.insert(connection, name="test", spec=specification.model_dump(mode="json"), influence_map_id=named)
+
+
+def _dispatcher(database: Database, backend: ComputedBackend) -> Dispatcher:
+    ticks = iter(range(10**9))
+    return Dispatcher(database, WorkPool(backend), clock=lambda: float(next(ticks)))
+
+
+def _get(database: Database, campaign: StoredCampaign) -> StoredCampaign:
+    with database.read() as connection:
+        return campaigns.get(connection, campaign.id)
+
+
+def _request(database: Database, campaign: StoredCampaign, action: Action) -> None:
+    with database.transaction() as connection:
+        campaigns.request_action(connection, campaign.id, action)
+
+
+def _finish(database: Database, campaign: StoredCampaign, dispatcher: Dispatcher) -> StoredCampaign:
+    for _ in range(2_000):
+        if _get(database, campaign).state.ended:
+            return _get(database, campaign)
+        dispatcher.step()
+    raise AssertionError(f"the campaign is still {_get(database, campaign)}")
+
+
+def _busy(database: Database) -> tuple[StoredCampaign, HeldBackend, Dispatcher]:
+    """A running campaign whose cells are at workers that do not answer for now."""
+    campaign, backend = _submit(database), HeldBackend()
+    dispatcher = _dispatcher(database, backend)
+    for _ in range(4):
+        dispatcher.step()
+    backend.held = True
+    dispatcher.step()
+    return campaign, backend, dispatcher
+
+
+def test_a_cancel_overtakes_a_pause_that_still_waits_for_workers(database: Database) -> None:
+    campaign, backend, dispatcher = _busy(database)
+    _request(database, campaign, "pause")
+    dispatcher.step()
+    _request(database, campaign, "cancel")
+    dispatcher.step()
+    backend.held = False
+    assert _finish(database, campaign, dispatcher).state is CampaignState.CANCELLED
+
+
+def test_a_resume_takes_back_a_pause_that_still_waits_for_workers(database: Database) -> None:
+    campaign, backend, dispatcher = _busy(database)
+    _request(database, campaign, "pause")
+    dispatcher.step()
+    _request(database, campaign, "resume")
+    backend.held = False
+    assert _finish(database, campaign, dispatcher).state is CampaignState.SUCCEEDED
+
+
+def test_a_cancelled_campaign_that_is_taken_up_again_asks_for_nothing_more(database: Database) -> None:
+    campaign, _, _ = _busy(database)
+    _request(database, campaign, "cancel")
+    before = _get(database, campaign).cells.proposed
+    fresh = ComputedBackend()
+    ended = _finish(database, campaign, _dispatcher(database, fresh))
+    assert (ended.state, ended.cells.proposed, fresh.sent) == (CampaignState.CANCELLED, before, [])
+
+
+def test_a_paused_campaign_is_cancelled_at_once(database: Database) -> None:
+    campaign, backend, dispatcher = _busy(database)
+    _request(database, campaign, "pause")
+    backend.held = False
+    while _get(database, campaign).state is not CampaignState.PAUSED:
+        dispatcher.step()
+    _request(database, campaign, "cancel")
+    assert _finish(database, campaign, dispatcher).state is CampaignState.CANCELLED
+
+
+@pytest.mark.parametrize("part", ["setups", "evaluator", "space"])
+def test_a_campaign_does_not_go_on_with_another_version(database: Database, part: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    campaign, _, _ = _busy(database)
+    begun_with = CalibrationProblem.resolution
+    monkeypatch.setattr(CalibrationProblem, "resolution", lambda problem: begun_with(problem) | {part: "another one"})
+    ended = _finish(database, campaign, _dispatcher(database, ComputedBackend()))
+    assert ended.state is CampaignState.FAILED
+    assert part in str(ended.error)
+
+
+def test_a_run_outside_the_space_of_a_map_answers_nothing_inside_it(database: Database) -> None:
+    def outside_is_bad(scenario: str, cell: Cell) -> CellResult:
+        del scenario
+        rating = 0.0 if cell.parameters["P9"] > 1 else 6.0
+        return CellResult(cell.id, rating, round(rating), {}, None, 7.0)
+
+    middle = {f"P{i}": 0.5 for i in range(1, 12)}
+    single = EvaluationSpecification(parameters=middle | {"P9": 1000.0})
+    document = {"scenarios": {"S1": {"P9": {"influential": False}}, "S2": {"P9": {"upper": 0}}}}
+    posted = InfluenceMapSpecification.model_validate(document | {"parameters": SPECIFICATION["parameters"]})
+    with database.transaction() as connection:
+        campaigns.insert(connection, name="one", spec=single.model_dump(mode="json"), kind="evaluation")
+        stored = influence_maps.insert(
+            connection,
+            name="true",
+            source="test",
+            driving_function="frenet",
+            parameters=SPECIFICATION["parameters"],
+            scenarios=map_to_document(resolve_map(posted)),
+        )
+    dispatcher = _dispatcher(database, ComputedBackend(answer=outside_is_bad))
+    for _ in range(60):
+        dispatcher.step()
+    ended = _finish(database, _submit(database, sensitivity={"map": stored.id}, baseline=middle), dispatcher)
+    assert ended.baseline is not None
+    assert ended.baseline.scores == {"S1": 6, "S2": 6}
+    assert ended.cells.reused > 0
+
+
+def test_a_campaign_without_a_single_result_fails_and_says_so(database: Database) -> None:
+    def hopeless(scenario: str, cell: Cell) -> CellResult:
+        del scenario
+        return CellResult(cell.id, None, None, {}, None, 1.0, "crash", "segmentation fault")
+
+    ended = _finish(database, _submit(database), _dispatcher(database, ComputedBackend(answer=hopeless)))
+    assert ended.state is CampaignState.FAILED
+    assert "no parameter set has a result" in str(ended.error)
+
+
+def test_simulations_that_do_not_repeat_themselves_are_told(database: Database) -> None:
+    def drifting(scenario: str, cell: Cell) -> CellResult:
+        del scenario
+        return CellResult(cell.id, 3.0, 3, {"draw": float(cell.id)}, None, 7.0)
+
+    _finish(database, _submit(database), _dispatcher(database, ComputedBackend(answer=drifting)))
+    again = _submit(database, reduction={"mode": "off"})
+    first = _dispatcher(database, ComputedBackend(answer=drifting))
+    for _ in range(6):
+        first.step()
+    ended = _finish(database, again, _dispatcher(database, ComputedBackend(answer=drifting)))
+    assert ended.cells.unrepeatable == ended.cells.simulated
+    assert any("other bits" in note for note in ended.notes)
+
+
+class _Unreliable:
+    """A database whose transactions fail now and then: before their body, or after their commit."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+        self.count = self.failures = 0
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._database, name)
+
+    @contextmanager
+    def transaction(self) -> Iterator[Connection]:
+        self.count += 1
+        if self.count % 7 == 0:
+            self.failures += 1
+            raise UnavailableError("the database does not answer")
+        with self._database.transaction() as connection:
+            yield connection
+        if self.count % 5 == 0:
+            self.failures += 1
+            raise UnavailableError("the answer to the commit was lost")
+
+
+def test_transactions_that_fail_before_or_after_their_commit_change_no_result(tmp_path: Path) -> None:
+    found = []
+    for name in ("calm", "unreliable"):
+        database = Database.open(f"sqlite:///{tmp_path / name}.db")
+        database.upgrade()
+        campaign = _submit(database)
+        used: Any = database if name == "calm" else _Unreliable(database)
+        dispatcher = _dispatcher(used, ComputedBackend())
+        for _ in range(5_000):
+            if _get(database, campaign).state.ended:
+                break
+            try:
+                dispatcher.step()
+            except UnavailableError:
+                dispatcher._forget_jobs()
+        assert name == "calm" or used.failures > 10
+        with database.read() as connection:
+            rows = [
+                (row.iteration, row.individual, row.scenario, row.outcome, row.score, row.rating)
+                for row in results.stream(connection, campaign.sequence)
+            ]
+            figures, _ = generations.page(connection, campaign.sequence)
+        found.append((_get(database, campaign).state, rows, figures, _get(database, campaign).cells))
+        database.dispose()
+    assert found[0] == found[1]
