@@ -9,6 +9,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 
+import libsumo
 import numpy as np
 import pytest
 
@@ -237,6 +238,41 @@ def test_a_vehicle_that_the_network_has_no_room_for_is_named() -> None:
     outside = TrafficVehicle("outside", lane=7, s=5000.0, speed=20.0, desired_speed=20.0)
     with pytest.raises(SimulationError, match="outside"):
         simulation().load(replace(S1, traffic=(outside,)))
+
+
+def test_a_simulator_that_died_between_two_runs_costs_one_run() -> None:
+    subject = runner(S1)
+    before = subject.run(changes_lane(S1))
+    libsumo.close()
+    with pytest.raises(SimulationError, match="cannot place the vehicles"):
+        subject.run(changes_lane(S1))
+    assert subject.run(changes_lane(S1)) == before
+
+
+def test_a_vehicle_that_gets_lost_costs_one_run() -> None:
+    subject = ClosedLoop(S1, Glide(S1), model(), simulation())
+    before = driven(S1, *changes_lane(S1))
+
+    def take_one_out(index: int, *_: object) -> None:
+        if index == 20:
+            libsumo.vehicle.remove("follower")
+
+    with pytest.raises(SimulationError, match="lost a vehicle at step 21"):
+        subject.drive(changes_lane(S1), take_one_out)
+    assert driven(S1, *changes_lane(S1)) == before
+
+
+def test_a_scenario_is_loaded_anew_after_a_vehicle_got_lost_in_it() -> None:
+    sumo = simulation()
+    sumo.load(S1)
+    sumo.reset()
+    length = libsumo.vehicletype.getLength("follower")
+    libsumo.vehicletype.setLength("follower", 77.0)  # what a reset does not mend
+    libsumo.vehicle.remove("follower")
+    with pytest.raises(SimulationError, match="lost a vehicle"):
+        sumo.advance(0, *to_cartesian(reference_line(S1.road), S1.ego.s, S1.ego.d))
+    sumo.load(S1)
+    assert libsumo.vehicletype.getLength("follower") == length
 
 
 def test_a_step_that_does_not_fit_the_vehicle_s_sample_time_is_refused() -> None:

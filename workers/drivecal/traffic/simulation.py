@@ -119,7 +119,8 @@ class Simulation:
     def reset(self) -> None:
         """Takes all vehicles out and puts them in at their starts.
 
-        Raises SimulationError where one is not there afterwards: SUMO can leave vehicles out without a word.
+        Raises SimulationError where one is not there afterwards: SUMO can leave vehicles out without a word. The next `load` then
+        starts from nothing.
         """
         vehicle = libsumo.vehicle
         try:
@@ -133,8 +134,10 @@ class Simulation:
             vehicle.setSpeedMode(EGO, 0)
             missing = {name for name, *_ in self._places} - set(vehicle.getIDList())
         except SUMO_ERRORS as error:
+            self._scenario = None
             raise SimulationError(f"SUMO cannot place the vehicles: {error}") from error
         if missing:
+            self._scenario = None
             raise SimulationError(f"SUMO did not accept the vehicles {', '.join(sorted(missing))}; place them farther apart")
         self.neighbours[:] = self._start
         self._read(0.0)
@@ -142,7 +145,8 @@ class Simulation:
     def advance(self, index: int, x: float, y: float, heading: float) -> None:
         """One step, number `index` of the run, with the ego vehicle's front at (x, y) at its end.
 
-        (x, y) must lie on the road: SUMO would move the ego vehicle anywhere. Raises SimulationError where a vehicle is lost.
+        (x, y) must lie on the road: SUMO would move the ego vehicle anywhere. Raises SimulationError where a vehicle is lost;
+        the next `load` then starts from nothing.
         """
         vehicle = libsumo.vehicle
         try:
@@ -152,6 +156,7 @@ class Simulation:
             libsumo.simulationStep()
             self._read(self._step)
         except SUMO_ERRORS as error:
+            self._scenario = None
             raise SimulationError(f"SUMO lost a vehicle at step {index}: {error}") from error
 
     def _read(self, since: float) -> None:
