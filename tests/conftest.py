@@ -8,12 +8,10 @@ from collections.abc import Iterator
 import psycopg
 import pytest
 from sqlalchemy import make_url
-from tests.support.fake_backend import Behaviour
-from tests.support.misbehaviour import FOLDER, misbehaving_cells, misbehaving_setup
+from tests.support.misbehaviour import FOLDER
 from tests.support.postgres import running_postgres
 
 from drivecal.campaigns.ray_backend import RayBackend, RayOptions
-from drivecal.contracts.work import Batch
 
 
 @pytest.fixture(scope="session")
@@ -22,11 +20,7 @@ def ray_backend(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RayBackend
     environment = dict(os.environ)
     os.environ.update(HOME=str(tmp_path_factory.mktemp("home")), PYTHONPATH=str(FOLDER))
     backend = RayBackend(RayOptions(workers=2, deadline_seconds=10.0))
-    while backend.slots().idle < 2:
-        backend.wait(1.0)
-    for number in (1, 2):  # compiles the kernels, for which ten seconds may be short
-        backend.submit(number, Batch(misbehaving_setup(), misbehaving_cells([Behaviour.WELL])), 60.0)
-    while backend.slots().idle < 2:
+    while len(backend.slots()) < 2:
         backend.wait(1.0)
     yield backend
     backend.close()

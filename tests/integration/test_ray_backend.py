@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import psutil
@@ -70,16 +71,37 @@ def test_workers_killed_from_outside_cost_no_cell(pool: WorkPool) -> None:
 
 
 def test_an_answer_that_cannot_be_read_is_an_error_of_its_batch_only(ray_backend: RayBackend) -> None:
-    while ray_backend.slots().idle < 2:
+    while len(ray_backend.slots()) < 2:
         ray_backend.wait(0.5)
     setup = misbehaving_setup()
-    ray_backend.submit(1, Batch(setup, "no cells"), None)  # type: ignore[arg-type]
-    ray_backend.submit(2, Batch(setup, (Cell(1, {"behaviour": 0.0, "value": 0.0}),)), 10.0)
+    one, other = (worker.id for worker in ray_backend.workers())
+    ray_backend.submit(one, 1, Batch(setup, "no cells"), None)  # type: ignore[arg-type]
+    ray_backend.submit(other, 2, Batch(setup, (Cell(1, {"behaviour": 0.0, "value": 0.0}),)), 10.0)
     events: list[Finished | Lost] = []
     while len(events) < 2:
         events += ray_backend.wait(1.0)
     by_id = {event.batch_id: type(event).__name__ for event in events}
     assert by_id == {1: "Lost", 2: "Finished"}
+
+
+def test_another_version_at_the_coordinator_costs_no_cell_and_names_both_versions(pool: WorkPool) -> None:
+    good = misbehaving_setup()
+    other = replace(good, run_fingerprint="another", document=dict(good.document) | {"driving_function_version": "0.9"})
+    pool.submit(other, misbehaving_cells([Behaviour.WELL] * 20), tag="test")
+    completed: list[Completed] = []
+    for _ in range(100):
+        completed += pool.poll(0.1)
+        if "2 workers refuse S1" in (pool.trouble() or ""):
+            break
+    assert "driving_function_version is 0.9 at the coordinator and 1 at the worker" in (pool.trouble() or "")
+    pool.submit(good, misbehaving_cells([Behaviour.WELL] * 20, first=101), tag="others")
+    while pool.held("others"):
+        completed += pool.poll(0.5)
+    assert sorted(one.result.id for one in completed) == list(range(101, 121))
+    assert pool.held("test") == 20
+    pool.withdraw("test")
+    assert pool.idle
+    assert pool.trouble() is None
 
 
 @pytest.mark.usefixtures("ray_backend")

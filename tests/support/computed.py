@@ -6,7 +6,7 @@ import random
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from drivecal.campaigns.backend import Finished, Lost, Slots, WorkerInfo
+from drivecal.campaigns.backend import Finished, Lost, Slot, WorkerInfo
 from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult
 
 IGNORED = {"S1": "P9", "S2": "P10"}
@@ -43,9 +43,10 @@ class ComputedBackend:
     def __post_init__(self) -> None:
         self._random = random.Random(self.seed)
         self._outstanding: list[tuple[int, Batch]] = []
+        self._incarnation = 1
 
-    def submit(self, batch_id: int, batch: Batch, expected_seconds: float | None, *, alone: bool = False) -> None:
-        del expected_seconds, alone
+    def submit(self, worker: str, batch_id: int, batch: Batch, expected_seconds: float | None, *, alone: bool = False) -> None:
+        del worker, expected_seconds, alone
         self._outstanding.append((batch_id, batch))
         self.sent += [(batch.setup.scenario, tuple(cell.parameters.values())) for cell in batch.cells]
 
@@ -56,16 +57,24 @@ class ComputedBackend:
         done, self._outstanding = self._outstanding[:share], self._outstanding[share:]
         return [
             Finished(
-                batch_id, BatchResult("worker-1", tuple(self.answer(batch.setup.scenario, cell) for cell in batch.cells), 0.01)
+                batch_id, BatchResult(self._name, tuple(self.answer(batch.setup.scenario, cell) for cell in batch.cells), 0.01)
             )
             for batch_id, batch in done
         ]
 
-    def slots(self) -> Slots:
-        return Slots(idle=max(0, 8 - len(self._outstanding)), behind=0, workers=4)
+    def slots(self) -> list[Slot]:
+        return [Slot(self._name, idle=True)] * max(0, 8 - len(self._outstanding))
 
     def workers(self) -> list[WorkerInfo]:
-        return [WorkerInfo("worker-1", "here", None, "idle", len(self.sent))]
+        return [WorkerInfo(self._name, "here", None, "idle", len(self.sent))]
+
+    def replace(self, worker: str, fault: str | None) -> None:
+        del worker, fault
+        self._incarnation += 1
+
+    @property
+    def _name(self) -> str:
+        return f"worker-{self._incarnation}"
 
     def trouble(self) -> str | None:
         return None

@@ -7,7 +7,7 @@ from collections import deque
 from dataclasses import dataclass, field
 from enum import IntEnum
 
-from drivecal.campaigns.backend import Finished, Lost, Slots, WorkerInfo
+from drivecal.campaigns.backend import Finished, Lost, Slot, WorkerInfo
 from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult
 from drivecal.domain.evaluations import Breakdown
 
@@ -28,13 +28,22 @@ def behaviour_of(cell: Cell) -> Behaviour:
 
 @dataclass
 class _Worker:
-    name: str
+    place: int
+    incarnation: int = 1
     node: str = "here"
     queue: deque[tuple[int, Batch]] = field(default_factory=deque)
     alone: bool = False
     cells: int = 0
     ready_at: float = 0.0
     begun_at: float = 0.0
+    fault: str | None = None
+    refusal: str | None = None
+    bad: bool = False
+    """What it is in the batch that runs."""
+
+    @property
+    def name(self) -> str:
+        return f"worker-{self.place}" if self.incarnation == 1 else f"worker-{self.place}.{self.incarnation}"
 
 
 @dataclass
@@ -52,24 +61,30 @@ class FakeBackend:
     """How often each cell was begun."""
     sizes: list[tuple[float, str, int]] = field(default_factory=list)
     """(when, scenario, cells) of each batch sent."""
+    bad: set[int] = field(default_factory=set)
+    """Places (from 1) whose workers answer every cell with an error, at once."""
+    refusing: dict[int, str] = field(default_factory=dict)
+    """Places whose workers refuse every setup, and why."""
+    replaced: list[tuple[str, str | None]] = field(default_factory=list)
+    """Worker and fault of each replacement that was asked for."""
     closed: bool = False
 
     def __post_init__(self) -> None:
-        self._workers = [_Worker(f"worker-{index}") for index in range(1, self.n_workers + 1)]
+        self._workers = [_Worker(index) for index in range(1, self.n_workers + 1)]
         self._events: list[tuple[float, int, _Worker]] = []
         self._late: list[Finished | Lost] = []
         self._ended: list[tuple[int, Batch]] = []
         self._sequence = 0
 
-    def submit(self, batch_id: int, batch: Batch, expected_seconds: float | None, *, alone: bool = False) -> None:
+    def submit(self, worker: str, batch_id: int, batch: Batch, expected_seconds: float | None, *, alone: bool = False) -> None:
         del expected_seconds
-        free = [worker for worker in self._workers if self._room(worker, alone=alone)]
-        worker = min(free, key=lambda one: len(one.queue))
-        worker.queue.append((batch_id, batch))
-        worker.alone = alone
+        chosen = self._named(worker)
+        assert self._room(chosen, alone=alone), f"{worker} has no slot"
+        chosen.queue.append((batch_id, batch))
+        chosen.alone = alone
         self.sizes.append((self.now, batch.setup.scenario, len(batch.cells)))
-        if len(worker.queue) == 1:
-            self._begin(worker)
+        if len(chosen.queue) == 1:
+            self._begin(chosen)
 
     def wait(self, timeout: float) -> list[Finished | Lost]:
         until = self.now + timeout
@@ -82,18 +97,26 @@ class FakeBackend:
             self.now = until
         return found
 
-    def slots(self) -> Slots:
-        idle = sum(self._room(worker, alone=True) for worker in self._workers)
-        return Slots(idle, sum(self._room(worker, alone=False) for worker in self._workers) - idle, len(self._workers))
+    def slots(self) -> list[Slot]:
+        found = [Slot(worker.name, not worker.queue) for worker in self._workers if self._room(worker, alone=False)]
+        return sorted(found, key=lambda slot: not slot.idle)
 
     def workers(self) -> list[WorkerInfo]:
+        states = ["starting" if one.ready_at > self.now else "busy" if one.queue else "idle" for one in self._workers]
         return [
-            WorkerInfo(worker.name, worker.node, None, "busy" if worker.queue else "idle", worker.cells)
-            for worker in self._workers
+            WorkerInfo(worker.name, worker.node, None, state, worker.cells)
+            for worker, state in zip(self._workers, states, strict=True)
         ]
 
+    def replace(self, worker: str, fault: str | None) -> None:
+        chosen = self._named(worker)
+        assert self._room(chosen, alone=True), f"{worker} is not idle"
+        self.replaced.append((worker, fault))
+        chosen.fault = fault
+        self._restart(chosen)
+
     def trouble(self) -> str | None:
-        return None
+        return next((f"{worker.name}: {worker.fault}" for worker in self._workers if worker.fault), None)
 
     def close(self) -> None:
         self.closed = True
@@ -111,6 +134,13 @@ class FakeBackend:
             batch_id, batch = self._ended[index % len(self._ended)]
             self._late.append(Finished(batch_id, BatchResult("ghost", tuple(_answer(cell) for cell in batch.cells), 0.1)))
 
+    def _named(self, name: str) -> _Worker:
+        return next(worker for worker in self._workers if worker.name == name)
+
+    def _restart(self, worker: _Worker) -> None:
+        worker.incarnation += 1
+        worker.ready_at = self.now + self.restart_seconds
+
     def _room(self, worker: _Worker, *, alone: bool) -> bool:
         if worker.ready_at > self.now:
             return False
@@ -120,9 +150,12 @@ class FakeBackend:
         batch = worker.queue[0][1]
         seconds = self.overhead_seconds
         worker.begun_at = self.now
-        for cell in batch.cells:
+        worker.refusal, worker.bad = self.refusing.get(worker.place), worker.place in self.bad
+        for cell in batch.cells if worker.refusal is None else ():
             self.attempts[cell.id] = self.attempts.get(cell.id, 0) + 1
             behaviour = behaviour_of(cell)
+            if worker.bad:
+                continue
             seconds += self.deadline if behaviour is Behaviour.HANG else self.seconds_per_cell.get(batch.setup.scenario, 0.007)
             if behaviour in {Behaviour.HANG, Behaviour.CRASH}:
                 break
@@ -131,7 +164,8 @@ class FakeBackend:
 
     def _end(self, worker: _Worker) -> list[Finished | Lost]:
         batch_id, batch = worker.queue[0]
-        behaviours = [behaviour_of(cell) for cell in batch.cells]
+        refusal, bad = worker.refusal, worker.bad
+        behaviours = [] if bad or refusal is not None else [behaviour_of(cell) for cell in batch.cells]
         for behaviour, breakdown in ((Behaviour.CRASH, Breakdown.CRASH), (Behaviour.HANG, Breakdown.HANG)):
             if behaviour in behaviours:
                 return self._lose(worker, breakdown)
@@ -141,15 +175,24 @@ class FakeBackend:
         self.busy_seconds += seconds
         if worker.queue:
             self._begin(worker)
-        return [Finished(batch_id, BatchResult(worker.name, tuple(_answer(cell) for cell in batch.cells), seconds))]
+        if refusal is not None:
+            return [Finished(batch_id, BatchResult(worker.name, (), seconds, refusal))]
+        answers = tuple(_error(cell, "SUMO is gone") if bad else _answer(cell) for cell in batch.cells)
+        if any(one.breakdown is None for one in answers):
+            worker.fault = None
+        return [Finished(batch_id, BatchResult(worker.name, answers, seconds))]
 
     def _lose(self, worker: _Worker, breakdown: Breakdown) -> list[Finished | Lost]:
         lost: list[Finished | Lost] = [Lost(batch_id, worker.name, breakdown, "it died") for batch_id, _ in worker.queue]
         self._ended += worker.queue
         worker.queue.clear()
-        worker.ready_at = self.now + self.restart_seconds
+        self._restart(worker)
         self._sequence += 1
         return lost
+
+
+def _error(cell: Cell, detail: str) -> CellResult:
+    return CellResult(cell.id, None, None, {}, None, 1.0, Breakdown.ERROR.value, detail)
 
 
 def _answer(cell: Cell) -> CellResult:

@@ -37,18 +37,16 @@ class Lost:
 
 
 @dataclass(frozen=True, slots=True)
-class Slots:
-    """How many batches can be sent now: to `idle` workers, which begin at once, or `behind` a running batch of a busy one.
-    `workers` counts all that work or could."""
+class Slot:
+    """Room for one more batch at a worker: an `idle` one begins at once, a busy one after the batch that runs."""
 
-    idle: int
-    behind: int
-    workers: int
+    worker: str
+    idle: bool
 
 
 @dataclass(frozen=True, slots=True)
 class WorkerInfo:
-    """One worker: `state` is `starting`, `idle` or `busy`; `cells` counts what it has finished."""
+    """One worker: `state` is `starting`, `idle` or `busy`; `cells` counts what it has finished. No other process ever has its `id`."""
 
     id: str
     node: str
@@ -60,18 +58,22 @@ class WorkerInfo:
 class Backend(Protocol):
     """Runs batches on workers. Not thread-safe: one thread calls it all."""
 
-    def submit(self, batch_id: int, batch: Batch, expected_seconds: float | None, *, alone: bool = False) -> None:
-        """Sends a batch; there must be a free slot, an idle worker where it is to be `alone` (nothing is queued behind it, so that
-        what happens to the worker is known to be its doing). `expected_seconds` sets the deadline; None is unknown."""
+    def submit(self, worker: str, batch_id: int, batch: Batch, expected_seconds: float | None, *, alone: bool = False) -> None:
+        """Sends a batch to a worker that has a slot, an idle one where it is to be `alone` (nothing is queued behind it, so that what
+        happens to the worker is known to be its doing). `expected_seconds` sets the deadline; None is unknown."""
 
     def wait(self, timeout: float) -> list[Finished | Lost]:
         """What came back, after at most `timeout` seconds. Dead workers are replaced on the way. Raises BackendLostError."""
 
-    def slots(self) -> Slots:
-        """How much can be sent now. Workers that are still starting do not count."""
+    def slots(self) -> list[Slot]:
+        """Who can be sent a batch now, idle workers first. Workers that are still starting cannot."""
 
     def workers(self) -> list[WorkerInfo]:
         """All workers, in a stable order."""
+
+    def replace(self, worker: str, fault: str | None) -> None:
+        """Ends an idle worker and starts another process in its place. `fault` says what was wrong with it; it is told as `trouble` until
+        there is a result from that place, and a place that goes on failing gets longer and longer pauses. None: nothing was."""
 
     def trouble(self) -> str | None:
         """Why fewer workers than wanted run, in words; None where all is well."""

@@ -12,9 +12,11 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import Any
 
-from drivecal.campaigns.backend import BackendLostError, Finished, Lost, Slots, WorkerInfo
+from drivecal.campaigns.backend import BackendLostError, Finished, Lost, Slot, WorkerInfo
 from drivecal.campaigns.ray_cluster import Cluster
+from drivecal.campaigns.trial import trial
 from drivecal.contracts.work import Batch, BatchResult
+from drivecal.domain.errors import DrivecalError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.runtime.worker import Worker
 
@@ -22,7 +24,10 @@ CALLS_PER_ACTOR = 2
 LONGEST_PAUSE = 30.0
 """Between two attempts to start a worker that does not start, s."""
 TRIES_TO_START = 3
-"""When no worker at all has started in so many attempts, it is given up."""
+"""When no worker at all has started in so many attempts, a local Ray is given up: with a new process it may go better. The nodes of a
+cluster are not ours to mend; they are waited for."""
+LONGEST_REASON = 600
+"""Characters."""
 
 log = logging.getLogger(__name__)
 
@@ -31,7 +36,7 @@ log = logging.getLogger(__name__)
 class RayOptions:
     """`address` of a cluster, None starts a local Ray; `workers`: None is one per CPU. A batch that takes longer than
     `deadline_seconds` and longer than `deadline_factor` times what was expected is ended as hung, and so is a worker
-    that takes longer than `start_seconds` to start."""
+    that takes longer than `start_seconds` to start, which includes compiling."""
 
     address: str | None = None
     workers: int | None = None
@@ -62,7 +67,10 @@ class _Actor:
     """Of the first call, or of the start."""
     start_again_at: float = 0.0
     failed_starts: int = 0
+    faults: int = 0
+    """Replacements since the last result."""
     reason: str = ""
+    """What was wrong at last; empty once it has started, or given a result after a fault."""
     node: str = ""
     pid: int | None = None
     cells: int = 0
@@ -70,6 +78,10 @@ class _Actor:
     @property
     def name(self) -> str:
         return f"worker-{self.index}" if self.incarnation <= 1 else f"worker-{self.index}.{self.incarnation}"
+
+    def pause(self, times: int) -> None:
+        """Starts again later the more often it went wrong: at once after no time, then after 1, 2, 4 ... seconds."""
+        self.start_again_at = time.monotonic() + (min(LONGEST_PAUSE, 2.0 ** (times - 1)) if times else 0.0)
 
     @property
     def ready(self) -> bool:
@@ -95,17 +107,17 @@ class RayBackend:
         self._ray = self._cluster.ray
         spread = {"scheduling_strategy": "SPREAD"} if options.address else {}
         self._actor_class = self._ray.remote(num_cpus=1, max_restarts=0, max_task_retries=0, **spread)(Worker)
+        self._trial = trial()
         count = options.workers or max(1, self._cluster.cpus())
         self._actors = [_Actor(index) for index in range(1, count + 1)]
         for actor in self._actors:
             self._start(actor)
 
-    def submit(self, batch_id: int, batch: Batch, expected_seconds: float | None, *, alone: bool = False) -> None:
+    def submit(self, worker: str, batch_id: int, batch: Batch, expected_seconds: float | None, *, alone: bool = False) -> None:
         """See `Backend`."""
-        free = [actor for actor in self._actors if actor.room(alone=alone)]
-        if not free:
-            raise RuntimeError("no worker is free; ask `slots` first")
-        actor = min(free, key=lambda one: len(one.calls))
+        actor = self._named(worker)
+        if not actor.room(alone=alone):
+            raise RuntimeError(f"{worker} has no slot; ask `slots` first")
         allowed = max(self._options.deadline_seconds, self._options.deadline_factor * (expected_seconds or 0.0))
         actor.calls.append(_Call(batch_id, len(batch.cells), actor.handle.run.remote(batch), allowed))
         actor.alone = alone
@@ -124,27 +136,43 @@ class RayBackend:
                     self._start(actor)
             events += self._collect(max(0.0, min(until, self._next_deadline()) - now))
             events += self._overdue(time.monotonic())
-            if all(actor.failed_starts >= TRIES_TO_START for actor in self._actors):
+            if not self._options.address and all(actor.failed_starts >= TRIES_TO_START for actor in self._actors):
                 raise BackendLostError(f"no worker starts: {self._actors[0].reason}")
             if time.monotonic() >= until:
                 break
         return events
 
-    def slots(self) -> Slots:
+    def slots(self) -> list[Slot]:
         """See `Backend`."""
-        idle = sum(actor.room(alone=True) for actor in self._actors)
-        return Slots(idle, sum(actor.room(alone=False) for actor in self._actors) - idle, len(self._actors))
+        found = [Slot(actor.name, not actor.calls) for actor in self._actors if actor.room(alone=False)]
+        return sorted(found, key=lambda slot: not slot.idle)
 
     def workers(self) -> list[WorkerInfo]:
         """See `Backend`."""
         return [WorkerInfo(actor.name, actor.node, actor.pid, actor.state, actor.cells) for actor in self._actors]
 
+    def replace(self, worker: str, fault: str | None) -> None:
+        """See `Backend`."""
+        actor = self._named(worker)
+        if not actor.room(alone=True):
+            raise RuntimeError(f"{worker} is not idle")
+        log.warning("%s is replaced: %s", _place(actor), fault or "another one is to have a look")
+        if fault is not None:
+            actor.faults += 1
+            actor.reason = f"{_place(actor)} was replaced: {fault}"
+            actor.pause(actor.faults - 1)
+        self._begin_anew(actor)
+
     def trouble(self) -> str | None:
         """See `Backend`."""
-        failing = [actor for actor in self._actors if actor.failed_starts]
-        if not failing:
-            return None
-        return f"{len(failing)} of {len(self._actors)} workers do not start: {failing[0].reason}"
+        starting = [actor for actor in self._actors if actor.failed_starts]
+        failing = [actor for actor in self._actors if actor.faults and not actor.failed_starts]
+        found = [
+            f"{len(actors)} of {len(self._actors)} workers {words}: {actors[0].reason}"
+            for actors, words in ((starting, "do not start"), (failing, "give no results"))
+            if actors
+        ]
+        return "; ".join(found) or None
 
     def close(self) -> None:
         """See `Backend`."""
@@ -155,7 +183,7 @@ class RayBackend:
     def _start(self, actor: _Actor) -> None:
         actor.incarnation += 1
         actor.handle = self._actor_class.remote(actor.name)
-        actor.warming = actor.handle.warm.remote()
+        actor.warming = actor.handle.warm.remote(self._trial)
         actor.deadline = time.monotonic() + self._options.start_seconds
 
     def _collect(self, timeout: float) -> list[Finished | Lost]:
@@ -191,17 +219,22 @@ class RayBackend:
         except (
             errors.RayError
         ) as error:  # the worker lives, but this call gave no answer: it raised, or could not be transferred
-            words = str(error).strip().splitlines()[-1][:300]
+            cause = getattr(error, "cause", None)  # what the call raised, where it did
+            words = str(cause if isinstance(cause, DrivecalError) else error).strip().splitlines()[-1][:LONGEST_REASON]
             if actor.warming is not None:
                 return self._bury(actor, Breakdown.ERROR, f"{_place(actor)} cannot start: {words}", error)
             return [Lost(self._next_call(actor).batch_id, actor.name, Breakdown.ERROR, words)]
         if actor.warming is not None:
             actor.warming, actor.node, actor.pid = None, value.node, value.pid
-            actor.failed_starts, actor.reason = 0, ""
+            actor.failed_starts = 0
+            if not actor.faults:
+                actor.reason = ""
             return []
         call = self._next_call(actor)
         actor.cells += call.cells
         result: BatchResult = value
+        if any(one.breakdown is None for one in result.results):
+            actor.faults, actor.reason = 0, ""
         return [Finished(call.batch_id, result)]
 
     def _next_call(self, actor: _Actor) -> _Call:
@@ -234,13 +267,19 @@ class RayBackend:
         if actor.warming is not None:
             actor.failed_starts += 1
             actor.reason = detail
-            actor.start_again_at = time.monotonic() + min(LONGEST_PAUSE, 2.0 ** (actor.failed_starts - 1))
-        self._kill(actor)
+            actor.pause(actor.failed_starts)
         actor.calls.clear()
+        self._begin_anew(actor)
+        return lost
+
+    def _begin_anew(self, actor: _Actor) -> None:
+        self._kill(actor)
         actor.warming = actor.pid = None
         if actor.start_again_at <= time.monotonic():
             self._start(actor)
-        return lost
+
+    def _named(self, worker: str) -> _Actor:
+        return next(actor for actor in self._actors if actor.name == worker)
 
     def _kill(self, actor: _Actor) -> None:
         if actor.handle is not None:

@@ -1,8 +1,11 @@
-"""Which cells are sent next and what becomes of those whose worker died: a pure state machine without clock or I/O.
+"""Which cells are sent next, to whom, and what becomes of those that broke down: a pure state machine without clock or I/O.
 
 Cells wait in groups of one setup, so that workers seldom have to load another scenario. A batch whose worker was lost is a
 suspicion against each of its cells: from then on each is sent alone, to an idle worker with nothing behind it, so that a poison cell
 takes no other cell along. After `ATTEMPTS` it has failed; innocent cells succeed at once.
+
+A worker that lives and reports a breakdown may itself be to blame. Its cells are suspects as well, but go to another worker, or to
+the process that replaces the only one. A worker that refuses a setup says nothing about the cells: they wait for somebody else.
 """
 
 from __future__ import annotations
@@ -10,15 +13,18 @@ from __future__ import annotations
 import itertools
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from drivecal.campaigns.batching import BatchPolicy, CellCosts, batch_size
+from drivecal.campaigns.standing import Standings
 from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult, SetupRequest
 from drivecal.domain.evaluations import Breakdown
 
 ATTEMPTS = 3
-ATTEMPTS_AT_ERRORS = 2
-"""An exception is deterministic unless an earlier cell of the batch spoilt the simulator, so once alone settles it."""
+WITNESSES = 2
+"""Workers that must have seen an exception: it is deterministic, unless a worker or an earlier cell of the batch is to blame."""
+MOST_PASSED_OVER = 200
+"""Batches of a quarter of a second that the only worker takes while a suspect waits for its replacement."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,10 +41,19 @@ class Completed:
 class Dispatch:
     """A batch to send now; see `Backend.submit`."""
 
+    worker: str
     batch_id: int
     batch: Batch
     expected_seconds: float | None
     alone: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Replacement:
+    """A worker to replace; see `Backend.replace`."""
+
+    worker: str
+    fault: str | None
 
 
 _SetupKey = tuple[str, str, str, str]
@@ -52,6 +67,13 @@ class _Entry:
     priority: int
     attempts: int = 0
     withdrawn: bool = False
+    witnesses: set[str] = field(default_factory=set)
+    """Workers that live and reported that the cell broke down."""
+
+    @property
+    def avoid(self) -> frozenset[str]:
+        """The worker whose word alone does not count."""
+        return frozenset(self.witnesses) if len(self.witnesses) < WITNESSES else frozenset()
 
 
 def _key(setup: SetupRequest) -> _SetupKey:
@@ -65,7 +87,11 @@ class Scheduler:
         self._policy = policy
         self._costs = CellCosts()
         self._waiting: dict[int, dict[_SetupKey, deque[_Entry]]] = {}
-        self._suspects: deque[_Entry] = deque()
+        self._suspects: dict[tuple[_SetupKey, frozenset[str]], deque[_Entry]] = {}
+        """By setup and by the workers that must not have them."""
+        self._standings = Standings()
+        self._passed_over = 0
+        """Batches sent while a suspect waited that no worker can take."""
         self._sent: dict[int, list[_Entry]] = {}
         self._by_id: dict[int, _Entry] = {}
         self._batch_ids = itertools.count(1)
@@ -87,28 +113,64 @@ class Scheduler:
             self._by_id[cell.id] = entry
             group.append(entry)
 
-    def next_batch(self, workers: int, *, idle: bool) -> Dispatch | None:
-        """What to send to a free slot of `workers` workers, None for nothing. While suspects wait, only idle workers get anything:
-        the others run dry, so that they can take the suspects."""
-        if self._suspects:
-            return self._dispatch([self._suspects.popleft()], alone=True) if idle else None
-        if not self._waiting:
+    def meet(self, ready: Sequence[str]) -> None:
+        """Tells which workers have started and live."""
+        self._standings.meet(ready)
+
+    def next_batch(self, worker: str, *, idle: bool) -> Dispatch | None:
+        """What to send to a free slot of a worker, None for nothing. While suspects wait that it may have, it gets them one by one and
+        nothing behind a running batch: it runs dry, so that it can take them. So does a worker that is to be replaced."""
+        if self._standings.fault(worker) is not None:
             return None
-        priority = max(self._waiting)
-        groups = self._waiting[priority]
-        key, group = next(iter(groups.items()))
-        size = batch_size(self._policy, self._costs.seconds_per_cell(key), self._waiting_seconds(), workers)
-        taken = [group.popleft() for _ in range(min(size, len(group)))]
-        self._forget_if_empty(priority, key)
-        return self._dispatch(taken, alone=False)
+        for (setup, avoid), suspects in self._suspects.items():
+            if worker in self._standings.candidates(setup, avoid):
+                return self._dispatch(worker, [self._take_suspect(setup, avoid, suspects)], alone=True) if idle else None
+        if self._is_alone(worker):
+            if self._passed_over >= MOST_PASSED_OVER:
+                return None
+            self._passed_over += 1
+        for priority in sorted(self._waiting, reverse=True):
+            for setup, group in self._waiting[priority].items():
+                if not self._standings.refuses(worker, setup):
+                    taken = [group.popleft() for _ in range(min(self._size(worker, setup), len(group)))]
+                    self._forget_if_empty(priority, setup)
+                    return self._dispatch(worker, taken, alone=False)
+        return None
+
+    def replacement(self, worker: str) -> Replacement | None:
+        """Whether an idle worker for which there is no batch is to be replaced: because it never has results, or because a cell broke
+        down at it and there is nobody else to try."""
+        fault = self._standings.fault(worker)
+        return Replacement(worker, fault) if fault is not None or self._is_alone(worker) else None
+
+    def is_kept_from(self, worker: str) -> bool:
+        """True where something waits that this worker refuses."""
+        waiting = [*(setup for groups in self._waiting.values() for setup in groups), *(setup for setup, _ in self._suspects)]
+        return any(self._standings.refuses(worker, setup) for setup in waiting)
+
+    def trouble(self) -> str | None:
+        """Which workers refuse what is to be done, in words, and why; None where none does."""
+        setups = {_key(entry.setup): entry.setup for entry in self._by_id.values()}
+        refusals = self._standings.refusals(setups)
+        if not refusals:
+            return None
+        scenarios = sorted({one.scenario for setup, one in setups.items() if self._standings.refusals({setup})})
+        worker, reason = next(iter(refusals.items()))
+        number = f"{len(refusals)} workers refuse" if len(refusals) > 1 else f"{worker} refuses"
+        return f"{number} {', '.join(scenarios)}: {reason}"
 
     def finished(self, batch_id: int, result: BatchResult) -> list[Completed]:
         """Takes in the results of a batch; a batch that is not (or no longer) expected changes nothing."""
         entries = self._sent.pop(batch_id, None)
         if entries is None:
             return []
+        setup = _key(entries[0].setup)
+        self._standings.answered(result.worker, setup, result)
+        if result.refusal is not None:
+            self._take_back(entries)
+            return []
         if result.results:
-            self._costs.observe(_key(entries[0].setup), len(entries), result.seconds)
+            self._costs.observe(setup, len(entries), result.seconds)
         found = {answer.id: answer for answer in result.results}
         completed = []
         for entry in entries:
@@ -117,17 +179,19 @@ class Scheduler:
                 del self._by_id[entry.cell.id]
                 completed.append(Completed(entry.tag, result.worker, answer, entry.attempts))
             else:
-                most = ATTEMPTS_AT_ERRORS if answer.breakdown == Breakdown.ERROR else ATTEMPTS
-                completed += self._again_or_failed(entry, answer, result.worker, most)
+                completed += self._broke_down(entry, answer, result.worker)
         return completed
 
     def lost(self, batch_id: int, worker: str, breakdown: Breakdown, detail: str) -> list[Completed]:
         """Takes in the loss of a batch: its cells are tried again one by one; those with no attempts left have failed."""
-        return [
-            completed
-            for entry in self._sent.pop(batch_id, [])
-            for completed in self._again_or_failed(entry, _broken(entry, breakdown, detail), worker, ATTEMPTS)
-        ]
+        entries = self._sent.pop(batch_id, [])
+        if breakdown is not Breakdown.ERROR:  # the worker is gone as well
+            return [
+                done for entry in entries for done in self._again_or_failed(entry, _broken(entry, breakdown, detail), worker)
+            ]
+        if entries:
+            self._standings.failed(worker, detail)
+        return [done for entry in entries for done in self._broke_down(entry, _broken(entry, breakdown, detail), worker)]
 
     def withdraw(self, tag: str) -> int:
         """Drops the cells of `tag` that are not at a worker. Returns how many are: those still complete, unless they get lost."""
@@ -135,7 +199,8 @@ class Scheduler:
             for key, group in list(groups.items()):
                 groups[key] = self._without(group, tag)
                 self._forget_if_empty(priority, key)
-        self._suspects = self._without(self._suspects, tag)
+        kept = {place: self._without(suspects, tag) for place, suspects in self._suspects.items()}
+        self._suspects = {place: suspects for place, suspects in kept.items() if suspects}
         running = [entry for entry in self._by_id.values() if entry.tag == tag]
         for entry in running:
             entry.withdrawn = True
@@ -145,7 +210,7 @@ class Scheduler:
         """Cells of `tag` without an answer."""
         return sum(entry.tag == tag for entry in self._by_id.values())
 
-    def _dispatch(self, entries: list[_Entry], *, alone: bool) -> Dispatch:
+    def _dispatch(self, worker: str, entries: list[_Entry], *, alone: bool) -> Dispatch:
         for entry in entries:
             entry.attempts += 1
         batch_id = next(self._batch_ids)
@@ -153,15 +218,53 @@ class Scheduler:
         setup = entries[0].setup
         cost = self._costs.seconds_per_cell(_key(setup))
         expected = None if cost is None else cost * len(entries)
-        return Dispatch(batch_id, Batch(setup, tuple(entry.cell for entry in entries)), expected, alone)
+        return Dispatch(worker, batch_id, Batch(setup, tuple(entry.cell for entry in entries)), expected, alone)
 
-    def _again_or_failed(self, entry: _Entry, answer: CellResult, worker: str, most: int) -> list[Completed]:
-        if entry.attempts < most and not entry.withdrawn:
-            self._suspects.append(entry)
+    def _size(self, worker: str, setup: _SetupKey) -> int:
+        if self._standings.on_probation(worker):
+            return 1
+        cost = self._costs.seconds_per_cell(setup)
+        return batch_size(self._policy, cost, self._waiting_seconds(), self._standings.ready)
+
+    def _broke_down(self, entry: _Entry, answer: CellResult, worker: str) -> list[Completed]:
+        """A worker that lives reported that a cell gave no result."""
+        entry.witnesses.add(worker)
+        if len(entry.witnesses) >= WITNESSES:
+            self._standings.confirmed(entry.witnesses)
+        return self._again_or_failed(entry, answer, worker)
+
+    def _again_or_failed(self, entry: _Entry, answer: CellResult, worker: str) -> list[Completed]:
+        settled = answer.breakdown == Breakdown.ERROR and len(entry.witnesses) >= WITNESSES
+        failed = settled or entry.attempts >= ATTEMPTS
+        if not failed and not entry.withdrawn:
+            self._suspects.setdefault((_key(entry.setup), entry.avoid), deque()).append(entry)
             return []
         del self._by_id[entry.cell.id]
         # a withdrawn cell had fewer attempts than it was due: it has not failed, it was not simulated
-        return [] if entry.attempts < most else [Completed(entry.tag, worker, answer, entry.attempts)]
+        return [Completed(entry.tag, worker, answer, entry.attempts)] if failed else []
+
+    def _take_back(self, entries: list[_Entry]) -> None:
+        """A worker refused these cells: they wait as before, as if they had not been sent."""
+        for entry in reversed(entries):
+            entry.attempts -= 1
+            setup = _key(entry.setup)
+            if entry.withdrawn:
+                del self._by_id[entry.cell.id]
+            elif entry.attempts:
+                self._suspects.setdefault((setup, entry.avoid), deque()).appendleft(entry)
+            else:
+                self._waiting.setdefault(entry.priority, {}).setdefault(setup, deque()).appendleft(entry)
+
+    def _is_alone(self, worker: str) -> bool:
+        """True where a cell broke down at this worker and there is nobody else to try."""
+        return any(worker in avoid and not self._standings.candidates(setup, avoid) for setup, avoid in self._suspects)
+
+    def _take_suspect(self, setup: _SetupKey, avoid: frozenset[str], suspects: deque[_Entry]) -> _Entry:
+        self._passed_over = 0
+        entry = suspects.popleft()
+        if not suspects:
+            del self._suspects[setup, avoid]
+        return entry
 
     def _waiting_seconds(self) -> float:
         costs = self._costs

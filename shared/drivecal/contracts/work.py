@@ -61,3 +61,5 @@ class BatchResult:
     results: tuple[CellResult, ...]
     seconds: float
     """Wall-clock time on the worker, loading the setup included: what batches are sized by."""
+    refusal: str | None = None
+    """Why this worker cannot run the setup at all, in words; there are no results then. Another worker may be able to."""

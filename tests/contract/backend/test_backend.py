@@ -28,7 +28,7 @@ def backend(request: pytest.FixtureRequest) -> Iterator[Backend]:
 
 def wait_for_idle(backend: Backend) -> None:
     for _ in range(240):
-        if backend.slots().idle == len(backend.workers()) == 2:
+        if [slot.idle for slot in backend.slots()] == [True, True]:
             return
         backend.wait(0.5)
     raise AssertionError(f"workers never became idle: {backend.workers()}; {backend.trouble()}")
@@ -36,6 +36,21 @@ def wait_for_idle(backend: Backend) -> None:
 
 def batch(*behaviours: Behaviour, first: int = 1) -> Batch:
     return Batch(misbehaving_setup(), misbehaving_cells(behaviours, first))
+
+
+def send(backend: Backend, batch_id: int, batch: Batch, expected: float | None = PLENTY, *, alone: bool = False) -> str:
+    """To an idle worker where there is one. Returns its name."""
+    worker = backend.slots()[0].worker
+    backend.submit(worker, batch_id, batch, expected, alone=alone)
+    return worker
+
+
+def room(backend: Backend) -> tuple[int, int]:
+    """How many workers are idle, and how many busy ones take a batch behind theirs."""
+    slots = backend.slots()
+    idle = sum(slot.idle for slot in slots)
+    assert [slot.idle for slot in slots] == [True] * idle + [False] * (len(slots) - idle)
+    return idle, len(slots) - idle
 
 
 def collect(backend: Backend, count: int) -> dict[int, Finished | Lost]:
@@ -50,39 +65,38 @@ def collect(backend: Backend, count: int) -> dict[int, Finished | Lost]:
 
 
 def test_a_batch_comes_back_with_its_results_in_order(backend: Backend) -> None:
-    backend.submit(1, batch(WELL, WELL, WELL, first=11), PLENTY)
+    worker = send(backend, 1, batch(WELL, WELL, WELL, first=11))
     event = collect(backend, 1)[1]
     assert isinstance(event, Finished)
     assert [result.id for result in event.result.results] == [11, 12, 13]
     assert all(result.breakdown is None and result.score is not None for result in event.result.results)
     assert event.result.seconds > 0
-    assert event.result.worker in {worker.id for worker in backend.workers()}
+    assert event.result.worker == worker
 
 
 def test_every_worker_takes_one_batch_and_one_behind_it(backend: Backend) -> None:
-    slots = backend.slots()
-    assert (slots.idle, slots.behind, slots.workers) == (2, 0, 2)
-    backend.submit(1, batch(WELL), PLENTY)
-    assert (backend.slots().idle, backend.slots().behind) == (1, 1)
-    backend.submit(2, batch(WELL), PLENTY)
-    assert (backend.slots().idle, backend.slots().behind) == (0, 2)
-    backend.submit(3, batch(WELL), PLENTY)
-    backend.submit(4, batch(WELL), PLENTY)
-    assert (backend.slots().idle, backend.slots().behind) == (0, 0)
+    assert room(backend) == (2, 0)
+    send(backend, 1, batch(WELL))
+    assert room(backend) == (1, 1)
+    send(backend, 2, batch(WELL))
+    assert room(backend) == (0, 2)
+    send(backend, 3, batch(WELL))
+    send(backend, 4, batch(WELL))
+    assert room(backend) == (0, 0)
     events = collect(backend, 4)
     assert all(isinstance(event, Finished) for event in events.values())
     assert len({event.result.worker for event in events.values() if isinstance(event, Finished)}) == 2
 
 
 def test_nothing_is_queued_behind_a_batch_that_is_alone(backend: Backend) -> None:
-    backend.submit(1, batch(WELL), PLENTY, alone=True)
-    assert (backend.slots().idle, backend.slots().behind) == (1, 0)
+    send(backend, 1, batch(WELL), alone=True)
+    assert room(backend) == (1, 0)
     collect(backend, 1)
 
 
 def test_exceptions_and_lack_of_memory_in_a_cell_cost_neither_worker_nor_neighbours(backend: Backend) -> None:
     before = [worker.id for worker in backend.workers()]
-    backend.submit(1, batch(WELL, ERROR, WELL, MEMORY, WELL), PLENTY)
+    send(backend, 1, batch(WELL, ERROR, WELL, MEMORY, WELL))
     event = collect(backend, 1)[1]
     assert isinstance(event, Finished)
     assert [result.breakdown for result in event.result.results] == [None, "error", None, "memory", None]
@@ -91,10 +105,10 @@ def test_exceptions_and_lack_of_memory_in_a_cell_cost_neither_worker_nor_neighbo
 
 
 def test_a_crash_loses_what_the_worker_had_and_nothing_else(backend: Backend) -> None:
-    backend.submit(1, batch(WELL, CRASH, WELL), PLENTY)
-    backend.submit(2, batch(WELL, WELL), PLENTY)
-    backend.submit(3, batch(WELL), PLENTY)
-    backend.submit(4, batch(WELL), PLENTY)
+    send(backend, 1, batch(WELL, CRASH, WELL))
+    send(backend, 2, batch(WELL, WELL))
+    send(backend, 3, batch(WELL))
+    send(backend, 4, batch(WELL))
     events = collect(backend, 4)
     lost = {number: event for number, event in events.items() if isinstance(event, Lost)}
     assert 1 in lost
@@ -102,20 +116,38 @@ def test_a_crash_loses_what_the_worker_had_and_nothing_else(backend: Backend) ->
     assert {event.breakdown for event in lost.values()} == {Breakdown.CRASH}
     assert lost[1].detail
     wait_for_idle(backend)  # it was replaced
-    backend.submit(5, batch(WELL), PLENTY)
-    backend.submit(6, batch(WELL), PLENTY)
+    send(backend, 5, batch(WELL))
+    send(backend, 6, batch(WELL))
     assert all(isinstance(event, Finished) for event in collect(backend, 2).values())
 
 
 def test_a_hanging_worker_is_ended_at_the_deadline_and_replaced(backend: Backend) -> None:
-    backend.submit(1, batch(WELL), PLENTY)
-    backend.submit(2, batch(WELL), PLENTY)
+    send(backend, 1, batch(WELL))
+    send(backend, 2, batch(WELL))
     collect(backend, 2)
-    backend.submit(3, batch(HANG), 0.01)
+    send(backend, 3, batch(HANG), 0.01)
     event = collect(backend, 1)[3]
     assert isinstance(event, Lost)
     assert event.breakdown is Breakdown.HANG
     wait_for_idle(backend)
+    assert backend.trouble() is None
+
+
+def test_a_replaced_worker_is_another_process_and_its_fault_is_told_until_there_is_a_result(backend: Backend) -> None:
+    one, other = (worker.id for worker in backend.workers())
+    backend.replace(one, "it sees ghosts")
+    assert other in {slot.worker for slot in backend.slots()}
+    assert one not in {slot.worker for slot in backend.slots()}
+    wait_for_idle(backend)
+    [new] = {slot.worker for slot in backend.slots()} - {other}
+    assert new != one
+    assert "it sees ghosts" in (backend.trouble() or "")
+    backend.submit(new, 1, batch(WELL), PLENTY)
+    assert isinstance(collect(backend, 1)[1], Finished)
+    assert backend.trouble() is None
+    backend.replace(new, None)
+    wait_for_idle(backend)
+    assert {slot.worker for slot in backend.slots()} & {one, new} == set()
     assert backend.trouble() is None
 
 

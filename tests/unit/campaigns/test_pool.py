@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.support.fake_backend import Behaviour, FakeBackend
 
-from drivecal.campaigns.pool import WorkPool
-from drivecal.campaigns.scheduler import ATTEMPTS, ATTEMPTS_AT_ERRORS, Completed
+from drivecal.campaigns.pool import PATIENCE_WITH_REFUSALS, WorkPool
+from drivecal.campaigns.scheduler import ATTEMPTS, WITNESSES, Completed
+from drivecal.campaigns.standing import BATCHES_WITHOUT_RESULT
 from drivecal.contracts.work import Cell, SetupRequest
 
 
@@ -61,13 +62,129 @@ def test_only_the_first_death_puts_others_under_suspicion() -> None:
     assert all(one.attempts == 2 for one in suspects if one.result.id != 11)
 
 
-def test_an_exception_is_tried_once_more_alone() -> None:
+def test_an_exception_is_tried_once_more_alone_on_another_worker(caplog: pytest.LogCaptureFixture) -> None:
     backend = FakeBackend()
     pool = WorkPool(backend)
-    pool.submit(setup(), cells([Behaviour.WELL, Behaviour.ERROR, Behaviour.WELL]), tag="a")
+    pool.submit(setup(), cells([Behaviour.WELL, Behaviour.ERROR, Behaviour.WELL]), tag="campaign-7")
     [failed] = [one for one in drain(pool) if one.result.breakdown is not None]
-    assert (failed.result.id, failed.result.breakdown, failed.attempts) == (2, "error", ATTEMPTS_AT_ERRORS)
+    assert (failed.result.id, failed.result.breakdown, failed.attempts) == (2, "error", WITNESSES)
     assert failed.result.detail == "ValueError: as asked for"
+    assert backend.replaced == []
+    [line] = [record.getMessage() for record in caplog.records]
+    assert line.startswith("cell 2 of campaign-7 has no result after 2 attempts (error, at last on worker-")
+    assert line.endswith("; failure 1 of this campaign): ValueError: as asked for")
+
+
+def test_the_only_worker_is_replaced_once_before_its_exceptions_count() -> None:
+    backend = FakeBackend(1)
+    pool = WorkPool(backend)
+    behaviours = [Behaviour.WELL] * 500
+    for index in (3, 77, 200, 431):
+        behaviours[index] = Behaviour.ERROR
+    pool.submit(setup(), cells(behaviours), tag="a")
+    failed = {one.result.id: one for one in drain(pool) if one.result.breakdown is not None}
+    assert sorted(failed) == [4, 78, 201, 432]
+    assert {one.worker for one in failed.values()} == {"worker-1.2"}
+    assert backend.replaced == [("worker-1", None)]
+    assert pool.trouble() is None
+
+
+def test_exceptions_at_the_only_worker_are_settled_while_others_keep_it_busy() -> None:
+    backend = FakeBackend(1)
+    pool = WorkPool(backend)
+    pool.submit(setup(), cells([Behaviour.ERROR]), tag="a")
+    first, settled_after = 2, None
+    while settled_after is None:
+        assert first < 50_000, "the suspect starves"
+        if pool.outstanding < 1000:
+            pool.submit(setup("S2"), cells([Behaviour.WELL] * 1000, first=first), tag="b")
+            first += 1000
+        settled_after = next((backend.now for one in pool.poll(1.0) if one.tag == "a"), None)
+    assert settled_after < 120.0
+
+
+@pytest.mark.parametrize(("workers", "bad"), [(4, {1}), (4, {2, 3}), (4, {1, 2, 4}), (2, {2})])
+def test_bad_workers_cost_no_good_cell(workers: int, bad: set[int]) -> None:
+    backend = FakeBackend(workers, bad=bad)
+    pool = WorkPool(backend)
+    behaviours = [Behaviour.WELL] * 6000
+    behaviours[1234] = Behaviour.ERROR
+    pool.submit(setup(), cells(behaviours), tag="a")
+    completed = drain(pool)
+    assert len(completed) == 6000
+    assert [one.result.id for one in completed if one.result.breakdown is not None] == [1235]
+    assert {worker.split("-")[1].split(".")[0] for worker, _ in backend.replaced} == {str(place) for place in bad}
+    for _, fault in backend.replaced:
+        count, words = (fault or "").split(maxsplit=1)
+        assert int(count) in {BATCHES_WITHOUT_RESULT, BATCHES_WITHOUT_RESULT + 1}
+        assert words == "batches in a row gave no result, the last one because: SUMO is gone"
+    spoilt = sum(count - 1 for count in backend.attempts.values())
+    assert spoilt < 1000, "bad workers are given little"
+
+
+def test_a_worker_that_is_spoilt_comes_back_to_life_by_its_replacement() -> None:
+    backend = FakeBackend(1)
+    pool = WorkPool(backend)
+    pool.submit(setup(), cells([Behaviour.WELL] * 1000), tag="a")
+    completed = pool.poll(1.0)
+    backend.bad = {1}
+    while not backend.replaced:
+        completed += pool.poll(1.0)
+    assert "SUMO is gone" in (pool.trouble() or "")
+    backend.bad = set()
+    completed += drain(pool)
+    assert len(completed) == 1000
+    assert all(one.result.breakdown is None for one in completed)
+    assert pool.trouble() is None
+
+
+def test_a_campaign_of_errors_comes_to_its_end_and_costs_few_workers_and_words(caplog: pytest.LogCaptureFixture) -> None:
+    backend = FakeBackend(4)
+    pool = WorkPool(backend)
+    pool.submit(setup(), cells([Behaviour.ERROR] * 1000), tag="a")
+    completed = drain(pool)
+    assert len(completed) == 1000
+    assert {(one.result.breakdown, one.attempts) for one in completed} == {("error", WITNESSES)}
+    assert len(backend.replaced) <= 8
+    assert len(caplog.records) < 40
+
+
+def test_refusals_are_no_attempts_and_leave_the_work_to_those_who_can() -> None:
+    backend = FakeBackend(3, refusing={1: "it has no frenet", 3: "it has no frenet"})
+    pool = WorkPool(backend, clock=lambda: backend.now)
+    pool.submit(setup(), cells([Behaviour.WELL] * 99 + [Behaviour.ERROR, Behaviour.CRASH]), tag="a")
+    completed = pool.poll(0.0)
+    while "2 workers refuse" not in (pool.trouble() or ""):
+        completed += pool.poll(0.01)
+    assert pool.trouble() == "2 workers refuse S1: it has no frenet"
+    completed += drain(pool)
+    assert sorted(one.result.id for one in completed) == list(range(1, 102))
+    failed = {one.result.id: one.attempts for one in completed if one.result.breakdown is not None}
+    assert failed == {100: WITNESSES, 101: ATTEMPTS}
+    assert {one.worker.split(".")[0] for one in completed} == {"worker-2"}
+    assert pool.trouble() is None
+
+
+def test_cells_that_every_worker_refuses_wait_until_one_is_mended(caplog: pytest.LogCaptureFixture) -> None:
+    backend = FakeBackend(2, refusing={1: "it has version 2", 2: "it has version 2"})
+    pool = WorkPool(backend, clock=lambda: backend.now)
+    pool.submit(setup(), cells([Behaviour.WELL] * 50), tag="a")
+    pool.submit(setup("S2"), cells([Behaviour.WELL] * 50, first=101), tag="b")
+    troubles = set()
+    while backend.now < 5 * PATIENCE_WITH_REFUSALS:
+        assert pool.poll(1.0) == []
+        if backend.now > 1.0:
+            troubles.add(pool.trouble())
+    assert pool.held("a") == 50
+    assert troubles == {f"{number} workers refuse S1, S2: it has version 2" for number in (2, 3, 4)} & troubles
+    assert "worker-1 refuses: it has version 2" in caplog.text
+    assert pool.withdraw("b") == 0
+    backend.refusing.clear()
+    completed = drain(pool)
+    assert len(completed) == 50
+    assert {one.attempts for one in completed} == {1}
+    assert pool.trouble() is None
+    assert backend.now < 7 * PATIENCE_WITH_REFUSALS
 
 
 def test_batches_take_a_quarter_of_a_second_whatever_a_cell_costs() -> None:
@@ -176,6 +293,8 @@ _step = st.one_of(
     st.tuples(st.just("kill"), st.integers(0, 7)),
     st.tuples(st.just("repeat"), st.integers(1, 60)),
     st.tuples(st.just("withdraw"), st.sampled_from(["a", "b"])),
+    st.tuples(st.just("spoil"), st.integers(1, 5)),
+    st.tuples(st.just("refuse"), st.integers(1, 5)),
 )
 
 
@@ -183,7 +302,7 @@ _step = st.one_of(
 @settings(max_examples=300, deadline=None)
 def test_every_cell_comes_back_exactly_once_whatever_happens(workers: int, steps: list[tuple[object, ...]]) -> None:
     backend = FakeBackend(workers, {"S1": 0.007, "S2": 0.5})
-    pool = WorkPool(backend)
+    pool = WorkPool(backend, clock=lambda: backend.now)
     submitted: dict[int, Behaviour] = {}
     tags: dict[int, str] = {}
     completed: list[Completed] = []
@@ -207,6 +326,12 @@ def test_every_cell_comes_back_exactly_once_whatever_happens(workers: int, steps
                 running = pool.withdraw(tag)
                 assert pool.held(tag) == running <= held
                 withdrawn |= {cell for cell, its in tags.items() if its == tag}
+            case ("spoil", int(place)):
+                backend.bad.add(place)
+            case ("refuse", int(place)):
+                backend.refusing[place] = "it has another version"
+    if len(backend.refusing.keys() & set(range(1, workers + 1))) == workers:
+        backend.refusing.clear()
     completed += drain(pool)
     ids = [one.result.id for one in completed]
     assert len(set(ids)) == len(ids), "a cell came back twice"
@@ -215,7 +340,7 @@ def test_every_cell_comes_back_exactly_once_whatever_happens(workers: int, steps
     causes = {None: Behaviour.WELL, "crash": Behaviour.CRASH, "hang": Behaviour.HANG}
     causes |= {"error": Behaviour.ERROR, "memory": Behaviour.MEMORY}
     for one in completed:
-        if kills == 0:
+        if kills == 0 and not backend.bad:
             assert causes[one.result.breakdown] is submitted[one.result.id]
         elif submitted[one.result.id] is not Behaviour.WELL:
             assert one.result.breakdown is not None

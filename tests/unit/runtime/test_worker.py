@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from drivecal.contracts.work import Batch, Cell, CellResult, SetupRequest
-from drivecal.domain.errors import ConflictError
+from drivecal.domain.errors import ConflictError, UnavailableError
 from drivecal.domain.evaluations import Failure, Rating, RunResult
 from drivecal.plugins import registry
 from drivecal.plugins.setups import setup_of, simulator
@@ -159,13 +159,14 @@ def test_a_worker_simulates_with_what_is_installed() -> None:
     assert result.milliseconds > 0
 
 
-def test_a_worker_with_another_version_refuses_and_names_both() -> None:
-    [result] = Worker("w").run(Batch(_request(simulator="libsumo 0.9", seed=77), (Cell(1, MIDDLE),))).results
-    assert result.breakdown == "error"
-    detail = result.detail or ""
-    assert detail.startswith("coordinator and worker differ: ")
-    assert f"simulator is libsumo 0.9 at the coordinator and {simulator()} at the worker" in detail
-    assert "seed is 77" in detail
+def test_a_worker_with_another_version_refuses_the_whole_setup_and_names_both_versions() -> None:
+    result = Worker("w").run(Batch(_request(simulator="libsumo 0.9", seed=77), (Cell(1, MIDDLE), Cell(2, MIDDLE))))
+    assert result.results == ()
+    refusal = result.refusal or ""
+    assert refusal.startswith("coordinator and worker differ: ")
+    assert f"simulator is libsumo 0.9 at the coordinator and {simulator()} at the worker" in refusal
+    assert "seed is 77" in refusal
+    pickle.loads(pickle.dumps(result))
 
 
 def test_a_worker_without_the_plug_in_says_what_it_has() -> None:
@@ -174,8 +175,39 @@ def test_a_worker_without_the_plug_in_says_what_it_has() -> None:
         (replace(_request(), scenario="S77"), "no 'S77'; it has S1, S2"),
         (replace(_request(), run_fingerprint="0", document={}), "run fingerprint 0 was asked for"),
     ):
-        [result] = Worker("w").run(Batch(request, (Cell(1, MIDDLE),))).results
-        assert words in (result.detail or "")
+        result = Worker("w").run(Batch(request, (Cell(1, MIDDLE),)))
+        assert result.results == ()
+        assert words in (result.refusal or "")
+
+
+def test_a_plug_in_that_cannot_be_imported_here_is_the_worker_s_fault(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(name: str) -> None:
+        raise OSError(f"{name}: no space left on device")
+
+    request = _request()
+    monkeypatch.setattr(registry, "driving_function", broken)
+    result = Worker("w").run(Batch(request, (Cell(1, MIDDLE),)))
+    assert "a plug-in cannot be loaded: OSError: frenet: no space left on device" in (result.refusal or "")
+
+
+def test_a_plug_in_that_cannot_be_put_together_is_the_cell_s_fault() -> None:
+    def make(_: SetupRequest) -> ScriptedRunner:
+        raise ValueError("the vehicle has no wheels")
+
+    result = Worker("w", make).run(Batch(SETUP, (Cell(1, MIDDLE),)))
+    assert result.refusal is None
+    assert [one.breakdown for one in result.results] == ["error"]
+
+
+def test_a_worker_is_ready_once_it_has_simulated_a_cell() -> None:
+    facts = Worker("w").warm(Batch(_request(), (Cell(1, MIDDLE),)))
+    assert facts.pid == os.getpid()
+    for trial, words in (
+        (Batch(_request(simulator="libsumo 0.9"), (Cell(1, MIDDLE),)), "simulator is libsumo 0.9 at the coordinator"),
+        (Batch(_request(), (Cell(1, {}),)), "KeyError: 'P1'"),
+    ):
+        with pytest.raises(UnavailableError, match=words):
+            Worker("w").warm(trial)
 
 
 def test_numba_gets_a_folder_of_its_own_only_where_it_would_find_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

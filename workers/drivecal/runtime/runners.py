@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import import_module
 from typing import Any, Protocol
 
 from drivecal.contracts.work import SetupRequest
-from drivecal.domain.errors import ConflictError, InvalidInputError, Problem
+from drivecal.domain.errors import ConflictError, DrivecalError, InvalidInputError, Problem
 from drivecal.domain.evaluations import RunResult
+from drivecal.domain.scenarios import Scenario
 from drivecal.domain.setups import Setup
 from drivecal.plugins import registry
+from drivecal.plugins.ports import DrivingFunction, Evaluator, Vehicle
 from drivecal.plugins.setups import setup_of
+
+
+class RefusedError(DrivecalError):
+    """This worker cannot run a setup, whatever the parameters: its installation is to blame, no cell is."""
 
 
 class Runner(Protocol):
@@ -27,23 +35,21 @@ class Runner(Protocol):
         """The same run with its time series, as plain data."""
 
 
+@dataclass(frozen=True, slots=True)
+class _Installed:
+    scenario: Scenario
+    function: DrivingFunction
+    vehicle: Vehicle
+    evaluator: Evaluator
+
+
 class _EpisodeRunner:
-    def __init__(self, request: SetupRequest) -> None:
+    def __init__(self, request: SetupRequest, installed: _Installed) -> None:
         from drivecal.episode.runner import Runner as Episode  # libsumo and numba, in workers only
 
-        catalogue = registry.catalogue(request.catalogue)
-        if request.scenario not in catalogue.scenarios:
-            remedy = f"it has {', '.join(catalogue.scenarios)}"
-            raise InvalidInputError(
-                Problem("scenario", f"the worker's catalogue {catalogue.name} has no {request.scenario!r}", remedy)
-            )
-        scenario = catalogue.scenarios[request.scenario]
-        function = registry.driving_function(request.driving_function)
-        vehicle = registry.vehicle(request.vehicle)
-        refuse_other_versions(request, setup_of(scenario, function, vehicle, request.vehicle_parameters))
-        self.parameters = tuple(parameter.name for parameter in next(iter(function.spaces.values())))
-        model = vehicle.create(request.vehicle_parameters)
-        self._episode = Episode(scenario, function, model, registry.evaluator(request.evaluator))
+        self.parameters = tuple(parameter.name for parameter in next(iter(installed.function.spaces.values())))
+        model = installed.vehicle.create(request.vehicle_parameters)
+        self._episode = Episode(installed.scenario, installed.function, model, installed.evaluator)
 
     def run(self, parameters: Sequence[float]) -> RunResult:
         return self._episode.run(parameters)
@@ -55,10 +61,30 @@ class _EpisodeRunner:
 def make_runner(request: SetupRequest) -> Runner:
     """The runner of a setup.
 
-    Raises InvalidInputError where a plug-in is not installed here, ConflictError where one is, but in another version than the
-    coordinator's: results of both must not mix.
+    Raises RefusedError where a plug-in or the simulator is not usable here, or is another version than the coordinator's (results of
+    both must not mix). What the plug-ins raise while they are put together goes through: another worker's would raise it, too.
     """
-    return _EpisodeRunner(request)
+    try:
+        installed = _find(request)
+    except DrivecalError as error:
+        raise RefusedError(str(error)) from error
+    except Exception as error:  # what a package may raise that is installed badly
+        raise RefusedError(f"a plug-in cannot be loaded: {type(error).__name__}: {error}") from error
+    return _EpisodeRunner(request, installed)
+
+
+def _find(request: SetupRequest) -> _Installed:
+    import_module("drivecal.episode.runner")  # raises UnavailableError where there is no simulator
+    catalogue = registry.catalogue(request.catalogue)
+    if request.scenario not in catalogue.scenarios:
+        remedy = f"it has {', '.join(catalogue.scenarios)}"
+        raise InvalidInputError(
+            Problem("scenario", f"the worker's catalogue {catalogue.name} has no {request.scenario!r}", remedy)
+        )
+    scenario = catalogue.scenarios[request.scenario]
+    function, vehicle = registry.driving_function(request.driving_function), registry.vehicle(request.vehicle)
+    refuse_other_versions(request, setup_of(scenario, function, vehicle, request.vehicle_parameters))
+    return _Installed(scenario, function, vehicle, registry.evaluator(request.evaluator))
 
 
 def refuse_other_versions(request: SetupRequest, installed: Setup) -> None:

@@ -10,15 +10,14 @@ import traceback
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult, SetupRequest
-from drivecal.domain.errors import ConflictError, DrivecalError
+from drivecal.domain.errors import ConflictError, DrivecalError, UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.runtime.compilation import prepare_cache
-from drivecal.runtime.runners import Runner, make_runner
+from drivecal.runtime.runners import RefusedError, Runner, make_runner
 
 MOST_RUNNERS = 32
 """Runners kept at a time; the least recently used goes first. Studies of vehicle parameters go through hundreds of setups."""
@@ -42,17 +41,29 @@ class Worker:
         self._make = make
         self._runners: OrderedDict[tuple[object, ...], Runner] = OrderedDict()
 
-    def warm(self) -> WorkerFacts:
-        """Loads the machinery, so that the first batch does not pay for it. Raises UnavailableError where libsumo is missing."""
+    def warm(self, trial: Batch) -> WorkerFacts:
+        """Simulates `trial`: loads and compiles what the first batch would have to pay for, and shows that this worker can work.
+
+        Raises UnavailableError saying why where it cannot.
+        """
         prepare_cache()
-        import_module("drivecal.episode.runner")
+        result = self.run(trial)
+        for reason in (result.refusal, *(one.detail for one in result.results)):
+            if reason is not None:
+                raise UnavailableError(reason)
         return WorkerFacts(socket.gethostname(), os.getpid())
 
     def run(self, batch: Batch) -> BatchResult:
-        """Simulates every cell. Raises nothing that a cell or a plug-in is to blame for: its result has a `breakdown` then."""
+        """Simulates every cell, or none where this worker cannot run the setup: the result has a `refusal` then. Raises nothing that
+        a cell or a plug-in is to blame for: the cell's result has a `breakdown` then."""
         start = time.perf_counter()
-        results = tuple(self._run_cell(batch.setup, cell) for cell in batch.cells)
-        return BatchResult(self._name, results, time.perf_counter() - start)
+        results: tuple[CellResult, ...] = ()
+        refusal = None
+        try:
+            results = tuple(self._run_cell(batch.setup, cell) for cell in batch.cells)
+        except RefusedError as error:
+            refusal = describe(error)
+        return BatchResult(self._name, results, time.perf_counter() - start, refusal)
 
     def trace(self, setup: SetupRequest, cell: Cell) -> dict[str, Any]:
         """One cell with its time series, as plain data. Raises ConflictError saying why where it gives no result."""
@@ -72,6 +83,8 @@ class Worker:
             metrics = {name: _finite(name, value) for name, value in result.metrics.items()}
             failure = result.failure.value if result.failure else None
             return CellResult(cell.id, rating, int(result.rating.score), metrics, failure, _milliseconds(start))
+        except RefusedError:
+            raise
         except MemoryError as error:
             return self._broken(setup, cell, Breakdown.MEMORY, error, start)
         except (Exception, SystemExit) as error:  # noqa: BLE001  # a plug-in may raise anything; it must not cost the worker

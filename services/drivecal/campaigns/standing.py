@@ -1,0 +1,110 @@
+"""What the workers have shown so far: whose word counts when a cell breaks down, who is to be replaced, who refuses what. Pure.
+
+A worker that answers every cell with an error at once is always the idle one. Left alone it would take most of the work, and most of
+the second attempts at what it spoilt. So nobody's word counts alone, a worker with results is asked before one without, and one
+that never has any is replaced.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Hashable, Iterable, Sequence
+from enum import IntEnum
+
+from drivecal.contracts.work import BatchResult
+
+BATCHES_WITHOUT_RESULT = 3
+"""In a row; then a worker is replaced."""
+
+
+class Trust(IntEnum):
+    """In a worker's errors, by what it did since it started."""
+
+    DOUBTED = 0
+    """It had no result in its last batch, and nobody else has confirmed that its cells are to blame."""
+    UNKNOWN = 1
+    PROVEN = 2
+    """It has given results."""
+
+
+class Standings:
+    """Workers are known by names that no two processes share."""
+
+    def __init__(self) -> None:
+        self._ready: Sequence[str] = ()
+        self._proven: set[str] = set()
+        self._without_result: dict[str, tuple[int, str]] = {}
+        self._refusals: dict[Hashable, dict[str, str]] = {}
+
+    @property
+    def ready(self) -> int:
+        """Workers that have started."""
+        return len(self._ready)
+
+    def meet(self, ready: Sequence[str]) -> None:
+        """Tells which workers have started. What the others have shown is forgotten, but not what they refused: it holds until
+        somebody else answers."""
+        self._ready = ready
+        self._proven.intersection_update(ready)
+        for gone in self._without_result.keys() - set(ready):
+            del self._without_result[gone]
+
+    def answered(self, worker: str, setup: Hashable, result: BatchResult) -> None:
+        """Takes in what a worker made of a batch."""
+        refusing = self._refusals.pop(setup, {})
+        still = {name: reason for name, reason in refusing.items() if name in self._ready and name != worker}
+        if result.refusal is not None:
+            still[worker] = result.refusal
+        if still:
+            self._refusals[setup] = still
+        if any(one.breakdown is None for one in result.results):
+            self._proven.add(worker)
+            self._without_result.pop(worker, None)
+        elif result.results:
+            self.failed(worker, result.results[-1].detail or "")
+
+    def failed(self, worker: str, detail: str) -> None:
+        """A whole batch went without a result."""
+        count, _ = self._without_result.get(worker, (0, ""))
+        self._without_result[worker] = (count + 1, detail)
+
+    def confirmed(self, workers: Iterable[str]) -> None:
+        """These workers broke down at the same cell: it is to blame."""
+        for worker in workers:
+            self._without_result.pop(worker, None)
+
+    def refuses(self, worker: str, setup: Hashable) -> bool:
+        """True where the worker said that it cannot run the setup."""
+        return worker in self._refusals.get(setup, {})
+
+    def candidates(self, setup: Hashable, avoid: Collection[str]) -> list[str]:
+        """The workers to ask about a cell that broke down at those in `avoid`: of the others the most trusted."""
+        able = [worker for worker in self._ready if worker not in avoid and not self.refuses(worker, setup)]
+        if not avoid:
+            return able
+        best = max(map(self._trust, able), default=Trust.UNKNOWN)
+        return [worker for worker in able if self._trust(worker) == best]
+
+    def on_probation(self, worker: str) -> bool:
+        """True for a worker without results while others have some: it gets a single cell to begin with."""
+        return self._trust(worker) is not Trust.PROVEN and any(self._trust(one) is Trust.PROVEN for one in self._ready)
+
+    def fault(self, worker: str) -> str | None:
+        """Why a worker is to be replaced, in words; None where it is not."""
+        count, detail = self._without_result.get(worker, (0, ""))
+        if count < BATCHES_WITHOUT_RESULT:
+            return None
+        return f"{count} batches in a row gave no result, the last one because: {detail}"
+
+    def refusals(self, setups: Collection[Hashable]) -> dict[str, str]:
+        """The reason of each worker that refuses one of these setups."""
+        return {
+            worker: reason
+            for setup, refusing in self._refusals.items()
+            if setup in setups
+            for worker, reason in refusing.items()
+        }
+
+    def _trust(self, worker: str) -> Trust:
+        if worker in self._without_result:
+            return Trust.DOUBTED
+        return Trust.PROVEN if worker in self._proven else Trust.UNKNOWN
