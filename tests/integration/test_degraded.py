@@ -1,0 +1,82 @@
+"""Campaigns on workers that are good for nothing: the dispatcher on a real database, the workers in memory."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from tests.support.fake_backend import FakeBackend
+
+from drivecal.campaigns.dispatcher import Dispatcher
+from drivecal.campaigns.pool import WorkPool
+from drivecal.contracts.specification import CampaignSpecification
+from drivecal.domain.campaigns import CampaignState
+from drivecal.storage import campaigns, processes
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.database import Database
+
+REASON = "coordinator and worker differ: simulator is libsumo 1.28 at the coordinator and libsumo 1.20 at the worker"
+SPECIFICATION = {"sensitivity": None, "optimizer": {"kind": "genetic", "population": 12, "iterations": 2, "seed": 3}}
+
+
+@pytest.fixture
+def database(tmp_path: Path) -> Iterator[Database]:
+    opened = Database.open(f"sqlite:///{tmp_path}/drivecal.db")
+    opened.upgrade()
+    yield opened
+    opened.dispose()
+
+
+def _submit(database: Database) -> StoredCampaign:
+    specification = CampaignSpecification.model_validate(SPECIFICATION)
+    with database.transaction() as connection:
+        return campaigns.insert(connection, name="test", spec=specification.model_dump(mode="json"), influence_map_id=None)
+
+
+def _dispatcher(database: Database, backend: FakeBackend) -> Dispatcher:
+    ticks = iter(range(10**9))
+    return Dispatcher(database, WorkPool(backend, clock=lambda: backend.now), clock=lambda: float(next(ticks)))
+
+
+def _get(database: Database, campaign: StoredCampaign) -> StoredCampaign:
+    with database.read() as connection:
+        return campaigns.get(connection, campaign.id)
+
+
+def _finish(database: Database, campaign: StoredCampaign, dispatcher: Dispatcher) -> StoredCampaign:
+    for _ in range(3_000):
+        if (found := _get(database, campaign)).state.ended:
+            return found
+        dispatcher.step()
+    raise AssertionError("the campaign did not end")
+
+
+def test_a_campaign_waits_and_says_why_while_every_worker_has_another_version(database: Database) -> None:
+    campaign = _submit(database)
+    backend = FakeBackend(2, refusing={1: REASON, 2: REASON})
+    dispatcher = _dispatcher(database, backend)
+    for _ in range(400):  # tenths of a second: longer than it takes until refusing workers are replaced
+        dispatcher.step()
+    assert backend.replaced
+    waiting = _get(database, campaign)
+    assert waiting.state is CampaignState.RUNNING
+    assert waiting.cells.failed == 0
+    assert waiting.degraded is not None
+    assert waiting.degraded.endswith(f"workers refuse S1, S2, S3, S4, S5, S6: {REASON}")
+    with database.read() as connection:
+        reported = processes.read(connection, "dispatcher")
+    assert reported is not None
+    assert reported.detail["degraded"] == waiting.degraded
+    backend.refusing.clear()
+    ended = _finish(database, campaign, dispatcher)
+    assert (ended.state, ended.cells.failed, ended.degraded) == (CampaignState.SUCCEEDED, 0, None)
+
+
+def test_a_bad_worker_among_good_ones_costs_a_campaign_no_cell(database: Database) -> None:
+    campaign = _submit(database)
+    backend = FakeBackend(4, bad={1})
+    ended = _finish(database, campaign, _dispatcher(database, backend))
+    assert (ended.state, ended.cells.failed) == (CampaignState.SUCCEEDED, 0)
+    assert ended.cells.simulated > 50
+    assert backend.replaced
