@@ -93,7 +93,7 @@ def measure(database: Database, stored: Steps, asked: Steps) -> dict[str, float]
     """Seconds for everything that is asked of one database."""
     fill(database, stored)
     started = time.perf_counter()
-    reference_keys.sync(database, 1, 1, len(stored), keys_of)
+    reference_keys.sync(database, 1, 1, EVALUATOR, len(stored), keys_of)
     synced = time.perf_counter() - started
     keys = list(dict.fromkeys(keys_of(NAMES, asked * STEP)))
     wanted = np.random.default_rng(1).integers(1, 2 * len(stored), CELLS).tolist()  # half of these are there

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,16 +17,16 @@ from drivecal.campaigns.maps import map_from_document
 from drivecal.campaigns.planning import View
 from drivecal.campaigns.problem import resolve
 from drivecal.campaigns.rerating import rate_stored_runs
-from drivecal.contracts.specification import CampaignSpecification, RerunSpecification
+from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, RerunSpecification
 from drivecal.contracts.work import Cell, CellResult
-from drivecal.domain.campaigns import Stage
+from drivecal.domain.campaigns import CampaignState, Stage
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.evaluations import Outcome, Rating
 from drivecal.domain.scenarios import Manoeuvre
 from drivecal.plugins import registry
 from drivecal.plugins.ports import Evaluator
-from drivecal.storage import influence_maps, results
-from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage import campaigns, influence_maps, results
+from drivecal.storage.campaigns import Action, StoredCampaign
 from drivecal.storage.database import Database
 
 
@@ -222,6 +222,58 @@ def test_ratings_are_added_in_chunks_to_what_the_campaign_sees_and_once(database
     assert rate_stored_runs(database, view, chunk=3) == 0
     everything = View(1, 10**6, problem.bench)
     assert rate_stored_runs(database, everything) == first.cells.simulated - 10
+
+
+def forgetful(scenario: str, cell: Cell) -> CellResult:
+    """What a worker gave that did not measure every run's comfort: that other evaluator cannot rate these."""
+    usual = influenced(scenario, cell)
+    return replace(usual, metrics={"undefined": 0.0}) if cell.parameters["P1"] < 0.3 else usual
+
+
+@pytest.mark.usefixtures("strict")
+def test_what_another_campaign_simulates_meanwhile_changes_no_evaluators_view_of_stored_runs(tmp_path: Path) -> None:
+    found = []
+    for accompanied in (False, True):
+        opened = Database.open(f"sqlite:///{tmp_path / str(accompanied)}.db")
+        opened.upgrade()
+        specification = CampaignSpecification.model_validate(WITH_ANALYSIS)
+        first = run(opened, submission.submit(opened, specification, None), ComputedBackend(answer=forgetful))
+        changes = RerunSpecification(weights={}, evaluator="strict")
+        slow = submission.rerun(opened, first.id, changes, None)
+        one = dispatcher(opened, ComputedBackend(answer=strict_answer))
+        one.step()
+        _ask(opened, slow, "pause")
+        while get(opened, slow).state is not CampaignState.PAUSED:
+            one.step()
+        if accompanied:
+            fast = run(opened, submission.rerun(opened, first.id, changes, None), ComputedBackend(answer=strict_answer))
+            assert fast.cells.unrepeatable > 0, "it simulated runs that the evaluator could not rate"
+        _ask(opened, slow, "resume")
+        run(opened, slow, ComputedBackend(answer=strict_answer))
+        with opened.read() as connection:
+            rows = [
+                (row.stage, row.iteration, row.individual, row.scenario, row.plan, row.outcome, row.score)
+                for row in results.stream(connection, slow.sequence)
+            ]
+        found.append((rows, get(opened, slow).best))
+        opened.dispose()
+    assert found[0] == found[1]
+
+
+def _ask(database: Database, campaign: StoredCampaign, action: Action) -> None:
+    with database.transaction() as connection:
+        campaigns.request_action(connection, campaign.id, action)
+
+
+@pytest.mark.usefixtures("strict")
+def test_a_single_evaluation_by_another_evaluator_is_answered_from_the_stored_run(database: Database) -> None:
+    first = _run(database)
+    with database.read() as connection:
+        row = next(row for row in results.stream(connection, first.sequence) if row.scenario == "S1" and not row.failure)
+    wanted = EvaluationSpecification.model_validate({"parameters": row.parameters, "scenario": "S1", "evaluator": "strict"})
+    backend = ComputedBackend(answer=strict_answer)
+    ended = run(database, submission.evaluate(database, wanted, None), backend)
+    assert (ended.cells.repeated, ended.cells.simulated, backend.sent) == (1, 0, [])
 
 
 def test_an_evaluator_that_is_not_installed_is_refused(database: Database) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from drivecal.campaigns.ledger import Ledger, Work
 from drivecal.campaigns.planning import View, WantedCell, plan_cells
 from drivecal.campaigns.problem import EvaluationProblem
+from drivecal.campaigns.rerating import rate_stored_runs
 from drivecal.campaigns.scheduler import Completed
 from drivecal.contracts.campaign import CellCounts, Progress, SensitivityCellCounts
 from drivecal.domain.campaigns import Stage
@@ -32,6 +33,7 @@ class SingleEvaluation:
         """What to simulate; empty where answers are awaited or everything is `finished`."""
         work: list[Work] = []
         if not self._loaded:
+            rate_stored_runs(self._database, self._view, only=self._problem.parameter_set)
             with self._database.transaction() as connection:
                 if self._campaign.cells.proposed == 0:
                     wanted = [

@@ -151,7 +151,7 @@ def _nearest(case: _Case) -> tuple[Nearest | None, int]:
     stored = 0
     place = (cell.stage, cell.iteration, cell.individual)
     sources = (
-        visible.stored_sets(case.connection, cell.setup_id, watermark, names),
+        visible.stored_sets(case.connection, cell.setup_id, case.evaluator, watermark, names),
         visible.own_sets(case.connection, cell.campaign_sequence, cell.scenario, place, names),
     )
     for rank, source in enumerate(sources):

@@ -62,13 +62,18 @@ def ensure_setups(connection: Connection, bench: Bench) -> dict[str, int]:
 
 
 def sync_reference_keys(database: Database, view: View) -> None:
-    """Gives every stored run that the campaign sees its key under the campaign's influence map: in bulk, once, resumable."""
+    """Gives every stored run that the campaign sees its key under the campaign's influence map: in bulk, once, resumable.
+
+    The campaign's evaluator must have rated them before (`rerating`): what it cannot rate has no key.
+    """
     if view.influence_map_sequence is None:
         return
     with database.transaction() as connection:
         setup_ids = ensure_setups(connection, view.bench)
+    evaluator = view.bench.evaluator_id
     for scenario, setup_id in setup_ids.items():
-        reference_keys.sync(database, view.influence_map_sequence, setup_id, view.watermark, partial(_keys_of, view, scenario))
+        keys_of = partial(_keys_of, view, scenario)
+        reference_keys.sync(database, view.influence_map_sequence, setup_id, evaluator, view.watermark, keys_of)
 
 
 def _keys_of(view: View, scenario: str, names: tuple[str, ...], values: npt.NDArray[np.int64]) -> list[bytes]:

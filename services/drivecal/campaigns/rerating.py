@@ -6,10 +6,11 @@ import logging
 from math import isfinite, nan
 
 from drivecal.campaigns.planning import View, ensure_setups
-from drivecal.domain.evaluations import Rating
+from drivecal.domain.evaluations import FAILED_RATING, Rating
+from drivecal.domain.parameters import ParameterSet
 from drivecal.domain.scenarios import Manoeuvre
 from drivecal.plugins.ports import Evaluator
-from drivecal.storage import ratings
+from drivecal.storage import parameter_sets, ratings
 from drivecal.storage.database import Database
 from drivecal.storage.ratings import UnratedRun
 
@@ -17,17 +18,18 @@ log = logging.getLogger(__name__)
 
 CHUNK = 10_000
 """Runs per transaction: some 20 MB of metrics."""
-FAILED = Rating(rating=0.0, score=0)
 
 
-def rate_stored_runs(database: Database, view: View, chunk: int = CHUNK) -> int:
+def rate_stored_runs(database: Database, view: View, only: ParameterSet | None = None, chunk: int = CHUNK) -> int:
     """Has the campaign's evaluator rate every run that the campaign sees and it has not rated yet; says how many it could rate.
 
-    Failed runs score 0 whoever rates. Runs that lack what the evaluator asks for stay without its rating, and are simulated when needed.
-    Resumable: what is rated is not asked for again.
+    With `only`, those of one parameter set. To be done before anything is planned: then the campaign sees a rating of every run that its
+    evaluator can rate, and what other campaigns do meanwhile adds none. Failed runs score 0 whoever rates. Runs that lack what the
+    evaluator asks for stay without its rating, and are simulated when needed. Resumable: what is rated is not asked for again.
     """
     with database.transaction() as connection:
         setup_ids = ensure_setups(connection, view.bench)
+        number = None if only is None else parameter_sets.ensure(connection, [only])[0]
     evaluator, evaluator_id = view.bench.evaluator, view.bench.evaluator_id
     total = missing = 0
     for scenario, setup_id in setup_ids.items():
@@ -35,7 +37,15 @@ def rate_stored_runs(database: Database, view: View, chunk: int = CHUNK) -> int:
         reached = 0
         while True:
             with database.read() as connection:
-                found = ratings.unrated(connection, setup_id, evaluator_id, after=reached, upto=view.watermark, limit=chunk)
+                found = ratings.unrated(
+                    connection,
+                    setup_id,
+                    evaluator_id,
+                    after=reached,
+                    upto=view.watermark,
+                    limit=chunk,
+                    parameter_set_id=number,
+                )
             if not found:
                 break
             rated = [(one.id, rating) for one in found if (rating := _rating(evaluator, manoeuvre, one)) is not None]
@@ -49,7 +59,7 @@ def rate_stored_runs(database: Database, view: View, chunk: int = CHUNK) -> int:
 
 def _rating(evaluator: Evaluator, manoeuvre: Manoeuvre, run: UnratedRun) -> Rating | None:
     if run.failure is not None:
-        return FAILED
+        return FAILED_RATING
     metrics = {name: nan if value is None else value for name, value in run.metrics.items()}
     try:
         rating = evaluator.rate(manoeuvre, metrics)

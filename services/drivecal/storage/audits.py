@@ -1,6 +1,7 @@
 """The self-check: what audited cells scored against the donors that were not trusted, and results that contradict each other.
 
-A donor's score is its run's rating by the campaign's own evaluator: the evaluation that made the run may have been rated by another one.
+A donor of the campaign's own has the score that it was answered with. That of another campaign's donor is its run's rating by this
+campaign's evaluator: the evaluation that made the run may have been rated by another one.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from sqlalchemy import Connection, FromClause, case, func, select, update
 from drivecal.domain.campaigns import Stage
 from drivecal.domain.evaluations import Outcome
 from drivecal.storage.evaluations import DONORS
-from drivecal.storage.tables import evaluations, ratings, reference_keys
+from drivecal.storage.tables import evaluations, ratings, reference_indexes, reference_keys
 
 _donor = evaluations.alias("donor")
 _trusted = ratings.alias("trusted")
@@ -33,9 +34,10 @@ class AuditCount:
 def settle(connection: Connection, campaign_sequence: int, stage: Stage, iteration: int, evaluator: str) -> None:
     """Writes down for the audited cells of a finished iteration whether the donor that was not trusted had the same score."""
     score = (
-        select(_trusted.c.score)
-        .join(_donor, _donor.c.run_id == _trusted.c.run_id)
-        .where(_donor.c.id == evaluations.c.reference, _trusted.c.evaluator == evaluator)
+        select(_TRUSTED)
+        .select_from(_rated(_donor, evaluator))
+        .where(_donor.c.id == evaluations.c.reference)
+        .correlate(evaluations)
         .scalar_subquery()
     )
     connection.execute(
@@ -82,14 +84,22 @@ def contradictions(
 
     Compared are the campaign's own simulated cells with each other, and with the stored references of their keys up to `watermark`.
     """
-    stored_key, stored = reference_keys.alias("stored_key"), ratings.alias("stored")
-    joined = evaluations.outerjoin(
-        stored_key,
-        (stored_key.c.influence_map_sequence == influence_map_sequence)
-        & (stored_key.c.setup_id == evaluations.c.setup_id)
-        & (stored_key.c.key == evaluations.c.reference_key)
-        & (stored_key.c.run_id <= watermark),
-    ).outerjoin(stored, (stored.c.run_id == stored_key.c.run_id) & (stored.c.evaluator == evaluator))
+    index, stored_key, stored = reference_indexes.alias("index"), reference_keys.alias("stored_key"), ratings.alias("stored")
+    joined = (
+        evaluations.outerjoin(
+            index,
+            (index.c.influence_map_sequence == influence_map_sequence)
+            & (index.c.setup_id == evaluations.c.setup_id)
+            & (index.c.evaluator == evaluator),
+        )
+        .outerjoin(
+            stored_key,
+            (stored_key.c.index_id == index.c.id)
+            & (stored_key.c.key == evaluations.c.reference_key)
+            & (stored_key.c.run_id <= watermark),
+        )
+        .outerjoin(stored, (stored.c.run_id == stored_key.c.run_id) & (stored.c.evaluator == evaluator))
+    )
     own, other = evaluations.c.score, stored.c.score
     contradicting = (
         select(evaluations.c.scenario)
@@ -106,14 +116,18 @@ def contradictions(
     return dict(Counter(connection.scalars(contradicting)))
 
 
-_CHANGE = func.abs(evaluations.c.score - _trusted.c.score)
+_OWN = _donor.c.campaign_sequence == evaluations.c.campaign_sequence
+_TRUSTED = case((_OWN, _donor.c.score), else_=_trusted.c.score)
+_CHANGE = func.abs(evaluations.c.score - _TRUSTED)
 _CHANGES = func.count(), func.count(case((_CHANGE > 0, 1))), func.count(case((_CHANGE > 1, 1)))
 
 
 def _audited(evaluator: str) -> FromClause:
-    return evaluations.join(_donor, _donor.c.id == evaluations.c.reference).join(
-        _trusted, (_trusted.c.run_id == _donor.c.run_id) & (_trusted.c.evaluator == evaluator)
-    )
+    return _rated(evaluations.join(_donor, _donor.c.id == evaluations.c.reference), evaluator)
+
+
+def _rated(donors: FromClause, evaluator: str) -> FromClause:
+    return donors.outerjoin(_trusted, (_trusted.c.run_id == _donor.c.run_id) & (_trusted.c.evaluator == evaluator))
 
 
 def _settled(campaign_sequence: int) -> tuple[Any, ...]:

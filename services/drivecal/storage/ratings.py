@@ -1,4 +1,8 @@
-"""Ratings of stored runs by other evaluators than the one that rated them first."""
+"""Ratings of stored runs by other evaluators than the one that rated them first.
+
+They follow from the metrics that are stored with a run, so that whether an evaluator has an opinion of a run does not depend on when,
+or for which campaign, it was asked.
+"""
 
 from __future__ import annotations
 
@@ -21,8 +25,18 @@ class UnratedRun:
     failure: str | None
 
 
-def unrated(connection: Connection, setup_id: int, evaluator: str, *, after: int, upto: int, limit: int) -> list[UnratedRun]:
-    """At most `limit` of a setup's runs, `after` < id <= `upto`, that `evaluator` ("name version") has not rated, ordered by id."""
+def unrated(
+    connection: Connection,
+    setup_id: int,
+    evaluator: str,
+    *,
+    after: int,
+    upto: int,
+    limit: int,
+    parameter_set_id: int | None = None,
+) -> list[UnratedRun]:
+    """At most `limit` of a setup's runs, `after` < id <= `upto`, that `evaluator` ("name version") has not rated, ordered by id;
+    with `parameter_set_id` only that of this parameter set."""
     rated = exists().where(ratings.c.run_id == runs.c.id, ratings.c.evaluator == evaluator)
     query = (
         select(runs.c.id, runs.c.metrics, runs.c.failure)
@@ -30,6 +44,8 @@ def unrated(connection: Connection, setup_id: int, evaluator: str, *, after: int
         .order_by(runs.c.id)
         .limit(limit)
     )
+    if parameter_set_id is not None:
+        query = query.where(runs.c.parameter_set_id == parameter_set_id)
     return [UnratedRun(row.id, row.metrics, row.failure) for row in connection.execute(query)]
 
 

@@ -4,6 +4,9 @@ Which reference answers a key must not depend on when keys were computed, nor on
 to a campaign's watermark, the first in the order of (campaign, stage, iteration, individual) wins. Runs are stored in the order in
 which workers finish, so the first one may come late. Therefore a key keeps each run that comes before all runs of a smaller id: the
 last of those up to the watermark is the winner, for every watermark.
+
+Keys are indexed for each evaluator apart, of the runs that it has rated: one that it cannot rate answers nothing, and must not hide a
+later one that it can. Which it can rate follows from the stored metrics (`runs.insert_results`), so it is the same for everybody.
 """
 
 from __future__ import annotations
@@ -13,14 +16,14 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from sqlalchemy import Connection, Row, SmallInteger, select, type_coerce
+from sqlalchemy import Connection, Row, Select, SmallInteger, select, type_coerce
 
 from drivecal.domain.evaluations import Donor
 from drivecal.storage import parameter_sets
 from drivecal.storage.database import Database
 from drivecal.storage.membership import among, insert
 from drivecal.storage.tables import parameter_sets as parameter_sets_table
-from drivecal.storage.tables import ratings, reference_key_syncs, reference_keys, runs
+from drivecal.storage.tables import ratings, reference_indexes, reference_keys, runs
 
 KeyFunction = Callable[[tuple[str, ...], npt.NDArray[np.int64]], Sequence[bytes]]
 """From names and values in billionths, shape (n, n_p), to n keys of 16 bytes."""
@@ -39,18 +42,16 @@ def look_up(
     connection: Connection, influence_map_sequence: int, setup_id: int, keys: Sequence[bytes], evaluator: str, watermark: int
 ) -> dict[bytes, Donor]:
     """The first references of `keys` among the runs up to `watermark` that `evaluator` rated. To be called after `sync`."""
+    index = connection.scalar(_index(influence_map_sequence, setup_id, evaluator))
     newest: dict[bytes, Donor] = {}
+    if index is None:
+        return newest
     for condition in among(connection, reference_keys.c.key, keys):
         query = (
             select(reference_keys.c.key, runs.c.id, runs.c.evaluation_id, runs.c.failure, ratings.c.score, ratings.c.rating)
             .join(runs, runs.c.id == reference_keys.c.run_id)
             .join(ratings, (ratings.c.run_id == reference_keys.c.run_id) & (ratings.c.evaluator == evaluator))
-            .where(
-                reference_keys.c.influence_map_sequence == influence_map_sequence,
-                reference_keys.c.setup_id == setup_id,
-                condition,
-                reference_keys.c.run_id <= watermark,
-            )
+            .where(reference_keys.c.index_id == index, condition, reference_keys.c.run_id <= watermark)
         )
         for key, run, evaluation, failure, score, rating in connection.execute(query):
             if key not in newest or run > newest[key].run:
@@ -62,62 +63,74 @@ def sync(
     database: Database,
     influence_map_sequence: int,
     setup_id: int,
+    evaluator: str,
     upto_run_id: int,
     key_function: KeyFunction,
     chunk: int = CHUNK,
 ) -> int:
-    """Computes the missing keys of one setup's runs up to `upto_run_id`; says of how many runs.
+    """Computes the missing keys of one setup's runs up to `upto_run_id`, of those that `evaluator` rated; says of how many runs.
 
-    Works in transactions of `chunk` runs and goes on where it was interrupted.
+    To be called when the evaluator has rated them (`ratings`): one that it rates later is not looked at again. Works
+    in transactions of `chunk` runs and goes on where it was interrupted.
     """
     total = 0
     while True:
         with database.transaction() as connection:
-            done = _sync_chunk(connection, influence_map_sequence, setup_id, upto_run_id, key_function, chunk)
+            index = _ensure_index(connection, influence_map_sequence, setup_id, evaluator)
+            done = _sync_chunk(connection, index, setup_id, evaluator, upto_run_id, key_function, chunk)
         total += done
         if done < chunk:
             return total
 
 
 def _sync_chunk(
-    connection: Connection, influence_map: int, setup_id: int, upto: int, key_function: KeyFunction, chunk: int
+    connection: Connection, index: int, setup_id: int, evaluator: str, upto: int, key_function: KeyFunction, chunk: int
 ) -> int:
-    since = _since(connection, influence_map, setup_id)
+    since = _since(connection, index)
     rows = connection.execute(
         select(runs.c.id, *_ORIGIN, parameter_sets_table.c.parameter_values)
         .join(parameter_sets_table)
+        .join(ratings, (ratings.c.run_id == runs.c.id) & (ratings.c.evaluator == evaluator))
         .where(runs.c.setup_id == setup_id, runs.c.id > since, runs.c.id <= upto)
         .order_by(runs.c.id)
         .limit(chunk)
     ).all()
     if rows:
         keys = _keys(rows, key_function)
-        first = {} if since == 0 else _first(connection, influence_map, setup_id, sorted(set(keys)))
+        first = {} if since == 0 else _first(connection, index, sorted(set(keys)))
         records: list[tuple[bytes, int]] = []
         for key, (run_id, *origin, _) in zip(keys, rows, strict=True):
             place = tuple(origin)
             if key not in first or place < first[key]:
                 first[key] = place
                 records.append((key, run_id))
-        _insert(connection, influence_map, setup_id, sorted(records))
+        _insert(connection, index, sorted(records))
     reached = max(rows[-1].id if len(rows) == chunk else upto, since)
-    connection.execute(
-        reference_key_syncs.update()
-        .where(reference_key_syncs.c.influence_map_sequence == influence_map, reference_key_syncs.c.setup_id == setup_id)
-        .values(run_id=reached)
-    )
+    connection.execute(reference_indexes.update().where(reference_indexes.c.id == index).values(run_id=reached))
     return len(rows)
 
 
-def _since(connection: Connection, influence_map: int, setup_id: int) -> int:
+def _index(influence_map: int, setup_id: int, evaluator: str) -> Select[int]:
+    return select(reference_indexes.c.id).where(
+        reference_indexes.c.influence_map_sequence == influence_map,
+        reference_indexes.c.setup_id == setup_id,
+        reference_indexes.c.evaluator == evaluator,
+    )
+
+
+def _ensure_index(connection: Connection, influence_map: int, setup_id: int, evaluator: str) -> int:
+    found = connection.scalar(_index(influence_map, setup_id, evaluator))
+    if found is not None:
+        return found
+    row = {"influence_map_sequence": influence_map, "setup_id": setup_id, "evaluator": evaluator, "run_id": 0}
+    connection.execute(insert(connection, reference_indexes).on_conflict_do_nothing(), row)
+    return connection.execute(_index(influence_map, setup_id, evaluator)).scalar_one()
+
+
+def _since(connection: Connection, index: int) -> int:
     """Up to which run keys are there. Locks the row, so that one process syncs at a time."""
-    pair = {"influence_map_sequence": influence_map, "setup_id": setup_id}
-    connection.execute(insert(connection, reference_key_syncs).on_conflict_do_nothing(), {**pair, "run_id": 0})
-    since: int = connection.execute(
-        select(reference_key_syncs.c.run_id)
-        .where(reference_key_syncs.c.influence_map_sequence == influence_map, reference_key_syncs.c.setup_id == setup_id)
-        .with_for_update()
-    ).scalar_one()
+    query = select(reference_indexes.c.run_id).where(reference_indexes.c.id == index).with_for_update()
+    since: int = connection.execute(query).scalar_one()
     return since
 
 
@@ -129,31 +142,31 @@ def _keys(rows: Sequence[Row[Any]], key_function: KeyFunction) -> list[bytes]:
     return keys
 
 
-def _first(connection: Connection, influence_map: int, setup_id: int, keys: Sequence[bytes]) -> dict[bytes, tuple[int, ...]]:
+def _first(connection: Connection, index: int, keys: Sequence[bytes]) -> dict[bytes, tuple[int, ...]]:
     """The earliest origin of each key that is there already."""
     found: dict[bytes, tuple[int, ...]] = {}
     for condition in among(connection, reference_keys.c.key, keys):
         query = (
             select(reference_keys.c.key, *_ORIGIN)
             .join(runs, runs.c.id == reference_keys.c.run_id)
-            .where(reference_keys.c.influence_map_sequence == influence_map, reference_keys.c.setup_id == setup_id, condition)
+            .where(reference_keys.c.index_id == index, condition)
         )
         for key, *origin in connection.execute(query):
             found[key] = min(found.get(key, tuple(origin)), tuple(origin))
     return found
 
 
-def _insert(connection: Connection, influence_map: int, setup_id: int, records: Sequence[tuple[bytes, int]]) -> None:
+def _insert(connection: Connection, index: int, records: Sequence[tuple[bytes, int]]) -> None:
     """By the drivers themselves: with a million rows, handing each through SQLAlchemy would take most of the time."""
-    rows = [(influence_map, setup_id, key, run_id) for key, run_id in records]
+    rows = [(index, key, run_id) for key, run_id in records]
     if connection.dialect.name == "postgresql":
         driver: Any = connection.connection.driver_connection
         with driver.cursor() as cursor, cursor.copy(f"COPY {_COLUMNS} FROM STDIN (FORMAT BINARY)") as copy:
-            copy.set_types(["int8", "int8", "bytea", "int8"])
+            copy.set_types(["int8", "bytea", "int8"])
             for row in rows:
                 copy.write_row(row)
     elif rows:
-        connection.exec_driver_sql(f"INSERT INTO {_COLUMNS} VALUES (?, ?, ?, ?)", rows)  # noqa: S608  # a constant
+        connection.exec_driver_sql(f"INSERT INTO {_COLUMNS} VALUES (?, ?, ?)", rows)  # noqa: S608  # a constant
 
 
-_COLUMNS = "reference_keys (influence_map_sequence, setup_id, key, run_id)"
+_COLUMNS = "reference_keys (index_id, key, run_id)"

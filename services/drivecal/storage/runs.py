@@ -39,8 +39,8 @@ class NewRun:
 class StoredRun:
     """What the reference table holds for a cell after `insert_results`: this result or an earlier one.
 
-    `agrees`: False where an earlier result of the same cell differs in any bit of metrics, failure, score or rating, so that
-    something that decides runs is missing in the setup's fingerprint.
+    `agrees`: False where an earlier result of the same cell differs in any bit of metrics, failure or, by the same evaluator, score or
+    rating, so that something that decides runs is missing in the setup's fingerprint.
     """
 
     id: int
@@ -49,12 +49,18 @@ class StoredRun:
 
 
 def insert_results(connection: Connection, results: Sequence[NewRun]) -> list[StoredRun]:
-    """Stores results exactly once and says for each, in order, what is stored for its cell. The first result of a cell stays."""
+    """Stores results exactly once and says for each, in order, what is stored for its cell. The first result of a cell stays.
+
+    A rating is stored together with its run or follows from the run's stored metrics (`ratings`), never from another simulation of the
+    same cell. So an evaluator's view of a run is as old as the run, and a campaign that sees the run sees it too, whoever simulates what
+    meanwhile.
+    """
     if not results:
         return []
     created_at = now()
     statement = insert(connection, runs).on_conflict_do_nothing(index_elements=["setup_id", "parameter_set_id"])
     known = _stored(connection, results)
+    before = {run.id for run in known.values()}
     new = [_row(one, created_at) for one in results if (one.setup_id, one.parameter_set_id) not in known]
     if new:
         connection.execute(statement, new)
@@ -63,8 +69,10 @@ def insert_results(connection: Connection, results: Sequence[NewRun]) -> list[St
     rated = [
         {"run_id": run.id, "evaluator": one.evaluator, "score": int(one.score), "rating": float(one.rating)}
         for run, one in zip(stored, results, strict=True)
+        if run.id not in before
     ]
-    connection.execute(insert(connection, ratings).on_conflict_do_nothing(index_elements=["run_id", "evaluator"]), rated)
+    if rated:
+        connection.execute(insert(connection, ratings).on_conflict_do_nothing(index_elements=["run_id", "evaluator"]), rated)
     standing = _ratings(connection, sorted({run.id for run in stored}))
     return [
         StoredRun(
@@ -72,7 +80,7 @@ def insert_results(connection: Connection, results: Sequence[NewRun]) -> list[St
             evaluation_id=run.evaluation_id,
             agrees=run.failure == one.failure
             and run.metrics == finite(dict(one.metrics))
-            and standing[run.id, one.evaluator] == (one.score, one.rating),
+            and standing.get((run.id, one.evaluator), (one.score, one.rating)) == (one.score, one.rating),
         )
         for run, one in zip(stored, results, strict=True)
     ]

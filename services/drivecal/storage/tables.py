@@ -170,20 +170,23 @@ reference_keys = (
     Table(  # derived from runs, and rebuilt from them at any time: no foreign keys, which would slow bulk inserts down
         "reference_keys",
         metadata,
-        Column("influence_map_sequence", Identity, primary_key=True, autoincrement=False),
-        Column("setup_id", Identity, primary_key=True, autoincrement=False),
+        Column("index_id", Identity, primary_key=True, autoincrement=False),
         Column("key", LargeBinary, primary_key=True),
         Column("run_id", Identity, primary_key=True, autoincrement=False),
         sqlite_with_rowid=False,
     )
 )
 
-reference_key_syncs = Table(
-    "reference_key_syncs",
+reference_indexes = Table(  # the keys of one setup's runs under one map, of those that one evaluator has rated: up to which run
+    "reference_indexes",
     metadata,
-    Column("influence_map_sequence", Identity, primary_key=True, autoincrement=False),
-    Column("setup_id", Identity, primary_key=True, autoincrement=False),
+    Column("id", Identity, primary_key=True),
+    Column("influence_map_sequence", Identity, nullable=False),
+    Column("setup_id", Identity, nullable=False),
+    Column("evaluator", Name, nullable=False),
     Column("run_id", Identity, nullable=False),
+    UniqueConstraint("influence_map_sequence", "setup_id", "evaluator"),
+    sqlite_autoincrement=True,
 )
 
 evaluations = Table(

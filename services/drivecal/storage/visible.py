@@ -13,7 +13,7 @@ from sqlalchemy import Connection, Row, Select, SmallInteger, literal, select, t
 from drivecal.domain.campaigns import Stage
 from drivecal.storage.evaluations import DONORS
 from drivecal.storage.parameter_sets import parse
-from drivecal.storage.tables import evaluations, parameter_sets, runs
+from drivecal.storage.tables import evaluations, parameter_sets, ratings, runs
 
 Integers = npt.NDArray[np.int64]
 CHUNK = 20_000
@@ -34,13 +34,15 @@ class VisibleSets:
 
 
 def stored_sets(
-    connection: Connection, setup_id: int, watermark: int, names: Sequence[str], chunk: int = CHUNK
+    connection: Connection, setup_id: int, evaluator: str, watermark: int, names: Sequence[str], chunk: int = CHUNK
 ) -> Iterator[VisibleSets]:
-    """The sets of a setup's runs up to `watermark`. Sets of other parameters than `names` are left out: they are of another function."""
+    """The sets of a setup's runs up to `watermark` that `evaluator` rated. Sets of other parameters than `names` are left out: they
+    are of another function."""
     origin = (runs.c.campaign_sequence, type_coerce(runs.c.stage, SmallInteger), runs.c.iteration, runs.c.individual)
     query = (
         select(runs.c.evaluation_id, *origin, parameter_sets.c.parameter_values)
         .join(parameter_sets)
+        .join(ratings, (ratings.c.run_id == runs.c.id) & (ratings.c.evaluator == evaluator))
         .where(runs.c.setup_id == setup_id, runs.c.id <= watermark)
         .order_by(runs.c.id)
     )

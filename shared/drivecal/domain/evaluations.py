@@ -48,6 +48,10 @@ class Rating:
     score: int
 
 
+FAILED_RATING = Rating(rating=0.0, score=0)
+"""What a run that failed (collision, off the road, task missed, unstable) is rated, whoever rates."""
+
+
 @dataclass(frozen=True, slots=True)
 class RunResult:
     """What one simulation gave: the measured metrics (names carry units), why it failed if it did, and its rating."""

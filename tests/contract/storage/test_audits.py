@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import pytest
 from sqlalchemy import Connection
-from tests.support.storage import EVALUATOR, campaign, new_run, sample_set_ids, setup_id, simulate
+from tests.support.storage import EVALUATOR, campaign, sample_set_ids, setup_id, simulate
 
 from drivecal.domain.campaigns import Stage
-from drivecal.domain.evaluations import Outcome
-from drivecal.storage import audits, evaluations, reference_keys, results, runs
+from drivecal.domain.evaluations import Outcome, Rating
+from drivecal.storage import audits, evaluations, ratings, reference_keys, results, runs
 from drivecal.storage.audits import AuditCount
 from drivecal.storage.database import Database
 from drivecal.storage.evaluations import NewEvaluation
@@ -62,14 +62,26 @@ def test_a_donor_counts_as_the_campaigns_own_evaluator_rates_it(database: Databa
         sequence, setup = campaign(connection).sequence, setup_id(connection)
         sets = sample_set_ids(connection, 2)
         simulate(connection, campaign(connection).sequence, [cell(0, setup, sets[0])], score=5)
-        rated = new_run(setup, sets[0], evaluator="learned 1", score=2, rating=2.0)
-        runs.insert_results(connection, [rated])
+        ratings.insert(connection, "learned 1", [(runs.largest_id(connection), Rating(2.0, 2))])
         donor = runs.look_up_exact(connection, setup, sets, "learned 1", 10**6)[sets[0]]
         audit = cell(1, setup, sets[1], donor=donor, audited=True)
         simulate(connection, sequence, [audit], score=2)
         assert audits.count(connection, sequence, "learned 1") == [AuditCount("S1", audited=1, different=0, wrong=0)]
         audits.settle(connection, sequence, Stage.CALIBRATION, 0, "learned 1")
         assert [one.agrees for one in results.stream(connection, sequence)] == [True]
+
+
+def test_a_donor_of_the_campaigns_own_counts_as_it_was_answered_whatever_is_stored_of_its_cell(database: Database) -> None:
+    with database.transaction() as connection:
+        faster, sequence, setup = campaign(connection).sequence, campaign(connection).sequence, setup_id(connection)
+        sets = sample_set_ids(connection, 2)
+        simulate(connection, faster, [cell(0, setup, sets[0])], score=5)
+        simulate(connection, sequence, [cell(0, setup, sets[0])], score=2)
+        donor = evaluations.own_exact(connection, sequence, "S1", sets)[sets[0]]
+        simulate(connection, sequence, [cell(1, setup, sets[1], donor=donor, audited=True)], score=2)
+        assert audits.count(connection, sequence, EVALUATOR) == [AuditCount("S1", audited=1, different=0, wrong=0)]
+        audits.settle(connection, sequence, Stage.CALIBRATION, 0, EVALUATOR)
+        assert [one.agrees for one in results.stream(connection, sequence) if one.audited] == [True]
 
 
 @pytest.mark.parametrize(("scores", "expected"), [((5, 5), {}), ((5, 4), {"S1": 1}), ((5, 4, 3), {"S1": 1})])
@@ -96,7 +108,7 @@ def test_a_stored_reference_contradicts_as_well_but_only_one_that_the_campaign_s
         simulate(connection, first, [cell(0, setup, sets[0])], score=5)
         watermark = runs.largest_id(connection)
         simulate(connection, sequence, [cell(0, setup, sets[1], reference_key=KEY)], score=3)
-    reference_keys.sync(database, 1, setup, watermark, lambda _, values: [KEY] * len(values))
+    reference_keys.sync(database, 1, setup, EVALUATOR, watermark, lambda _, values: [KEY] * len(values))
     with database.read() as connection:
         assert audits.contradictions(connection, sequence, 1, EVALUATOR, watermark) == {"S1": 1}
         assert audits.contradictions(connection, sequence, 1, EVALUATOR, watermark - 1) == {}

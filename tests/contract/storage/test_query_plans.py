@@ -24,6 +24,8 @@ from drivecal.storage.evaluations import Answer, NewEvaluation
 from drivecal.storage.membership import LARGEST_IN
 
 ROWS = 4_000
+SMALL = {"reference_indexes"}
+"""One row per map, setup and evaluator: PostgreSQL rightly reads all of it."""
 KEYS = [number.to_bytes(16, "big") for number in range(LARGEST_IN)]
 
 
@@ -46,7 +48,9 @@ def filled(database: Database) -> Database:
                 connection,
                 [Answer(n, Outcome.SIMULATED, 5, 5.25, run.id) for n, run in zip(ids, stored, strict=True) if n % 100],
             )
-    reference_keys.sync(database, 1, setup, 10**9, lambda _, values: [KEYS[int(row[0]) // 10_000_000] for row in values])
+    reference_keys.sync(
+        database, 1, setup, EVALUATOR, 10**9, lambda _, values: [KEYS[int(row[0]) // 10_000_000] for row in values]
+    )
     gather_statistics(database)
     return database
 
@@ -81,7 +85,7 @@ def scanned(plan: str) -> set[str]:
     # The index of active campaigns holds only them: reading all of it is what it is for.
     sqlite = re.findall(r"^SCAN (\w+)\b(?! USING INDEX ix_campaigns_active)", plan, re.MULTILINE)
     postgres = re.findall(r'"Node Type": "Seq Scan".*?"Relation Name": "(\w+)"', plan)
-    return {*sqlite, *postgres}
+    return {*sqlite, *postgres} - SMALL
 
 
 def some(connection: Connection) -> int:

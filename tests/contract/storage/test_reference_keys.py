@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -65,7 +66,9 @@ def test_every_watermark_sees_the_first_run_in_the_order_of_campaigns_whenever_t
     newest = ids[-1]
     upto = sorted(chance.sample(range(newest + 1), min(3, newest)))
     chunk = chance.choice([1, 2, 7, 1000])
-    counts = [reference_keys.sync(database, 1, setup, limit, keys_of, chunk=chunk) for limit in [*upto, newest, newest]]
+    counts = [
+        reference_keys.sync(database, 1, setup, EVALUATOR, limit, keys_of, chunk=chunk) for limit in [*upto, newest, newest]
+    ]
     assert sum(counts) == len(sets)
     assert counts[-1] == 0
 
@@ -82,6 +85,34 @@ def test_every_watermark_sees_the_first_run_in_the_order_of_campaigns_whenever_t
         assert reference_keys.look_up(connection, 2, setup, asked, EVALUATOR, newest) == {}
         assert reference_keys.look_up(connection, 1, other, asked, EVALUATOR, newest) == {}
         assert reference_keys.look_up(connection, 1, setup, asked, "learned 1", newest) == {}
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_run_that_an_evaluator_cannot_rate_hides_no_reference_from_it(database: Database, seed: int) -> None:
+    """Of each evaluator's rated runs the first answers, whatever the others rated and whoever's keys were computed first."""
+    chance = random.Random(seed)
+    sets = [ParameterSet.of({"P1": decimal("0.4"), "P2": decimal(number)}) for number in range(12)]  # all of one key
+    with database.transaction() as connection:
+        setup = setup_id(connection)
+        stored = random_runs(chance, len(sets), setup, parameter_sets.ensure(connection, sets))
+        stored = [replace(one, evaluator=chance.choice([EVALUATOR, "learned 1"])) for one in stored]
+        ids = [runs.insert_results(connection, [one])[0].id for one in stored]
+    evaluators = [EVALUATOR, "learned 1"]
+    chance.shuffle(evaluators)
+    for evaluator in evaluators:
+        rated = sum(one.evaluator == evaluator for one in stored)
+        assert reference_keys.sync(database, 1, setup, evaluator, ids[-1], keys_of, chunk=chance.choice([1, 2, 100])) == rated
+    [key] = set(keys_of_sets(sets))
+    with database.read() as connection:
+        for evaluator in evaluators:
+            for watermark in ids:
+                seen = [
+                    (origin(run), one)
+                    for one, run in zip(ids, stored, strict=True)
+                    if one <= watermark and run.evaluator == evaluator
+                ]
+                found = reference_keys.look_up(connection, 1, setup, [key], evaluator, watermark)
+                assert [donor.run for donor in found.values()] == [one for _, one in sorted(seen)[:1]]
 
 
 class CrashError(Exception):
@@ -103,8 +134,8 @@ def test_an_interrupted_sync_goes_on_where_it_was(database: Database) -> None:
         return keys_of(names, values)
 
     with pytest.raises(CrashError):
-        reference_keys.sync(database, 1, setup, last, crash_in_the_third_chunk, chunk=3)
-    assert reference_keys.sync(database, 1, setup, last, keys_of, chunk=3) == 4
+        reference_keys.sync(database, 1, setup, EVALUATOR, last, crash_in_the_third_chunk, chunk=3)
+    assert reference_keys.sync(database, 1, setup, EVALUATOR, last, keys_of, chunk=3) == 4
     with database.read() as connection:
         found = reference_keys.look_up(connection, 1, setup, keys_of_sets(sets[:1]), EVALUATOR, last)
     assert [donor.run for donor in found.values()] == [1]
@@ -117,7 +148,7 @@ def test_sets_with_their_parameters_in_other_orders_share_their_keys(database: D
         setup = setup_id(connection)
         ids = parameter_sets.ensure(connection, [turned, one])
         runs.insert_results(connection, [new_run(setup, set_id, evaluation=n) for n, set_id in enumerate(ids, start=1)])
-    reference_keys.sync(database, 1, setup, 10, keys_of)
+    reference_keys.sync(database, 1, setup, EVALUATOR, 10, keys_of)
     with database.read() as connection:
         found = reference_keys.look_up(connection, 1, setup, keys_of_sets([one]), EVALUATOR, 10)
     assert [donor.evaluation for donor in found.values()] == [1]
@@ -129,7 +160,7 @@ def test_many_keys_are_looked_up_at_once(database: Database) -> None:
         setup = setup_id(connection)
         set_ids = parameter_sets.ensure(connection, sets)
         stored = runs.insert_results(connection, [new_run(setup, one, individual=n) for n, one in enumerate(set_ids)])
-    assert reference_keys.sync(database, 1, setup, stored[-1].id, keys_of) == 12_000
+    assert reference_keys.sync(database, 1, setup, EVALUATOR, stored[-1].id, keys_of) == 12_000
     with database.read() as connection:
         found = reference_keys.look_up(connection, 1, setup, keys_of_sets(sets), EVALUATOR, stored[-1].id)
     assert [found[key].run for key in keys_of_sets(sets)] == [run.id for run in stored]

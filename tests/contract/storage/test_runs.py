@@ -6,8 +6,8 @@ import pytest
 from sqlalchemy import func, select
 from tests.support.storage import EVALUATOR, new_run, sample_set_ids, setup_id
 
-from drivecal.domain.evaluations import Donor
-from drivecal.storage import runs, setups, tables
+from drivecal.domain.evaluations import Donor, Rating
+from drivecal.storage import ratings, runs, setups, tables
 from drivecal.storage.database import Database
 from drivecal.storage.runs import NewRun, StoredRun
 
@@ -80,13 +80,19 @@ def test_two_results_of_one_cell_in_one_batch_are_stored_once(database: Database
         assert (first.agrees, second.agrees) == (True, False)
 
 
-def test_another_evaluator_adds_its_rating_to_the_stored_run(database: Database) -> None:
+def test_a_later_simulation_adds_no_rating_to_a_run_that_campaigns_may_see_already(database: Database) -> None:
+    """What an evaluator thinks of a run follows from its stored metrics, not from who simulates the cell again and when."""
     with database.transaction() as connection:
         one = new_run(setup_id(connection), *sample_set_ids(connection, 1))
         (stored,) = runs.insert_results(connection, [one])
-        assert runs.insert_results(connection, [replace(one, evaluator="learned 1", score=3, rating=3.0)]) == [stored]
+        again = replace(one, evaluator="learned 1", score=3, rating=3.0, campaign_sequence=2)
+        assert runs.insert_results(connection, [again]) == [stored]
+        assert runs.look_up_exact(connection, one.setup_id, [one.parameter_set_id], "learned 1", stored.id) == {}
+        ratings.insert(connection, "learned 1", [(stored.id, Rating(3.0, 3))])
         found = runs.look_up_exact(connection, one.setup_id, [one.parameter_set_id], "learned 1", stored.id)
         assert found == {one.parameter_set_id: Donor(1, stored.id, 3, 3.0, None)}
+        assert runs.insert_results(connection, [again]) == [stored]
+        assert runs.insert_results(connection, [replace(again, score=4)]) == [replace(stored, agrees=False)]
 
 
 def test_metrics_without_a_number_are_stored_as_null_and_agree_with_themselves(database: Database) -> None:

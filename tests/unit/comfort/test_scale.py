@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from drivecal.comfort.metrics import comfort_metrics
 from drivecal.comfort.plugin import REFERENCE
-from drivecal.comfort.scale import FAILED_RATING, LANE_KEEPING, MOTION, Criterion, criteria, rate
+from drivecal.comfort.scale import LANE_KEEPING, MOTION, Criterion, criteria, rate
 from drivecal.domain.scenarios import Manoeuvre
 from drivecal.plugins import registry
 
@@ -88,10 +88,6 @@ def test_a_metric_that_is_missing_or_not_finite_is_no_rating() -> None:
         rate(Manoeuvre.LANE_CHANGE, {})
     with pytest.raises(ValueError, match="peak_lateral_jerk_mps3 is nan"):
         rate(Manoeuvre.LANE_CHANGE, COMFORTABLE | {"peak_lateral_jerk_mps3": math.nan})
-
-
-def test_a_failed_run_has_the_worst_rating() -> None:
-    assert (FAILED_RATING.rating, FAILED_RATING.score) == (0.0, 0)
 
 
 def test_the_evaluator_is_found_by_its_entry_point_and_rates_on_this_scale() -> None:

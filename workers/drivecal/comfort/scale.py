@@ -14,8 +14,6 @@ from drivecal.domain.evaluations import Rating
 from drivecal.domain.scenarios import Manoeuvre
 
 BEST = 7
-FAILED_RATING = Rating(rating=0.0, score=0)
-"""What a run that failed (collision, off the road, task missed, unstable) is rated."""
 
 
 @dataclass(frozen=True, slots=True)

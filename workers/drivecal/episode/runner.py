@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from drivecal.comfort.metrics import comfort_metrics
-from drivecal.domain.evaluations import Failure, Rating, RunResult
+from drivecal.domain.evaluations import FAILED_RATING, Failure, RunResult
 from drivecal.domain.scenarios import Scenario
 from drivecal.episode.loop import ClosedLoop, Drive
 from drivecal.episode.task import fulfilled, speed_errors, target_offsets
 from drivecal.episode.trace import Recorder, Trace
 from drivecal.plugins.ports import DrivingFunction, Evaluator, VehicleModel
 from drivecal.traffic.simulation import simulation
-
-FAILED = Rating(rating=0.0, score=0)
 
 
 class Runner:
@@ -54,5 +52,5 @@ class Runner:
         failure = drive.failure
         if failure is None and not fulfilled(drive.motion, self._scenario):
             failure = Failure.TASK_MISSED
-        rating = FAILED if failure else self._evaluator.rate(self._scenario.manoeuvre, metrics)
+        rating = FAILED_RATING if failure else self._evaluator.rate(self._scenario.manoeuvre, metrics)
         return RunResult(rating, metrics, failure)

@@ -52,19 +52,27 @@ def upgrade() -> None:
         sa.PrimaryKeyConstraint("name", name=op.f("pk_processes")),
     )
     op.create_table(
-        "reference_key_syncs",
-        sa.Column("influence_map_sequence", IDENTITY, autoincrement=False, nullable=False),
-        sa.Column("setup_id", IDENTITY, autoincrement=False, nullable=False),
+        "reference_indexes",
+        sa.Column("id", IDENTITY, nullable=False),
+        sa.Column("influence_map_sequence", IDENTITY, nullable=False),
+        sa.Column("setup_id", IDENTITY, nullable=False),
+        sa.Column("evaluator", NAME, nullable=False),
         sa.Column("run_id", IDENTITY, nullable=False),
-        sa.PrimaryKeyConstraint("influence_map_sequence", "setup_id", name=op.f("pk_reference_key_syncs")),
+        sa.PrimaryKeyConstraint("id", name=op.f("pk_reference_indexes")),
+        sa.UniqueConstraint(
+            "influence_map_sequence",
+            "setup_id",
+            "evaluator",
+            name=op.f("uq_reference_indexes_influence_map_sequence_setup_id_evaluator"),
+        ),
+        sqlite_autoincrement=True,
     )
     op.create_table(
         "reference_keys",
-        sa.Column("influence_map_sequence", IDENTITY, autoincrement=False, nullable=False),
-        sa.Column("setup_id", IDENTITY, autoincrement=False, nullable=False),
+        sa.Column("index_id", IDENTITY, autoincrement=False, nullable=False),
         sa.Column("key", sa.LargeBinary(), nullable=False),
         sa.Column("run_id", IDENTITY, autoincrement=False, nullable=False),
-        sa.PrimaryKeyConstraint("influence_map_sequence", "setup_id", "key", "run_id", name=op.f("pk_reference_keys")),
+        sa.PrimaryKeyConstraint("index_id", "key", "run_id", name=op.f("pk_reference_keys")),
         sqlite_with_rowid=False,
     )
     op.create_table(
