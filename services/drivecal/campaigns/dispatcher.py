@@ -29,7 +29,7 @@ from drivecal.contracts.specification import CampaignSpecification, EvaluationSp
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import ConflictError, DrivecalError, UnavailableError
 from drivecal.storage import campaigns, locks, processes
-from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.campaigns import CampaignHeading, StoredCampaign
 from drivecal.storage.database import Database
 from drivecal.storage.types import now
 
@@ -51,7 +51,7 @@ Job = StagedCampaign | SingleEvaluation
 class _Active:
     """A campaign in work. `job` is None until it is taken up from its rows; `unwritten` survives a failed transaction."""
 
-    campaign: StoredCampaign
+    campaign: CampaignHeading
     job: Job | None = None
     unwritten: list[Completed] = field(default_factory=list)
     stopping: CampaignState | None = None
@@ -135,7 +135,7 @@ class Dispatcher:
             elif active.stopping is CampaignState.PAUSED:  # and resumed again before it rested
                 active.stopping = active.job = None
 
-    def _welcome(self, campaign: StoredCampaign, *, cancelled: bool) -> None:
+    def _welcome(self, campaign: CampaignHeading, *, cancelled: bool) -> None:
         """Begins to look after a campaign that it did not look after so far."""
         match campaign.state:
             case CampaignState.QUEUED:
@@ -147,14 +147,14 @@ class Dispatcher:
             case CampaignState.RUNNING | CampaignState.CANCELLING:
                 self._active[campaign.sequence] = _Active(campaign, stopping=CampaignState.CANCELLED if cancelled else None)
 
-    def _start(self, campaign: StoredCampaign) -> None:
+    def _start(self, campaign: CampaignHeading) -> None:
         with self._database.transaction() as connection:
             started = campaigns.start(connection, campaign.sequence)
         if started is not None:
             log.info("campaign %s (%s) starts", campaign.id, campaign.name)
             self._active[campaign.sequence] = _Active(started)
 
-    def _resume(self, campaign: StoredCampaign) -> None:
+    def _resume(self, campaign: CampaignHeading) -> None:
         with self._database.transaction() as connection:
             resumed = campaigns.change_state(connection, campaign.sequence, [CampaignState.PAUSED], CampaignState.RUNNING)
         if resumed:  # and not cancelled meanwhile
@@ -205,7 +205,7 @@ class Dispatcher:
     def _take_up(self, active: _Active) -> Job:
         """A job that goes on from the campaign's rows. Raises ConflictError where it was begun with another version of anything."""
         with self._database.read() as connection:
-            campaign = active.campaign = campaigns.by_sequence(connection, active.campaign.sequence)
+            campaign = campaigns.by_sequence(connection, active.campaign.sequence)
         if campaign.kind == "evaluation":
             wanted = resolve_evaluation(EvaluationSpecification.model_validate(campaign.spec))
             self._pin(campaign, wanted.resolution())

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import uuid
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from datetime import datetime
 from typing import Any, Literal
 
-from sqlalchemy import Connection, Row, Update, case, select, update
+from sqlalchemy import Connection, Row, Text, Update, case, cast, func, select, update
 
 from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, Narrowed, Progress, SensitivityCellCounts
 from drivecal.domain.campaigns import CampaignState, Stage
@@ -21,11 +21,13 @@ from drivecal.storage.types import now
 
 Kind = Literal["calibration", "evaluation"]
 Action = Literal["cancel", "pause", "resume"]
+LONGEST_LISTED = 20_000
+"""Characters of a specification that a list still carries: a page of a thousand has 20 MB at most, where it could have had a GB."""
 
 
 @dataclass(frozen=True, slots=True)
-class StoredCampaign:
-    """A campaign as it is stored. `spec` is the specification with its defaults filled in."""
+class CampaignHeading:
+    """Which campaign it is, and what is to be done with it: all that the dispatcher looks at several times a second."""
 
     sequence: int
     id: str
@@ -33,9 +35,16 @@ class StoredCampaign:
     name: str
     state: CampaignState
     requested_action: Action | None
+
+
+@dataclass(frozen=True, slots=True)
+class StoredCampaign(CampaignHeading):
+    """A campaign as it is stored."""
+
     stage: Stage | None
     iteration: int | None
     spec: Mapping[str, Any]
+    """The specification with its defaults filled in; empty where it is too long for a `page`."""
     resolution: Mapping[str, Any] | None
     """What the specification came to when the campaign was taken up first: setups, evaluator, space."""
     rerun_of: str | None
@@ -146,8 +155,13 @@ def page(
     limit: int = 50,
     cursor: str | None = None,
 ) -> tuple[list[StoredCampaign], str | None]:
-    """At most `limit` campaigns, newest first, and the cursor of the next page (None on the last). Raises InvalidInputError."""
-    query = select(campaigns).where(campaigns.c.kind == kind).order_by(campaigns.c.sequence.desc()).limit(limit + 1)
+    """At most `limit` campaigns, newest first, and the cursor of the next page (None on the last). Raises InvalidInputError.
+
+    Of a specification that is longer than LONGEST_LISTED characters, which only many start sets make it, nothing is read: `get` gives it.
+    """
+    short = case((func.length(cast(campaigns.c.spec, Text)) <= LONGEST_LISTED, campaigns.c.spec)).label("spec")
+    columns = [short if column is campaigns.c.spec else column for column in campaigns.c]
+    query = select(*columns).where(campaigns.c.kind == kind).order_by(campaigns.c.sequence.desc()).limit(limit + 1)
     if state is not None:
         query = query.where(campaigns.c.state == state)
     if cursor is not None:
@@ -158,13 +172,15 @@ def page(
     return found[:limit], following
 
 
-def active(connection: Connection) -> list[StoredCampaign]:
+def active(connection: Connection) -> list[CampaignHeading]:
     """All campaigns that have not ended, the oldest first: what the dispatcher looks after."""
     states = [state for state in CampaignState if not state.ended]
-    query = (
-        select(campaigns).where(campaigns.c.ended_at.is_(None), campaigns.c.state.in_(states)).order_by(campaigns.c.sequence)
-    )
-    return [_campaign(row) for row in connection.execute(query)]
+    columns = [campaigns.c[one.name] for one in fields(CampaignHeading)]
+    query = select(*columns).where(campaigns.c.ended_at.is_(None), campaigns.c.state.in_(states)).order_by(campaigns.c.sequence)
+    return [
+        CampaignHeading(row.sequence, row.id, row.kind, row.name, CampaignState(row.state), row.requested_action)
+        for row in connection.execute(query)
+    ]
 
 
 def request_action(connection: Connection, campaign_id: str, action: Action) -> StoredCampaign:
@@ -312,7 +328,7 @@ def _campaign(row: Row[Any]) -> StoredCampaign:
         requested_action=row.requested_action,
         stage=row.stage,
         iteration=row.iteration,
-        spec=row.spec,
+        spec=row.spec or {},
         resolution=row.resolution,
         rerun_of=row.rerun_of,
         influence_map_id=row.influence_map_id,

@@ -132,6 +132,7 @@ class Campaign(Answer):
     started_at: datetime | None = None
     ended_at: datetime | None = None
     spec: dict[str, Any] = {}
+    """As submitted, with its defaults filled in. Empty in a list where it is longer than 20,000 characters: read the campaign by its id."""
     links: dict[str, str] = {}
 
 

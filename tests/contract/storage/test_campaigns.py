@@ -11,7 +11,7 @@ from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, P
 from drivecal.domain.campaigns import CampaignState, Stage
 from drivecal.domain.errors import ConflictError, InvalidInputError, NotFoundError
 from drivecal.storage import campaigns, influence_maps, runs
-from drivecal.storage.campaigns import Action, Snapshot
+from drivecal.storage.campaigns import Action, CampaignHeading, Snapshot
 from drivecal.storage.database import Database
 
 QUEUED, RUNNING, PAUSED = CampaignState.QUEUED, CampaignState.RUNNING, CampaignState.PAUSED
@@ -118,6 +118,20 @@ def test_active_campaigns_are_those_that_have_not_ended_oldest_first(database: D
         assert [one.name for one in campaigns.active(connection)] == ["0", "2"]
 
 
+def test_neither_lists_nor_the_dispatchers_look_carry_long_specifications(database: Database) -> None:
+    long = {"optimizer": {"start_sets": [{"P1": number / 10} for number in range(2000)]}}
+    with database.transaction() as connection:
+        stored = campaigns.insert(connection, name="long", spec=long)
+        short = campaigns.insert(connection, name="short", spec={"name": "short"})
+        listed, _ = campaigns.page(connection)
+        assert [one.spec for one in listed] == [{"name": "short"}, {}]
+        assert campaigns.get(connection, stored.id).spec == long
+        assert [(type(one), one.id) for one in campaigns.active(connection)] == [
+            (CampaignHeading, stored.id),
+            (CampaignHeading, short.id),
+        ]
+
+
 def test_a_started_campaign_sees_what_was_stored_until_then(database: Database) -> None:
     with database.transaction() as connection:
         queued = campaign(connection)
@@ -168,9 +182,21 @@ def test_a_campaign_says_why_it_does_not_go_on(database: Database) -> None:
         first, second = campaign(connection).sequence, campaign(connection).sequence
         campaigns.degrade(connection, [first], "no workers")
         campaigns.degrade(connection, [], "nothing")
-        assert [one.degraded for one in campaigns.active(connection)] == ["no workers", None]
+        assert [campaigns.by_sequence(connection, one).degraded for one in (first, second)] == ["no workers", None]
         campaigns.degrade(connection, [first, second], None)
-        assert [one.degraded for one in campaigns.active(connection)] == [None, None]
+        assert [campaigns.by_sequence(connection, one).degraded for one in (first, second)] == [None, None]
+
+
+def test_a_campaign_that_rests_or_has_ended_waits_for_nothing_any_more(database: Database) -> None:
+    with database.transaction() as connection:
+        paused, ended = campaign(connection), campaign(connection)
+        for one in (paused, ended):
+            campaigns.start(connection, one.sequence)
+        campaigns.degrade(connection, [paused.sequence, ended.sequence], "no workers")
+        campaigns.request_action(connection, paused.id, "pause")
+        assert campaigns.pause(connection, paused.sequence)
+        assert campaigns.end(connection, ended.sequence, SUCCEEDED)
+        assert [campaigns.get(connection, one.id).degraded for one in (paused, ended)] == [None, None]
 
 
 def test_a_campaign_names_its_map_and_the_campaign_it_repeats(database: Database) -> None:
