@@ -1,28 +1,17 @@
 from __future__ import annotations
 
-import json
-import os
 import signal
 import socket
-import subprocess
-import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import httpx
-import psutil
 import pytest
+from tests.support.serve import Server, environment, gone, serving, until
 from typer.testing import CliRunner
 
 from drivecal.cli.main import app
-from drivecal.storage import processes
-from drivecal.storage.database import Database
-
-
-def environment(folder: Path) -> dict[str, str]:
-    kept = {name: value for name, value in os.environ.items() if not name.startswith(("DRIVECAL_", "RAY_"))}
-    return kept | {"HOME": str(folder), "DRIVECAL_HOME": str(folder / "home"), "DRIVECAL_WORKERS": "1"}
 
 
 def refused(folder: Path, *arguments: str, **settings: str) -> tuple[int, str]:
@@ -32,69 +21,10 @@ def refused(folder: Path, *arguments: str, **settings: str) -> tuple[int, str]:
     return done.exit_code, done.stderr
 
 
-def until(condition: Callable[[], bool], what: str, seconds: float = 60.0) -> None:
-    deadline = time.monotonic() + seconds
-    while not condition():
-        if time.monotonic() > deadline:
-            raise AssertionError(f"{what}: did not happen")
-        time.sleep(0.05)
-
-
-class Server:
-    """`drivecal serve` on a free port, in a folder of its own."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self.log = folder / "log"
-        with self.log.open("wb") as log:
-            self.process = subprocess.Popen(
-                [sys.executable, "-m", "drivecal.cli", "serve", "--port", "0", "--json"],
-                cwd=folder,
-                env=environment(folder),
-                stdout=subprocess.PIPE,
-                stderr=log,
-                text=True,
-            )
-        assert self.process.stdout is not None
-        line = self.process.stdout.readline()
-        assert line, self.log.read_text()
-        self.url = json.loads(line)["url"]
-
-    def family(self) -> list[psutil.Process]:
-        return psutil.Process(self.process.pid).children(recursive=True)
-
-    def child(self, words: str) -> psutil.Process:
-        """The child itself: its guardian has the words in its command line as well."""
-        return next(
-            one for one in self.family() if words in one.cmdline() and "drivecal.campaigns.guardian" not in one.cmdline()
-        )
-
-    def alive(self) -> bool:
-        try:
-            return httpx.get(f"{self.url}/healthz", timeout=5.0).status_code == 200
-        except httpx.HTTPError:
-            return False
-
-    def dispatcher_pid(self) -> int:
-        database = Database.open(f"sqlite:///{self.folder}/home/drivecal.db")
-        with database.read() as connection:
-            found = processes.read(connection, "dispatcher")
-        database.dispose()
-        assert found is not None
-        return found.pid
-
-
 @pytest.fixture
 def server(tmp_path: Path) -> Iterator[Server]:
-    started = Server(tmp_path)
-    yield started
-    if started.process.poll() is None:
-        started.process.kill()
-    started.process.wait()
-
-
-def gone(family: list[psutil.Process]) -> bool:
-    return not [one for one in family if one.is_running() and one.status() != psutil.STATUS_ZOMBIE]
+    with serving(tmp_path) as started:
+        yield started
 
 
 def test_serve_starts_and_stops_cleanly_and_keeps_others_off_its_database(server: Server, tmp_path: Path) -> None:

@@ -1,0 +1,99 @@
+"""`drivecal serve` as a user starts it: a process of its own, a home folder of its own, real Ray and real SUMO."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import httpx
+import psutil
+
+from drivecal.storage import processes
+from drivecal.storage.database import Database
+
+
+def environment(folder: Path, workers: int = 1) -> dict[str, str]:
+    """Of a user who has nothing but a home folder."""
+    kept = {name: value for name, value in os.environ.items() if not name.startswith(("DRIVECAL_", "RAY_"))}
+    return kept | {"HOME": str(folder), "DRIVECAL_HOME": str(folder / "home"), "DRIVECAL_WORKERS": str(workers)}
+
+
+def until(condition: Callable[[], bool], what: str, seconds: float = 60.0) -> None:
+    """Waits for `condition`; AssertionError where it takes too long."""
+    deadline = time.monotonic() + seconds
+    while not condition():
+        if time.monotonic() > deadline:
+            raise AssertionError(f"{what}: did not happen")
+        time.sleep(0.05)
+
+
+class Server:
+    """`drivecal serve` on a free port, in a folder of its own; ready once made."""
+
+    def __init__(self, folder: Path, workers: int = 1) -> None:
+        self.folder = folder
+        self.log = folder / "log"
+        with self.log.open("wb") as log:
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", "drivecal.cli", "serve", "--port", "0", "--json"],
+                cwd=folder,
+                env=environment(folder, workers),
+                stdout=subprocess.PIPE,
+                stderr=log,
+                text=True,
+            )
+        assert self.process.stdout is not None
+        line = self.process.stdout.readline()
+        assert line, self.log.read_text()
+        self.url = json.loads(line)["url"]
+
+    def family(self) -> list[psutil.Process]:
+        return psutil.Process(self.process.pid).children(recursive=True)
+
+    def child(self, words: str) -> psutil.Process:
+        """The child itself: its guardian has the words in its command line as well."""
+        return next(
+            one for one in self.family() if words in one.cmdline() and "drivecal.campaigns.guardian" not in one.cmdline()
+        )
+
+    def alive(self) -> bool:
+        try:
+            return httpx.get(f"{self.url}/healthz", timeout=5.0).status_code == 200
+        except httpx.HTTPError:
+            return False
+
+    def dispatcher_pid(self) -> int:
+        database = Database.open(f"sqlite:///{self.folder}/home/drivecal.db")
+        with database.read() as connection:
+            found = processes.read(connection, "dispatcher")
+        database.dispose()
+        assert found is not None
+        return found.pid
+
+
+@contextmanager
+def serving(folder: Path, workers: int = 1) -> Iterator[Server]:
+    """A server until the block is left, where it is stopped as by a user, or killed if it does not."""
+    started = Server(folder, workers)
+    try:
+        yield started
+    finally:
+        if started.process.poll() is None:
+            started.process.send_signal(signal.SIGTERM)
+            try:
+                started.process.wait(timeout=20)
+            except subprocess.TimeoutExpired:
+                started.process.kill()
+        started.process.wait()
+
+
+def gone(family: list[psutil.Process]) -> bool:
+    """True where none of these processes runs any more."""
+    return not [one for one in family if one.is_running() and one.status() != psutil.STATUS_ZOMBIE]
