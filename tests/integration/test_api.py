@@ -362,7 +362,7 @@ def test_readiness_says_what_is_missing(tmp_path_factory: pytest.TempPathFactory
         assert api.http.get("/healthz").json() == {"status": "alive"}
         response = api.http.get("/readyz")
         assert (response.status_code, response.json()["problems"]) == (503, ["no dispatcher has started yet"])
-        detail = {"workers": [{"id": "worker 1", "node": "here", "pid": 5, "state": "idle", "cells": 3}]}
+        detail: dict[str, Any] = {"workers": [{"id": "worker 1", "node": "here", "pid": 5, "state": "idle", "cells": 3}]}
         with api.database.transaction() as connection:
             processes.heartbeat(connection, "dispatcher", 1, now(), detail)
         assert api.http.get("/readyz").json() == {"ready": True, "problems": []}
@@ -371,7 +371,13 @@ def test_readiness_says_what_is_missing(tmp_path_factory: pytest.TempPathFactory
         ]
         with api.database.transaction() as connection:
             processes.heartbeat(connection, "dispatcher", 1, now(), detail | {"degraded": "Ray does not answer"})
-        assert api.http.get("/readyz").json()["problems"] == ["Ray does not answer"]
+        response = api.http.get("/readyz")
+        assert (response.status_code, response.json()) == (200, {"ready": True, "problems": ["Ray does not answer"]})
+        detail["workers"][0]["state"] = "starting"
+        with api.database.transaction() as connection:
+            processes.heartbeat(connection, "dispatcher", 1, now(), detail | {"degraded": "1 of 1 workers do not start"})
+        response = api.http.get("/readyz")
+        assert (response.status_code, response.json()["problems"]) == (503, ["1 of 1 workers do not start"])
 
 
 def test_a_database_that_is_gone_is_said_to_be_unavailable(tmp_path_factory: pytest.TempPathFactory) -> None:

@@ -21,10 +21,11 @@ from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult, SetupR
 from drivecal.domain.evaluations import Breakdown
 
 ATTEMPTS = 3
+"""How often a cell is sent before it has failed."""
 WITNESSES = 2
 """Workers that must have seen an exception: it is deterministic, unless a worker or an earlier cell of the batch is to blame."""
 MOST_PASSED_OVER = 200
-"""Batches of a quarter of a second that the only worker takes while a suspect waits for its replacement."""
+"""Batches of a quarter of a second, after which a suspect no longer waits until its only worker has nothing else to do."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +92,7 @@ class Scheduler:
         """By setup and by the workers that must not have them."""
         self._standings = Standings()
         self._passed_over = 0
-        """Batches sent while a suspect waited that no worker can take."""
+        """Batches that a worker got while a suspect waited that only its replacement can take."""
         self._sent: dict[int, list[_Entry]] = {}
         self._by_id: dict[int, _Entry] = {}
         self._batch_ids = itertools.count(1)
@@ -125,13 +126,13 @@ class Scheduler:
         for (setup, avoid), suspects in self._suspects.items():
             if worker in self._standings.candidates(setup, avoid):
                 return self._dispatch(worker, [self._take_suspect(setup, avoid, suspects)], alone=True) if idle else None
-        if self._is_alone(worker):
-            if self._passed_over >= MOST_PASSED_OVER:
-                return None
-            self._passed_over += 1
+        passes_over = self._is_alone(worker)
+        if passes_over and self._passed_over >= MOST_PASSED_OVER:
+            return None
         for priority in sorted(self._waiting, reverse=True):
             for setup, group in self._waiting[priority].items():
                 if not self._standings.refuses(worker, setup):
+                    self._passed_over += passes_over
                     taken = [group.popleft() for _ in range(min(self._size(worker, setup), len(group)))]
                     self._forget_if_empty(priority, setup)
                     return self._dispatch(worker, taken, alone=False)

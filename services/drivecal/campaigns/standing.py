@@ -59,8 +59,8 @@ class Standings:
         if any(one.breakdown is None for one in result.results):
             self._proven.add(worker)
             self._without_result.pop(worker, None)
-        elif result.results:
-            self.failed(worker, result.results[-1].detail or "")
+        elif result.refusal is None:
+            self.failed(worker, (result.results[-1].detail if result.results else None) or "it says nothing")
 
     def failed(self, worker: str, detail: str) -> None:
         """A whole batch went without a result."""

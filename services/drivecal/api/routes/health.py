@@ -27,25 +27,29 @@ async def alive() -> dict[str, str]:
 
 @router.get("/readyz", responses={503: {"model": Readiness, "description": "Not ready; `problems` says why"}})
 def ready(response: Response, database: DatabaseDependency) -> Readiness:
-    """Campaigns can be stored, and a dispatcher is there to carry them out."""
-    problems = _problems(database)
-    if problems:
+    """Campaigns can be stored, and a dispatcher is there to carry them out. With a worker at work it is ready even where `problems` says
+    that others are missing, or refuse somebody's campaign."""
+    problems, is_ready = _state(database)
+    if not is_ready:
         response.status_code = 503
         response.headers["Retry-After"] = "1"
-    return Readiness(ready=not problems, problems=problems)
+    return Readiness(ready=is_ready, problems=problems)
 
 
-def _problems(database: Database) -> list[str]:
+def _state(database: Database) -> tuple[list[str], bool]:
+    """What is wrong, and whether work can be done all the same."""
     try:
         database.check()
         with database.read() as connection:
             dispatcher = processes.read(connection, "dispatcher")
     except DrivecalError as error:
-        return [str(error)]
+        return [str(error)], False
     if dispatcher is None:
-        return ["no dispatcher has started yet"]
+        return ["no dispatcher has started yet"], False
     silent = now() - dispatcher.heartbeat_at
     if silent > FRESH:
-        return [f"the dispatcher has been silent for {silent.total_seconds():.0f} s"]
+        return [f"the dispatcher has been silent for {silent.total_seconds():.0f} s"], False
     problem = dispatcher.detail.get("degraded")
-    return [str(problem)] if problem else []
+    if not problem:
+        return [], True
+    return [str(problem)], any(worker["state"] != "starting" for worker in dispatcher.detail.get("workers", []))
