@@ -23,6 +23,6 @@ def decode(cursor: str, *kinds: type[int | str]) -> tuple[Any, ...]:
         position = None
     if isinstance(position, list) and len(position) == len(kinds):
         fits = all(type(value) is kind for value, kind in zip(position, kinds, strict=True))
-        if fits and all(abs(value) < 2**31 if isinstance(value, int) else value.isprintable() for value in position):
+        if fits and all(0 <= value < 2**31 if isinstance(value, int) else value.isprintable() for value in position):
             return tuple(position)
     raise InvalidInputError(Problem("cursor", "it does not come from this list", "give `next_cursor` of the page before"))
