@@ -72,7 +72,7 @@ def test_a_command_that_does_not_exist_would_be_noticed(words: list[str]) -> Non
 def test_every_example_file_can_be_used(file: Path) -> None:
     document = read_document(str(file))
     if "scenarios" in document:
-        assert resolve_map(validated(InfluenceMapSpecification, document)).scenarios
+        assert resolve_map(validated(InfluenceMapSpecification, document)).influence_map.scenarios
     else:
         assert resolve(validated(CampaignSpecification, document)).scenarios
 

@@ -12,13 +12,13 @@ from sqlalchemy import select
 from tests.support.computed import IGNORED, ComputedBackend, computed
 
 from drivecal.campaigns.dispatcher import Dispatcher
-from drivecal.campaigns.maps import map_to_document, resolve_map
+from drivecal.campaigns.maps import resolve_map, store_posted_map
 from drivecal.campaigns.pool import WorkPool
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, InfluenceMapSpecification
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import CampaignState, Stage
 from drivecal.domain.evaluations import Outcome
-from drivecal.storage import campaigns, generations, influence_maps, results
+from drivecal.storage import campaigns, generations, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.database import Database
 from drivecal.storage.tables import runs
@@ -55,16 +55,9 @@ def _post_true_map(database: Database) -> str:
     """The map that says exactly what the formula ignores."""
     scenarios = {scenario: {name: {"influential": False}} for scenario, name in IGNORED.items()}
     document = {"scenarios": scenarios, "parameters": SMALL["parameters"]}
-    influence_map = resolve_map(InfluenceMapSpecification.model_validate(document))
+    posted = resolve_map(InfluenceMapSpecification.model_validate(document))
     with database.transaction() as connection:
-        return influence_maps.insert(
-            connection,
-            name="true",
-            source="test",
-            driving_function="frenet",
-            parameters=SMALL["parameters"],
-            scenarios=map_to_document(influence_map),
-        ).id
+        return store_posted_map(connection, posted).id
 
 
 def _dispatcher(database: Database, backend: ComputedBackend) -> Dispatcher:
@@ -223,14 +216,7 @@ def test_a_wrong_map_is_found_out_by_the_audit_and_reuse_stops(database: Databas
     nothing_matters = {scenario: {f"P{i}": {"influential": False} for i in range(1, 12)} for scenario in ("S1", "S2", "S3")}
     document = InfluenceMapSpecification.model_validate({"scenarios": nothing_matters, "parameters": SMALL["parameters"]})
     with database.transaction() as connection:
-        wrong = influence_maps.insert(
-            connection,
-            name="wrong",
-            source="test",
-            driving_function="frenet",
-            parameters=[],
-            scenarios=map_to_document(resolve_map(document)),
-        ).id
+        wrong = store_posted_map(connection, resolve_map(document)).id
     ended = _run(database, _submit(database, stored_map=wrong, reduction={"audit": 0.5}))
     for scenario in ("S1", "S2", "S3"):
         rate = ended.error_rate[scenario]

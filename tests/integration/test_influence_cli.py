@@ -60,7 +60,7 @@ def other(api: RunningApi) -> str:
     return identifier
 
 
-def test_influence_shows_a_table_per_scenario_with_a_picture_of_each_range(run: Run, analysed: str) -> None:
+def test_influence_shows_a_table_per_scenario_with_a_picture_of_each_range(run: Run, api: RunningApi, analysed: str) -> None:
     result = run("influence", analysed[:10])
     assert result.exit_code == 0, result.output
     lines = result.stdout.splitlines()
@@ -85,7 +85,11 @@ def test_influence_shows_a_table_per_scenario_with_a_picture_of_each_range(run: 
     assert lines[5].split()[:6] == ["P2", "no", "-", "-", "s", "." * 20]
     assert "S2  unknown: no run scored above 0, so everything counts as influential" in lines
     assert "design lines, 5 intervals, 6 samples, threshold 0.02, seed 1" in result.stdout
-    assert "the smallest s_rel of an interval that is not 0 is 0." in result.stdout
+    assert "The smallest s_rel that is not 0; a threshold below it means any change at all:" in result.stdout
+    basis = api.http.get(api.http.get(f"/api/v1/campaigns/{analysed}").json()["links"]["influence_map"]).json()["basis"]
+    found = basis["smallest_s_rel"]["S1"]
+    assert lines[-2].split() == ["S1", f"{found['intervals']:.3f}", f"{found['overall']:.3f}"]
+    assert lines[-1].split() == ["S2", *["all", "are", "0"] * 2]
     rows = json.loads(run("influence", analysed, "--json").stdout)
     assert [(row["scenario"], row["parameter"]) for row in rows] == [(s, f"P{i}") for s in ("S1", "S2") for i in (1, 2, 3)]
 

@@ -12,14 +12,14 @@ from sqlalchemy import Connection
 from tests.support.computed import ComputedBackend
 
 from drivecal.campaigns.dispatcher import Dispatcher
-from drivecal.campaigns.maps import map_to_document, resolve_map
+from drivecal.campaigns.maps import resolve_map, store_posted_map
 from drivecal.campaigns.pool import WorkPool
 from drivecal.campaigns.problem import CalibrationProblem
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, InfluenceMapSpecification
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import UnavailableError
-from drivecal.storage import campaigns, generations, influence_maps, results
+from drivecal.storage import campaigns, generations, results
 from drivecal.storage.campaigns import Action, StoredCampaign
 from drivecal.storage.database import Database
 
@@ -150,14 +150,7 @@ def test_a_run_outside_the_space_of_a_map_answers_nothing_inside_it(database: Da
     posted = InfluenceMapSpecification.model_validate(document | {"parameters": SPECIFICATION["parameters"]})
     with database.transaction() as connection:
         campaigns.insert(connection, name="one", spec=single.model_dump(mode="json"), kind="evaluation")
-        stored = influence_maps.insert(
-            connection,
-            name="true",
-            source="test",
-            driving_function="frenet",
-            parameters=SPECIFICATION["parameters"],
-            scenarios=map_to_document(resolve_map(posted)),
-        )
+        stored = store_posted_map(connection, resolve_map(posted))
     dispatcher = _dispatcher(database, ComputedBackend(answer=outside_is_bad))
     for _ in range(60):
         dispatcher.step()

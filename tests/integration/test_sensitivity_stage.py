@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterator
+from math import hypot
 from pathlib import Path
 from typing import Any
 
@@ -97,8 +98,23 @@ def test_the_stage_finds_where_parameters_matter_and_the_calibration_uses_it(dat
     assert ended.cells.reused > 0
     assert ended.sensitivity_cells.simulated > 0
     assert ended.cells.simulated < ended.sensitivity_cells.simulated
+    assert set(ended.error_rate) == {"S1", "S2"}
     for rate in ended.error_rate.values():
+        assert rate.audited > 0
         assert rate.wrong == 0
+
+
+def test_the_map_says_below_which_threshold_any_change_counts(database: Database) -> None:
+    ended = _run(database, _submit(database, optimizer=None))
+    with database.read() as connection:
+        stored = influence_maps.get(connection, ended.influence_map_id or "none")
+    assert stored.basis is not None
+    smallest = stored.basis["smallest_s_rel"]
+    for scenario in ("S1", "S2"):
+        everything = [value for one in stored.scenarios[scenario].values() for value in one["s_rel_intervals"] if value]
+        assert smallest[scenario]["intervals"] == min(everything) > 0
+        overall = [hypot(one["mu"], one["sigma"]) for one in stored.scenarios[scenario].values()]
+        assert smallest[scenario]["overall"] == pytest.approx(min(value for value in overall if value))
 
 
 def test_the_runs_of_the_analysis_are_references_from_the_first_population_on(database: Database) -> None:

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from sqlalchemy import Connection
 
-from drivecal.campaigns.maps import analysis_to_document
+from drivecal.campaigns.maps import analysis_to_document, smallest_s_rel
 from drivecal.campaigns.problem import CalibrationProblem, resolve, resolve_evaluation
+from drivecal.campaigns.spaces import space_to_document
 from drivecal.contracts.campaign import Best, CellCounts, ErrorRate, Progress, SensitivityCellCounts
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
 from drivecal.contracts.validation import validated
@@ -40,6 +41,7 @@ def carry_out(database: Database, campaign_id: str, individuals: int = 5, *, end
         campaign = campaigns.get(connection, campaign_id)
         problem = resolve(validated(CampaignSpecification, campaign.spec))
         campaigns.start(connection, campaign.sequence)
+        campaigns.set_resolution(connection, campaign.sequence, problem.resolution())
         population = [[i, *([0] * (len(problem.space.searched) - 1))] for i in range(individuals)]
         sets = [problem.space.parameter_set(row) for row in population]
         _simulate(connection, campaign, problem, sets)
@@ -133,6 +135,7 @@ def carry_out_evaluation(database: Database, evaluation_id: str) -> None:
         campaign = campaigns.get(connection, evaluation_id)
         problem = resolve_evaluation(validated(EvaluationSpecification, campaign.spec))
         campaigns.start(connection, campaign.sequence)
+        campaigns.set_resolution(connection, campaign.sequence, problem.resolution())
         names = list(problem.bench.setups)
         setup_ids = setups.ensure(connection, list(problem.bench.setups.values()))
         [parameter_set] = parameter_sets.ensure(connection, [problem.parameter_set])
@@ -163,20 +166,11 @@ def analyse(database: Database, campaign_id: str, score: Callable[[str, Mapping[
             name=campaign.name,
             source=campaign.id,
             driving_function=problem.bench.driving_function.name,
-            parameters=campaign.spec["parameters"],
+            parameters=space_to_document(problem.space.searched),
             scenarios=analysis_to_document(analysis.result()),
             basis={
                 "sensitivity": campaign.spec["sensitivity"],
-                "space": [
-                    {
-                        "name": one.name,
-                        "lower": text(one.lower),
-                        "upper": text(one.upper),
-                        "n_values": one.n_values,
-                        "unit": one.unit,
-                    }
-                    for one in problem.space.searched
-                ],
+                "smallest_s_rel": smallest_s_rel(analysis.result()),
                 "fixed": {name: text(value) for name, value in problem.space.fixed.items()},
                 "setups": {scenario: setup.fingerprint for scenario, setup in problem.bench.setups.items()},
                 "evaluator": problem.bench.evaluator_id,

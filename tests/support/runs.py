@@ -7,11 +7,11 @@ from typing import Any
 from tests.support.computed import ComputedBackend
 
 from drivecal.campaigns.dispatcher import Dispatcher
-from drivecal.campaigns.maps import map_to_document, resolve_map
+from drivecal.campaigns.maps import resolve_map, store_posted_map
 from drivecal.campaigns.pool import WorkPool
 from drivecal.contracts.specification import CampaignSpecification, InfluenceMapSpecification
 from drivecal.contracts.work import Cell, CellResult
-from drivecal.storage import campaigns, influence_maps
+from drivecal.storage import campaigns
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.database import Database
 
@@ -50,16 +50,9 @@ def nothing_matters() -> dict[str, Any]:
 def post_map(database: Database, scenarios: dict[str, Any]) -> str:
     """Stores a map as a user would post it; gives its id."""
     document = {"scenarios": scenarios, "parameters": EXPERT_SPACE}
-    found = resolve_map(InfluenceMapSpecification.model_validate(document))
+    posted = resolve_map(InfluenceMapSpecification.model_validate(document))
     with database.transaction() as connection:
-        return influence_maps.insert(
-            connection,
-            name="posted",
-            source="expert",
-            driving_function="frenet",
-            parameters=EXPERT_SPACE,
-            scenarios=map_to_document(found),
-        ).id
+        return store_posted_map(connection, posted).id
 
 
 def submit(database: Database, *, stored_map: str | None = None, **changes: Any) -> StoredCampaign:

@@ -8,14 +8,11 @@ from typing import Any
 
 from drivecal.api.tables import Column
 from drivecal.campaigns.maps import map_from_document
-from drivecal.campaigns.problem import CalibrationProblem
-from drivecal.campaigns.spaces import search_parameters
+from drivecal.campaigns.pinned import Pinned
+from drivecal.campaigns.spaces import space_from_document
 from drivecal.contracts.inventory import InfluenceRow
-from drivecal.contracts.specification import ParameterSpecification
-from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.influence import Influence
 from drivecal.domain.parameters import Parameter
-from drivecal.plugins import registry
 from drivecal.storage.influence_maps import StoredInfluenceMap
 
 COLUMNS = [
@@ -37,7 +34,7 @@ COLUMNS = [
 MEASURES = ("s_rel_intervals", "mu", "sigma", "mu_star")
 
 
-def campaign_rows(stored: StoredInfluenceMap, problem: CalibrationProblem) -> list[InfluenceRow]:
+def campaign_rows(stored: StoredInfluenceMap, pinned: Pinned) -> list[InfluenceRow]:
     """What a map means for a campaign: each of its scenarios with each parameter that it searches, within the bounds of its search."""
     influence_map = map_from_document(stored.scenarios)
     return [
@@ -48,14 +45,14 @@ def campaign_rows(stored: StoredInfluenceMap, problem: CalibrationProblem) -> li
             _entry(stored, scenario, parameter.name),
             parameter,
         )
-        for scenario in problem.scenarios
-        for parameter in problem.space.searched
+        for scenario in pinned.weights
+        for parameter in pinned.space.searched
     ]
 
 
 def map_rows(stored: StoredInfluenceMap) -> list[InfluenceRow]:
     """What a map lists, within the bounds of the space it was made for."""
-    space = _space(stored)
+    space = {one.name: one for one in space_from_document(stored.parameters)}
     return [
         _row(scenario, name, influence, _entry(stored, scenario, name), space.get(name))
         for scenario, listed in map_from_document(stored.scenarios).scenarios.items()
@@ -96,22 +93,3 @@ def _bounds(influence: Influence, parameter: Parameter | None) -> tuple[bool, De
     if not influence.influential or (lower is not None and upper is not None and lower > upper):
         return False, None, None
     return True, lower, upper
-
-
-def _space(stored: StoredInfluenceMap) -> dict[str, Parameter]:
-    """The parameters that a map was made for. None are known of one that a user posted for a driving function that is gone since."""
-    if stored.basis is not None:
-        return {
-            one["name"]: Parameter(
-                one["name"], Decimal(one["lower"]), Decimal(one["upper"]), one["n_values"], one.get("unit", "1")
-            )
-            for one in stored.basis["space"]
-        }
-    listed = stored.parameters
-    if not isinstance(listed, str):
-        listed = [ParameterSpecification.model_validate(one) for one in listed]
-    try:
-        found = search_parameters(listed, registry.driving_function(stored.driving_function))
-    except InvalidInputError:
-        return {}
-    return {parameter.name: parameter for parameter in found}

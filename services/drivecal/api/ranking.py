@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from drivecal.campaigns.problem import CalibrationProblem
 from drivecal.campaigns.solutions import Solution as Ranked
 from drivecal.campaigns.solutions import Standing
 from drivecal.contracts.assignments import assignments
@@ -49,10 +48,10 @@ class Ranking:
         ]
 
 
-def ranking(database: Database, campaign: StoredCampaign, problem: CalibrationProblem, weights: str | None) -> Ranking:
-    """The ranking under the campaign's weights or those in `weights` (`S1=2,S2=1`). Raises InvalidInputError for weights that no
+def ranking(database: Database, campaign: StoredCampaign, own: Mapping[str, float], weights: str | None) -> Ranking:
+    """The ranking under the campaign's `own` weights or those in `weights` (`S1=2,S2=1`). Raises InvalidInputError for weights that no
     evaluated set could be ranked by."""
-    used = problem.weights if weights is None else _weights(weights, problem.scenarios)
+    used = own if weights is None else _weights(weights, list(own))
     standing = Standing(used)
     with database.read() as connection:
         standing.add(results.answers(connection, campaign.sequence, Stage.CALIBRATION))

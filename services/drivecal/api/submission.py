@@ -99,7 +99,7 @@ def _influence_map(connection: Connection, problem: CalibrationProblem) -> str |
     if stored.driving_function != specification.driving_function:
         message = f"the map is about the driving function {stored.driving_function!r}"
         raise InvalidInputError(Problem(field, message, f"name a map of {specification.driving_function!r}"))
-    check_basis(stored.basis, problem)
+    check_basis(stored, problem)
     return stored.id
 
 

@@ -18,14 +18,14 @@ from typing import Any
 
 from drivecal.campaigns.evaluation import SingleEvaluation
 from drivecal.campaigns.ledger import Work
+from drivecal.campaigns.pinned import problem_of
 from drivecal.campaigns.planning import View
 from drivecal.campaigns.pool import WorkPool
-from drivecal.campaigns.problem import resolve, resolve_evaluation
+from drivecal.campaigns.problem import EvaluationProblem
 from drivecal.campaigns.ray_backend import RayBackend, RayOptions
 from drivecal.campaigns.scheduler import Completed
 from drivecal.campaigns.settings import load_settings
 from drivecal.campaigns.staged import StagedCampaign
-from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import ConflictError, DrivecalError, UnavailableError
 from drivecal.storage import campaigns, locks, processes
@@ -206,13 +206,11 @@ class Dispatcher:
         """A job that goes on from the campaign's rows. Raises ConflictError where it was begun with another version of anything."""
         with self._database.read() as connection:
             campaign = campaigns.by_sequence(connection, active.campaign.sequence)
-        if campaign.kind == "evaluation":
-            wanted = resolve_evaluation(EvaluationSpecification.model_validate(campaign.spec))
-            self._pin(campaign, wanted.resolution())
-            view = View(campaign.sequence, campaign.watermark or 0, wanted.bench)
-            return SingleEvaluation(self._database, campaign, wanted, view)
-        problem = resolve(CampaignSpecification.model_validate(campaign.spec))
+        problem = problem_of(campaign)
         self._pin(campaign, problem.resolution())
+        if isinstance(problem, EvaluationProblem):
+            view = View(campaign.sequence, campaign.watermark or 0, problem.bench)
+            return SingleEvaluation(self._database, campaign, problem, view)
         return StagedCampaign(self._database, campaign, problem)
 
     def _pin(self, campaign: StoredCampaign, resolution: dict[str, Any]) -> None:

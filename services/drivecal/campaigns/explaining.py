@@ -10,15 +10,15 @@ import numpy as np
 from sqlalchemy import Connection
 
 from drivecal.campaigns.maps import stored_map
-from drivecal.campaigns.problem import resolve, resolve_evaluation
+from drivecal.campaigns.pinned import Pinned, pinned
 from drivecal.campaigns.reasons import sentence
 from drivecal.campaigns.selfcheck import stopped_after
 from drivecal.contracts.explanation import Audit, Difference, Explanation, Reason, Reference
-from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
+from drivecal.contracts.specification import CampaignSpecification
 from drivecal.domain.campaigns import Stage
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.influence import InfluenceMap
-from drivecal.domain.parameters import Parameter, billionths, from_billionths
+from drivecal.domain.parameters import billionths, from_billionths
 from drivecal.reduction import explanation
 from drivecal.reduction.explanation import Comparison, Nearest
 from drivecal.storage import audits, campaigns, influence_maps, parameter_sets, results, runs, visible
@@ -53,7 +53,7 @@ class _Case:
     def comparison(self) -> Comparison:
         own = self.cell.parameter_set_id
         parameters = parameter_sets.load(self.connection, [own])[own]
-        ranges = {one.name: billionths(one.upper) - billionths(one.lower) for one in self._space}
+        ranges = {one.name: billionths(one.upper) - billionths(one.lower) for one in self._pinned.space.parameters}
         return Comparison(
             self.influence_map or InfluenceMap({}),
             self.cell.scenario,
@@ -64,24 +64,16 @@ class _Case:
 
     @cached_property
     def evaluator(self) -> str:
-        """Who rated the campaign's cells: the campaign's evaluator in the installed version."""
-        return self._resolved[0]
-
-    @property
-    def _space(self) -> Sequence[Parameter]:
-        return self._resolved[1]
+        """Who rated the campaign's cells: name and version."""
+        return self._pinned.evaluator
 
     @cached_property
-    def _resolved(self) -> tuple[str, Sequence[Parameter]]:
-        if self.specification is None:
-            bench = resolve_evaluation(EvaluationSpecification.model_validate(self.campaign.spec)).bench
-            return bench.evaluator_id, next(iter(bench.driving_function.spaces.values()))
-        problem = resolve(self.specification)
-        return problem.bench.evaluator_id, problem.space.parameters
+    def _pinned(self) -> Pinned:
+        return pinned(self.campaign)
 
 
 def explain(connection: Connection, evaluation_id: int) -> Explanation:
-    """Why an evaluation was answered as it was. Raises NotFoundError, and InvalidInputError where its plug-ins are gone."""
+    """Why an evaluation was answered as it was. Raises NotFoundError."""
     cell = results.by_id(connection, evaluation_id)
     case = _Case(connection, cell, campaigns.by_sequence(connection, cell.campaign_sequence))
     if cell.plan is Outcome.SIMULATED and not cell.audited:

@@ -1,28 +1,43 @@
-"""Influence maps from expert knowledge: checked against the grid of the parameters they speak of, and written back for storage."""
+"""Influence maps, posted or found by an analysis: checked, stored with the space that they speak of, and read back."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from decimal import Decimal
 from math import isfinite
 from typing import Any
 
+from sqlalchemy import Connection
+
 from drivecal.campaigns.problem import CalibrationProblem, catalogue_scenarios
-from drivecal.campaigns.spaces import search_parameters
-from drivecal.contracts.specification import InfluenceMapSpecification, InfluenceSpecification, ParameterSpecification
+from drivecal.campaigns.spaces import search_parameters, space_from_document, space_to_document
+from drivecal.contracts.specification import InfluenceMapSpecification, InfluenceSpecification
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.influence import Influence, InfluenceMap
 from drivecal.domain.parameters import Parameter, decimal, text
 from drivecal.plugins import registry
 from drivecal.sensitivity.scenario import ScenarioInfluence
+from drivecal.storage import influence_maps
 from drivecal.storage.influence_maps import StoredInfluenceMap
 
 
-def resolve_map(specification: InfluenceMapSpecification) -> InfluenceMap:
+@dataclass(frozen=True, slots=True)
+class PostedMap:
+    """A map from expert knowledge that was found to be right."""
+
+    specification: InfluenceMapSpecification
+    influence_map: InfluenceMap
+    space: tuple[Parameter, ...]
+    """What its bounds were checked against."""
+
+
+def resolve_map(specification: InfluenceMapSpecification) -> PostedMap:
     """The map that a user posted. Raises InvalidInputError naming every scenario, parameter and bound that does not fit."""
     function = registry.driving_function(specification.driving_function)
     scenarios = catalogue_scenarios(specification.catalogue)
-    parameters = {parameter.name: parameter for parameter in search_parameters(specification.parameters, function)}
+    space = search_parameters(specification.parameters, function)
+    parameters = {parameter.name: parameter for parameter in space}
     problems: list[Problem] = []
     found: dict[str, dict[str, Influence]] = {}
     for scenario, listed in specification.scenarios.items():
@@ -41,7 +56,19 @@ def resolve_map(specification: InfluenceMapSpecification) -> InfluenceMap:
                 problems.extend(error.problems)
     if problems:
         raise InvalidInputError(*problems)
-    return InfluenceMap(found)
+    return PostedMap(specification, InfluenceMap(found), space)
+
+
+def store_posted_map(connection: Connection, posted: PostedMap) -> StoredInfluenceMap:
+    """Stores a map from expert knowledge."""
+    return influence_maps.insert(
+        connection,
+        name=posted.specification.name,
+        source="expert",
+        driving_function=posted.specification.driving_function,
+        parameters=space_to_document(posted.space),
+        scenarios=map_to_document(posted.influence_map),
+    )
 
 
 def _influence(given: InfluenceSpecification, parameter: Parameter, where: str) -> Influence:
@@ -67,11 +94,12 @@ def _influence(given: InfluenceSpecification, parameter: Parameter, where: str) 
     return Influence(influential=True, lower=lower, upper=upper)
 
 
-def check_basis(basis: Mapping[str, Any] | None, problem: CalibrationProblem) -> None:
+def check_basis(stored: StoredInfluenceMap, problem: CalibrationProblem) -> None:
     """Raises InvalidInputError where a map that an analysis made does not hold for a campaign: of another setup, evaluator or space.
 
     Maps that users post rest on what they know, and are not checked here.
     """
+    basis = stored.basis
     if basis is None:
         return
     found: list[str] = []
@@ -84,7 +112,7 @@ def check_basis(basis: Mapping[str, Any] | None, problem: CalibrationProblem) ->
     for name, value in basis["fixed"].items():
         if name not in problem.space.fixed or text(problem.space.fixed[name]) != value:
             found.append(f"it was made with {name} held at {value}")
-    ranges = {one["name"]: (Decimal(one["lower"]), Decimal(one["upper"])) for one in basis["space"]}
+    ranges = _ranges(stored)
     for parameter in problem.space.searched:
         lower, upper = ranges.get(parameter.name, (parameter.lower, parameter.upper))
         if parameter.lower < lower or parameter.upper > upper:
@@ -129,25 +157,28 @@ def analysis_to_document(found: Mapping[str, ScenarioInfluence]) -> dict[str, An
     return bounds
 
 
+def smallest_s_rel(found: Mapping[str, ScenarioInfluence]) -> dict[str, dict[str, float | None]]:
+    """By scenario, of its intervals and of its global analysis: the smallest s_rel that is not 0, below which a threshold means any
+    change at all; None where all are 0."""
+    return {
+        scenario: {"intervals": one.smallest_interval_s_rel, "overall": one.smallest_overall_s_rel}
+        for scenario, one in found.items()
+    }
+
+
 def _finite(value: float) -> float | None:
     return value if isfinite(value) else None
 
 
 def stored_map(stored: StoredInfluenceMap) -> InfluenceMap:
-    """A map as it was stored, with the ranges that it speaks of: those it was made in, or checked against.
+    """A map as it was stored, with the ranges that it speaks of: those it was made in, or checked against."""
+    held = {} if stored.basis is None else stored.basis["fixed"]
+    ranges = _ranges(stored) | {name: (Decimal(value), Decimal(value)) for name, value in held.items()}
+    return InfluenceMap(map_from_document(stored.scenarios).scenarios, ranges)
 
-    Raises InvalidInputError where the space that a posted map names is not installed any more.
-    """
-    found = map_from_document(stored.scenarios)
-    if stored.basis is not None:
-        ranges = {one["name"]: (Decimal(one["lower"]), Decimal(one["upper"])) for one in stored.basis["space"]}
-        ranges |= {name: (Decimal(value), Decimal(value)) for name, value in stored.basis["fixed"].items()}
-        return InfluenceMap(found.scenarios, ranges)
-    listed = stored.parameters
-    if not isinstance(listed, str):
-        listed = [ParameterSpecification.model_validate(one) for one in listed]
-    space = search_parameters(listed, registry.driving_function(stored.driving_function))
-    return InfluenceMap(found.scenarios, {one.name: (one.lower, one.upper) for one in space})
+
+def _ranges(stored: StoredInfluenceMap) -> dict[str, tuple[Decimal, Decimal]]:
+    return {one.name: (one.lower, one.upper) for one in space_from_document(stored.parameters)}
 
 
 def map_from_document(document: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> InfluenceMap:

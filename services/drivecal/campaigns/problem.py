@@ -14,7 +14,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from drivecal.campaigns.findings import Findings
-from drivecal.campaigns.spaces import free_values, given_set, search_space
+from drivecal.campaigns.spaces import free_values, given_set, search_space, space_to_document
 from drivecal.contracts.campaign import ExpectedRuns
 from drivecal.contracts.specification import (
     CampaignSpecification,
@@ -25,7 +25,7 @@ from drivecal.contracts.specification import (
 )
 from drivecal.contracts.work import SetupRequest
 from drivecal.domain.errors import InvalidInputError
-from drivecal.domain.parameters import ParameterSet, ParameterSpace, text
+from drivecal.domain.parameters import Parameter, ParameterSet, ParameterSpace, text
 from drivecal.domain.scenarios import Scenario
 from drivecal.domain.setups import Setup
 from drivecal.plugins import registry
@@ -143,11 +143,12 @@ class CalibrationProblem:
         )
 
     def resolution(self) -> dict[str, Any]:
-        """What decides how the campaign goes on, and must not change before it ends: setups, evaluator, space; JSON-ready."""
-        return resolution_of(self.bench) | {
-            "space": [[one.name, text(one.lower), text(one.upper), one.n_values] for one in self.space.parameters],
-            "fixed": {name: text(value) for name, value in self.space.fixed.items()},
-        }
+        """What decides how the campaign goes on, and must not change before it ends: setups, evaluator, space; JSON-ready.
+
+        `pinned.Pinned` is what it means once the campaign has been taken up.
+        """
+        fixed = {name: text(value) for name, value in self.space.fixed.items()}
+        return _resolution(self.bench, self.space.parameters) | {"fixed": fixed, "weights": dict(self.weights)}
 
 
 @dataclass(frozen=True)
@@ -159,14 +160,14 @@ class EvaluationProblem:
 
     def resolution(self) -> dict[str, Any]:
         """See `CalibrationProblem.resolution`."""
-        return resolution_of(self.bench)
+        return _resolution(self.bench, next(iter(self.bench.driving_function.spaces.values())))
 
 
-def resolution_of(bench: Bench) -> dict[str, Any]:
-    """What a bench was resolved to, JSON-ready."""
+def _resolution(bench: Bench, space: Sequence[Parameter]) -> dict[str, Any]:
     return {
         "setups": {scenario: setup.fingerprint for scenario, setup in bench.setups.items()},
         "evaluator": bench.evaluator_id,
+        "space": space_to_document(space),
     }
 
 

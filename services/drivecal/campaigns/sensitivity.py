@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from sqlalchemy import Connection
 
 from drivecal.campaigns.ledger import Ledger, Work
-from drivecal.campaigns.maps import analysis_to_document, stored_map
+from drivecal.campaigns.maps import analysis_to_document, smallest_s_rel, stored_map
 from drivecal.campaigns.pace import Pace
 from drivecal.campaigns.planning import View, WantedCell, plan_cells
 from drivecal.campaigns.problem import CalibrationProblem
 from drivecal.campaigns.scheduler import Completed
+from drivecal.campaigns.spaces import space_to_document
 from drivecal.contracts.campaign import SensitivityCellCounts
 from drivecal.domain.campaigns import Stage
 from drivecal.domain.influence import InfluenceMap
@@ -23,6 +24,7 @@ from drivecal.plugins.ports import Floats
 from drivecal.reduction.assignment import Policy
 from drivecal.reduction.keys import ReferenceKeys, billionths_matrix
 from drivecal.sensitivity.analysis import Phase, SensitivityAnalysis
+from drivecal.sensitivity.scenario import ScenarioInfluence
 from drivecal.storage import campaigns, evaluations, influence_maps, results
 from drivecal.storage.campaigns import Snapshot, StoredCampaign
 from drivecal.storage.database import Database
@@ -117,15 +119,16 @@ class Sensitivity:
 
     def _make_map(self) -> None:
         """Stores the map, and gives the stage's runs their keys under it, so that they are references from the first population on."""
+        found = self._analysis.result()
         with self._database.transaction() as connection:
             stored = influence_maps.insert(
                 connection,
                 name=self._campaign.name,
                 source=self._campaign.id,
                 driving_function=self._problem.bench.driving_function.name,
-                parameters=self._problem.specification.model_dump(mode="json")["parameters"],
-                scenarios=analysis_to_document(self._analysis.result()),
-                basis=self._basis(),
+                parameters=space_to_document(self._problem.space.searched),
+                scenarios=analysis_to_document(found),
+                basis=self._basis(found),
             )
             campaigns.set_influence_map(connection, self._campaign.sequence, stored.id)
             self._give_keys(connection, stored_map(stored))
@@ -143,24 +146,15 @@ class Sensitivity:
                     connection, {number: key for (number, _), key in zip(portion, made, strict=True)}
                 )
 
-    def _basis(self) -> dict[str, Any]:
-        """What the map rests on, so that it is not used for something else."""
+    def _basis(self, found: Mapping[str, ScenarioInfluence]) -> dict[str, Any]:
+        """What the map rests on, so that it is not used for something else, and how fine its measures are."""
         bench, space = self._problem.bench, self._problem.space
         return {
             "sensitivity": self._problem.specification.model_dump(mode="json")["sensitivity"],
-            "space": [
-                {
-                    "name": one.name,
-                    "lower": text(one.lower),
-                    "upper": text(one.upper),
-                    "n_values": one.n_values,
-                    "unit": one.unit,
-                }
-                for one in space.searched
-            ],
             "fixed": {name: text(value) for name, value in space.fixed.items()},
             "setups": {scenario: setup.fingerprint for scenario, setup in bench.setups.items()},
             "evaluator": bench.evaluator_id,
+            "smallest_s_rel": smallest_s_rel(found),
             "runs": self._ledger.counts.get("requested", 0),
             "simulated": self._ledger.counts.get("simulated", 0),
         }

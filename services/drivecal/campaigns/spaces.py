@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from decimal import Decimal
+from typing import Any
 
 from drivecal.campaigns.findings import Findings
 from drivecal.contracts.specification import CampaignSpecification, ParameterSpecification
@@ -51,6 +52,21 @@ def search_parameters(
 def function_names(function: DrivingFunction) -> tuple[str, ...]:
     """The names of all parameters of a driving function, in its order."""
     return tuple(parameter.name for parameter in next(iter(function.spaces.values())))
+
+
+def space_to_document(space: Sequence[Parameter]) -> list[dict[str, Any]]:
+    """JSON-ready and exact: bounds as decimal texts. Descriptions are left to the driving function."""
+    return [
+        {"name": one.name, "lower": text(one.lower), "upper": text(one.upper), "n_values": one.n_values, "unit": one.unit}
+        for one in space
+    ]
+
+
+def space_from_document(document: Sequence[Mapping[str, Any]]) -> tuple[Parameter, ...]:
+    """The inverse of `space_to_document`."""
+    return tuple(
+        Parameter(one["name"], Decimal(one["lower"]), Decimal(one["upper"]), one["n_values"], one["unit"]) for one in document
+    )
 
 
 def search_space(specification: CampaignSpecification, function: DrivingFunction, findings: Findings) -> ParameterSpace | None:

@@ -64,7 +64,7 @@ class StagedCampaign:
         if campaign.influence_map_id is not None:
             with self._database.read() as connection:
                 stored = influence_maps.get(connection, campaign.influence_map_id)
-            check_basis(stored.basis, self._problem)
+            check_basis(stored, self._problem)
             found = stored_map(stored)
             view = replace(view, influence_map=found, influence_map_sequence=stored.sequence)
         return Calibration(self._database, campaign, self._problem, view)

@@ -66,10 +66,15 @@ def print_influence(rows: Sequence[InfluenceRow], basis: Mapping[str, Any] | Non
         print_columns(header, [_line(row, measured) for row in listed])
     if basis is not None:
         typer.echo(f"\n{_rests_on(basis)}")
-    if measured:
-        effects = [value for row in rows for value in row.s_rel_intervals or [] if value]
-        smallest = f"{min(effects):.3g}; a threshold below it means any change at all" if effects else "not there: all are 0"
-        typer.echo(f"the smallest s_rel of an interval that is not 0 is {smallest}")
+        typer.echo("\nThe smallest s_rel that is not 0; a threshold below it means any change at all:\n")
+        smallest = basis["smallest_s_rel"].items()
+        print_columns(
+            ["scenario", "intervals", "overall"],
+            [
+                [scenario, *(_short(one[part]) or "all are 0" for part in ("intervals", "overall"))]
+                for scenario, one in smallest
+            ],
+        )
 
 
 def bounds_text(row: InfluenceRow) -> str:

@@ -27,11 +27,11 @@ class StoredInfluenceMap:
     source: str
     driving_function: str
     parameters: Any
-    """The space it was checked against, as it was posted."""
+    """The parameters that it was made for, or checked against, with their grids, as a JSON document."""
     scenarios: Mapping[str, Any]
     """By scenario and parameter, as a JSON document."""
     basis: Mapping[str, Any] | None
-    """What an analysis rests on: space, fixed values, setups, evaluator, settings; None where a user posted the map."""
+    """What an analysis rests on: fixed values, setups, evaluator, settings; None where a user posted the map."""
     created_at: datetime
 
 

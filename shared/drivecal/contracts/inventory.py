@@ -43,7 +43,8 @@ class InfluenceMapAnswer(Answer):
     created_at: datetime | None = None
     rows: list[InfluenceRow] | None = None
     basis: dict[str, Any] | None = None
-    """What an analysis rests on: its settings, space, setups, evaluator and runs; null for a map that a user posted."""
+    """What an analysis rests on: its settings, fixed values, setups, evaluator and runs, and by scenario `smallest_s_rel`, the smallest
+    s_rel that is not 0 of its `intervals` and of its `overall` analysis; null for a map that a user posted."""
     links: dict[str, str] = Field(default_factory=dict)
 
 

@@ -120,7 +120,7 @@ def _map(**scenarios: Any) -> InfluenceMapSpecification:
 
 
 def test_a_posted_map_survives_storage_exactly() -> None:
-    found = resolve_map(_map(S1={"P9": {"lower": 0.1, "upper": 9.9}, "P1": {"influential": False}}, S2={}))
+    found = resolve_map(_map(S1={"P9": {"lower": 0.1, "upper": 9.9}, "P1": {"influential": False}}, S2={})).influence_map
     assert map_from_document(map_to_document(found)) == found
 
 

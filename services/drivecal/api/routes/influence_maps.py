@@ -11,7 +11,7 @@ from drivecal.api.dependencies import Accept, DatabaseDependency
 from drivecal.api.influence import COLUMNS, map_rows
 from drivecal.api.queries import FormQuery, PageQuery, form_of
 from drivecal.api.tables import TABLE_ANSWERS, download
-from drivecal.campaigns.maps import map_to_document, resolve_map
+from drivecal.campaigns.maps import resolve_map, store_posted_map
 from drivecal.contracts.inventory import InfluenceMapAnswer, InfluenceMapPage
 from drivecal.contracts.specification import InfluenceMapSpecification
 from drivecal.storage import influence_maps
@@ -23,16 +23,9 @@ router = APIRouter(prefix="/influence-maps", tags=["influence maps"], route_clas
 @router.post("", status_code=201)
 def post(specification: InfluenceMapSpecification, response: Response, database: DatabaseDependency) -> InfluenceMapAnswer:
     """Stores a map, its bounds checked against the grid of its parameters. Campaigns name it in `sensitivity: {map: ID}`."""
-    influence_map = resolve_map(specification)
+    posted = resolve_map(specification)
     with database.transaction() as connection:
-        stored = influence_maps.insert(
-            connection,
-            name=specification.name,
-            source="expert",
-            driving_function=specification.driving_function,
-            parameters=specification.model_dump(mode="json")["parameters"],
-            scenarios=map_to_document(influence_map),
-        )
+        stored = store_posted_map(connection, posted)
     answer = _answer(stored, with_rows=True)
     response.headers["Location"] = answer.links["self"]
     return answer

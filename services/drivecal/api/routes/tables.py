@@ -16,11 +16,8 @@ from drivecal.api.dependencies import Accept, DatabaseDependency
 from drivecal.api.queries import SolutionsQuery, TableOf, TableQuery, form_of
 from drivecal.api.ranking import ranking
 from drivecal.api.tables import TABLE_ANSWERS, Column, Row, download
-from drivecal.campaigns.problem import CalibrationProblem, resolve, resolve_evaluation
-from drivecal.campaigns.spaces import function_names
+from drivecal.campaigns.pinned import Pinned, pinned
 from drivecal.contracts.campaign import Solution
-from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
-from drivecal.contracts.validation import validated
 from drivecal.domain.errors import ConflictError
 from drivecal.storage import campaigns, cursors, generations, influence_maps, results
 from drivecal.storage.campaigns import StoredCampaign
@@ -90,8 +87,8 @@ def list_evaluations(campaign_id: str, query: TableQuery, database: DatabaseDepe
 def list_solutions(campaign_id: str, query: SolutionsQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
     """The evaluated parameter sets, best first, under the campaign's weights or others. Nothing is simulated for it."""
     campaign = _campaign(database, campaign_id)
-    problem = _problem(campaign)
-    ranked = ranking(database, campaign, problem, query.weights)
+    begun_with = _pinned(campaign)
+    ranked = ranking(database, campaign, begun_with.weights, query.weights)
 
     def pages(limit: int, cursor: str | None) -> Page:
         start = 0 if cursor is None else int(cursors.decode(cursor, int)[0])
@@ -107,7 +104,7 @@ def list_solutions(campaign_id: str, query: SolutionsQuery, database: DatabaseDe
             Column("objective", "number"),
             Column("rating", "number"),
             *(Column(f"score_{name}", "integer") for name in ranked.scenarios),
-            *(Column(parameter_column(name), "number") for name in problem.space.names),
+            *(Column(parameter_column(name), "number") for name in begun_with.space.names),
             Column("iteration", "integer"),
             Column("individual", "integer"),
         ]
@@ -152,22 +149,17 @@ def _campaign(database: Database, campaign_id: str) -> StoredCampaign:
         return campaigns.get(connection, campaign_id)
 
 
-def _problem(campaign: StoredCampaign) -> CalibrationProblem:
+def _pinned(campaign: StoredCampaign) -> Pinned:
     if campaign.kind != "calibration":
         raise ConflictError(f"{campaign.id} is a single evaluation, which ranks nothing; GET /api/v1/evaluations/{campaign.id}")
-    return resolve(validated(CampaignSpecification, campaign.spec))
+    return pinned(campaign)
 
 
 def _parameter_names(database: Database, campaign: StoredCampaign) -> Iterable[str]:
     """Those of the first row; of a campaign without rows yet, those it will have."""
     with database.read() as connection:
         rows, _ = results.page(connection, campaign.sequence, limit=1)
-    if rows:
-        return rows[0].parameters
-    if campaign.kind == "calibration":
-        return _problem(campaign).space.names
-    specification = validated(EvaluationSpecification, campaign.spec)
-    return function_names(resolve_evaluation(specification).bench.driving_function)
+    return rows[0].parameters if rows else pinned(campaign).space.names
 
 
 def _solution_row(solution: Solution, *, flat: bool) -> Row:
@@ -183,4 +175,4 @@ def _influence_rows(database: Database, campaign: StoredCampaign) -> list[Row]:
         return []
     with database.read() as connection:
         stored = influence_maps.get(connection, campaign.influence_map_id)
-    return [row.model_dump(mode="json") for row in influence.campaign_rows(stored, _problem(campaign))]
+    return [row.model_dump(mode="json") for row in influence.campaign_rows(stored, _pinned(campaign))]
