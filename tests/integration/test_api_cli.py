@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import os
 import subprocess
 import sys
 import threading
@@ -20,7 +21,7 @@ from typer.testing import CliRunner, Result
 
 from drivecal.cli.main import app
 from drivecal.domain.campaigns import CampaignState
-from drivecal.storage import campaigns
+from drivecal.storage import campaigns, locks
 
 MIDDLE = (0, 1, 100, 1000, 750, 0.5, 100, 1000, 5, 10, 100)
 SETS = [f"P{number}={value}" for number, value in enumerate(MIDDLE, 1)]
@@ -287,6 +288,10 @@ def test_the_database_is_made_and_checked(tmp_path: Path) -> None:
     assert CliRunner().invoke(app, ["db", "upgrade", "--database-url", url]).exit_code == 0
     assert json.loads(CliRunner().invoke(app, ["db", "check", "--database-url", url, "--json"]).stdout)["current"]
     (tmp_path / "text.db").write_text("this is no database, and long enough to be seen as one or not")
+    with locks.hold(url):
+        refused = CliRunner().invoke(app, ["db", "upgrade", "--database-url", url])
+        assert (refused.exit_code, f"server (process {os.getpid()})" in refused.stderr) == (1, True)
+        assert CliRunner().invoke(app, ["db", "check", "--database-url", url]).exit_code == 0, "looking is free"
     broken = CliRunner().invoke(app, ["db", "upgrade", "--database-url", f"sqlite:///{tmp_path / 'text.db'}"])
     assert broken.exit_code == 1
     assert "no SQLite database" in broken.stderr

@@ -70,8 +70,8 @@ def prepare_database(settings: Settings) -> Database:
         problem = Problem("home", f"{settings.home} cannot be made: {error.strerror}", "set DRIVECAL_HOME to a folder of yours")
         raise InvalidInputError(problem) from error
     database = Database.open(settings.database_url)
-    locks.hold(settings.database_url).release()  # the dispatcher takes it for good
-    database.upgrade()
+    with locks.hold(settings.database_url):  # the dispatcher takes it for good
+        database.upgrade()
     return database
 
 

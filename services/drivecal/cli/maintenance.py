@@ -39,7 +39,7 @@ def workers(url: UrlOption = None, as_json: JsonOption = False) -> None:
 
 @database.command()
 def upgrade(database_url: DatabaseOption = None, as_json: JsonOption = False) -> None:
-    """Create the database or bring it to this drivecal's revision."""
+    """Create the database or bring it to this drivecal's revision. Refused while a server works on it."""
     _with_database(database_url, as_json, upgrade_first=True)
 
 
@@ -50,12 +50,15 @@ def check(database_url: DatabaseOption = None, as_json: JsonOption = False) -> N
 
 
 def _with_database(database_url: str | None, as_json: bool, *, upgrade_first: bool) -> None:
-    from drivecal.storage.database import Database  # half a second that only these commands need
+    from drivecal.storage import locks  # half a second that only these commands need
+    from drivecal.storage.database import Database
 
-    opened = Database.open(load_settings(database_url=database_url).database_url)
+    url = load_settings(database_url=database_url).database_url
+    opened = Database.open(url)
     try:
         if upgrade_first:
-            opened.upgrade()
+            with locks.hold(url):
+                opened.upgrade()
         opened.check()
     finally:
         opened.dispose()

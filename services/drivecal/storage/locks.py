@@ -43,11 +43,11 @@ class ServerLock(Protocol):
     ) -> None: ...
 
 
-def hold(url: str) -> ServerLock:
-    """Takes the lock. Raises DatabaseError naming the holder where another server has it."""
+def hold(url: str, otherwise: str = "name another database by DRIVECAL_DATABASE_URL") -> ServerLock:
+    """Takes the lock. Raises DatabaseError naming the holder where another server has it; `otherwise`: what to do but stop it."""
     parsed = urls.parse(url)
     file = urls.sqlite_file(parsed)
-    return _PostgresLock(parsed) if file is None else _FileLock(file)
+    return _PostgresLock(parsed, otherwise) if file is None else _FileLock(file, otherwise)
 
 
 class _Releasing:
@@ -62,7 +62,7 @@ class _Releasing:
 class _FileLock(_Releasing):
     """On `<database>.lock`, whose text is the process id of the holder. The file stays; what counts is the lock on it."""
 
-    def __init__(self, database: Path) -> None:
+    def __init__(self, database: Path, otherwise: str) -> None:
         path = database.with_name(database.name + ".lock")
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -73,9 +73,7 @@ class _FileLock(_Releasing):
             self._file.seek(0)
             holder = self._file.read().strip() or "unknown"
             self._file.close()
-            raise DatabaseError(
-                f"another drivecal server (process {holder}) uses {database}; stop it, or name another database by DRIVECAL_DATABASE_URL"
-            )
+            raise DatabaseError(f"another drivecal server (process {holder}) uses {database}; stop it, or {otherwise}")
         self._file.truncate(0)
         self._file.write(str(os.getpid()))
         self._file.flush()
@@ -109,8 +107,9 @@ def _try_lock(file: IO[str]) -> bool:
 class _PostgresLock(_Releasing):
     """An advisory lock of a session of its own, which the server ends when the process is gone."""
 
-    def __init__(self, url: URL) -> None:
+    def __init__(self, url: URL, otherwise: str) -> None:
         self._name = urls.shown(url)
+        self._otherwise = otherwise
         owner = f"{_OWNER}process {os.getpid()} on {socket.gethostname()}"
         arguments = {"connect_timeout": 5, "application_name": owner[:63], "keepalives_idle": 5, "keepalives_interval": 5}
         self._engine = create_engine(url, poolclass=NullPool, isolation_level="AUTOCOMMIT", connect_args=arguments)
@@ -142,7 +141,7 @@ class _PostgresLock(_Releasing):
                 return connection
             holder = (connection.scalar(_HOLDER, {"key": KEY}) or "unknown").removeprefix(_OWNER)
             connection.close()
-        raise DatabaseError(f"another drivecal server ({holder}) uses {self._name}; stop it, or name another database")
+        raise DatabaseError(f"another drivecal server ({holder}) uses {self._name}; stop it, or {self._otherwise}")
 
 
 _HOLDER = text(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,8 @@ from drivecal.cli.demo.command import BASELINE, CAMPAIGN, OTHER_WEIGHTS
 from drivecal.cli.demo.coordinator import coordinator, fresh_folder
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.contracts.validation import validated
-from drivecal.domain.errors import ConflictError, DrivecalError
+from drivecal.domain.errors import ConflictError, DatabaseError, DrivecalError
+from drivecal.storage import locks
 
 
 def test_the_campaign_is_large_enough_and_can_run() -> None:
@@ -43,6 +45,18 @@ def test_two_demos_do_not_share_a_folder(tmp_path: Path) -> None:
         with pytest.raises(ConflictError, match="another demo is running"), fresh_folder(tmp_path / "demo"):
             pass
         assert (tmp_path / "demo" / "summary.json").exists()
+
+
+def test_results_that_a_server_shows_are_not_deleted_by_a_new_demo(tmp_path: Path) -> None:
+    folder = tmp_path / "demo"
+    with fresh_folder(folder):
+        (folder / "summary.json").touch()
+    with locks.hold(f"sqlite:///{folder / 'drivecal.db'}"):
+        with pytest.raises(DatabaseError, match=rf"server \(process {os.getpid()}\).*DRIVECAL_HOME"), fresh_folder(folder):
+            pass
+        assert (folder / "summary.json").exists()
+    with fresh_folder(folder):
+        assert list(folder.iterdir()) == []
 
 
 def test_a_coordinator_that_does_not_start_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -27,16 +27,26 @@ LOG = "serve.log"
 
 @contextmanager
 def fresh_folder(folder: Path) -> Iterator[None]:
-    """Empties `folder` and keeps other demos out of it. Raises ConflictError where one is running there."""
+    """Empties `folder` and keeps other demos out of it.
+
+    Raises ConflictError where one is running there, DatabaseError where a server shows what the last one found.
+    """
+    from drivecal.storage import locks  # half a second that only the demo needs
+
     folder.parent.mkdir(parents=True, exist_ok=True)
     with folder.with_suffix(".lock").open("w") as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             raise ConflictError(f"another demo is running in {folder}; wait for it or stop it") from error
-        shutil.rmtree(folder, ignore_errors=True)
+        with locks.hold(_database_url(folder), "set DRIVECAL_HOME to another folder: a new demo empties this one"):
+            shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(exist_ok=True)
         yield
+
+
+def _database_url(folder: Path) -> str:
+    return f"sqlite:///{folder / 'drivecal.db'}"
 
 
 @contextmanager
@@ -47,7 +57,7 @@ def coordinator(home: Path) -> Iterator[Client]:
     """
     environment = os.environ | {
         "DRIVECAL_HOME": str(home),
-        "DRIVECAL_DATABASE_URL": f"sqlite:///{home / 'drivecal.db'}",
+        "DRIVECAL_DATABASE_URL": _database_url(home),
     }
     # The guardian ends the server, whatever becomes of the demo: it notices when our end of its standard input is gone.
     guardian = [sys.executable, "-m", "drivecal.campaigns.guardian", str(SECONDS_TO_STOP), ""]
