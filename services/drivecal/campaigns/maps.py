@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from decimal import Decimal
-from math import isfinite
 from typing import Any
 
 from sqlalchemy import Connection
@@ -20,6 +19,7 @@ from drivecal.plugins import registry
 from drivecal.sensitivity.scenario import ScenarioInfluence
 from drivecal.storage import influence_maps
 from drivecal.storage.influence_maps import StoredInfluenceMap
+from drivecal.storage.types import finite
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,10 +149,10 @@ def analysis_to_document(found: Mapping[str, ScenarioInfluence]) -> dict[str, An
             overall = None if one.overall is None else one.overall.measures
             bounds[scenario][name] |= {
                 "unknown": listed.unknown,
-                "s_rel_intervals": [_finite(value) for value in one.s_rel_intervals],
-                "mu": None if overall is None else _finite(overall.mu),
-                "sigma": None if overall is None else _finite(overall.sigma),
-                "mu_star": None if overall is None else _finite(overall.mu_star),
+                "s_rel_intervals": [finite(value) for value in one.s_rel_intervals],
+                "mu": None if overall is None else finite(overall.mu),
+                "sigma": None if overall is None else finite(overall.sigma),
+                "mu_star": None if overall is None else finite(overall.mu_star),
             }
     return bounds
 
@@ -164,10 +164,6 @@ def smallest_s_rel(found: Mapping[str, ScenarioInfluence]) -> dict[str, dict[str
         scenario: {"intervals": one.smallest_interval_s_rel, "overall": one.smallest_overall_s_rel}
         for scenario, one in found.items()
     }
-
-
-def _finite(value: float) -> float | None:
-    return value if isfinite(value) else None
 
 
 def stored_map(stored: StoredInfluenceMap) -> InfluenceMap:

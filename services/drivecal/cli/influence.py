@@ -137,8 +137,8 @@ def _described(client: Client, identifier: str) -> Described:
         except NotFoundError as error:
             raise NotFoundError("campaign or influence map", identifier) from error
         return Described(f"influence map {found.id}  {found.name}", found.rows or [], found.basis)
-    link = campaign.links.get("influence_map")
-    basis = None if link is None else client.influence_map(link.rpartition("/")[2]).basis
+    used = client.map_of(campaign)
+    basis = None if used is None else used.basis
     return Described(f"campaign {campaign.id}  {campaign.name}", client.influence(campaign.id), basis)
 
 

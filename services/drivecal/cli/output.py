@@ -120,8 +120,13 @@ def print_cells(runs: Sequence[tuple[str, CellCounts]]) -> None:
 
 
 def _sum(cells: CellCounts | SensitivityCellCounts) -> str:
-    counts = {name: getattr(cells, name, 0) for name in reversed(OUTCOMES)}
-    return " + ".join(f"{count:,} {name}" for name, count in counts.items() if count or name == "simulated")
+    counts = by_outcome(cells).items()
+    return " + ".join(f"{count:,} {name}" for name, count in counts if count or name == "simulated")
+
+
+def by_outcome(cells: CellCounts | SensitivityCellCounts) -> dict[str, int]:
+    """The requested cells by outcome, the frequent ones first; those that a stage does not know are 0."""
+    return {name: getattr(cells, name, 0) for name in reversed(OUTCOMES)}
 
 
 def self_check_text(campaign: Campaign) -> str:

@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from drivecal.cli.commands import ExitCode, WaitTimedOutError, tell
-from drivecal.cli.output import OUTCOMES, duration
+from drivecal.cli.output import by_outcome, duration
 from drivecal.client.client import Client
 from drivecal.contracts.campaign import Campaign
 
@@ -126,8 +126,7 @@ def _where(campaign: Campaign) -> str:
 
 def _detail(campaign: Campaign) -> str:
     cells = campaign.sensitivity_cells if campaign.stage == "sensitivity" else campaign.cells
-    counts = {name: getattr(cells, name, 0) for name in reversed(OUTCOMES)}
-    parts = [f"{name} {count:,}" for name, count in counts.items() if count]
+    parts = [f"{name} {count:,}" for name, count in by_outcome(cells).items() if count]
     if campaign.best:
         parts.append(f"best {campaign.best.objective:.3f}")
     if campaign.progress.eta_seconds is not None and campaign.state == "running":

@@ -18,7 +18,7 @@ from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns, SolutionPage
 from drivecal.contracts.evaluation import Evaluation
 from drivecal.contracts.explanation import Explanation
-from drivecal.contracts.inventory import InfluenceMapAnswer, InfluenceMapPage, InfluenceRow, Readiness, ScenarioPage, WorkerPage
+from drivecal.contracts.inventory import InfluenceMapAnswer, InfluenceMapPage, InfluenceRow, ScenarioPage, WorkerPage
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import UnavailableError
 
@@ -171,6 +171,11 @@ class Client:
         path = _path("influence-maps", identifier)
         return self._get(path, InfluenceMapAnswer, kind="influence map", identifier=identifier)
 
+    def map_of(self, campaign: Campaign) -> InfluenceMapAnswer | None:
+        """The influence map that a campaign uses, None where it has none (yet)."""
+        link = campaign.links.get("influence_map")
+        return None if link is None else self.influence_map(link.rpartition("/")[2])
+
     def scenarios(self) -> ScenarioPage:
         """The scenarios of all catalogues that the server has."""
         return self._get("/api/v1/scenarios", ScenarioPage)
@@ -178,14 +183,6 @@ class Client:
     def workers(self) -> WorkerPage:
         """The workers."""
         return self._get("/api/v1/workers", WorkerPage)
-
-    def readiness(self) -> Readiness:
-        """Whether the server can do work; a server that is not ready says why."""
-        response = self._request("GET", "/readyz")
-        if response.status_code == HTTPStatus.SERVICE_UNAVAILABLE and "problems" in response.text:
-            return self._answer(response, Readiness)
-        raise_for(response, "", "")
-        return self._answer(response, Readiness)
 
     def _get(
         self,

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Generic, Literal, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -12,6 +13,7 @@ from drivecal.contracts.specification import OptimizerSpecification
 from drivecal.domain.parameters import Indices
 from drivecal.optimizers.genetic import GeneticAlgorithm, pairs_per_generation
 from drivecal.optimizers.random_search import RandomSearch
+from drivecal.optimizers.replacement import ReplacementOptimizer
 from drivecal.optimizers.start import start_population
 from drivecal.plugins.ports import Optimizer, OptimizerPlugin
 
@@ -49,46 +51,63 @@ class RandomSettings(OptimizerSpecification):
 Chosen = TypeVar("Chosen", bound=OptimizerSpecification)
 
 
-def _checked(settings: BaseModel, wanted: type[Chosen]) -> Chosen:
-    if not isinstance(settings, wanted):
-        raise TypeError(f"settings must be {wanted.__name__}, not {type(settings).__name__}")
-    return settings
+class ReplacementPlugin(ABC, Generic[Chosen]):
+    """What the plug-ins of this package have in common: see `drivecal.plugins.ports.OptimizerPlugin`."""
 
+    name: str
 
-def _generator(seed: int) -> np.random.Generator:
-    return np.random.Generator(np.random.PCG64(seed))
+    @property
+    @abstractmethod
+    def settings(self) -> type[Chosen]:
+        """Validates the campaign's `optimizer` section."""
 
+    @abstractmethod
+    def _renewed(self, settings: Chosen) -> int:
+        """How many individuals each iteration after the first requests."""
 
-class GeneticPlugin:
-    """`optimizer: {kind: genetic}`."""
-
-    name = "genetic"
-    settings: type[BaseModel] = GeneticSettings
+    @abstractmethod
+    def _optimizer(
+        self, settings: Chosen, first: Indices, n_values: Indices, generator: np.random.Generator
+    ) -> ReplacementOptimizer:
+        """One that starts from the population `first`."""
 
     def requested_individuals(self, settings: BaseModel) -> int:
-        """The first population and one child per pair in each further iteration."""
-        chosen = _checked(settings, GeneticSettings)
-        children = pairs_per_generation(chosen.population, chosen.selection, chosen.recombination)
-        return chosen.population + (chosen.iterations - 1) * children
+        """The first population and those that each further iteration renews."""
+        chosen = self._checked(settings)
+        return chosen.population + (chosen.iterations - 1) * self._renewed(chosen)
 
     def create(self, settings: BaseModel, n_values: Indices, start: Indices | None = None) -> Optimizer:
         """See `drivecal.plugins.ports.OptimizerPlugin`."""
-        chosen = _checked(settings, GeneticSettings)
-        generator = _generator(chosen.seed)
+        chosen = self._checked(settings)
+        generator = np.random.Generator(np.random.PCG64(chosen.seed))
         first = start_population(chosen.start, chosen.population, n_values, generator, start)
         return self._optimizer(chosen, first, n_values, generator)
 
     def restore(self, settings: BaseModel, n_values: Indices, state: Mapping[str, Any]) -> Optimizer:
         """See `drivecal.plugins.ports.OptimizerPlugin`. Raises InvalidInputError where the state does not fit."""
-        chosen = _checked(settings, GeneticSettings)
+        chosen = self._checked(settings)
         blank = np.zeros((chosen.population, len(n_values)), dtype=np.int64)
-        optimizer = self._optimizer(chosen, blank, n_values, _generator(chosen.seed))
+        optimizer = self._optimizer(chosen, blank, n_values, np.random.Generator(np.random.PCG64(chosen.seed)))
         optimizer.resume(state)
         return optimizer
 
-    @staticmethod
+    def _checked(self, settings: BaseModel) -> Chosen:
+        if not isinstance(settings, self.settings):
+            raise TypeError(f"settings must be {self.settings.__name__}, not {type(settings).__name__}")
+        return settings
+
+
+class GeneticPlugin(ReplacementPlugin[GeneticSettings]):
+    """`optimizer: {kind: genetic}`."""
+
+    name = "genetic"
+    settings = GeneticSettings
+
+    def _renewed(self, settings: GeneticSettings) -> int:
+        return pairs_per_generation(settings.population, settings.selection, settings.recombination)  # one child per pair
+
     def _optimizer(
-        settings: GeneticSettings, first: Indices, n_values: Indices, generator: np.random.Generator
+        self, settings: GeneticSettings, first: Indices, n_values: Indices, generator: np.random.Generator
     ) -> GeneticAlgorithm:
         return GeneticAlgorithm(
             first,
@@ -100,34 +119,18 @@ class GeneticPlugin:
         )
 
 
-class RandomPlugin:
+class RandomPlugin(ReplacementPlugin[RandomSettings]):
     """`optimizer: {kind: random}`."""
 
     name = "random"
-    settings: type[BaseModel] = RandomSettings
+    settings = RandomSettings
 
-    def requested_individuals(self, settings: BaseModel) -> int:
-        """The first population and the renewed share in each further iteration."""
-        chosen = _checked(settings, RandomSettings)
-        return chosen.population + (chosen.iterations - 1) * chosen.renewed
+    def _renewed(self, settings: RandomSettings) -> int:
+        return settings.renewed
 
-    def create(self, settings: BaseModel, n_values: Indices, start: Indices | None = None) -> Optimizer:
-        """See `drivecal.plugins.ports.OptimizerPlugin`."""
-        chosen = _checked(settings, RandomSettings)
-        generator = _generator(chosen.seed)
-        first = start_population(chosen.start, chosen.population, n_values, generator, start)
-        return self._optimizer(chosen, first, n_values, generator)
-
-    def restore(self, settings: BaseModel, n_values: Indices, state: Mapping[str, Any]) -> Optimizer:
-        """See `drivecal.plugins.ports.OptimizerPlugin`. Raises InvalidInputError where the state does not fit."""
-        chosen = _checked(settings, RandomSettings)
-        blank = np.zeros((chosen.population, len(n_values)), dtype=np.int64)
-        optimizer = self._optimizer(chosen, blank, n_values, _generator(chosen.seed))
-        optimizer.resume(state)
-        return optimizer
-
-    @staticmethod
-    def _optimizer(settings: RandomSettings, first: Indices, n_values: Indices, generator: np.random.Generator) -> RandomSearch:
+    def _optimizer(
+        self, settings: RandomSettings, first: Indices, n_values: Indices, generator: np.random.Generator
+    ) -> RandomSearch:
         return RandomSearch(first, n_values, renewed=settings.renewed, generator=generator)
 
 

@@ -32,15 +32,14 @@ class Findings:
 def collect(client: Client, identifier: str) -> Findings:
     """Asks for it. Raises NotFoundError for an unknown campaign, and whatever else the client raises."""
     campaign = client.campaign(identifier)
-    link = campaign.links.get("influence_map")
-    basis = None if link is None else client.influence_map(link.rpartition("/")[2]).basis
+    used = client.map_of(campaign)
     answered = campaign.cells.requested or campaign.sensitivity_cells.requested
     return Findings(
         campaign=campaign,
         generations=[Generation.model_validate(row) for row in client.rows(identifier, "generations")],
         solutions=client.solutions(identifier, limit=SOLUTIONS).items,
         influence=client.influence(identifier),
-        basis=basis,
+        basis=None if used is None else used.basis,
         titles={scenario.id: scenario.title for scenario in client.scenarios().items},
         accounting=client.accounting(identifier) if answered else None,
     )

@@ -7,7 +7,7 @@ the first row and beyond the last one the road goes straight on.
 
 from __future__ import annotations
 
-from math import atan2, ceil, cos, hypot, isfinite, sin
+from math import ceil, cos, isfinite, sin
 from typing import NamedTuple
 
 import numpy as np
@@ -139,10 +139,3 @@ def to_frenet(
     s_ddot = (tangential + s_dot * (bend * s_dot * d + 2.0 * curvature * d_dot)) / stretch
     d_ddot = normal - curvature * s_dot * s_dot * stretch
     return Motion(s, s_dot, s_ddot, d, d_dot, d_ddot)
-
-
-def to_velocity(line: Floats, motion: Motion) -> tuple[float, float]:
-    """Course (rad) and speed (m/s) of a Frenet motion: the inverse of `to_frenet` for the velocity."""
-    _, _, heading, curvature, _ = pose_on(line, motion.s)
-    tangential = motion.s_dot * (1.0 - curvature * motion.d)
-    return heading + atan2(motion.d_dot, tangential), hypot(tangential, motion.d_dot)

@@ -63,8 +63,3 @@ class Setup:
     def from_document(cls, document: Mapping[str, object]) -> Setup:
         """The inverse of `document`."""
         return cls(**document)  # type: ignore[arg-type]  # the fields are those written by `document`
-
-
-def rating_fingerprint(run_fingerprint: str, evaluator: str, evaluator_version: str) -> str:
-    """Names a rating: the run with the evaluator that rated it."""
-    return digest(f"{run_fingerprint}:{evaluator}:{evaluator_version}".encode())

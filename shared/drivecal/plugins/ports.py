@@ -141,8 +141,6 @@ class Catalogue(Protocol):
     def scenarios(self) -> Mapping[str, Scenario]:
         """By id, in the order of the catalogue."""
 
-    """By id, in the order of the catalogue."""
-
 
 @dataclass(frozen=True, slots=True)
 class Proposal:

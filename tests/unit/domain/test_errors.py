@@ -12,6 +12,7 @@ from drivecal.domain.errors import (
     DatabaseError,
     DrivecalError,
     InvalidInputError,
+    NoResultError,
     NotFoundError,
     Problem,
     UnavailableError,
@@ -21,6 +22,7 @@ EXAMPLES = [
     InvalidInputError(Problem("optimizer.population", "1 is too small", "give at least 2"), Problem("", "nothing fits")),
     NotFoundError("campaign", "4f2a"),
     ConflictError("the first campaign has not ended"),
+    NoResultError("no parameter set has a result in every scenario"),
     UnavailableError("the server does not answer"),
     DatabaseError("the file is no database"),
 ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import cos, hypot, pi, sin, sqrt
+from math import cos, pi, sin, sqrt
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.special import fresnel
 
 from drivecal.domain.errors import InvalidInputError
-from drivecal.domain.roads import Motion, pose_on, project, reference_line, to_cartesian, to_frenet, to_velocity
+from drivecal.domain.roads import Motion, pose_on, project, reference_line, to_cartesian, to_frenet
 from drivecal.domain.scenarios import CurvatureKnot, Road
 
 
@@ -104,6 +104,3 @@ def test_motion_matches_differences_of_the_cartesian_path() -> None:
     x, y = point(0.0)
     motion = to_frenet(LINE, (x, y), (velocity[0], velocity[1]), (acceleration[0], acceleration[1]), s0 + 5.0)
     assert motion == pytest.approx(Motion(s0, 30.0, 1.4, d0, 1.1, -0.8), rel=1e-4)
-    course, speed = to_velocity(LINE, motion)
-    assert speed == pytest.approx(hypot(*velocity), rel=1e-9)
-    assert (cos(course) * speed, sin(course) * speed) == pytest.approx(tuple(velocity), rel=1e-6)

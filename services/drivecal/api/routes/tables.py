@@ -90,13 +90,10 @@ def list_solutions(campaign_id: str, query: SolutionsQuery, database: DatabaseDe
     begun_with = _pinned(campaign)
     ranked = ranking(database, campaign, begun_with.weights, query.weights)
 
-    def pages(limit: int, cursor: str | None) -> Page:
-        start = 0 if cursor is None else int(cursors.decode(cursor, int)[0])
-        rows = [_solution_row(one, flat=flat) for one in ranked.solutions(start, start + limit)]
-        following = start + limit
-        return rows, cursors.encode(following) if following < len(ranked) else None
-
     flat = form_of(query, accept) != "json"
+
+    def rows(start: int, stop: int) -> list[Row]:
+        return [_solution_row(one, flat=flat) for one in ranked.solutions(start, stop)]
 
     def columns() -> list[Column]:
         return [
@@ -109,7 +106,7 @@ def list_solutions(campaign_id: str, query: SolutionsQuery, database: DatabaseDe
             Column("individual", "integer"),
         ]
 
-    return _answer(f"solutions-{campaign.id}", query, accept, columns, pages)
+    return _answer(f"solutions-{campaign.id}", query, accept, columns, _slices(rows, len(ranked)))
 
 
 @router.get("/influence", responses=TABLE_ANSWERS)
@@ -117,13 +114,19 @@ def list_influence(campaign_id: str, query: TableQuery, database: DatabaseDepend
     """The influence map that the campaign uses: one row per scenario and searched parameter, none where it has no map (yet)."""
     campaign = _campaign(database, campaign_id)
     rows = _influence_rows(database, campaign)
+    pages = _slices(lambda start, stop: rows[start:stop], len(rows))
+    return _answer(f"influence-{campaign.id}", query, accept, lambda: influence.COLUMNS, pages)
+
+
+def _slices(rows: Callable[[int, int], Sequence[Row]], length: int) -> Pages:
+    """Pages of a list that is numbered from 0."""
 
     def pages(limit: int, cursor: str | None) -> Page:
         start = 0 if cursor is None else int(cursors.decode(cursor, int)[0])
         following = start + limit
-        return rows[start:following], cursors.encode(following) if following < len(rows) else None
+        return rows(start, following), cursors.encode(following) if following < length else None
 
-    return _answer(f"influence-{campaign.id}", query, accept, lambda: influence.COLUMNS, pages)
+    return pages
 
 
 def _answer(name: str, query: TableOf, accept: str, columns: Callable[[], Sequence[Column]], pages: Pages) -> Response:
