@@ -10,14 +10,15 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
+from tests.support.command import Run
 from tests.support.found import carry_out, carry_out_evaluation
 from tests.support.server import RunningApi, free_port, serving
-from typer.testing import CliRunner, Result
+from typer.testing import CliRunner
 
 from drivecal.cli.main import app
 from drivecal.domain.campaigns import CampaignState
@@ -25,23 +26,12 @@ from drivecal.storage import campaigns, locks
 
 MIDDLE = (0, 1, 100, 1000, 750, 0.5, 100, 1000, 5, 10, 100)
 SETS = [f"P{number}={value}" for number, value in enumerate(MIDDLE, 1)]
-Run = Callable[..., Result]
 
 
 @pytest.fixture(scope="module")
 def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
     with serving(f"sqlite:///{tmp_path_factory.mktemp('cli') / 'drivecal.db'}") as running:
         yield running
-
-
-@pytest.fixture
-def run(api: RunningApi, monkeypatch: pytest.MonkeyPatch) -> Run:
-    monkeypatch.setenv("DRIVECAL_URL", api.url)
-
-    def invoke(*arguments: str, stdin: str | None = None) -> Result:
-        return CliRunner().invoke(app, list(arguments), input=stdin)
-
-    return invoke
 
 
 @pytest.fixture

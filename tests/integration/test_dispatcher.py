@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from sqlalchemy import select
 from tests.support.computed import IGNORED, ComputedBackend, computed
+from tests.support.runs import dispatcher, nothing_matters, post_map, submit
 
-from drivecal.campaigns.dispatcher import Dispatcher
-from drivecal.campaigns.maps import resolve_map, store_posted_map
-from drivecal.campaigns.pool import WorkPool
-from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, InfluenceMapSpecification
+from drivecal.contracts.specification import EvaluationSpecification
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import CampaignState, Stage
 from drivecal.domain.evaluations import Outcome
@@ -23,46 +20,8 @@ from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.database import Database
 from drivecal.storage.tables import runs
 
-SMALL: dict[str, Any] = {
-    "sensitivity": None,
-    "parameters": [{"name": f"P{i}", "lower": 0, "upper": 1, "step": 0.5} for i in range(1, 12)],
-    "catalogue": ["S1", "S2", "S3"],
-    "optimizer": {"kind": "genetic", "population": 24, "iterations": 6, "seed": 3},
-}
-
-
-@pytest.fixture
-def database(tmp_path: Path) -> Iterator[Database]:
-    """A new SQLite database."""
-    opened = Database.open(f"sqlite:///{tmp_path / 'drivecal.db'}")
-    opened.upgrade()
-    yield opened
-    opened.dispose()
-
-
-def _submit(database: Database, *, stored_map: str | None = None, **changes: Any) -> StoredCampaign:
-    document = SMALL | changes
-    if stored_map is not None:
-        document["sensitivity"] = {"map": stored_map}
-    specification = CampaignSpecification.model_validate(document)
-    with database.transaction() as connection:
-        return campaigns.insert(
-            connection, name="test", spec=specification.model_dump(mode="json"), influence_map_id=stored_map
-        )
-
-
-def _post_true_map(database: Database) -> str:
-    """The map that says exactly what the formula ignores."""
-    scenarios = {scenario: {name: {"influential": False}} for scenario, name in IGNORED.items()}
-    document = {"scenarios": scenarios, "parameters": SMALL["parameters"]}
-    posted = resolve_map(InfluenceMapSpecification.model_validate(document))
-    with database.transaction() as connection:
-        return store_posted_map(connection, posted).id
-
-
-def _dispatcher(database: Database, backend: ComputedBackend) -> Dispatcher:
-    ticks = iter(range(10**9))
-    return Dispatcher(database, WorkPool(backend), clock=lambda: float(next(ticks)))  # looks and reports in every step
+TRUE_MAP = {scenario: {name: {"influential": False}} for scenario, name in IGNORED.items()}
+"""Says exactly what the formula ignores."""
 
 
 def _get(database: Database, campaign: StoredCampaign) -> StoredCampaign:
@@ -77,11 +36,11 @@ def _get(database: Database, campaign: StoredCampaign) -> StoredCampaign:
 
 
 def _run(database: Database, campaign: StoredCampaign, backend: ComputedBackend | None = None) -> StoredCampaign:
-    dispatcher = _dispatcher(database, backend or ComputedBackend())
+    working = dispatcher(database, backend or ComputedBackend())
     for _ in range(3_000):
         if _get(database, campaign).state.ended:
             return _get(database, campaign)
-        dispatcher.step()
+        working.step()
     raise AssertionError("the campaign did not end")
 
 
@@ -104,7 +63,7 @@ def _everything(database: Database, campaign: StoredCampaign) -> tuple[Any, ...]
 
 
 def test_a_campaign_runs_to_its_end_and_every_cell_has_its_answer(database: Database) -> None:
-    ended = _run(database, _submit(database))
+    ended = _run(database, submit(database))
     assert ended.state is CampaignState.SUCCEEDED
     assert ended.cells.pending == 0
     assert ended.cells.proposed == 24 * 3 * 6
@@ -126,7 +85,7 @@ def test_the_order_in_which_workers_answer_changes_nothing(tmp_path: Path, audit
     for seed in range(3):
         opened = Database.open(f"sqlite:///{tmp_path / f'{seed}.db'}")
         opened.upgrade()
-        campaign = _submit(opened, stored_map=_post_true_map(opened), reduction={"audit": audit})
+        campaign = submit(opened, stored_map=post_map(opened, TRUE_MAP), reduction={"audit": audit})
         _run(opened, campaign, ComputedBackend(seed))
         found.append(_everything(opened, campaign))
         opened.dispose()
@@ -141,17 +100,17 @@ def test_a_campaign_that_was_killed_again_and_again_ends_like_one_that_was_not(t
     found = []
     for database in (calm, killed):
         database.upgrade()
-        campaign = _submit(
+        campaign = submit(
             database,
-            stored_map=_post_true_map(database),
+            stored_map=post_map(database, TRUE_MAP),
             reduction={"audit": 0.2},
             baseline=dict.fromkeys((f"P{i}" for i in range(1, 12)), 0.5),
         )
         kills = 0
         while not _get(database, campaign).state.ended:
-            dispatcher = _dispatcher(database, ComputedBackend(draw.randrange(99)))  # the one before is gone, with all it knew
+            working = dispatcher(database, ComputedBackend(draw.randrange(99)))  # the one before is gone, with all it knew
             for _ in range(draw.randrange(1, 9) if database is killed else 3_000):
-                dispatcher.step()
+                working.step()
                 if _get(database, campaign).state.ended:
                     break
             kills += 1
@@ -166,7 +125,7 @@ def test_reuse_by_a_true_map_answers_as_the_simulation_would(tmp_path: Path) -> 
     for mode in ("off", "exact", "influence"):
         opened = Database.open(f"sqlite:///{tmp_path / mode}.db")
         opened.upgrade()
-        campaign = _submit(opened, stored_map=_post_true_map(opened), reduction={"mode": mode, "audit": 0.0})
+        campaign = submit(opened, stored_map=post_map(opened, TRUE_MAP), reduction={"mode": mode, "audit": 0.0})
         ended = _run(opened, campaign)
         cells, *_ = _everything(opened, campaign)
         scores[mode] = [(cell[:4], cell[5]) for cell in cells]
@@ -181,7 +140,7 @@ def test_reuse_by_a_true_map_answers_as_the_simulation_would(tmp_path: Path) -> 
 
 
 def test_every_copy_names_the_simulated_evaluation_that_answers_it(database: Database) -> None:
-    campaign = _submit(database, stored_map=_post_true_map(database))
+    campaign = submit(database, stored_map=post_map(database, TRUE_MAP))
     _run(database, campaign)
     with database.read() as connection:
         rows = {row.id: row for row in results.stream(connection, campaign.sequence)}
@@ -199,12 +158,12 @@ def test_every_copy_names_the_simulated_evaluation_that_answers_it(database: Dat
 
 
 def test_a_rerun_with_other_weights_and_the_same_seed_is_answered_mostly_from_the_table(database: Database) -> None:
-    first = _run(database, _submit(database))
-    again = _run(database, _submit(database))
+    first = _run(database, submit(database))
+    again = _run(database, submit(database))
     assert again.cells.simulated == 0
     assert again.cells.repeated == again.cells.requested
     assert again.best == first.best
-    other = _run(database, _submit(database, weights={"S1": 5}))
+    other = _run(database, submit(database, weights={"S1": 5}))
     assert other.cells.repeated > 0
     assert other.cells.simulated < first.cells.simulated
     with database.read() as connection:
@@ -213,11 +172,8 @@ def test_a_rerun_with_other_weights_and_the_same_seed_is_answered_mostly_from_th
 
 
 def test_a_wrong_map_is_found_out_by_the_audit_and_reuse_stops(database: Database) -> None:
-    nothing_matters = {scenario: {f"P{i}": {"influential": False} for i in range(1, 12)} for scenario in ("S1", "S2", "S3")}
-    document = InfluenceMapSpecification.model_validate({"scenarios": nothing_matters, "parameters": SMALL["parameters"]})
-    with database.transaction() as connection:
-        wrong = store_posted_map(connection, resolve_map(document)).id
-    ended = _run(database, _submit(database, stored_map=wrong, reduction={"audit": 0.5}))
+    wrong = post_map(database, nothing_matters())
+    ended = _run(database, submit(database, stored_map=wrong, reduction={"audit": 0.5}))
     for scenario in ("S1", "S2", "S3"):
         rate = ended.error_rate[scenario]
         assert rate.stopped
@@ -235,7 +191,7 @@ def _sometimes_broken(scenario: str, cell: Cell) -> CellResult:
 
 
 def test_cells_without_a_result_are_failed_ranked_last_and_nobodys_reference(database: Database) -> None:
-    campaign = _submit(database, stored_map=_post_true_map(database))
+    campaign = submit(database, stored_map=post_map(database, TRUE_MAP))
     ended = _run(database, campaign, ComputedBackend(answer=_sometimes_broken))
     assert ended.state is CampaignState.SUCCEEDED
     assert ended.cells.failed > 0
@@ -251,14 +207,14 @@ def test_cells_without_a_result_are_failed_ranked_last_and_nobodys_reference(dat
 
 
 def test_two_campaigns_at_the_same_time_share_the_runs_of_equal_cells(database: Database) -> None:
-    one = _submit(database)
+    one = submit(database)
     backend = ComputedBackend()
-    dispatcher = _dispatcher(database, backend)
+    working = dispatcher(database, backend)
     while _get(database, one).cells.simulated < 20:
-        dispatcher.step()
-    other = _submit(database)
+        working.step()
+    other = submit(database)
     while not (_get(database, one).state.ended and _get(database, other).state.ended):
-        dispatcher.step()
+        working.step()
     alone, beside = _everything(database, one), _everything(database, other)
     assert alone[3] == beside[3]
     with database.read() as connection:
@@ -272,43 +228,43 @@ def test_pause_stops_the_work_and_resume_goes_on_to_the_same_result(tmp_path: Pa
     for pauses in (False, True):
         database = Database.open(f"sqlite:///{tmp_path / str(pauses)}.db")
         database.upgrade()
-        campaign = _submit(database)
+        campaign = submit(database)
         backend = ComputedBackend()
-        dispatcher = _dispatcher(database, backend)
+        working = dispatcher(database, backend)
         if pauses:
             for _ in range(7):
-                dispatcher.step()
+                working.step()
             with database.transaction() as connection:
                 campaigns.request_action(connection, campaign.id, "pause")
             while _get(database, campaign).state is not CampaignState.PAUSED:
-                dispatcher.step()
+                working.step()
             sent = len(backend.sent)
             for _ in range(20):
-                dispatcher.step()
+                working.step()
             assert len(backend.sent) == sent
             assert not _get(database, campaign).state.ended
             with database.transaction() as connection:
                 campaigns.request_action(connection, campaign.id, "resume")
         while not _get(database, campaign).state.ended:
-            dispatcher.step()
+            working.step()
         found.append(_everything(database, campaign))
         database.dispose()
     assert found[0] == found[1]
 
 
 def test_cancel_ends_the_campaign_and_keeps_what_was_finished(database: Database) -> None:
-    campaign = _submit(database)
-    dispatcher = _dispatcher(database, ComputedBackend())
+    campaign = submit(database)
+    working = dispatcher(database, ComputedBackend())
     while _get(database, campaign).cells.simulated < 50:
-        dispatcher.step()
+        working.step()
     with database.transaction() as connection:
         campaigns.request_action(connection, campaign.id, "cancel")
     while not _get(database, campaign).state.ended:
-        dispatcher.step()
+        working.step()
     ended = _get(database, campaign)
     assert ended.state is CampaignState.CANCELLED
     assert ended.cells.simulated >= 50
-    again = _run(database, _submit(database))
+    again = _run(database, submit(database))
     assert again.cells.repeated >= ended.cells.simulated
 
 
@@ -327,7 +283,7 @@ def test_a_single_evaluation_is_simulated_once_and_then_repeated(database: Datab
 
 
 def test_a_campaign_that_cannot_be_resolved_any_more_fails_and_says_why(database: Database) -> None:
-    campaign = _submit(database)
+    campaign = submit(database)
     document = dict(campaign.spec) | {"driving_function": "uninstalled"}
     with database.transaction() as connection:
         broken = campaigns.insert(connection, name="broken", spec=document)
@@ -339,7 +295,7 @@ def test_a_campaign_that_cannot_be_resolved_any_more_fails_and_says_why(database
 
 def test_a_baseline_is_evaluated_first_and_shown(database: Database) -> None:
     middle = {f"P{i}": 0.5 for i in range(1, 12)}
-    campaign = _submit(database, baseline=middle)
+    campaign = submit(database, baseline=middle)
     ended = _run(database, campaign)
     assert ended.baseline is not None
     assert ended.baseline.parameters == middle

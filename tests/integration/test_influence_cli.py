@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
+from tests.support.command import Run
 from tests.support.found import analyse
 from tests.support.server import RunningApi, serving
-from typer.testing import CliRunner, Result
 
-from drivecal.cli.main import app
-
-Run = Callable[..., Result]
 ANALYSED: dict[str, Any] = {
     "name": "mine",
     "catalogue": ["S1", "S2"],
@@ -28,16 +25,6 @@ ANALYSED: dict[str, Any] = {
 def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
     with serving(f"sqlite:///{tmp_path_factory.mktemp('influence') / 'drivecal.db'}") as running:
         yield running
-
-
-@pytest.fixture
-def run(api: RunningApi, monkeypatch: pytest.MonkeyPatch) -> Run:
-    monkeypatch.setenv("DRIVECAL_URL", api.url)
-
-    def invoke(*arguments: str, stdin: str | None = None) -> Result:
-        return CliRunner().invoke(app, list(arguments), input=stdin)
-
-    return invoke
 
 
 def campaign(api: RunningApi, document: dict[str, Any]) -> str:

@@ -31,15 +31,6 @@ SPECIFICATION: dict[str, Any] = {
 }
 
 
-@pytest.fixture
-def database(tmp_path: Path) -> Iterator[Database]:
-    """A new SQLite database."""
-    opened = Database.open(f"sqlite:///{tmp_path / 'drivecal.db'}")
-    opened.upgrade()
-    yield opened
-    opened.dispose()
-
-
 class HeldBackend(ComputedBackend):
     """Gives nothing back while it is held."""
 

@@ -6,33 +6,19 @@ import csv
 import json
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from tests.support.command import Run
 from tests.support.found import analyse, carry_out
 from tests.support.server import RunningApi, serving
-from typer.testing import CliRunner, Result
-
-from drivecal.cli.main import app
-
-Run = Callable[..., Result]
 
 
 @pytest.fixture(scope="module")
 def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
     with serving(f"sqlite:///{tmp_path_factory.mktemp('report') / 'drivecal.db'}") as running:
         yield running
-
-
-@pytest.fixture
-def run(api: RunningApi, monkeypatch: pytest.MonkeyPatch) -> Run:
-    monkeypatch.setenv("DRIVECAL_URL", api.url)
-
-    def invoke(*arguments: str) -> Result:
-        return CliRunner().invoke(app, list(arguments))
-
-    return invoke
 
 
 @pytest.fixture(scope="module")

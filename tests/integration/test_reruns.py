@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -50,15 +50,6 @@ def strict_answer(scenario: str, cell: Cell) -> CellResult:
         return usual
     rating = Strict().rate(Manoeuvre.LANE_CHANGE, usual.metrics)
     return CellResult(cell.id, rating.rating, rating.score, usual.metrics, None, 7.0)
-
-
-@pytest.fixture
-def database(tmp_path: Path) -> Iterator[Database]:
-    """A new SQLite database."""
-    opened = Database.open(f"sqlite:///{tmp_path / 'drivecal.db'}")
-    opened.upgrade()
-    yield opened
-    opened.dispose()
 
 
 @pytest.fixture

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -21,15 +19,6 @@ from drivecal.storage.database import Database
 from drivecal.storage.results import StoredEvaluation
 
 TRUE_MAP = {scenario: {name: {"influential": False}} for scenario, name in IGNORED.items()}
-
-
-@pytest.fixture
-def database(tmp_path: Path) -> Iterator[Database]:
-    """A new SQLite database."""
-    opened = Database.open(f"sqlite:///{tmp_path / 'drivecal.db'}")
-    opened.upgrade()
-    yield opened
-    opened.dispose()
 
 
 def _rows(database: Database, campaign: StoredCampaign) -> list[StoredEvaluation]:

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Iterator
 from math import hypot
 from pathlib import Path
 from typing import Any
 
 import pytest
 from tests.support.computed import ComputedBackend
+from tests.support.runs import WITH_ANALYSIS, dispatcher
 
-from drivecal.campaigns.dispatcher import Dispatcher
 from drivecal.campaigns.maps import map_from_document
-from drivecal.campaigns.pool import WorkPool
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import CampaignState, Stage
@@ -24,14 +22,6 @@ from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.database import Database
 
 LEVELS = 21
-SPECIFICATION: dict[str, Any] = {
-    "catalogue": ["S1", "S2"],
-    "parameters": [{"name": f"P{i}", "lower": 0, "upper": 1, "step": 0.05} for i in range(1, 5)],
-    "fixed": {f"P{i}": 0.5 for i in range(5, 12)},
-    "sensitivity": {"intervals": 5, "samples": 8, "threshold": 0.02},
-    "optimizer": {"kind": "genetic", "population": 40, "iterations": 5, "seed": 2},
-    "reduction": {"audit": 0.1},
-}
 
 
 def _answer(scenario: str, cell: Cell) -> CellResult:
@@ -41,17 +31,8 @@ def _answer(scenario: str, cell: Cell) -> CellResult:
     return CellResult(cell.id, rating, round(rating), {"rating": rating}, None, 7.0)
 
 
-@pytest.fixture
-def database(tmp_path: Path) -> Iterator[Database]:
-    """A new SQLite database."""
-    opened = Database.open(f"sqlite:///{tmp_path / 'drivecal.db'}")
-    opened.upgrade()
-    yield opened
-    opened.dispose()
-
-
 def _submit(database: Database, **changes: Any) -> StoredCampaign:
-    specification = CampaignSpecification.model_validate(SPECIFICATION | changes)
+    specification = CampaignSpecification.model_validate(WITH_ANALYSIS | changes)
     with database.transaction() as connection:
         return campaigns.insert(connection, name="test", spec=specification.model_dump(mode="json"))
 
@@ -65,15 +46,10 @@ def _get(database: Database, campaign: StoredCampaign) -> StoredCampaign:
     return found
 
 
-def _dispatcher(database: Database, backend: ComputedBackend) -> Dispatcher:
-    ticks = iter(range(10**9))
-    return Dispatcher(database, WorkPool(backend), clock=lambda: float(next(ticks)))
-
-
 def _run(database: Database, campaign: StoredCampaign, backend: ComputedBackend | None = None) -> StoredCampaign:
-    dispatcher = _dispatcher(database, backend or ComputedBackend(answer=_answer))
+    working = dispatcher(database, backend or ComputedBackend(answer=_answer))
     while not _get(database, campaign).state.ended:
-        dispatcher.step()
+        working.step()
     return _get(database, campaign)
 
 
@@ -135,9 +111,9 @@ def test_a_campaign_killed_in_its_analysis_ends_like_one_that_was_not(tmp_path: 
         opened.upgrade()
         campaign = _submit(opened)
         while not _get(opened, campaign).state.ended:
-            dispatcher = _dispatcher(opened, ComputedBackend(draw.randrange(99), answer=_answer))
+            working = dispatcher(opened, ComputedBackend(draw.randrange(99), answer=_answer))
             for _ in range(draw.randrange(1, 12) if name == "killed" else 9_999):
-                dispatcher.step()
+                working.step()
                 if _get(opened, campaign).state.ended:
                     break
         ended = _get(opened, campaign)
@@ -156,7 +132,7 @@ def test_an_analysis_of_its_own_ends_with_a_map_that_a_later_campaign_names(data
     assert alone.state is CampaignState.SUCCEEDED
     assert alone.cells.proposed == 0
     assert alone.influence_map_id is not None
-    named = CampaignSpecification.model_validate(SPECIFICATION | {"sensitivity": {"map": alone.influence_map_id}})
+    named = CampaignSpecification.model_validate(WITH_ANALYSIS | {"sensitivity": {"map": alone.influence_map_id}})
     with database.transaction() as connection:
         later = campaigns.insert(
             connection, name="later", spec=named.model_dump(mode="json"), influence_map_id=alone.influence_map_id
