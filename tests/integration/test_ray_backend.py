@@ -31,10 +31,10 @@ def pool(ray_backend: RayBackend) -> Iterator[WorkPool]:
 def drain(pool: WorkPool) -> list[Completed]:
     completed: list[Completed] = []
     for _ in range(600):
-        if pool.idle:
+        if not pool.held("test"):
             return completed
         completed += pool.poll(0.5)
-    raise AssertionError(f"{pool.outstanding} cells never came back; {pool.workers()}; {pool.trouble()}")
+    raise AssertionError(f"{pool.held('test')} cells never came back; {pool.workers()}; {pool.trouble()}")
 
 
 def test_two_workers_share_the_cells_and_agree(pool: WorkPool) -> None:
@@ -100,7 +100,7 @@ def test_another_version_at_the_coordinator_costs_no_cell_and_names_both_version
     assert sorted(one.result.id for one in completed) == list(range(101, 121))
     assert pool.held("test") == 20
     pool.withdraw("test")
-    assert pool.idle
+    assert not pool.held("test")
     assert pool.trouble() is None
 
 

@@ -36,16 +36,6 @@ class WorkPool:
         self._refusing_since: dict[str, float] = {}
         self._failures: Counter[str] = Counter()
 
-    @property
-    def outstanding(self) -> int:
-        """Cells without an answer, sent or not."""
-        return self._scheduler.outstanding
-
-    @property
-    def idle(self) -> bool:
-        """True where every cell has its answer."""
-        return self._scheduler.outstanding == 0
-
     def workers(self) -> list[WorkerInfo]:
         """The backend's workers."""
         return self._backend.workers()

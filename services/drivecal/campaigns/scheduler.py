@@ -97,11 +97,6 @@ class Scheduler:
         self._by_id: dict[int, _Entry] = {}
         self._batch_ids = itertools.count(1)
 
-    @property
-    def outstanding(self) -> int:
-        """Cells that have no answer yet, sent or not."""
-        return len(self._by_id)
-
     def add(self, setup: SetupRequest, cells: Sequence[Cell], tag: str, priority: int) -> None:
         """Queues cells. Raises ValueError where a cell's id is outstanding already."""
         identifiers = [cell.id for cell in cells]
