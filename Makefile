@@ -35,5 +35,5 @@ lock: $(INSTALLED) ## write deploy/requirements.lock anew from pyproject.toml (n
 networks: $(INSTALLED) ## rebuild the scenarios' SUMO networks with netconvert
 	@$(BIN)/python -m drivecal.scenarios.build
 
-clean: ## remove the environment, caches and the results of demo and bench
-	rm -rf .venv .drivecal .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+clean: ## remove the environment, caches and the results of demo and bench; your own database stays
+	rm -rf .venv .drivecal/demo .drivecal/bench .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

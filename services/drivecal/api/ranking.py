@@ -41,6 +41,7 @@ class Ranking:
                 rating=one.rating,
                 parameters=sets[one.parameter_set].floats,
                 scores=dict(one.scores),
+                reused=list(one.reused),
                 iteration=one.iteration,
                 individual=one.individual,
             )

@@ -19,6 +19,8 @@ class Solution:
     objective: float
     rating: float
     scores: Mapping[str, int]
+    reused: tuple[str, ...]
+    """Scenarios whose score is a reference's: this very set was not simulated there."""
     iteration: int
     individual: int
 
@@ -75,6 +77,7 @@ class Standing:
         cells = self._answers[number]
         objective = rating = 0.0
         scores: dict[str, int] = {}
+        reused: list[str] = []
         for scenario, share in self._shares.items():
             cell = cells.get(scenario)
             if cell is None or cell.score is None or cell.rating is None:
@@ -82,7 +85,9 @@ class Standing:
             objective += share * cell.score
             rating += share * cell.rating
             scores[scenario] = cell.score
-        return Solution(number, objective, rating, scores, *self._places[number])
+            if not cell.own:
+                reused.append(scenario)
+        return Solution(number, objective, rating, scores, tuple(reused), *self._places[number])
 
 
 def _counts_more(new: CellAnswer, known: CellAnswer | None) -> bool:

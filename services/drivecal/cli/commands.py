@@ -143,5 +143,5 @@ def full_map_id(client: Client, identifier: str) -> str:
 def _beginning(kind: str, ids: Sequence[str], identifier: str) -> str:
     found = [one for one in ids if one.startswith(identifier)]
     if len(found) > 1:
-        raise NotFoundError(f"single {kind}", f"{identifier} ({len(found)} begin so; give more characters)")
+        raise NotFoundError(f"single {kind}", identifier, f"{len(found)} begin so, give more characters")
     return found[0] if found else identifier

@@ -26,7 +26,7 @@ def explain(
         campaign = client.campaign(full_id(client, identifier)).id
         found = client.explanation(evaluation)
     if found.campaign != campaign:
-        raise NotFoundError(f"evaluation of campaign {campaign}", f"{evaluation} (it is of campaign {found.campaign})")
+        raise NotFoundError(f"evaluation of campaign {campaign}", str(evaluation), f"it is of campaign {found.campaign}")
     if as_json:
         print_json(found)
     else:

@@ -74,10 +74,16 @@ def print_solutions(solutions: Sequence[Solution]) -> None:
     first = solutions[0]
     header = ["rank", "objective", "rating", *first.scores, *first.parameters]
     rows = [
-        [one.rank, f"{one.objective:.4f}", f"{one.rating:.3f}", *one.scores.values(), *one.parameters.values()]
+        [
+            *(one.rank, f"{one.objective:.4f}", f"{one.rating:.3f}"),
+            *(f"{score}*" if scenario in one.reused else score for scenario, score in one.scores.items()),
+            *one.parameters.values(),
+        ]
         for one in solutions
     ]
     print_columns(header, rows)
+    if any(one.reused for one in solutions):
+        typer.echo("* taken from a reference; `drivecal evaluate` simulates this very set")
 
 
 def state_text(campaign: Campaign) -> str:

@@ -171,6 +171,8 @@ class Solution(Answer):
     rating: float
     parameters: dict[str, float]
     scores: dict[str, int]
+    reused: list[str] = []
+    """Scenarios whose score is that of a reference: this very set was not simulated there."""
     iteration: int
     individual: int
 

@@ -41,15 +41,17 @@ class InvalidInputError(DrivecalError):
 
 
 class NotFoundError(DrivecalError):
-    """No such campaign, evaluation, map: `kind` and `identifier` say what was asked for."""
+    """No such campaign, evaluation, map: `kind` and `identifier` say what was asked for, `hint` what may have been meant."""
 
-    def __init__(self, kind: str, identifier: str) -> None:
-        super().__init__(kind, identifier)
+    def __init__(self, kind: str, identifier: str, hint: str = "") -> None:
+        super().__init__(kind, identifier, hint)
         self.kind = kind
         self.identifier = identifier
+        self.hint = hint
 
     def __str__(self) -> str:
-        return f"there is no {self.kind} {self.identifier!r}"
+        missing = f"there is no {self.kind} {self.identifier!r}"
+        return f"{missing}; {self.hint}" if self.hint else missing
 
 
 class ConflictError(DrivecalError):

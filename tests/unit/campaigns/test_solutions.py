@@ -69,6 +69,13 @@ def test_the_sets_own_result_counts_more_than_a_copy() -> None:
     assert [one.objective for one in _ranking([failed, copy], {"S1": 1})] == [7.0]
 
 
+def test_a_solution_says_which_of_its_scores_are_those_of_a_reference() -> None:
+    copy = CellAnswer(1, "S1", 7, 6.8, own=False, iteration=0, individual=0)
+    own = CellAnswer(1, "S2", 5, 5.1, own=True, iteration=0, individual=0)
+    (only,) = _ranking([copy, own], {"S1": 1, "S2": 1})
+    assert only.reused == ("S1",)
+
+
 def test_nothing_evaluated_gives_no_ranking() -> None:
     assert Standing({"S1": 1}).ranking() == []
     assert Standing({"S1": 1}).best() is None

@@ -101,6 +101,7 @@ def list_solutions(campaign_id: str, query: SolutionsQuery, database: DatabaseDe
             Column("objective", "number"),
             Column("rating", "number"),
             *(Column(f"score_{name}", "integer") for name in ranked.scenarios),
+            Column("reused", "text"),
             *(Column(parameter_column(name), "number") for name in begun_with.space.names),
             Column("iteration", "integer"),
             Column("individual", "integer"),
@@ -169,7 +170,7 @@ def _solution_row(solution: Solution, *, flat: bool) -> Row:
     if not flat:
         return solution.model_dump(mode="json")
     row: dict[str, Any] = solution.model_dump(include={"rank", "objective", "rating", "iteration", "individual"})
-    row |= {f"score_{name}": score for name, score in solution.scores.items()}
+    row |= {f"score_{name}": score for name, score in solution.scores.items()} | {"reused": " ".join(solution.reused)}
     return row | {parameter_column(name): value for name, value in solution.parameters.items()}
 
 
