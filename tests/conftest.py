@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from collections.abc import Iterator
 
 import psycopg
@@ -12,6 +13,9 @@ from tests.support.misbehaviour import FOLDER
 from tests.support.postgres import running_postgres
 
 from drivecal.campaigns.ray_backend import RayBackend, RayOptions
+
+# A shell that runs the tests in the background has SIGINT ignored, and every process that a test starts would inherit that.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session")
