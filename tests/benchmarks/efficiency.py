@@ -67,6 +67,7 @@ def run_campaign(client: Client, population: int, iterations: int) -> Campaign:
     """A campaign with reduction off, from its start to its end."""
     specification = {
         "name": "efficiency",
+        "sensitivity": None,
         "optimizer": {"kind": "genetic", "population": population, "iterations": iterations, "seed": 1},
         "reduction": {"mode": "off"},
     }
