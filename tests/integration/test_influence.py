@@ -10,18 +10,10 @@ from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
-from tests.support.found import analyse
+from tests.support.found import ANALYSIS, analyse
 from tests.support.server import RunningApi, serving
 
 from drivecal.contracts.inventory import InfluenceRow
-
-ANALYSED: dict[str, Any] = {
-    "catalogue": ["S1", "S2"],
-    "parameters": [{"name": f"P{i}", "lower": 0, "upper": 1, "step": 0.05, "unit": "s"} for i in range(1, 4)],
-    "fixed": {f"P{i}": 0.5 for i in range(4, 12)},
-    "sensitivity": {"intervals": 5, "samples": 6, "threshold": 0.02},
-    "optimizer": None,
-}
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +25,7 @@ def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
 @pytest.fixture(scope="module")
 def analysed(api: RunningApi) -> dict[str, Any]:
     """A campaign whose analysis found P1 up to 0.5 in S1 and nothing in S2, where every run scored 0."""
-    campaign: dict[str, Any] = api.http.post("/api/v1/campaigns", json=ANALYSED).raise_for_status().json()
+    campaign: dict[str, Any] = api.http.post("/api/v1/campaigns", json=ANALYSIS).raise_for_status().json()
     analyse(api.database, campaign["id"], lambda scenario, values: 0 if scenario == "S2" else round(7 * min(values["P1"], 0.5)))
     return campaign
 
@@ -106,7 +98,7 @@ def test_a_map_is_shown_within_the_narrower_bounds_of_a_campaign(api: RunningApi
         (0, 50, None, False),
         (20, 2000, None, False),
     ]
-    narrow = ANALYSED | {
+    narrow = ANALYSIS | {
         "parameters": [
             {"name": "P2", "lower": 1, "upper": 2, "step": 0.1},
             {"name": "P3", "lower": 60, "upper": 70, "step": 1},

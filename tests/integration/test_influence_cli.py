@@ -8,17 +8,10 @@ from typing import Any
 
 import pytest
 from tests.support.command import Run
-from tests.support.found import analyse
+from tests.support.found import ANALYSIS, analyse
 from tests.support.server import RunningApi, serving
 
-ANALYSED: dict[str, Any] = {
-    "name": "mine",
-    "catalogue": ["S1", "S2"],
-    "parameters": [{"name": f"P{i}", "lower": 0, "upper": 1, "step": 0.05, "unit": "s"} for i in range(1, 4)],
-    "fixed": {f"P{i}": 0.5 for i in range(4, 12)},
-    "sensitivity": {"intervals": 5, "samples": 6, "threshold": 0.02},
-    "optimizer": None,
-}
+ANALYSED = ANALYSIS | {"name": "mine"}
 
 
 @pytest.fixture(scope="module")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from sqlalchemy import Connection
@@ -146,6 +147,16 @@ def carry_out_evaluation(database: Database, evaluation_id: str) -> None:
         ids = evaluations.insert(connection, campaign.sequence, cells)
         _answer(connection, campaign, cells, ids, problem.bench.evaluator_id, names[0])
         campaigns.end(connection, campaign.sequence, CampaignState.SUCCEEDED)
+
+
+ANALYSIS: dict[str, Any] = {
+    "catalogue": ["S1", "S2"],
+    "parameters": [{"name": f"P{i}", "lower": 0, "upper": 1, "step": 0.05, "unit": "s"} for i in range(1, 4)],
+    "fixed": {f"P{i}": 0.5 for i in range(4, 12)},
+    "sensitivity": {"intervals": 5, "samples": 6, "threshold": 0.02},
+    "optimizer": None,
+}
+"""A small analysis of its own, of three parameters in two scenarios, to be given to `analyse`."""
 
 
 def analyse(database: Database, campaign_id: str, score: Callable[[str, Mapping[str, float]], int]) -> None:
