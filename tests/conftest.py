@@ -12,7 +12,8 @@ from sqlalchemy import make_url
 from tests.support.misbehaviour import FOLDER
 from tests.support.postgres import running_postgres
 
-from drivecal.campaigns.ray_backend import RayBackend, RayOptions
+from drivecal.dispatch.trial import trial
+from drivecal.execution.ray_backend import RayBackend, RayOptions
 
 # A shell that runs the tests in the background has SIGINT ignored, and every process that a test starts would inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -23,7 +24,7 @@ def ray_backend(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RayBackend
     """A local Ray with two workers on which the plug-in of `tests.support` is installed: one per process is all Ray allows."""
     environment = dict(os.environ)
     os.environ.update(HOME=str(tmp_path_factory.mktemp("home")), PYTHONPATH=str(FOLDER))
-    backend = RayBackend(RayOptions(workers=2, deadline_seconds=10.0))
+    backend = RayBackend(RayOptions(workers=2, deadline_seconds=10.0), trial())
     while len(backend.slots()) < 2:
         backend.wait(1.0)
     yield backend

@@ -57,7 +57,7 @@ class Memory(threading.Thread):
 
 def _role(command: list[str]) -> str:
     line = " ".join(command)
-    for word, role in (("ray::", "workers"), ("drivecal.campaigns.dispatcher", "dispatcher"), ("drivecal.api", "api")):
+    for word, role in (("ray::", "workers"), ("drivecal.dispatch", "dispatcher"), ("drivecal.api", "api")):
         if word in line:
             return role
     return "ray" if "ray" in line else "supervisor"

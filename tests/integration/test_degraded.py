@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 from tests.support.fake_backend import FakeBackend
 
-from drivecal.campaigns.dispatcher import Dispatcher
-from drivecal.campaigns.pool import WorkPool
 from drivecal.contracts.specification import CampaignSpecification
+from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.domain.campaigns import CampaignState
+from drivecal.execution.pool import WorkPool
 from drivecal.storage import campaigns, processes
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.database import Database

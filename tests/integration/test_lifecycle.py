@@ -11,14 +11,14 @@ import pytest
 from sqlalchemy import Connection
 from tests.support.computed import ComputedBackend
 
-from drivecal.campaigns.dispatcher import Dispatcher
 from drivecal.campaigns.maps import resolve_map, store_posted_map
-from drivecal.campaigns.pool import WorkPool
 from drivecal.campaigns.problem import CalibrationProblem
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, InfluenceMapSpecification
 from drivecal.contracts.work import Cell, CellResult
+from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import UnavailableError
+from drivecal.execution.pool import WorkPool
 from drivecal.storage import campaigns, generations, results
 from drivecal.storage.campaigns import Action, StoredCampaign
 from drivecal.storage.database import Database

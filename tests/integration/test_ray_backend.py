@@ -13,11 +13,11 @@ import pytest
 from tests.support.fake_backend import Behaviour
 from tests.support.misbehaviour import misbehaving_cells, misbehaving_setup
 
-from drivecal.campaigns.backend import Finished, Lost
-from drivecal.campaigns.pool import WorkPool
-from drivecal.campaigns.ray_backend import RayBackend
-from drivecal.campaigns.scheduler import ATTEMPTS, Completed
 from drivecal.contracts.work import Batch, Cell
+from drivecal.execution.backend import Finished, Lost
+from drivecal.execution.pool import WorkPool
+from drivecal.execution.ray_backend import RayBackend
+from drivecal.execution.scheduler import ATTEMPTS, Completed
 
 
 @pytest.fixture
@@ -118,9 +118,10 @@ def test_ray_leaves_the_signal_handlers_alone() -> None:
 
 
 WITHOUT_SUMO = """
-from drivecal.campaigns.backend import BackendLostError
-from drivecal.campaigns.ray_backend import RayBackend, RayOptions
-backend = RayBackend(RayOptions(workers=1))
+from drivecal.execution.backend import BackendLostError
+from drivecal.dispatch.trial import trial
+from drivecal.execution.ray_backend import RayBackend, RayOptions
+backend = RayBackend(RayOptions(workers=1), trial())
 try:
     while True:
         backend.wait(1.0)

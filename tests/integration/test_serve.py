@@ -47,14 +47,14 @@ def test_what_is_killed_comes_back_and_a_killed_server_leaves_nothing(server: Se
     api = server.child("drivecal.api")
     api.kill()
     until(lambda: server.alive() and server.child("drivecal.api").pid != api.pid, "a new API")
-    dispatcher = server.child("drivecal.campaigns.dispatcher")
+    dispatcher = server.child("drivecal.dispatch")
     assert server.dispatcher_pid() == dispatcher.pid
     before = [dispatcher, *dispatcher.children(recursive=True)]
     dispatcher.kill()
     until(lambda: gone(before), "the end of the old dispatcher's Ray", 5.0)
     until(lambda: server.dispatcher_pid() != dispatcher.pid, "a new dispatcher")
     assert "the dispatcher ended unexpectedly" in server.log.read_text()
-    dispatcher = server.child("drivecal.campaigns.dispatcher")
+    dispatcher = server.child("drivecal.dispatch")
     next(one for one in dispatcher.children() if one.name() == "gcs_server").kill()
     until(lambda: server.dispatcher_pid() != dispatcher.pid, "a new dispatcher with a new Ray")
     assert "Ray's gcs_server ended unexpectedly" in server.log.read_text()

@@ -6,8 +6,8 @@ import random
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from drivecal.campaigns.backend import Finished, Lost, Slot, WorkerInfo
 from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult
+from drivecal.execution.backend import Finished, Lost, Slot, WorkerInfo
 
 IGNORED = {"S1": "P9", "S2": "P10"}
 """Parameters that the formula does not look at, by scenario."""

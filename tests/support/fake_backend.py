@@ -7,9 +7,9 @@ from collections import deque
 from dataclasses import dataclass, field
 from enum import IntEnum
 
-from drivecal.campaigns.backend import Finished, Lost, Slot, WorkerInfo
 from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult
 from drivecal.domain.evaluations import Breakdown
+from drivecal.execution.backend import Finished, Lost, Slot, WorkerInfo
 
 
 class Behaviour(IntEnum):

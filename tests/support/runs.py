@@ -6,11 +6,11 @@ from typing import Any
 
 from tests.support.computed import ComputedBackend
 
-from drivecal.campaigns.dispatcher import Dispatcher
 from drivecal.campaigns.maps import resolve_map, store_posted_map
-from drivecal.campaigns.pool import WorkPool
 from drivecal.contracts.specification import CampaignSpecification, InfluenceMapSpecification
 from drivecal.contracts.work import Cell, CellResult
+from drivecal.dispatch.dispatcher import Dispatcher
+from drivecal.execution.pool import WorkPool
 from drivecal.storage import campaigns
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.database import Database

@@ -59,9 +59,7 @@ class Server:
 
     def child(self, words: str) -> psutil.Process:
         """The child itself: its guardian has the words in its command line as well."""
-        return next(
-            one for one in self.family() if words in one.cmdline() and "drivecal.campaigns.guardian" not in one.cmdline()
-        )
+        return next(one for one in self.family() if words in one.cmdline() and "drivecal.server.guardian" not in one.cmdline())
 
     def alive(self) -> bool:
         try:

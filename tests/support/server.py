@@ -19,7 +19,7 @@ from psycopg import sql
 from sqlalchemy import make_url
 
 from drivecal.api.app import create_app
-from drivecal.campaigns.settings import load_settings
+from drivecal.configuration.settings import load_settings
 from drivecal.storage.database import Database
 
 

@@ -9,7 +9,7 @@ import sys
 import uvicorn
 
 from drivecal.api.app import create_app
-from drivecal.campaigns.settings import load_settings
+from drivecal.configuration.settings import load_settings
 
 
 def main() -> int:

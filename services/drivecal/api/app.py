@@ -12,7 +12,7 @@ from drivecal.api import problems
 from drivecal.api.answers import ROOT
 from drivecal.api.limits import BodyLimit
 from drivecal.api.routes import campaigns, evaluations, health, influence_maps, inventory, tables
-from drivecal.campaigns.settings import Settings
+from drivecal.configuration.settings import Settings
 from drivecal.storage.database import Database
 
 

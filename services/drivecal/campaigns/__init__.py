@@ -1,1 +1,1 @@
-"""Campaigns: what is asked for (`problem`), how it is worked through (`calibration`), and what carries it out (`dispatcher`)."""
+"""Campaigns: what is asked for (`problem`) and how it is worked through, stage by stage (`staged`)."""

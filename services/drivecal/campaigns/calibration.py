@@ -14,13 +14,13 @@ from drivecal.campaigns.narrowing import given_indices, search_area
 from drivecal.campaigns.pace import Pace
 from drivecal.campaigns.planning import View, WantedCell, plan_cells, sync_reference_keys
 from drivecal.campaigns.problem import CalibrationProblem
-from drivecal.campaigns.scheduler import Completed
 from drivecal.campaigns.selfcheck import error_rates
 from drivecal.campaigns.solutions import Solution, Standing
 from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, Progress
 from drivecal.domain.campaigns import Stage
 from drivecal.domain.errors import NoResultError
 from drivecal.domain.parameters import ParameterSet
+from drivecal.execution.scheduler import Completed
 from drivecal.plugins.ports import Optimizer, Proposal
 from drivecal.reduction.assignment import Policy
 from drivecal.storage import audits, campaigns, generations, parameter_sets, results

@@ -8,9 +8,9 @@ from drivecal.campaigns.ledger import Ledger, Work
 from drivecal.campaigns.planning import View, WantedCell, plan_cells
 from drivecal.campaigns.problem import EvaluationProblem
 from drivecal.campaigns.rerating import rate_stored_runs
-from drivecal.campaigns.scheduler import Completed
 from drivecal.contracts.campaign import CellCounts, Progress, SensitivityCellCounts
 from drivecal.domain.campaigns import Stage
+from drivecal.execution.scheduler import Completed
 from drivecal.reduction.assignment import Policy
 from drivecal.storage import campaigns
 from drivecal.storage.campaigns import Snapshot, StoredCampaign

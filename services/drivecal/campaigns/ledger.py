@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 from sqlalchemy import Connection
 
 from drivecal.campaigns.planning import View
-from drivecal.campaigns.scheduler import Completed
 from drivecal.contracts.work import Cell, SetupRequest
 from drivecal.domain.evaluations import Donor, Outcome
+from drivecal.execution.scheduler import Completed
 from drivecal.storage import evaluations, runs
 from drivecal.storage.evaluations import COPIES, Answer, NewEvaluation, PendingEvaluation
 from drivecal.storage.runs import NewRun, StoredRun

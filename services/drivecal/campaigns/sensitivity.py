@@ -14,12 +14,12 @@ from drivecal.campaigns.maps import analysis_to_document, smallest_s_rel, stored
 from drivecal.campaigns.pace import Pace
 from drivecal.campaigns.planning import View, WantedCell, plan_cells
 from drivecal.campaigns.problem import CalibrationProblem
-from drivecal.campaigns.scheduler import Completed
 from drivecal.campaigns.spaces import space_to_document
 from drivecal.contracts.campaign import SensitivityCellCounts
 from drivecal.domain.campaigns import Stage
 from drivecal.domain.influence import InfluenceMap
 from drivecal.domain.parameters import ParameterSet, text
+from drivecal.execution.scheduler import Completed
 from drivecal.plugins.ports import Floats
 from drivecal.reduction.assignment import Policy
 from drivecal.reduction.keys import ReferenceKeys, billionths_matrix

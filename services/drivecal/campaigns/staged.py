@@ -11,8 +11,8 @@ from drivecal.campaigns.maps import check_basis, stored_map
 from drivecal.campaigns.planning import View
 from drivecal.campaigns.problem import CalibrationProblem
 from drivecal.campaigns.rerating import rate_stored_runs
-from drivecal.campaigns.scheduler import Completed
 from drivecal.campaigns.sensitivity import Sensitivity
+from drivecal.execution.scheduler import Completed
 from drivecal.storage import campaigns, influence_maps
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.database import Database

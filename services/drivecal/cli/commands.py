@@ -10,8 +10,8 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from drivecal.campaigns.settings import load_settings
 from drivecal.client.client import Client
+from drivecal.configuration.settings import load_settings
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import DrivecalError, InvalidInputError, NotFoundError, UnavailableError
 

@@ -6,9 +6,9 @@ from typing import Annotated
 
 import typer
 
-from drivecal.campaigns.settings import load_settings
 from drivecal.cli.commands import JsonOption, UrlOption, app, connect, tell
 from drivecal.cli.output import print_columns, print_json, when
+from drivecal.configuration.settings import load_settings
 
 database = typer.Typer(no_args_is_help=True, help="The database. These commands open it themselves and need no server.")
 app.add_typer(database, name="db")

@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
-from drivecal.campaigns.settings import load_settings
 from drivecal.cli.commands import JsonOption, app, tell
+from drivecal.configuration.settings import load_settings
 
 
 @app.command()
@@ -29,17 +29,17 @@ def serve(
     as_json: JsonOption = False,
 ) -> None:
     """Run the server: the API and the dispatcher with its workers. Ctrl-C or SIGTERM stops it; campaigns go on at the next start."""
-    from drivecal.campaigns import server  # the database's half a second, for this command only
+    from drivecal.server import serving  # the database's half a second, for this command only
 
     settings = load_settings(workers=workers, ray_address=ray_address, database_url=database_url, home=home)
-    with server.listen(host, port) as listener:
-        url = server.url_of(listener, host)
-        if not server.is_loopback(listener):
+    with serving.listen(host, port) as listener:
+        url = serving.url_of(listener, host)
+        if not serving.is_loopback(listener):
             tell(
                 f"everyone who reaches {host} can use this server: it asks for no token yet; listen on 127.0.0.1 if that is not meant"
             )
 
-        database = server.prepare_database(settings)
+        database = serving.prepare_database(settings)
         tell(f"starting; the database is {database.name}")
 
         def ready() -> None:
@@ -48,6 +48,6 @@ def serve(
             else:
                 typer.echo(f"drivecal is ready at {url} (Ctrl-C stops it)")
 
-        code = server.run_server(settings, database, listener, url, ready, tell)
+        code = serving.run_server(settings, database, listener, url, ready, tell)
         database.dispose()
     raise typer.Exit(code)

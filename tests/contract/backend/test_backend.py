@@ -9,9 +9,9 @@ import pytest
 from tests.support.fake_backend import Behaviour, FakeBackend
 from tests.support.misbehaviour import misbehaving_cells, misbehaving_setup
 
-from drivecal.campaigns.backend import Backend, Finished, Lost
 from drivecal.contracts.work import Batch
 from drivecal.domain.evaluations import Breakdown
+from drivecal.execution.backend import Backend, Finished, Lost
 
 WELL, CRASH, HANG, ERROR, MEMORY = Behaviour
 PLENTY = 10.0

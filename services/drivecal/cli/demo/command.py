@@ -13,13 +13,13 @@ from typing import Any
 
 import typer
 
-from drivecal.campaigns.settings import load_settings
 from drivecal.cli.commands import ExitCode, JsonOption, app, tell
 from drivecal.cli.demo.coordinator import coordinator, fresh_folder
 from drivecal.cli.documents import read_document
 from drivecal.cli.output import duration, print_cells, print_json, print_solutions, saved, self_check_text
 from drivecal.cli.watching import show_until_ended
 from drivecal.client.client import Client
+from drivecal.configuration.settings import load_settings
 from drivecal.contracts.campaign import Campaign
 from drivecal.domain.errors import DrivecalError
 

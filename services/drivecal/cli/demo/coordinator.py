@@ -60,7 +60,7 @@ def coordinator(home: Path) -> Iterator[Client]:
         "DRIVECAL_DATABASE_URL": _database_url(home),
     }
     # The guardian ends the server, whatever becomes of the demo: it notices when our end of its standard input is gone.
-    guardian = [sys.executable, "-m", "drivecal.campaigns.guardian", str(SECONDS_TO_STOP), ""]
+    guardian = [sys.executable, "-m", "drivecal.server.guardian", str(SECONDS_TO_STOP), ""]
     serve = [sys.executable, "-m", "drivecal.cli", "serve", "--host", "127.0.0.1", "--port", "0", "--json"]
     with (home / ANNOUNCEMENT).open("wb") as announcement, (home / LOG).open("wb") as log:
         # In a session of its own: Ctrl-C reaches the demo alone, which then stops the server as it should be stopped.

@@ -16,8 +16,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from drivecal.campaigns.backend import BackendLostError
 from drivecal.domain.errors import UnavailableError
+from drivecal.execution.backend import BackendLostError
 
 OBJECT_STORE_BYTES = 80 * 2**20
 """Ray's least: batches and results travel with the calls, the object store stays empty."""

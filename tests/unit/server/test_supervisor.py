@@ -11,13 +11,13 @@ from pathlib import Path
 import psutil
 import pytest
 
-from drivecal.campaigns.guardian import members
-from drivecal.campaigns.supervisor import Pauses
+from drivecal.server.guardian import members
+from drivecal.server.supervisor import Pauses
 
 SCRIPT = """
 import os, sys, time
 from pathlib import Path
-from drivecal.campaigns.supervisor import ChildProcess, Supervisor
+from drivecal.server.supervisor import ChildProcess, Supervisor
 folder = Path(sys.argv[1])
 def missing():
     return [name for name in ("one", "two") if not (folder / name).exists()]

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from drivecal.campaigns.guardian import end_session
+from drivecal.server.guardian import end_session
 
 GRACE_SECONDS = 8.0
 """What a child may take to end in peace; with what the killing takes the server ends within ten."""
@@ -53,7 +53,7 @@ class _Child:
 
     def start(self) -> None:
         keep = ",".join(str(one) for one in self.specification.keep)
-        guardian = [sys.executable, "-m", "drivecal.campaigns.guardian", str(GRACE_SECONDS), keep]
+        guardian = [sys.executable, "-m", "drivecal.server.guardian", str(GRACE_SECONDS), keep]
         self.process = subprocess.Popen(  # noqa: S603  # the server's own commands
             [*guardian, *self.specification.command],
             stdin=subprocess.PIPE,  # never written to; its end tells the guardian that we are gone

@@ -12,12 +12,11 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import Any
 
-from drivecal.campaigns.backend import BackendLostError, Finished, Lost, Slot, WorkerInfo
-from drivecal.campaigns.ray_cluster import Cluster
-from drivecal.campaigns.trial import trial
 from drivecal.contracts.work import Batch, BatchResult
 from drivecal.domain.errors import DrivecalError
 from drivecal.domain.evaluations import Breakdown
+from drivecal.execution.backend import BackendLostError, Finished, Lost, Slot, WorkerInfo
+from drivecal.execution.ray_cluster import Cluster
 from drivecal.runtime.worker import Worker
 
 CALLS_PER_ACTOR = 2
@@ -100,14 +99,16 @@ class _Actor:
 class RayBackend:
     """See `Backend`. One per process. To be made, used and closed by the main thread."""
 
-    def __init__(self, options: RayOptions) -> None:
-        """Starts or joins Ray and starts the workers, without waiting for them. Raises UnavailableError where there is no Ray."""
+    def __init__(self, options: RayOptions, trial: Batch) -> None:
+        """Starts or joins Ray and starts the workers, without waiting for them; each has to run `trial` before it counts as ready.
+
+        Raises UnavailableError where there is no Ray."""
         self._options = options
         self._cluster = Cluster(options.address, options.workers)
         self._ray = self._cluster.ray
         spread = {"scheduling_strategy": "SPREAD"} if options.address else {}
         self._actor_class = self._ray.remote(num_cpus=1, max_restarts=0, max_task_retries=0, **spread)(Worker)
-        self._trial = trial()
+        self._trial = trial
         count = options.workers or max(1, self._cluster.cpus())
         self._actors = [_Actor(index) for index in range(1, count + 1)]
         for actor in self._actors:

@@ -9,14 +9,14 @@ import socket
 import sys
 from collections.abc import Callable, Sequence
 
-from drivecal.campaigns.settings import Settings
-from drivecal.campaigns.supervisor import ChildProcess, Supervisor
+from drivecal.configuration.settings import Settings
 from drivecal.domain.errors import ConflictError, DrivecalError, InvalidInputError, Problem
+from drivecal.server.supervisor import ChildProcess, Supervisor
 from drivecal.storage import locks, processes
 from drivecal.storage.database import Database
 from drivecal.storage.types import now
 
-DISPATCHER = (sys.executable, "-m", "drivecal.campaigns.dispatcher")
+DISPATCHER = (sys.executable, "-m", "drivecal.dispatch")
 BACKLOG = 512
 PROBE_SECONDS = 2.0
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from drivecal.campaigns.settings import Settings, load_settings
+from drivecal.configuration.settings import Settings, load_settings
 from drivecal.domain.errors import InvalidInputError
 
 

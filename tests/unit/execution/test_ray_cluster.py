@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from drivecal.campaigns import ray_cluster
-from drivecal.campaigns.ray_cluster import LONGEST_FOLDER, _PrivateFolder
+from drivecal.execution import ray_cluster
+from drivecal.execution.ray_cluster import LONGEST_FOLDER, _PrivateFolder
 
 
 @pytest.fixture

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import logging
 import os
-import signal
-import sys
 import threading
 import time
 from collections.abc import Callable, Collection, Sequence
@@ -20,15 +18,13 @@ from drivecal.campaigns.evaluation import SingleEvaluation
 from drivecal.campaigns.ledger import Work
 from drivecal.campaigns.pinned import problem_of
 from drivecal.campaigns.planning import View
-from drivecal.campaigns.pool import WorkPool
 from drivecal.campaigns.problem import EvaluationProblem
-from drivecal.campaigns.ray_backend import RayBackend, RayOptions
-from drivecal.campaigns.scheduler import Completed
-from drivecal.campaigns.settings import load_settings
 from drivecal.campaigns.staged import StagedCampaign
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import ConflictError, DrivecalError, UnavailableError
-from drivecal.storage import campaigns, locks, processes
+from drivecal.execution.pool import WorkPool
+from drivecal.execution.scheduler import Completed
+from drivecal.storage import campaigns, processes
 from drivecal.storage.campaigns import CampaignHeading, StoredCampaign
 from drivecal.storage.database import Database
 from drivecal.storage.types import now
@@ -264,44 +260,3 @@ def _without(work: Sequence[Work], answered: Collection[int]) -> list[Work]:
     """Work less the cells whose results are there already."""
     left = (Work(one.setup, tuple(cell for cell in one.cells if cell.id not in answered)) for one in work)
     return [one for one in left if one.cells]
-
-
-def main() -> int:
-    """The process: `python -m drivecal.campaigns.dispatcher`, with the settings of `DRIVECAL_*`."""
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s dispatcher: %(message)s")
-    stop = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: stop.set())
-    try:
-        settings = load_settings()
-        database = Database.open(settings.database_url)
-        database.check()
-        with locks.hold(settings.database_url) as lock:
-            backend = _backend(RayOptions(settings.ray_address, settings.workers), stop)
-            if backend is None:
-                return 0
-            try:
-                Dispatcher(database, WorkPool(backend), lock.renew).run(stop)
-            finally:
-                backend.close()
-    except DrivecalError as error:
-        log.error("%s", error)  # noqa: TRY400  # the sentence says it all; a traceback would bury it
-        return 1
-    return 0
-
-
-def _backend(options: RayOptions, stop: threading.Event) -> RayBackend | None:
-    """Ray, waited for; None where the process is to end first."""
-    pause = 1.0
-    while not stop.is_set():
-        try:
-            return RayBackend(options)
-        except UnavailableError as error:
-            log.warning("waiting for Ray: %s", error)
-            stop.wait(pause)
-            pause = min(2 * pause, 10.0)
-    return None
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.support.fake_backend import Behaviour, FakeBackend
 
-from drivecal.campaigns.pool import PATIENCE_WITH_REFUSALS, WorkPool
-from drivecal.campaigns.scheduler import ATTEMPTS, WITNESSES, Completed
-from drivecal.campaigns.standing import BATCHES_WITHOUT_RESULT
 from drivecal.contracts.work import Cell, SetupRequest
+from drivecal.execution.pool import PATIENCE_WITH_REFUSALS, WorkPool
+from drivecal.execution.scheduler import ATTEMPTS, WITNESSES, Completed
+from drivecal.execution.standing import BATCHES_WITHOUT_RESULT
 
 
 def setup(scenario: str = "S1") -> SetupRequest:

@@ -7,10 +7,10 @@ import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 
-from drivecal.campaigns.backend import Backend, Finished, WorkerInfo
-from drivecal.campaigns.batching import BatchPolicy
-from drivecal.campaigns.scheduler import Completed, Scheduler
 from drivecal.contracts.work import BatchResult, Cell, SetupRequest
+from drivecal.execution.backend import Backend, Finished, WorkerInfo
+from drivecal.execution.batching import BatchPolicy
+from drivecal.execution.scheduler import Completed, Scheduler
 
 PATIENCE_WITH_REFUSALS = 30.0
 """Seconds after which a worker that refuses what is to be done is replaced: its installation may have been mended meanwhile."""

@@ -15,10 +15,10 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from drivecal.campaigns.batching import BatchPolicy, CellCosts, batch_size
-from drivecal.campaigns.standing import Standings
 from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult, SetupRequest
 from drivecal.domain.evaluations import Breakdown
+from drivecal.execution.batching import BatchPolicy, CellCosts, batch_size
+from drivecal.execution.standing import Standings
 
 ATTEMPTS = 3
 """How often a cell is sent before it has failed."""

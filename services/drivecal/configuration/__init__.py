@@ -1,0 +1,1 @@
+"""How the processes of the coordinator are set up from outside."""

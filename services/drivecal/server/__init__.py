@@ -1,0 +1,1 @@
+"""The processes of the coordinator: started, supervised and ended together."""
