@@ -18,4 +18,5 @@ def ranking(objectives: Floats, tie_breakers: Floats) -> Indices:
     """
     first = np.where(np.isnan(objectives), -np.inf, np.round(objectives, EQUAL_DECIMALS))
     second = np.where(np.isnan(tie_breakers), -np.inf, tie_breakers)
-    return np.lexsort((-second, -first)).astype(np.int64)  # stable: equal keys stay in order of position
+    order: Indices = np.lexsort((-second, -first)).astype(np.int64)  # stable: equal keys stay in order of position
+    return order

@@ -303,7 +303,7 @@ def test_apart_from_one_flip_every_bit_of_a_child_is_one_of_its_parents(seed: in
 def test_individuals_without_a_result_are_replaced_first() -> None:
     optimizer = GENETIC.create(chosen(GENETIC, population=20), SMALL)
     optimizer.ask()
-    objectives = np.arange(20.0)
+    objectives = np.arange(20, dtype=np.float64)
     objectives[[15, 19]] = np.nan
     optimizer.tell(objectives, np.zeros(20))
     assert set(np.flatnonzero(optimizer.ask().changed)) == {15, 19, 0, 1, 2}

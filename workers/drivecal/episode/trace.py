@@ -84,7 +84,7 @@ class Recorder:
         neighbours = np.array(self._neighbours).reshape(n, len(self.scenario.traffic), 4)
         return Trace(
             scenario=self.scenario.id,
-            times=np.arange(1.0, n + 1.0) * self.scenario.step,
+            times=np.arange(1, n + 1, dtype=np.float64) * self.scenario.step,
             ego=np.array(self._poses).reshape(n, len(EGO_COLUMNS)),
             frenet=drive.motion[1 : n + 1, [0, 3]].copy(),
             plans=self._plans,
