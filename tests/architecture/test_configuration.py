@@ -66,7 +66,7 @@ def test_types_are_checked_strictly_and_everywhere() -> None:
     assert set(mypy["files"]) == {"shared", "services", "workers", "tests"}
     assert set(mypy["mypy_path"]) >= {"shared", "services", "workers"}
     relaxed = {key for override in mypy.get("overrides", []) for key in override} - {"module"}
-    assert relaxed <= {"ignore_missing_imports", "follow_untyped_imports", "disallow_untyped_decorators"}
+    assert relaxed <= {"ignore_missing_imports", "follow_untyped_imports", "disallow_untyped_decorators", "warn_return_any"}
 
 
 def test_the_linter_knows_the_three_roots() -> None:

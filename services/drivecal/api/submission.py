@@ -83,6 +83,7 @@ def _queue(
         rerun_of=rerun_of,
         idempotency_key=key,
         body_digest=body,
+        priority=specification.priority,
     )
 
 

@@ -37,7 +37,7 @@ LOOK_SECONDS = 0.25
 """How often new campaigns and requests are looked for."""
 HEARTBEAT_SECONDS = 1.0
 POLL_SECONDS = 0.1
-EVALUATION_PRIORITY = 10
+EVALUATION_PRIORITY = 1000
 """Somebody waits for a single evaluation; a campaign can wait a batch longer."""
 
 Job = StagedCampaign | SingleEvaluation
@@ -59,7 +59,7 @@ class _Active:
 
     @property
     def priority(self) -> int:
-        return EVALUATION_PRIORITY if self.campaign.kind == "evaluation" else 0
+        return EVALUATION_PRIORITY if self.campaign.kind == "evaluation" else self.campaign.priority
 
 
 class Dispatcher:

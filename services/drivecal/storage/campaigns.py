@@ -35,12 +35,16 @@ class CampaignHeading:
     name: str
     state: CampaignState
     requested_action: Action | None
+    priority: int
+    """The higher, the earlier; equal ones share the workers."""
 
 
 @dataclass(frozen=True, slots=True)
 class StoredCampaign(CampaignHeading):
     """A campaign as it is stored."""
 
+    revision: int
+    """Grows with every change of the row."""
     stage: Stage | None
     iteration: int | None
     spec: Mapping[str, Any]
@@ -94,6 +98,7 @@ def insert(
     rerun_of: str | None = None,
     idempotency_key: str | None = None,
     body_digest: str | None = None,
+    priority: int = 0,
 ) -> StoredCampaign:
     """Queues a campaign, or gives the one that an earlier request with the same `idempotency_key` queued.
 
@@ -104,6 +109,7 @@ def insert(
         "kind": kind,
         "name": name,
         "state": CampaignState.QUEUED,
+        "priority": priority,
         "spec": dict(spec),
         "rerun_of": rerun_of,
         "influence_map_id": influence_map_id,
@@ -173,13 +179,13 @@ def page(
 
 
 def active(connection: Connection) -> list[CampaignHeading]:
-    """All campaigns that have not ended, the oldest first: what the dispatcher looks after."""
+    """All campaigns that have not ended, in the order in which they are to be started: what the dispatcher looks after."""
     states = [state for state in CampaignState if not state.ended]
     columns = [campaigns.c[one.name] for one in fields(CampaignHeading)]
-    query = select(*columns).where(campaigns.c.ended_at.is_(None), campaigns.c.state.in_(states)).order_by(campaigns.c.sequence)
+    query = select(*columns).where(campaigns.c.ended_at.is_(None), campaigns.c.state.in_(states))
     return [
-        CampaignHeading(row.sequence, row.id, row.kind, row.name, CampaignState(row.state), row.requested_action)
-        for row in connection.execute(query)
+        CampaignHeading(row.sequence, row.id, row.kind, row.name, CampaignState(row.state), row.requested_action, row.priority)
+        for row in connection.execute(query.order_by(campaigns.c.priority.desc(), campaigns.c.sequence))
     ]
 
 
@@ -300,7 +306,7 @@ def degrade(connection: Connection, sequences: Collection[int], reason: str | No
     """Says of running campaigns why they go on more slowly, or not at all, for now; None where all is well."""
     if sequences:
         changed = campaigns.c.sequence.in_(list(sequences)) & campaigns.c.degraded.is_distinct_from(reason)
-        connection.execute(update(campaigns).where(changed).values(degraded=reason))
+        connection.execute(update(campaigns).where(changed).values(degraded=reason, revision=campaigns.c.revision + 1))
 
 
 def end(connection: Connection, sequence: int, state: CampaignState, error: str | None = None) -> bool:
@@ -315,7 +321,7 @@ def end(connection: Connection, sequence: int, state: CampaignState, error: str 
 
 
 def _of(sequence: int) -> Update:
-    return update(campaigns).where(campaigns.c.sequence == sequence)
+    return update(campaigns).where(campaigns.c.sequence == sequence).values(revision=campaigns.c.revision + 1)
 
 
 def _campaign(row: Row[Any]) -> StoredCampaign:
@@ -326,6 +332,8 @@ def _campaign(row: Row[Any]) -> StoredCampaign:
         name=row.name,
         state=CampaignState(row.state),
         requested_action=row.requested_action,
+        priority=row.priority,
+        revision=row.revision,
         stage=row.stage,
         iteration=row.iteration,
         spec=row.spec or {},

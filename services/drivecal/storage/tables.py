@@ -53,6 +53,8 @@ campaigns = Table(
     Column("name", Text, nullable=False),
     Column("state", Name, nullable=False),
     Column("requested_action", Name),
+    Column("priority", Integer, nullable=False, server_default="0"),
+    Column("revision", Integer, nullable=False, server_default="0"),
     Column("stage", StageNumber),
     Column("iteration", Integer),
     Column("spec", Document, nullable=False),
@@ -213,6 +215,7 @@ evaluations = Table(
     Column("milliseconds", Float),
     Column("worker", Text),
     Column("attempts", Integer, nullable=False),
+    Column("detail", Text),
     UniqueConstraint("campaign_sequence", "stage", "iteration", "individual", "scenario"),
     # The plan is in the two look-up indexes, or a class that answered thousands of cells would be read in full to find its donor.
     Index(None, "campaign_sequence", "scenario", "reference_key", "plan"),
@@ -235,4 +238,28 @@ processes = Table(
     Column("started_at", UtcDateTime, nullable=False),
     Column("heartbeat_at", UtcDateTime, nullable=False),
     Column("detail", Document, nullable=False),
+    Column("term", Integer, nullable=False, server_default="0"),
+)
+
+leases = Table(  # cells at workers, and those that broke down there before; a cell with its answer has none
+    "leases",
+    metadata,
+    Column("evaluation_id", Identity, ForeignKey("evaluations.id"), primary_key=True, autoincrement=False),
+    Column("number", Integer, nullable=False),
+    Column("attempts", Integer, nullable=False),
+    Column("term", Integer, nullable=False),
+    Column("expires_at", UtcDateTime, nullable=False),
+)
+
+events = Table(
+    "events",
+    metadata,
+    Column("id", Identity, primary_key=True),
+    Column("campaign_sequence", Identity, ForeignKey("campaigns.sequence"), nullable=False),
+    Column("kind", Name, nullable=False),
+    Column("data", Document, nullable=False),
+    Column("created_at", UtcDateTime, nullable=False),
+    Index(None, "campaign_sequence", "id"),
+    Index(None, "created_at"),
+    sqlite_autoincrement=True,
 )

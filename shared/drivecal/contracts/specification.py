@@ -113,6 +113,8 @@ class CampaignSpecification(Model):
     """A whole campaign. Everything has a default, so that `{}` is the paper's problem."""
 
     name: Name = "campaign"
+    priority: Annotated[int, Field(ge=-100, le=100)] = 0
+    """Cells of a higher priority go first; campaigns of the same one share the workers."""
     catalogue: Identifier | Annotated[list[Identifier], Field(min_length=1, max_length=1000)] = "highway"
     parameters: Identifier | Annotated[list[ParameterSpecification], Field(min_length=1, max_length=200)] = "highway"
     fixed: Annotated[dict[Identifier, Number], Field(max_length=200)] = {}
