@@ -12,8 +12,8 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.parameters import Indices
+from drivecal.optimizers.checks import searchable
 
 Bits = npt.NDArray[np.bool_]
 
@@ -23,13 +23,7 @@ class BitEncoding:
 
     def __init__(self, n_values: Indices) -> None:
         """`n_values`: grid sizes, shape (n_searched,). Raises InvalidInputError where there is nothing to search."""
-        if n_values.size == 0:
-            raise InvalidInputError(Problem("fixed", "every parameter is fixed", "leave at least one to be searched"))
-        if n_values.min() < 2:
-            raise InvalidInputError(
-                Problem("parameters", "a searched parameter has fewer than two values", "name it in `fixed`")
-            )
-        self.n_values = n_values.astype(np.int64)
+        self.n_values = searchable(n_values)
         self.bits: Indices = np.array([(n - 1).bit_length() for n in n_values.tolist()], dtype=np.int64)
         """Bits per parameter, k, shape (n_searched,)."""
 

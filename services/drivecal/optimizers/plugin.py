@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import Annotated, Any, Generic, Literal, TypeVar
+from typing import Annotated, Any, Generic, Literal, Protocol, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -13,8 +13,8 @@ from drivecal.contracts.specification import OptimizerSpecification
 from drivecal.domain.parameters import Indices
 from drivecal.optimizers.genetic import GeneticAlgorithm, pairs_per_generation
 from drivecal.optimizers.random_search import RandomSearch
-from drivecal.optimizers.replacement import ReplacementOptimizer
 from drivecal.optimizers.start import start_population
+from drivecal.optimizers.swarm import ParticleSwarm
 from drivecal.plugins.ports import Optimizer, OptimizerPlugin
 
 Share = Annotated[float, Field(gt=0, le=1)]
@@ -48,10 +48,28 @@ class RandomSettings(OptimizerSpecification):
         return max(1, round(self.renewal * self.population))
 
 
+class SwarmSettings(OptimizerSpecification):
+    """The paper's c_1 and c_2 (Table 4), and the inertia factor that Eq. 4 leaves blank: 1 as it is printed."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    kind: Literal["swarm"] = "swarm"
+    c1: Annotated[float, Field(ge=0, le=1)] = 0.5
+    c2: Annotated[float, Field(ge=0, le=1)] = 0.5
+    inertia: Annotated[float, Field(ge=0, le=1)] = 1.0
+
+
 Chosen = TypeVar("Chosen", bound=OptimizerSpecification)
 
 
-class ReplacementPlugin(ABC, Generic[Chosen]):
+class Resumable(Optimizer, Protocol):
+    """An optimizer whose state can be replaced by a saved one."""
+
+    def resume(self, state: Mapping[str, Any]) -> None:
+        """Goes on from `state`. Raises InvalidInputError where it does not fit."""
+
+
+class BuiltIn(ABC, Generic[Chosen]):
     """What the plug-ins of this package have in common: see `drivecal.plugins.ports.OptimizerPlugin`."""
 
     name: str
@@ -63,12 +81,10 @@ class ReplacementPlugin(ABC, Generic[Chosen]):
 
     @abstractmethod
     def _renewed(self, settings: Chosen) -> int:
-        """How many individuals each iteration after the first requests."""
+        """How many individuals each iteration after the first requests at most."""
 
     @abstractmethod
-    def _optimizer(
-        self, settings: Chosen, first: Indices, n_values: Indices, generator: np.random.Generator
-    ) -> ReplacementOptimizer:
+    def _optimizer(self, settings: Chosen, first: Indices, n_values: Indices, generator: np.random.Generator) -> Resumable:
         """One that starts from the population `first`."""
 
     def requested_individuals(self, settings: BaseModel) -> int:
@@ -97,7 +113,7 @@ class ReplacementPlugin(ABC, Generic[Chosen]):
         return settings
 
 
-class GeneticPlugin(ReplacementPlugin[GeneticSettings]):
+class GeneticPlugin(BuiltIn[GeneticSettings]):
     """`optimizer: {kind: genetic}`."""
 
     name = "genetic"
@@ -119,7 +135,7 @@ class GeneticPlugin(ReplacementPlugin[GeneticSettings]):
         )
 
 
-class RandomPlugin(ReplacementPlugin[RandomSettings]):
+class RandomPlugin(BuiltIn[RandomSettings]):
     """`optimizer: {kind: random}`."""
 
     name = "random"
@@ -134,5 +150,21 @@ class RandomPlugin(ReplacementPlugin[RandomSettings]):
         return RandomSearch(first, n_values, renewed=settings.renewed, generator=generator)
 
 
+class SwarmPlugin(BuiltIn[SwarmSettings]):
+    """`optimizer: {kind: swarm}`."""
+
+    name = "swarm"
+    settings = SwarmSettings
+
+    def _renewed(self, settings: SwarmSettings) -> int:
+        return settings.population  # all of them move
+
+    def _optimizer(
+        self, settings: SwarmSettings, first: Indices, n_values: Indices, generator: np.random.Generator
+    ) -> ParticleSwarm:
+        return ParticleSwarm(first, n_values, c1=settings.c1, c2=settings.c2, inertia=settings.inertia, generator=generator)
+
+
 GENETIC: OptimizerPlugin = GeneticPlugin()
 RANDOM: OptimizerPlugin = RandomPlugin()
+SWARM: OptimizerPlugin = SwarmPlugin()

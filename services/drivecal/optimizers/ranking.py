@@ -16,7 +16,13 @@ def ranking(objectives: Floats, tie_breakers: Floats) -> Indices:
 
     NaN, an individual without a result, comes last.
     """
-    first = np.where(np.isnan(objectives), -np.inf, np.round(objectives, EQUAL_DECIMALS))
-    second = np.where(np.isnan(tie_breakers), -np.inf, tie_breakers)
+    first, second = fitness(objectives, tie_breakers).T
     order: Indices = np.lexsort((-second, -first)).astype(np.int64)  # stable: equal keys stay in order of position
     return order
+
+
+def fitness(objectives: Floats, tie_breakers: Floats) -> Floats:
+    """What is compared, the first column before the second, higher is fitter; shape (n, 2). NaN is the lowest there is."""
+    first = np.where(np.isnan(objectives), -np.inf, np.round(objectives, EQUAL_DECIMALS))
+    second = np.where(np.isnan(tie_breakers), -np.inf, tie_breakers)
+    return np.column_stack([first, second])

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.parameters import Indices
+from drivecal.optimizers.checks import checked_answers, fitting
 from drivecal.optimizers.ranking import ranking
 from drivecal.optimizers.state import dump_floats, dump_generator, load_floats, load_generator
 from drivecal.plugins.ports import Floats, Proposal
@@ -58,11 +58,7 @@ class ReplacementOptimizer(ABC):
         """
         if self._objectives is not None:
             raise RuntimeError("the objectives of this population are known already; ask for the next one")
-        for name, values in (("objectives", objectives), ("tie_breakers", tie_breakers)):
-            if values.shape != self._changed.shape or np.isinf(values).any():
-                raise ValueError(f"{name} must be {len(self._changed)} numbers, finite or NaN")
-        self._objectives = objectives.astype(np.float64)
-        self._tie_breakers = tie_breakers.astype(np.float64)
+        self._objectives, self._tie_breakers = checked_answers(objectives, tie_breakers, len(self._changed))
 
     def state(self) -> dict[str, Any]:
         """All of it as data for strict JSON: individuals, what the last `ask` changed, their answers if told, the generator."""
@@ -76,12 +72,7 @@ class ReplacementOptimizer(ABC):
 
     def resume(self, state: Mapping[str, Any]) -> None:
         """Goes on from `state`. Raises InvalidInputError where it belongs to a population of another size or another space."""
-        individuals = np.array(state["individuals"], dtype=np.int64)
-        if individuals.shape != self._individuals.shape:
-            found, wanted = individuals.shape, self._individuals.shape
-            remedy = "resume with the settings and the parameters it was saved with"
-            raise InvalidInputError(Problem("optimizer", f"the saved population is {found}, not {wanted}", remedy))
-        self._individuals = individuals
+        self._individuals = fitting(np.array(state["individuals"], dtype=np.int64), self._individuals)
         self._changed = np.array(state["changed"], dtype=np.bool_)
         self._objectives = load_floats(state["objectives"])
         self._tie_breakers = load_floats(state["tie_breakers"])

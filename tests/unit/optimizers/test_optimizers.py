@@ -1,4 +1,4 @@
-"""What every optimizer of the replacing kind promises, and what the genetic algorithm promises beyond."""
+"""What every optimizer promises, what those of the replacing kind promise, and what the genetic algorithm promises beyond."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from scipy import stats
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.parameters import Indices
 from drivecal.optimizers.encoding import BitEncoding
-from drivecal.optimizers.plugin import GENETIC, RANDOM, GeneticSettings, RandomSettings
+from drivecal.optimizers.plugin import GENETIC, RANDOM, SWARM, GeneticSettings, RandomSettings
 from drivecal.optimizers.ranking import ranking
 from drivecal.plugins.ports import Floats, Optimizer, OptimizerPlugin
 
@@ -25,7 +25,8 @@ HIGHWAY = np.array([59, 201, 201, 2001, 1501, 101, 201, 2001, 101, 201, 201])
 SMALL = np.array([5, 16, 3, 40])
 
 Told = list[tuple[Indices, npt.NDArray[np.bool_]]]
-both = pytest.mark.parametrize("plugin", [GENETIC, RANDOM], ids=["genetic", "random"])
+every = pytest.mark.parametrize("plugin", [GENETIC, RANDOM, SWARM], ids=["genetic", "random", "swarm"])
+replacing = pytest.mark.parametrize("plugin", [GENETIC, RANDOM], ids=["genetic", "random"])
 
 
 def chosen(plugin: OptimizerPlugin, **values: Any) -> BaseModel:
@@ -58,14 +59,14 @@ def assert_same(one: Told, other: Told) -> None:
         assert np.array_equal(changed, other_changed)
 
 
-@both
+@every
 def test_the_same_seed_gives_the_same_populations_and_another_seed_others(plugin: OptimizerPlugin) -> None:
     one, same, other = (drive(plugin.create(chosen(plugin, population=40, seed=seed), HIGHWAY), 5) for seed in (7, 7, 8))
     assert_same(one, same)
     assert not np.array_equal(one[0][0], other[0][0])
 
 
-@both
+@every
 @given(seed=st.integers(0, 2**63 - 1), stop=st.integers(0, 6), asked=st.booleans(), population=st.integers(2, 30))
 @settings(max_examples=60)
 def test_a_resumed_run_equals_an_uninterrupted_one(
@@ -81,7 +82,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one(
     assert_same(begun + drive(second, 9 - stop), whole)
 
 
-@both
+@every
 def test_a_run_restored_between_ask_and_tell_takes_the_answers_without_asking_again(plugin: OptimizerPlugin) -> None:
     options = chosen(plugin, population=20)
     whole = drive(plugin.create(options, SMALL), 6)
@@ -93,7 +94,7 @@ def test_a_run_restored_between_ask_and_tell_takes_the_answers_without_asking_ag
     assert_same(drive(second, 3), whole[3:])
 
 
-@both
+@every
 def test_a_run_with_missing_results_resumes_as_well(plugin: OptimizerPlugin) -> None:
     def patchy(population: Indices) -> tuple[Floats, Floats]:
         objectives, ratings = coarse(population)
@@ -108,14 +109,14 @@ def test_a_run_with_missing_results_resumes_as_well(plugin: OptimizerPlugin) -> 
     assert_same(begun + drive(second, 4, patchy), whole)
 
 
-@both
+@every
 def test_asking_twice_gives_the_same_proposal(plugin: OptimizerPlugin) -> None:
     optimizer = plugin.create(chosen(plugin, population=20), SMALL)
     drive(optimizer, 3)
     assert_same([(p.population, p.changed) for p in [optimizer.ask()]], [(p.population, p.changed) for p in [optimizer.ask()]])
 
 
-@both
+@every
 def test_what_a_caller_does_to_a_proposal_does_not_reach_the_optimizer(plugin: OptimizerPlugin) -> None:
     optimizer = plugin.create(chosen(plugin, population=20), SMALL)
     drive(optimizer, 3)
@@ -127,7 +128,7 @@ def test_what_a_caller_does_to_a_proposal_does_not_reach_the_optimizer(plugin: O
     assert_same([kept], [(again.population, again.changed)])
 
 
-@both
+@replacing
 @given(seed=st.integers(0, 1000), population=st.integers(2, 50))
 @settings(max_examples=50)
 def test_all_but_the_least_fit_stay_exactly_as_they_were(plugin: OptimizerPlugin, seed: int, population: int) -> None:
@@ -144,7 +145,7 @@ def test_all_but_the_least_fit_stay_exactly_as_they_were(plugin: OptimizerPlugin
         before = after
 
 
-@both
+@replacing
 @given(seed=st.integers(0, 1000), population=st.integers(2, 50))
 @settings(max_examples=30)
 def test_the_best_objective_never_falls(plugin: OptimizerPlugin, seed: int, population: int) -> None:
@@ -153,14 +154,14 @@ def test_the_best_objective_never_falls(plugin: OptimizerPlugin, seed: int, popu
     assert np.all(np.diff(best) >= 0)
 
 
-@both
+@every
 def test_populations_stay_on_the_grid(plugin: OptimizerPlugin) -> None:
     for population, _ in drive(plugin.create(chosen(plugin, population=60), HIGHWAY), 20):
         assert population.min() >= 0
         assert np.all(population < HIGHWAY)
 
 
-@both
+@replacing
 @pytest.mark.parametrize("population", [2, 37, 350, 1000])
 def test_the_announced_number_of_requested_individuals_is_the_true_one(plugin: OptimizerPlugin, population: int) -> None:
     options = chosen(plugin, population=population, iterations=7)
@@ -168,7 +169,7 @@ def test_the_announced_number_of_requested_individuals_is_the_true_one(plugin: O
     assert requested == plugin.requested_individuals(options)
 
 
-@both
+@replacing
 def test_with_the_papers_settings_about_a_third_of_the_proposed_is_requested(plugin: OptimizerPlugin) -> None:
     options = plugin.settings()
     told = drive(plugin.create(options, HIGHWAY), 20)
@@ -176,14 +177,14 @@ def test_with_the_papers_settings_about_a_third_of_the_proposed_is_requested(plu
     assert plugin.requested_individuals(options) / 20_000 == pytest.approx(0.316)  # the paper's own run: 42,887 of 120,000
 
 
-@both
+@every
 def test_expert_sets_are_proposed_first(plugin: OptimizerPlugin) -> None:
     expert = np.array([[1, 2, 1, 3], [4, 15, 2, 39]])
     proposal = plugin.create(chosen(plugin, population=10), SMALL, expert).ask()
     assert np.array_equal(proposal.population[:2], expert)
 
 
-@both
+@every
 def test_telling_twice_is_refused(plugin: OptimizerPlugin) -> None:
     optimizer = plugin.create(chosen(plugin, population=4), SMALL)
     answers = coarse(optimizer.ask().population)
@@ -192,7 +193,7 @@ def test_telling_twice_is_refused(plugin: OptimizerPlugin) -> None:
         optimizer.tell(*answers)
 
 
-@both
+@every
 @pytest.mark.parametrize(
     "wrong", [np.zeros(3), np.zeros((4, 1)), np.array([0, 0, 0, np.inf])], ids=["short", "matrix", "infinite"]
 )
@@ -205,7 +206,7 @@ def test_answers_that_do_not_fit_are_refused(plugin: OptimizerPlugin, wrong: Flo
         optimizer.tell(np.zeros(4), wrong)
 
 
-@both
+@every
 def test_a_state_of_another_population_is_refused(plugin: OptimizerPlugin) -> None:
     state = plugin.create(chosen(plugin, population=4), SMALL).state()
     with pytest.raises(InvalidInputError, match=r"the saved population is \(4, 4\), not \(5, 4\)"):
@@ -227,12 +228,12 @@ def test_defaults_are_those_of_the_campaign_file() -> None:
     assert GeneticSettings().model_dump(include=set(defaults)) == defaults
 
 
-@both
+@every
 @pytest.mark.parametrize(
     ("field", "value"),
     [
         ("population", 1), ("population", 1e30), ("population", 10**30), ("population", True), ("population", "20"),
-        ("iterations", 0), ("seed", -1), ("seed", 2**63), ("start", "sobol"), ("kind", "swarm"), ("colour", "red"),
+        ("iterations", 0), ("seed", -1), ("seed", 2**63), ("start", "sobol"), ("kind", "ants"), ("colour", "red"),
     ],
 )  # fmt: skip
 def test_settings_out_of_bounds_are_refused_by_name(plugin: OptimizerPlugin, field: str, value: object) -> None:

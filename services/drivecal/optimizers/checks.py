@@ -1,0 +1,39 @@
+"""What every optimizer checks: the grid that it is to search, what it is told, a state that it is to go on from."""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.domain.parameters import Indices
+from drivecal.plugins.ports import Floats
+
+Individuals = TypeVar("Individuals", bound=npt.NDArray[Any])
+
+
+def searchable(n_values: Indices) -> Indices:
+    """Grid sizes, shape (n_searched,). Raises InvalidInputError where there is nothing to search."""
+    if n_values.size == 0:
+        raise InvalidInputError(Problem("fixed", "every parameter is fixed", "leave at least one to be searched"))
+    if n_values.min() < 2:
+        raise InvalidInputError(Problem("parameters", "a searched parameter has fewer than two values", "name it in `fixed`"))
+    return n_values.astype(np.int64)
+
+
+def checked_answers(objectives: Floats, tie_breakers: Floats, count: int) -> tuple[Floats, Floats]:
+    """Copies of both. Raises ValueError where there is not one finite number or NaN for each of `count` individuals."""
+    for name, values in (("objectives", objectives), ("tie_breakers", tie_breakers)):
+        if values.shape != (count,) or np.isinf(values).any():
+            raise ValueError(f"{name} must be {count} numbers, finite or NaN")
+    return objectives.astype(np.float64), tie_breakers.astype(np.float64)
+
+
+def fitting(saved: Individuals, own: npt.NDArray[Any]) -> Individuals:
+    """`saved` individuals. Raises InvalidInputError where they are of a population of another size or of another space than `own`."""
+    if saved.shape != own.shape:
+        remedy = "resume with the settings and the parameters it was saved with"
+        raise InvalidInputError(Problem("optimizer", f"the saved population is {saved.shape}, not {own.shape}", remedy))
+    return saved
