@@ -12,7 +12,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
-from pyswarms.single import GlobalBestPSO
 from scipy import stats
 
 from drivecal.domain.errors import InvalidInputError
@@ -143,6 +142,8 @@ def test_it_beats_random_search_with_the_same_population(objective: Callable[[In
 
 
 def best_of_pyswarms(objective: Callable[[Indices], Floats], seed: int) -> float:
+    from pyswarms.single import GlobalBestPSO  # opens a report.log where it is imported
+
     np.random.seed(seed)  # noqa: NPY002  # pyswarms draws from the global generator
     bounds = np.zeros(len(GRID)), np.ones(len(GRID))
     swarm = GlobalBestPSO(40, len(GRID), {"c1": 0.5, "c2": 0.5, "w": 0.7}, bounds=bounds, bh_strategy="nearest")
@@ -152,7 +153,7 @@ def best_of_pyswarms(objective: Callable[[Indices], Floats], seed: int) -> float
 
 def test_it_is_about_as_good_as_pyswarms_with_the_same_factors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Global best, bounds kept by stopping; pyswarms starts with other velocities. Success: within 1e-3 of the optimum."""
-    monkeypatch.chdir(tmp_path)  # pyswarms leaves a report.log where it runs
+    monkeypatch.chdir(tmp_path)
     ours = sum(best_of(SWARM, bowl, seed, inertia=0.7) > -1e-3 for seed in SEEDS)
     theirs = sum(best_of_pyswarms(bowl, seed) > -1e-3 for seed in SEEDS)
     assert ours >= 15
