@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import itertools
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult, SetupRequest
@@ -30,12 +30,21 @@ MOST_PASSED_OVER = 200
 
 @dataclass(frozen=True, slots=True)
 class Completed:
-    """The final answer of one cell: `attempts` counts how often it was sent."""
+    """The final answer of one cell: `attempts` counts the tries, its breakdowns and the one that gave the result."""
 
     tag: str
     worker: str
     result: CellResult
     attempts: int
+    leader: int | None = None
+    """The id of the identical cell that was sent in its place; None where it was sent itself."""
+    lease: int | None = None
+    """The number of the lease under which the result was obtained (the leader's, where there is one); whoever leases fills it in."""
+
+    @property
+    def shared(self) -> bool:
+        """True where an identical cell was simulated in its place."""
+        return self.leader is not None
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +56,8 @@ class Dispatch:
     batch: Batch
     expected_seconds: float | None
     alone: bool
+    breakdowns: Mapping[int, int]
+    """Of each cell of the batch, by its id: how often it broke down so far."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,17 +108,43 @@ class Scheduler:
         self._by_id: dict[int, _Entry] = {}
         self._batch_ids = itertools.count(1)
 
-    def add(self, setup: SetupRequest, cells: Sequence[Cell], tag: str, priority: int) -> None:
-        """Queues cells. Raises ValueError where a cell's id is outstanding already."""
+    def add(
+        self,
+        setup: SetupRequest,
+        cells: Sequence[Cell],
+        tag: str,
+        priority: int,
+        *,
+        exclusive: bool = False,
+        breakdowns: Mapping[int, int] | None = None,
+    ) -> None:
+        """Queues cells. One that is identical to an outstanding cell (setup, evaluator and every bit of the parameters) is not sent:
+        it takes the other's answer, unless one of the two is `exclusive`. `breakdowns`, by id: how often a cell broke down before
+        this scheduler knew it. Raises ValueError where a cell's id is outstanding already."""
         identifiers = [cell.id for cell in cells]
         twice = [identifier for identifier in identifiers if identifier in self._by_id]
         if twice or len(set(identifiers)) < len(identifiers):
             raise ValueError(f"cells are outstanding already or listed twice, e.g. {twice[:3] or identifiers[:3]}")
         group = self._waiting.setdefault(priority, {}).setdefault(_key(setup), deque())
         for cell in cells:
-            entry = _Entry(cell, setup, tag, priority)
+            entry = _Entry(cell, setup, tag, priority, attempts=(breakdowns or {}).get(cell.id, 0))
             self._by_id[cell.id] = entry
             group.append(entry)
+
+    def take_back(self, batch_id: int) -> None:
+        """A dispatch was not sent after all: its cells return to the front of their queues, as if they had not been taken out."""
+        self._take_back(self._sent.pop(batch_id))
+
+    def drop(self, batch_id: int, cells: Collection[int]) -> Dispatch | None:
+        """Some cells of a dispatch, which was not sent yet, are not to be simulated: they are forgotten, neither completed nor held.
+        Identical cells that waited for them wait for themselves. Returns the dispatch of what is left, to be sent in place of the
+        first one; None where nothing is."""
+        raise NotImplementedError
+
+    def take_breakdowns(self) -> dict[int, int]:
+        """The number of breakdowns, by id, of the outstanding cells for which it changed since the last call: to be written down, for
+        the scheduler that comes after this one (`add`)."""
+        raise NotImplementedError
 
     def meet(self, ready: Sequence[str]) -> None:
         """Tells which workers have started and live."""
@@ -178,8 +215,12 @@ class Scheduler:
                 completed += self._broke_down(entry, answer, result.worker)
         return completed
 
-    def lost(self, batch_id: int, worker: str, breakdown: Breakdown, detail: str) -> list[Completed]:
-        """Takes in the loss of a batch: its cells are tried again one by one; those with no attempts left have failed."""
+    def lost(
+        self, batch_id: int, worker: str, breakdown: Breakdown, detail: str, seconds: float | None = None
+    ) -> list[Completed]:
+        """Takes in the loss of a batch: its cells are tried again one by one; those with no attempts left have failed. `seconds`: how
+        long the worker was busy with it, where that is known: it is charged to the campaign's share of the workers' time."""
+        del seconds
         entries = self._sent.pop(batch_id, [])
         if breakdown is not Breakdown.ERROR:  # the worker is gone as well
             return [
@@ -214,7 +255,8 @@ class Scheduler:
         setup = entries[0].setup
         cost = self._costs.seconds_per_cell(_key(setup))
         expected = None if cost is None else cost * len(entries)
-        return Dispatch(worker, batch_id, Batch(setup, tuple(entry.cell for entry in entries)), expected, alone)
+        breakdowns = {entry.cell.id: entry.attempts - 1 for entry in entries}
+        return Dispatch(worker, batch_id, Batch(setup, tuple(entry.cell for entry in entries)), expected, alone, breakdowns)
 
     def _size(self, worker: str, setup: _SetupKey) -> int:
         if self._standings.on_probation(worker):
