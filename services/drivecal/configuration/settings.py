@@ -21,6 +21,8 @@ CONFIG_FILE = Path("drivecal.toml")
 MOST_WORKERS = 10_000
 
 Line = Annotated[str, StringConstraints(min_length=1, max_length=4096, pattern=r"^[^\x00-\x1f\x7f]+$")]
+Secret = Annotated[str, StringConstraints(min_length=1, max_length=4096, pattern=r"^[\x21-\x7e]+$")]
+"""Goes into an HTTP header as it is: printable ASCII without blanks."""
 
 
 class Settings(BaseSettings):
@@ -34,17 +36,27 @@ class Settings(BaseSettings):
     """SQLAlchemy URL; the default is the SQLite file `drivecal.db` in `home`."""
     url: Line = "http://127.0.0.1:8000"
     """Where clients find the server."""
-    token: Line | None = Field(default=None, repr=False)
+    token: Secret | None = Field(default=None, repr=False)
     """What clients show to the server."""
+    tokens_file: Path | None = None
+    """Whom the server serves, see `drivecal.configuration.tokens`; none: everybody on this machine, and nobody else."""
+    queued_campaigns: Annotated[int, Field(ge=1, le=1_000_000)] = 1000
+    """How many campaigns and evaluations may wait to be started before further ones are refused (429)."""
+    largest_campaign: Annotated[int, Field(ge=1, le=10**12)] = 10_000_000
+    """Cells that one campaign may propose, those of its sensitivity analysis included, before it is refused (413)."""
+    event_streams: Annotated[int, Field(ge=1, le=10_000)] = 100
+    """How many event streams may be open at once before further ones are refused (429)."""
     ray_address: Line | None = None
     """Of a running Ray cluster; none: the dispatcher starts a local one."""
     workers: Annotated[int, Field(ge=1, le=MOST_WORKERS)] | None = None
     """Simulations at a time; none: one per CPU."""
+    running_campaigns: Annotated[int, Field(ge=1, le=1000)] = 8
+    """Campaigns at a time; the others wait, those of higher priority the shortest. Single evaluations do not count."""
 
-    @field_validator("home")
+    @field_validator("home", "tokens_file")
     @classmethod
-    def _absolute(cls, value: Path) -> Path:
-        return value.expanduser().absolute()
+    def _absolute(cls, value: Path | None) -> Path | None:
+        return None if value is None else value.expanduser().absolute()
 
     @model_validator(mode="before")
     @classmethod
@@ -85,8 +97,8 @@ class Settings(BaseSettings):
 
     @property
     def environment(self) -> dict[str, str]:
-        """The same settings as environment variables, for child processes."""
-        values = self.model_dump(mode="json", exclude_none=True)
+        """The same settings as environment variables, for the server's processes. A client's token is none of theirs."""
+        values = self.model_dump(mode="json", exclude_none=True, exclude={"token"})
         return {f"{PREFIX}{name.upper()}": str(value) for name, value in values.items()}
 
 

@@ -68,3 +68,7 @@ class UnavailableError(DrivecalError):
 
 class DatabaseError(DrivecalError):
     """The database cannot be used as it is: no database, another program's, another version's, or held by another server."""
+
+
+class SupersededError(DrivecalError):
+    """Another process does this one's work by now: nothing more may be written."""

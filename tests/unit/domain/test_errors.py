@@ -15,6 +15,7 @@ from drivecal.domain.errors import (
     NoResultError,
     NotFoundError,
     Problem,
+    SupersededError,
     UnavailableError,
 )
 
@@ -25,6 +26,7 @@ EXAMPLES = [
     NoResultError("no parameter set has a result in every scenario"),
     UnavailableError("the server does not answer"),
     DatabaseError("the file is no database"),
+    SupersededError("another dispatcher was elected"),
 ]
 
 
