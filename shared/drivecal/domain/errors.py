@@ -72,3 +72,23 @@ class DatabaseError(DrivecalError):
 
 class SupersededError(DrivecalError):
     """Another process does this one's work by now: nothing more may be written."""
+
+
+class NotAuthorisedError(DrivecalError):
+    """The server does not know who is asking, or does not let them do it: a token is missing, wrong, or may only read."""
+
+
+class OverloadError(UnavailableError):
+    """There is no room for more at the moment. `retry_seconds`: when trying again may help."""
+
+    def __init__(self, message: str, retry_seconds: int) -> None:
+        super().__init__(message, retry_seconds)
+        self.message = message
+        self.retry_seconds = retry_seconds
+
+    def __str__(self) -> str:
+        return self.message
+
+
+class TooLargeError(InvalidInputError):
+    """The input is well-formed and asks for more than this server takes on."""

@@ -13,9 +13,12 @@ from drivecal.domain.errors import (
     DrivecalError,
     InvalidInputError,
     NoResultError,
+    NotAuthorisedError,
     NotFoundError,
+    OverloadError,
     Problem,
     SupersededError,
+    TooLargeError,
     UnavailableError,
 )
 
@@ -27,6 +30,9 @@ EXAMPLES = [
     UnavailableError("the server does not answer"),
     DatabaseError("the file is no database"),
     SupersededError("another dispatcher was elected"),
+    NotAuthorisedError("the server asks for a token"),
+    OverloadError("1,000 campaigns wait already", 30),
+    TooLargeError(Problem("optimizer.population", "10,000,000,000 cells are proposed", "give a smaller one")),
 ]
 
 

@@ -1,0 +1,150 @@
+"""Who may use the server: a text file with one token per line, read again whenever it changes.
+
+    # name  may     token
+    anna    write   Zs6Oq1fO1Hh0T7m1K0cY3A
+    plant2  read    9q2kT0bYw8vX5mJ4rL1nPg
+
+No message ever quotes a word of the file: whoever mixed up the columns would find the token in a log.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import logging
+import os
+import re
+import stat
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from drivecal.domain.errors import InvalidInputError, Problem
+
+SHORTEST = 16
+"""Characters of a token at least."""
+LONGEST = 512
+LARGEST_FILE = 1_048_576
+"""Bytes: whatever is larger is no file of tokens."""
+FORM = "one token per line: NAME read|write TOKEN"
+_NAME = re.compile(rb"[A-Za-z0-9][A-Za-z0-9_.@-]{0,63}")
+_PRINTABLE = re.compile(rb"[\x21-\x7e]+")
+
+log = logging.getLogger("drivecal.tokens")
+
+
+@dataclass(frozen=True, slots=True)
+class Token:
+    """Somebody's right to use the server; the token itself is kept as its SHA-256 only."""
+
+    name: str
+    may_write: bool
+    digest: bytes = field(repr=False)
+
+
+def parse(content: bytes, source: str) -> tuple[Token, ...]:
+    """The tokens in a file's content. Raises InvalidInputError naming `source` and line for everything that is wrong."""
+    tokens: list[Token] = []
+    problems: list[Problem] = []
+    first_lines: dict[str | bytes, int] = {}
+    for number, words in _lines(content):
+        where = f"{source}, line {number}"
+        wrong = _wrong(words)
+        if wrong is not None:
+            problems.append(Problem(where, *wrong))
+            continue
+        token = Token(words[0].decode("ascii"), words[1] == b"write", _digest(words[2]))
+        for key, kind in ((token.name, "name"), (token.digest, "token")):
+            if key in first_lines:
+                problems.append(Problem(where, f"the {kind} is that of line {first_lines[key]}", f"give each {kind} once"))
+            first_lines.setdefault(key, number)
+        tokens.append(token)
+    if problems:
+        raise InvalidInputError(*problems)
+    if not tokens:
+        raise InvalidInputError(Problem(source, "it holds no token", f"write {FORM}"))
+    return tuple(tokens)
+
+
+def _lines(content: bytes) -> Iterator[tuple[int, list[bytes]]]:
+    """The lines that are no comment, as words, with their numbers from 1."""
+    for number, line in enumerate(content.removeprefix(b"\xef\xbb\xbf").split(b"\n"), start=1):
+        words = line.split()
+        if words and not words[0].startswith(b"#"):
+            yield number, words
+
+
+def _wrong(words: list[bytes]) -> tuple[str, str] | None:
+    """What is wrong with a line, and what would be right; None where nothing is."""
+    if len(words) != 3:
+        return f"there are {len(words)} words", f"write {FORM}"
+    name, may, token = words
+    if may not in {b"read", b"write"}:
+        return "the second word is neither read nor write", f"write {FORM}"
+    if not _NAME.fullmatch(name):
+        return "the name is none", "give up to 64 letters, digits, `_`, `.`, `@` or `-` (ASCII)"
+    if not _PRINTABLE.fullmatch(token):
+        return "the token holds characters that are not ASCII, or not printable", "use letters and digits"
+    if not SHORTEST <= len(token) <= LONGEST:
+        return f"the token has {len(token)} characters", f"give {SHORTEST} to {LONGEST}, by chance"
+    return None
+
+
+def _digest(token: bytes) -> bytes:
+    return hashlib.sha256(token).digest()
+
+
+class TokenFile:
+    """The tokens of a file as it is now."""
+
+    def __init__(self, path: Path) -> None:
+        """Reads the file. Raises InvalidInputError where it cannot be read, or holds anything that is wrong."""
+        self._path = path
+        self._version = _version(path)
+        self.tokens = parse(_read(path), str(path))
+
+    def find(self, presented: bytes) -> Token | None:
+        """Whose token it is, None where it is nobody's. Takes equally long whatever was presented: digests of equal length are
+        compared, all of them, and none of them early."""
+        self._refresh()
+        digest, found = _digest(presented), None
+        for token in self.tokens:
+            if hmac.compare_digest(token.digest, digest):
+                found = token
+        return found
+
+    def _refresh(self) -> None:
+        """Reads the file again if it has changed; a version that is wrong changes nothing and is said once in the log."""
+        version = _version(self._path)
+        if version == self._version:
+            return
+        self._version = version
+        try:
+            self.tokens = parse(_read(self._path), str(self._path))
+        except InvalidInputError as error:
+            log.warning("the tokens stay as they were, for the file has become unusable: %s", error)
+        else:
+            log.warning("the tokens were read anew: there are %d now", len(self.tokens))
+
+
+def _version(path: Path) -> tuple[int, ...] | None:
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_mtime_ns, found.st_ctime_ns, found.st_size, found.st_ino
+
+
+def _read(path: Path) -> bytes:
+    try:
+        descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))  # a pipe must not keep the server waiting
+        with os.fdopen(descriptor, "rb") as file:
+            if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+                raise InvalidInputError(Problem(str(path), "it is no file", "name a text file with tokens"))
+            content = file.read(LARGEST_FILE + 1)
+    except OSError as error:
+        reason = f"it cannot be read: {error.strerror}"
+        raise InvalidInputError(Problem(str(path), reason, f"make it, {FORM}, or set another DRIVECAL_TOKENS_FILE")) from None
+    if len(content) > LARGEST_FILE:
+        raise InvalidInputError(Problem(str(path), f"it is larger than {LARGEST_FILE:,} bytes", f"write {FORM}"))
+    return content
