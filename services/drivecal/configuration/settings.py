@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, StringConstraints, ValidationError, field_validator, model_validator
 from pydantic_settings import BaseSettings, InitSettingsSource, PydanticBaseSettingsSource, SettingsConfigDict
@@ -50,6 +50,9 @@ class Settings(BaseSettings):
     """Of a running Ray cluster; none: the dispatcher starts a local one."""
     workers: Annotated[int, Field(ge=1, le=MOST_WORKERS)] | None = None
     """Simulations at a time; none: one per CPU."""
+    log_format: Literal["text", "json"] = "text"
+    """How the server writes its log: lines to read, or one JSON document per line."""
+    log_level: Literal["debug", "info", "warning", "error"] = "info"
     running_campaigns: Annotated[int, Field(ge=1, le=1000)] = 8
     """Campaigns at a time; the others wait, those of higher priority the shortest. Single evaluations do not count."""
 
