@@ -5,6 +5,9 @@ to a campaign's watermark, the first in the order of (campaign, stage, iteration
 which workers finish, so the first one may come late. Therefore a key keeps each run that comes before all runs of a smaller id: the
 last of those up to the watermark is the winner, for every watermark.
 
+What a donor gives (evaluation, score, rating, failure) is copied to its key, since neither a run nor its ratings ever change: so a look-up
+reads one tree only, and not the rows of runs, which are ten times as large and lie all over the table.
+
 Keys are indexed for each evaluator apart, of the runs that it has rated: one that it cannot rate answers nothing, and must not hide a
 later one that it can. Which it can rate follows from the stored metrics (`runs.insert_results`), so it is the same for everybody.
 """
@@ -36,6 +39,7 @@ _ORIGIN = (
     runs.c.iteration,
     runs.c.individual,
 )
+_COPIED = (runs.c.evaluation_id, ratings.c.score, ratings.c.rating, runs.c.failure)
 
 
 def look_up(
@@ -46,16 +50,12 @@ def look_up(
     newest: dict[bytes, Donor] = {}
     if index is None:
         return newest
-    for condition in among(connection, reference_keys.c.key, keys):
-        query = (
-            select(reference_keys.c.key, runs.c.id, runs.c.evaluation_id, runs.c.failure, ratings.c.score, ratings.c.rating)
-            .join(runs, runs.c.id == reference_keys.c.run_id)
-            .join(ratings, (ratings.c.run_id == reference_keys.c.run_id) & (ratings.c.evaluator == evaluator))
-            .where(reference_keys.c.index_id == index, condition, reference_keys.c.run_id <= watermark)
-        )
-        for key, run, evaluation, failure, score, rating in connection.execute(query):
-            if key not in newest or run > newest[key].run:
-                newest[key] = Donor(evaluation, run, score, rating, failure)
+    one = reference_keys.c
+    for condition in among(connection, one.key, sorted(keys)):  # in the order of the tree
+        query = select(one.key, one.evaluation_id, one.run_id, one.score, one.rating, one.failure)
+        for key, *donor in connection.execute(query.where(one.index_id == index, condition, one.run_id <= watermark)):
+            if key not in newest or donor[1] > newest[key].run:
+                newest[key] = Donor(*donor)
     return newest
 
 
@@ -88,7 +88,7 @@ def _sync_chunk(
 ) -> int:
     since = _since(connection, index)
     rows = connection.execute(
-        select(runs.c.id, *_ORIGIN, parameter_sets_table.c.parameter_values)
+        select(runs.c.id, *_COPIED, *_ORIGIN, parameter_sets_table.c.parameter_values)
         .join(parameter_sets_table)
         .join(ratings, (ratings.c.run_id == runs.c.id) & (ratings.c.evaluator == evaluator))
         .where(runs.c.setup_id == setup_id, runs.c.id > since, runs.c.id <= upto)
@@ -98,13 +98,13 @@ def _sync_chunk(
     if rows:
         keys = _keys(rows, key_function)
         first = {} if since == 0 else _first(connection, index, sorted(set(keys)))
-        records: list[tuple[bytes, int]] = []
-        for key, (run_id, *origin, _) in zip(keys, rows, strict=True):
-            place = tuple(origin)
+        records: list[tuple[Any, ...]] = []
+        for key, (run_id, *copied, campaign, stage, iteration, individual, _) in zip(keys, rows, strict=True):
+            place = campaign, stage, iteration, individual
             if key not in first or place < first[key]:
                 first[key] = place
-                records.append((key, run_id))
-        _insert(connection, index, sorted(records))
+                records.append((index, key, run_id, *copied))
+        _insert(connection, sorted(records))  # no two have the same index, key and run
     reached = max(rows[-1].id if len(rows) == chunk else upto, since)
     connection.execute(reference_indexes.update().where(reference_indexes.c.id == index).values(run_id=reached))
     return len(rows)
@@ -156,17 +156,16 @@ def _first(connection: Connection, index: int, keys: Sequence[bytes]) -> dict[by
     return found
 
 
-def _insert(connection: Connection, index: int, records: Sequence[tuple[bytes, int]]) -> None:
+def _insert(connection: Connection, rows: Sequence[tuple[Any, ...]]) -> None:
     """By the drivers themselves: with a million rows, handing each through SQLAlchemy would take most of the time."""
-    rows = [(index, key, run_id) for key, run_id in records]
     if connection.dialect.name == "postgresql":
         driver: Any = connection.connection.driver_connection
         with driver.cursor() as cursor, cursor.copy(f"COPY {_COLUMNS} FROM STDIN (FORMAT BINARY)") as copy:
-            copy.set_types(["int8", "bytea", "int8"])
+            copy.set_types(["int8", "bytea", "int8", "int8", "int4", "float8", "text"])
             for row in rows:
                 copy.write_row(row)
     elif rows:
-        connection.exec_driver_sql(f"INSERT INTO {_COLUMNS} VALUES (?, ?, ?)", rows)  # noqa: S608  # a constant
+        connection.exec_driver_sql(f"INSERT INTO {_COLUMNS} VALUES (?, ?, ?, ?, ?, ?, ?)", rows)  # noqa: S608  # a constant
 
 
-_COLUMNS = "reference_keys (index_id, key, run_id)"
+_COLUMNS = "reference_keys (index_id, key, run_id, evaluation_id, score, rating, failure)"

@@ -168,15 +168,19 @@ ratings = Table(
     sqlite_with_rowid=False,
 )
 
-reference_keys = (
-    Table(  # derived from runs, and rebuilt from them at any time: no foreign keys, which would slow bulk inserts down
-        "reference_keys",
-        metadata,
-        Column("index_id", Identity, primary_key=True, autoincrement=False),
-        Column("key", LargeBinary, primary_key=True),
-        Column("run_id", Identity, primary_key=True, autoincrement=False),
-        sqlite_with_rowid=False,
-    )
+# Derived from runs and ratings, and rebuilt from them at any time: no foreign keys, which would slow bulk inserts down. A look-up
+# finds in it all that it gives (`storage.reference_keys`).
+reference_keys = Table(
+    "reference_keys",
+    metadata,
+    Column("index_id", Identity, primary_key=True, autoincrement=False),
+    Column("key", LargeBinary, primary_key=True),
+    Column("run_id", Identity, primary_key=True, autoincrement=False),
+    Column("evaluation_id", Identity, nullable=False),
+    Column("score", Integer, nullable=False),
+    Column("rating", Float, nullable=False),
+    Column("failure", Text),
+    sqlite_with_rowid=False,
 )
 
 reference_indexes = Table(  # the keys of one setup's runs under one map, of those that one evaluator has rated: up to which run
