@@ -1,0 +1,163 @@
+"""The log of the server's processes: one line per record on standard error, as text to read or as JSON (`DRIVECAL_LOG_FORMAT`).
+
+Modules log by the standard library (`logging.getLogger(__name__)`), as their libraries do; everything goes through the one handler that
+`configure` installs. Each line has its time (UTC), level, process and message, and what is known of its context:
+
+    with logs.about(campaign=campaign.id, campaign_name=campaign.name, stage=campaign.stage):
+        log.info("starts")                      # ... info dispatcher starts  campaign=9f... campaign_name='highway comfort' stage=...
+    logs.note(token="ci")                       # until the end of the request, of all lines that follow in it
+
+Context follows `contextvars`: into threads and tasks that are started inside, and never into another request. An exception is one field.
+Passwords in URLs and bearer tokens are masked, control characters escaped, so that no name that somebody chose can forge a line.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import re
+import sys
+import threading
+from collections.abc import MutableMapping
+from contextlib import AbstractContextManager
+from datetime import UTC, datetime
+from types import TracebackType
+from typing import Any, Literal, TextIO
+
+import structlog
+from structlog.stdlib import ExtraAdder, ProcessorFormatter
+
+from drivecal.configuration.settings import Settings
+
+Process = Literal["api", "dispatcher", "server"]
+Value = str | int | float | None
+_Line = MutableMapping[str, Any]
+
+_ALWAYS = ("time", "level", "process", "message")
+_OURS = ("drivecal", "__main__")
+_INTERNAL = ("event", "_record", "_from_structlog")
+_SECRETS = (
+    (re.compile(r"(\w://[^\s:/@]*):[^\s@]+@"), r"\1:***@"),
+    (re.compile(r"(?i)\b(bearer\s+)[\w.~+/=-]+"), r"\1***"),
+)
+_CONTROLS = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")
+_COLOURS = {"warning": "\x1b[33m", "error": "\x1b[31m", "critical": "\x1b[31m"}
+_PLAIN = "\x1b[0m"
+_TOLD_BETTER = "Exception in ASGI application"
+"""What uvicorn says of an error that the API has told already, with the same traceback."""
+
+_log = logging.getLogger("drivecal")
+
+
+def configure(process: Process, settings: Settings, stream: TextIO | None = None) -> None:
+    """Sends everything that this process logs to `stream` (standard error), Python's warnings and uncaught exceptions included.
+
+    drivecal's own records are shown from `settings.log_level` on, those of libraries from `warning` on, or `info` while debugging.
+    """
+    target = stream or sys.stderr
+    handler = logging.StreamHandler(target)
+    render = _json if settings.log_format == "json" else _Text(coloured=target.isatty() and "NO_COLOR" not in os.environ)
+    shared: list[structlog.typing.Processor] = [structlog.contextvars.merge_contextvars, ExtraAdder()]
+    formatting: list[structlog.typing.Processor] = [_Finish(process), structlog.processors.format_exc_info, _mask, render]
+    handler.setFormatter(ProcessorFormatter(processors=formatting, foreign_pre_chain=shared))
+    handler.addFilter(lambda record: not str(record.msg).startswith(_TOLD_BETTER))
+    level = logging.getLevelNamesMapping()[settings.log_level.upper()]
+    root = logging.getLogger()
+    root.handlers = [handler]
+    root.setLevel(max(level, logging.WARNING) if level > logging.DEBUG else logging.INFO)
+    for ours in _OURS:
+        logging.getLogger(ours).setLevel(level)
+    structlog.configure(  # for plug-ins that use structlog themselves: it would write to standard output
+        processors=[shared[0], structlog.stdlib.add_log_level, ProcessorFormatter.wrap_for_formatter],
+        logger_factory=structlog.stdlib.LoggerFactory(),
+        wrapper_class=structlog.stdlib.BoundLogger,
+    )
+    logging.captureWarnings(capture=True)
+    sys.excepthook = _uncaught
+    threading.excepthook = lambda one: _uncaught(one.exc_type, one.exc_value, one.exc_traceback)
+
+
+def about(**known: Value) -> AbstractContextManager[None]:
+    """Everything that is logged inside the block is about this: `campaign` (its id), `campaign_name`, `stage`, `iteration`, `worker`.
+
+    What is None is left out.
+    """
+    return structlog.contextvars.bound_contextvars(**{name: value for name, value in known.items() if value is not None})
+
+
+def note(**known: Value) -> None:
+    """As `about`, from here on: for what is found out about a request on its way."""
+    structlog.contextvars.bind_contextvars(**{name: value for name, value in known.items() if value is not None})
+
+
+def begin(**known: Value) -> None:
+    """Forgets what was noted before: a new request begins."""
+    structlog.contextvars.clear_contextvars()
+    note(**known)
+
+
+def noted() -> dict[str, Any]:
+    """What is known at this place."""
+    return structlog.contextvars.get_contextvars()
+
+
+class _Finish:
+    """Gives a line what every line has, in that order, and the rest by name."""
+
+    def __init__(self, process: Process) -> None:
+        self._process = process
+
+    def __call__(self, _logger: object, _method: str, line: _Line) -> _Line:
+        record: logging.LogRecord = line["_record"]
+        moment = datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+        always = {"time": moment, "level": record.levelname.lower(), "process": self._process, "message": str(line["event"])}
+        rest = {name: line[name] for name in sorted(line) if name not in {*_ALWAYS, *_INTERNAL}}
+        if record.name.partition(".")[0] not in _OURS:
+            rest["logger"] = record.name
+        return always | rest
+
+
+def _mask(_logger: object, _method: str, line: _Line) -> _Line:
+    for name, value in line.items():
+        if isinstance(value, str):
+            for pattern, shown in _SECRETS:
+                value = pattern.sub(shown, value)
+            line[name] = value
+    return line
+
+
+def _json(_logger: object, _method: str, line: _Line) -> str:
+    return json.dumps(line, default=str)
+
+
+class _Text:
+    """`time level process message  name=value ...`, and an exception on indented lines behind it."""
+
+    def __init__(self, *, coloured: bool) -> None:
+        self._coloured = coloured
+
+    def __call__(self, _logger: object, _method: str, line: _Line) -> str:
+        moment, level, process, message = (str(line.pop(name)) for name in _ALWAYS)
+        exception = line.pop("exception", "")
+        colour, plain = (_COLOURS[level], _PLAIN) if self._coloured and level in _COLOURS else ("", "")
+        words = "\n    ".join(_escaped(part) for part in message.splitlines())
+        known = "".join(f" {name}={_value(value)}" for name, value in line.items())
+        text = f"{moment} {colour}{level:<7}{plain} {process:<10} {words}{known and ' '}{known}"
+        return text + "".join(f"\n    {_escaped(part)}" for part in exception.splitlines())
+
+
+def _value(value: object) -> str:
+    text = str(value)
+    return text if re.fullmatch(r"[\w.:/+-]+", text) else repr(text)
+
+
+def _escaped(text: str) -> str:
+    return _CONTROLS.sub(lambda found: found.group().encode("unicode_escape").decode(), text)
+
+
+def _uncaught(kind: type[BaseException], error: BaseException | None, traceback: TracebackType | None) -> None:
+    if error is None or issubclass(kind, KeyboardInterrupt):
+        sys.__excepthook__(kind, error or kind(), traceback)
+        return
+    _log.critical("uncaught %s: the process or one of its threads ends", kind.__name__, exc_info=(kind, error, traceback))
