@@ -6,6 +6,7 @@ import os
 import signal
 from collections.abc import Iterator
 
+import hypothesis
 import psycopg
 import pytest
 from sqlalchemy import make_url
@@ -14,6 +15,10 @@ from tests.support.postgres import running_postgres
 
 from drivecal.dispatch.trial import trial
 from drivecal.execution.ray_backend import RayBackend, RayOptions
+
+# No test asserts a time: a first example that imports or compiles something may take as long as it likes.
+hypothesis.settings.register_profile("drivecal", deadline=None)
+hypothesis.settings.load_profile("drivecal")
 
 # A shell that runs the tests in the background has SIGINT ignored, and every process that a test starts would inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -37,7 +37,7 @@ PLANTED = {
         "def late():\n    import sqlalchemy.orm",
     ),
     "No simulator and no compiler in the coordinator": ("services/drivecal/api", "from numba import njit"),
-    "Optimizers, the reduction and the sensitivity analysis are pure": ("services/drivecal/optimizers", "import httpx"),
+    "Optimizers, analyses and the reduction are pure": ("services/drivecal/optimizers", "import httpx"),
     "The domain stands on the standard library and numpy": ("shared/drivecal/domain", "import pydantic"),
 }
 """For each rule a folder and what a module in it must not say."""

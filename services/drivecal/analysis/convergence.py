@@ -1,0 +1,41 @@
+"""When an optimization had found what it found (Tables 5 and 7 of the paper)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+UNCHANGED_BEST = 10
+"""Table 5: iterations for which the best solution stays as it is."""
+UNCHANGED_ALTERNATIVES = 5
+"""Table 7: the number of alternative optima stays for more than so many iterations."""
+
+
+def converged_at(values: Sequence[float | None], unchanged: int, tolerance: float = 1e-9) -> int | None:
+    """The iteration, counted from 1, from which on `values` stayed the same for at least `unchanged` further ones; None where that never
+    happened. The last such stretch counts: what changed after a rest had not converged.
+
+    A stretch may end with the run: 20 iterations with the best found in the 12th have only 8 further ones, which is less than 10.
+    """
+    since = 0
+    for index in range(1, len(values)):
+        if not _equal(values[index], values[since], tolerance):
+            since = index
+    if not values or values[since] is None or len(values) - 1 - since < unchanged:
+        return None
+    return since + 1
+
+
+def best_at(best: Sequence[float | None]) -> int | None:
+    """Table 5: the iteration in which the best solution was found, where it then stayed for at least 10 iterations."""
+    return converged_at(best, UNCHANGED_BEST)
+
+
+def alternatives_at(alternatives: Sequence[int]) -> int | None:
+    """Table 7: the iteration from which on the number of alternative optima stayed for more than 5 iterations."""
+    return converged_at([float(count) for count in alternatives], UNCHANGED_ALTERNATIVES + 1)
+
+
+def _equal(one: float | None, other: float | None, tolerance: float) -> bool:
+    if one is None or other is None:
+        return one is other
+    return abs(one - other) <= tolerance

@@ -1,0 +1,215 @@
+"""Robustness of solutions against the vehicle's parameters (Sections II-C and IV-D of the paper).
+
+A solution is driven in vehicles drawn from a box around the nominal one, whose half width is a multiple k of delta, the parameters
+being normalised to their bounds (Table 8). The degree of robustness is the largest k up to which the condition holds in all boxes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.domain.vehicles import VehicleParameter
+from drivecal.plugins.ports import Floats
+
+Condition = Literal["max", "mean", "per_factor"]
+Bools = npt.NDArray[np.bool_]
+SIGNIFICANT = 12
+"""Digits of a drawn value: enough for any vehicle, few enough to be read and typed again."""
+
+
+@dataclass(frozen=True, slots=True)
+class RobustnessSettings:
+    """The study of Section IV-D: boxes of half width k `delta`, k = 1 .. `steps`, `samples` vehicles each.
+
+    `condition`: `max` |dF_j| <= eta in points for every vehicle and scenario j (the paper's study); `mean` and `per_factor` are Section
+    II-C's relative ones, < eta, with max(F_j, 1) below the line: the mean over the vehicles, or each of them. `eta`: one number, or one for
+    each scenario. `refinements`: how often the width between the last box that holds and the first that does not is halved afterwards.
+    """
+
+    delta: float = 0.01
+    steps: int = 10
+    samples: int = 30
+    eta: float | tuple[float, ...] = 1.0
+    condition: Condition = "max"
+    refinements: int = 0
+    seed: int = 1
+
+
+def check_nominal(parameters: Sequence[VehicleParameter], nominal: Mapping[str, float]) -> None:
+    """Raises InvalidInputError for each nominal value outside its bounds: no box can be put around it."""
+    problems = [
+        Problem(
+            f"vehicle.parameters.{one.name}",
+            f"{nominal[one.name]} {one.unit} is outside the bounds of the robustness analysis",
+            f"between {one.minimum} and {one.maximum} {one.unit}, or robustness: null",
+        )
+        for one in parameters
+        if not one.minimum <= nominal[one.name] <= one.maximum
+    ]
+    if problems:
+        raise InvalidInputError(*problems)
+
+
+def directions(count: int, samples: int, seed: int, box: int) -> Floats:
+    """Where in the unit box [-1, 1]^n the vehicles of one box lie, shape (samples, count): a Latin hypercube of its own for each box."""
+    from scipy.stats import qmc
+
+    generator = np.random.Generator(np.random.PCG64([seed, box]))
+    points: Floats = 2.0 * qmc.LatinHypercube(count, rng=generator).random(samples) - 1.0
+    return points
+
+
+def vehicles(
+    parameters: Sequence[VehicleParameter], nominal: Mapping[str, float], radius: float, points: Floats
+) -> list[dict[str, float]]:
+    """The vehicles at `points` of the unit box, shape (samples, n), around the nominal one; `radius`: half its width in shares of each
+    parameter's range. What reaches beyond a bound lies between nominal value and bound, so that no vehicle is left out."""
+    found = []
+    for point in points.tolist():
+        values = {}
+        for one, towards in zip(parameters, point, strict=True):
+            centre, width = nominal[one.name], radius * (one.maximum - one.minimum)
+            room = one.maximum - centre if towards > 0 else centre - one.minimum
+            value = float(f"{centre + towards * min(width, room):.{SIGNIFICANT}g}")
+            values[one.name] = min(max(value, one.minimum), one.maximum)
+        found.append(values)
+    return found
+
+
+def deviation(nominal: Floats, scores: Floats, condition: Condition) -> Floats:
+    """What the condition compares with eta, by scenario, shape (n_s,), for scores `nominal`, shape (n_s,), in the nominal vehicle and
+    `scores`, shape (samples, n_s), in the others. NaN where a vehicle has no result."""
+    away = np.abs(scores - nominal)
+    if condition != "max":
+        away = away / np.maximum(nominal, 1.0)
+    return np.asarray(away.mean(axis=0) if condition == "mean" else away.max(axis=0), dtype=np.float64)
+
+
+def holds(deviations: Floats, settings: RobustnessSettings) -> bool:
+    """Whether the condition holds in every scenario. A vehicle without a result cannot be vouched for: it does not hold then."""
+    eta = np.broadcast_to(np.asarray(settings.eta, dtype=np.float64), deviations.shape)
+    within = deviations <= eta if settings.condition == "max" else deviations < eta
+    return bool(within.all())  # a comparison with NaN is false
+
+
+@dataclass(frozen=True, slots=True)
+class Box:
+    """What is to be driven next: by solution its `radius` and its vehicles. `number` counts the boxes from 1."""
+
+    number: int
+    radius: Mapping[int, float]
+    vehicles: Mapping[int, Sequence[Mapping[str, float]]]
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """A solution in one box: `deviations` by scenario, shape (n_s,)."""
+
+    box: int
+    radius: float
+    deviations: tuple[float, ...]
+    holds: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Robustness:
+    """What is known of one solution. `degree`: the multiples of delta up to which the condition holds, at least so many where `at_least`;
+    `radius`: the widest box in which it was seen to hold, in shares of the parameters' ranges (delta_max, from below)."""
+
+    degree: int
+    at_least: bool
+    radius: float
+    trials: tuple[Trial, ...]
+
+
+class RobustnessStudy:
+    """Ask/tell: growing boxes for all solutions at once, each until its condition fails; then, where wanted, the bisection of delta_max.
+
+    A new study that is told the same goes on as this one would.
+    """
+
+    def __init__(
+        self,
+        nominal_scores: Floats,
+        parameters: Sequence[VehicleParameter],
+        nominal: Mapping[str, float],
+        settings: RobustnessSettings,
+    ) -> None:
+        """`nominal_scores`: of the solutions in the nominal vehicle, shape (n_solutions, n_s).
+
+        Raises InvalidInputError where the nominal vehicle is outside its parameters' bounds.
+        """
+        check_nominal(parameters, nominal)
+        self._scores = nominal_scores
+        self._parameters, self._nominal, self._settings = parameters, nominal, settings
+        self._trials: list[list[Trial]] = [[] for _ in nominal_scores]
+        self._asked: Box | None = None
+        self._boxes = 0
+
+    def ask(self) -> Box | None:
+        """The next box; the same until it is told. None when the study is complete."""
+        if self._asked is None:
+            radius = self._next_radii()
+            if not radius:
+                return None
+            number = self._boxes + 1
+            points = directions(len(self._parameters), self._settings.samples, self._settings.seed, number)
+            drawn = {one: vehicles(self._parameters, self._nominal, one, points) for one in set(radius.values())}
+            self._asked = Box(number, radius, {solution: drawn[one] for solution, one in radius.items()})
+        return self._asked
+
+    def tell(self, scores: Mapping[int, Floats]) -> None:
+        """The scores of the asked solutions in their vehicles, shape (samples, n_s) each, NaN for cells without a result."""
+        if self._asked is None:
+            raise RuntimeError("ask first")
+        for solution, radius in self._asked.radius.items():
+            away = deviation(self._scores[solution], scores[solution], self._settings.condition)
+            trial = Trial(self._asked.number, radius, tuple(away.tolist()), holds(away, self._settings))
+            self._trials[solution].append(trial)
+        self._boxes, self._asked = self._asked.number, None
+
+    def result(self) -> list[Robustness]:
+        """By solution, as far as it is known."""
+        return [self._robustness(trials) for trials in self._trials]
+
+    def _robustness(self, trials: Sequence[Trial]) -> Robustness:
+        steps = trials[: self._settings.steps]
+        degree = next((index for index, trial in enumerate(steps) if not trial.holds), len(steps))
+        inside = [trial.radius for trial in trials if trial.holds]
+        return Robustness(degree, degree == self._settings.steps, max(inside, default=0.0), tuple(trials))
+
+    def _next_radii(self) -> dict[int, float]:
+        step, settings = self._boxes + 1, self._settings
+        if step <= settings.steps:
+            standing = {
+                solution: step * settings.delta
+                for solution, trials in enumerate(self._trials)
+                if all(trial.holds for trial in trials)
+            }
+            if standing:
+                return standing
+        halvings = max((len(trials) - self._growing(trials) for trials in self._trials), default=0)
+        if halvings >= settings.refinements:
+            return {}
+        return {
+            solution: self._middle(trials)
+            for solution, trials in enumerate(self._trials)
+            if not all(trial.holds for trial in trials[: self._growing(trials)])
+        }
+
+    def _growing(self, trials: Sequence[Trial]) -> int:
+        """How many of the trials were in growing boxes: up to the first in which the condition failed."""
+        failed = next((index for index, trial in enumerate(trials) if not trial.holds), len(trials))
+        return min(failed + 1, len(trials), self._settings.steps)
+
+    @staticmethod
+    def _middle(trials: Sequence[Trial]) -> float:
+        failed = min(trial.radius for trial in trials if not trial.holds)
+        inside = max((trial.radius for trial in trials if trial.holds and trial.radius < failed), default=0.0)
+        return 0.5 * (inside + failed)

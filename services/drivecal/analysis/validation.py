@@ -1,0 +1,151 @@
+"""Validation of the reduction (Section V of the paper): are answers really the same where the influence map says so?
+
+Sets are drawn over the whole space until those that lie in some non-influential region cover all main effects and interactions of the
+parameters that can be reduced; each is compared with variants that differ from it inside those regions only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from drivecal.domain.parameters import Indices
+
+MOST_EXACT = 16
+"""Reducible parameters up to which every one of the 2^n - 1 effects is looked at; beyond, those of up to three parameters."""
+
+
+class ReducibleSpace:
+    """Where one scenario's map lets the searched parameters vary: which grid values of a parameter it takes for the same."""
+
+    def __init__(self, classes: Sequence[npt.NDArray[np.int64]]) -> None:
+        """`classes`: for each parameter the class of every grid value, shape (n_values,), as the reference keys code them: values of one
+        class answer for each other."""
+        self.n_values: Indices = np.array([len(one) for one in classes], dtype=np.int64)
+        self._members: list[list[Indices]] = []
+        for one in classes:
+            _, inverse = np.unique(one, return_inverse=True)
+            order = np.argsort(inverse, kind="stable")
+            groups = np.split(order, np.cumsum(np.bincount(inverse))[:-1])
+            self._members.append([groups[number] for number in inverse])
+
+    @property
+    def reducible(self) -> Indices:
+        """The columns of the parameters with a region of more than one value."""
+        found: Indices = np.flatnonzero([max(map(len, members)) > 1 for members in self._members])
+        return found
+
+    def variable(self, points: Indices) -> npt.NDArray[np.bool_]:
+        """Which values could be another one of the same region, shape (n, n_searched)."""
+        sizes = [np.array([len(one) for one in members]) for members in self._members]
+        return np.column_stack([size[column] > 1 for size, column in zip(sizes, points.T, strict=True)])
+
+    def variant(self, point: Indices, columns: Indices, generator: np.random.Generator) -> Indices:
+        """`point`, shape (n_searched,), with another value of the same region in each of `columns`."""
+        found = point.copy()
+        for column in columns.tolist():
+            members = self._members[column][point[column]]
+            other = members[int(generator.integers(0, len(members) - 1))]
+            found[column] = members[-1] if other == point[column] else other
+        return found
+
+
+@dataclass(frozen=True, slots=True)
+class Coverage:
+    """How many `effects` (main effects and interactions) of the `reducible` parameters there are, and how many are `covered`."""
+
+    reducible: int
+    effects: int
+    covered: int
+
+    @property
+    def complete(self) -> bool:
+        """Whether every one is covered."""
+        return self.covered == self.effects
+
+
+def coverage(masks: npt.NDArray[np.bool_]) -> Coverage:
+    """Of sets whose values can vary in the reducible parameters where `masks` is true, shape (n_sets, n_reducible).
+
+    A set in which the parameters A can vary covers the effect of every non-empty subset of A.
+    """
+    n = masks.shape[1]
+    if n > MOST_EXACT:
+        return _coverage_to_third_order(masks)
+    covered = np.zeros(1 << n, dtype=np.bool_)
+    covered[masks @ (1 << np.arange(n))] = True
+    for bit in range(n):  # a subset is covered where it, or it with one parameter more, is
+        split = covered.reshape(-1, 2, 1 << bit)
+        split[:, 0] |= split[:, 1]
+    return Coverage(n, (1 << n) - 1, int(covered[1:].sum()))
+
+
+def _coverage_to_third_order(masks: npt.NDArray[np.bool_]) -> Coverage:
+    n = masks.shape[1]
+    one = masks.astype(np.float64)
+    pairs = one.T @ one > 0
+    triples = sum(int(np.triu(one[:, j + 1 :].T @ (one[:, j + 1 :] * one[:, [j]]) > 0, 1).sum()) for j in range(n - 2))
+    covered = int(np.diag(pairs).sum()) + int(np.triu(pairs, 1).sum()) + triples
+    return Coverage(n, n + n * (n - 1) // 2 + n * (n - 1) * (n - 2) // 6, covered)
+
+
+@dataclass(frozen=True, slots=True)
+class ValidationDesign:
+    """What one scenario's validation drives: `bases`, shape (n_lhs, n_searched), and `variants`, shape (n_lhs, n_ref, n_searched);
+    `drawn`: the size of the Latin hypercube that the bases were taken from."""
+
+    bases: Indices
+    variants: Indices
+    drawn: int
+    coverage: Coverage
+
+
+def design(space: ReducibleSpace, samples: int, references: int, seed: int, largest: int) -> ValidationDesign | None:
+    """The validation of one scenario; None where nothing can be reduced.
+
+    Latin hypercubes of `samples`, 2 `samples`, 4 `samples` ... points are drawn until their qualifying sets cover all effects, at most
+    `largest`: what is left uncovered then is told by the coverage. Each variant changes a random non-empty subset of what can vary.
+    """
+    reducible = space.reducible
+    if not reducible.size:
+        return None
+    for size in _sizes(samples, largest):
+        points = _latin_hypercube(space.n_values, size, seed)
+        varies = space.variable(points)
+        qualified = points[varies.any(axis=1)]
+        found = coverage(varies[varies.any(axis=1)][:, reducible])
+        if found.complete:
+            break
+    generator = np.random.Generator(np.random.PCG64([seed, 1]))
+    variants = np.array(
+        [[_variant(space, base, generator) for _ in range(references)] for base in qualified], dtype=np.int64
+    ).reshape(len(qualified), references, len(space.n_values))
+    return ValidationDesign(qualified, variants, size, found)
+
+
+def _sizes(samples: int, largest: int) -> Iterator[int]:
+    size = samples
+    while size < largest:
+        yield size
+        size *= 2
+    yield largest
+
+
+def _latin_hypercube(n_values: Indices, size: int, seed: int) -> Indices:
+    from scipy.stats import qmc
+
+    generator = np.random.Generator(np.random.PCG64([seed, 0]))
+    points = qmc.LatinHypercube(len(n_values), rng=generator).random(size)
+    indices: Indices = np.floor(points * n_values).astype(np.int64)
+    return indices
+
+
+def _variant(space: ReducibleSpace, base: Indices, generator: np.random.Generator) -> Indices:
+    columns = np.flatnonzero(space.variable(base[None])[0])
+    chosen = columns[generator.random(len(columns)) < 0.5]
+    if not chosen.size:
+        chosen = generator.choice(columns, size=1)
+    return space.variant(base, chosen, generator)

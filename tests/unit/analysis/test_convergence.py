@@ -1,0 +1,46 @@
+"""When an optimization counts as converged, on the cases of Tables 5 and 7."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivecal.analysis.convergence import alternatives_at, best_at, converged_at
+
+
+def test_the_best_has_converged_where_it_was_found_if_it_then_stays_for_ten_iterations() -> None:
+    assert best_at([2.0, 3.0, 3.0, 5.0] + 10 * [5.0]) == 4
+    assert best_at([2.0, 3.0, 3.0, 5.0] + 9 * [5.0]) is None
+    assert best_at(11 * [4.0]) == 1
+
+
+def test_a_rest_that_did_not_last_is_no_convergence() -> None:
+    assert best_at(12 * [4.0] + [5.0]) is None
+    assert best_at(12 * [4.0] + 11 * [5.0]) == 13
+
+
+def test_the_number_of_alternatives_has_to_stay_for_more_than_five() -> None:
+    assert alternatives_at([1, 4, 11] + 5 * [11]) is None
+    assert alternatives_at([1, 4, 11] + 6 * [11]) == 3
+
+
+def test_an_iteration_without_any_result_is_no_best() -> None:
+    assert best_at(12 * [None]) is None
+    assert best_at([None, *(11 * [3.0])]) == 2
+
+
+@pytest.mark.parametrize("values", [[], [1.0]])
+def test_too_few_iterations_are_no_convergence(values: list[float | None]) -> None:
+    assert best_at(values) is None
+
+
+@given(st.lists(st.integers(0, 3), max_size=30), st.integers(1, 8))
+def test_from_there_on_nothing_changes_and_right_before_it_did(values: list[int], unchanged: int) -> None:
+    found = converged_at([float(one) for one in values], unchanged)
+    if found is not None:
+        assert len(set(values[found - 1 :])) == 1
+        assert len(values) - found >= unchanged
+        assert found == 1 or values[found - 2] != values[found - 1]
+    elif values:
+        assert len(set(values[-unchanged - 1 :])) > 1 or len(values) <= unchanged

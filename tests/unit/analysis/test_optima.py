@@ -1,0 +1,45 @@
+"""Regions of equal optima."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.cluster.hierarchy import fcluster, linkage
+from scipy.spatial.distance import pdist, squareform
+
+from drivecal.analysis.optima import distances, one_per_region_first, optima, regions
+
+
+@given(seed=st.integers(0, 500), n=st.integers(2, 25))
+@settings(max_examples=40)
+def test_regions_are_those_of_single_linkage(seed: int, n: int) -> None:
+    points = np.random.default_rng(seed).random((n, 4)) ** 2
+    ours = regions(points, 0.2)
+    theirs = fcluster(linkage(points / 2.0, "single"), 0.2, "distance")  # root mean square over 4 axes
+    assert len(set(zip(ours.tolist(), theirs.tolist(), strict=True))) == len(set(ours.tolist())) == len(set(theirs.tolist()))
+
+
+def test_regions_are_numbered_in_the_order_of_their_first_points() -> None:
+    points = np.array([[0.9], [0.1], [0.91], [0.5], [0.12]])
+    assert regions(points, 0.05).tolist() == [0, 1, 0, 2, 1]
+    assert regions(np.zeros((0, 3))).tolist() == []
+
+
+def test_distances_are_root_mean_squares() -> None:
+    points = np.random.default_rng(1).random((20, 11))
+    assert np.allclose(distances(points), squareform(pdist(points)) / np.sqrt(11), atol=1e-7)
+
+
+def test_each_optimum_tells_how_far_the_next_worse_set_is() -> None:
+    found = optima(np.array([[0.0, 0.0], [1.0, 1.0]]), np.array([[0.0, 0.2], [0.5, 0.5]]))
+    assert [one.region for one in found] == [0, 1]
+    assert np.allclose([one.to_worse or np.nan for one in found], [0.2 / np.sqrt(2), 0.5])
+    assert optima(np.array([[0.3]]), np.zeros((0, 1)))[0].to_worse is None
+
+
+def test_every_region_is_seen_before_any_is_seen_twice() -> None:
+    labels = np.array([0, 0, 0, 1, 0, 2])
+    assert one_per_region_first(labels, 3) == [0, 3, 5]
+    assert one_per_region_first(labels, 5) == [0, 3, 5, 1, 2]
+    assert one_per_region_first(labels, 50) == [0, 3, 5, 1, 2, 4]

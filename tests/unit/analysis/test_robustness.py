@@ -1,0 +1,160 @@
+"""Boxes of vehicles, the three conditions, and the degree of robustness found by growing boxes and by bisection."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivecal.analysis.robustness import (
+    RobustnessSettings,
+    RobustnessStudy,
+    check_nominal,
+    deviation,
+    directions,
+    holds,
+    vehicles,
+)
+from drivecal.domain.errors import InvalidInputError
+from drivecal.domain.vehicles import VehicleParameter
+from drivecal.plugins.ports import Floats
+
+TABLE_8 = (
+    VehicleParameter("mass", "kg", 2060.0, 1200.0, 2600.0),
+    VehicleParameter("front", "N/rad", 75000.0, 55000.0, 90000.0),
+    VehicleParameter("distance", "m", 1.66, 1.0, 2.0),
+)
+NOMINAL = {one.name: one.nominal for one in TABLE_8}
+EDGE = NOMINAL | {"mass": 1200.0}
+
+
+@given(radius=st.floats(0.001, 0.5), seed=st.integers(0, 1000), box=st.integers(1, 20), at_edge=st.booleans())
+@settings(max_examples=60)
+def test_every_vehicle_lies_in_the_box_and_within_the_bounds(radius: float, seed: int, box: int, at_edge: bool) -> None:
+    nominal = EDGE if at_edge else NOMINAL
+    for vehicle in vehicles(TABLE_8, nominal, radius, directions(3, 30, seed, box)):
+        for one in TABLE_8:
+            assert one.minimum <= vehicle[one.name] <= one.maximum
+            away = abs(vehicle[one.name] - nominal[one.name]) / (one.maximum - one.minimum)
+            assert away <= radius * (1 + 1e-9)
+
+
+def test_the_vehicles_of_a_box_fill_it() -> None:
+    found = vehicles(TABLE_8, NOMINAL, 0.1, directions(3, 200, 1, 1))
+    for one in TABLE_8:
+        away = (np.array([vehicle[one.name] for vehicle in found]) - one.nominal) / (one.maximum - one.minimum)
+        assert away.min() < -0.098
+        assert away.max() > 0.098
+        assert abs(away.mean()) < 0.005
+
+
+def test_boxes_and_seeds_have_directions_of_their_own_which_repeat() -> None:
+    assert np.array_equal(directions(3, 10, 7, 2), directions(3, 10, 7, 2))
+    assert not np.array_equal(directions(3, 10, 7, 2), directions(3, 10, 7, 3))
+    assert not np.array_equal(directions(3, 10, 7, 2), directions(3, 10, 8, 2))
+
+
+def test_a_nominal_value_outside_its_bounds_is_refused_by_name() -> None:
+    with pytest.raises(InvalidInputError) as refused:
+        check_nominal(TABLE_8, NOMINAL | {"mass": 3000.0, "distance": 0.9})
+    assert [one.field for one in refused.value.problems] == ["vehicle.parameters.mass", "vehicle.parameters.distance"]
+    assert "between 1200.0 and 2600.0 kg" in refused.value.problems[0].remedy
+
+
+@pytest.mark.parametrize(
+    ("condition", "eta", "expected"),
+    [
+        ("max", 1.0, False), ("max", 2.0, True),
+        ("mean", 0.25, False), ("mean", 0.2501, True),
+        ("per_factor", 0.5, False), ("per_factor", 0.51, True),
+        ("per_factor", (0.1, 0.51), True), ("per_factor", (0.51, 0.1), False),
+    ],
+)  # fmt: skip
+def test_the_conditions_compare_what_the_paper_says(condition: str, eta: float | tuple[float, ...], expected: bool) -> None:
+    chosen = RobustnessSettings(condition=condition, eta=eta)  # type: ignore[arg-type]  # parametrised by name
+    scores = np.array([[5.0, 2.0], [5.0, 4.0]])
+    assert holds(deviation(np.array([5.0, 4.0]), scores, chosen.condition), chosen) is expected
+
+
+def test_one_point_is_still_robust_and_a_relative_bound_is_strict() -> None:
+    assert holds(np.array([1.0]), RobustnessSettings())
+    assert not holds(np.array([0.2]), RobustnessSettings(condition="mean", eta=0.2))
+
+
+def test_a_score_of_zero_divides_by_one() -> None:
+    assert deviation(np.array([0.0]), np.array([[2.0], [0.0]]), "per_factor").tolist() == [2.0]
+
+
+@pytest.mark.parametrize("condition", ["max", "mean", "per_factor"])
+def test_a_vehicle_without_a_result_cannot_be_vouched_for(condition: str) -> None:
+    chosen = RobustnessSettings(condition=condition, eta=100.0)  # type: ignore[arg-type]
+    away = deviation(np.array([5.0, 4.0]), np.array([[5.0, 4.0], [5.0, np.nan]]), chosen.condition)
+    assert not holds(away, chosen)
+
+
+def run(limits: list[float], chosen: RobustnessSettings) -> tuple[RobustnessStudy, int]:
+    """Solutions that keep their score up to a half width of their own, and lose two points beyond."""
+    nominal = np.full((len(limits), 2), 6.0)
+    study = RobustnessStudy(nominal, TABLE_8, NOMINAL, chosen)
+    driven = 0
+    while (box := study.ask()) is not None:
+        scores: dict[int, Floats] = {}
+        for solution, radius in box.radius.items():
+            assert len(box.vehicles[solution]) == chosen.samples
+            scores[solution] = np.full((chosen.samples, 2), 6.0)
+            if radius > limits[solution]:
+                scores[solution][0, 1] = 4.0
+            driven += chosen.samples
+        study.tell(scores)
+    return study, driven
+
+
+def test_the_degree_is_the_largest_multiple_up_to_which_the_condition_holds() -> None:
+    study, driven = run([0.005, 0.035, 0.0999, 5.0], RobustnessSettings(samples=4))
+    found = study.result()
+    assert [one.degree for one in found] == [0, 3, 9, 10]
+    assert [one.at_least for one in found] == [False, False, False, True]
+    assert [one.radius for one in found] == pytest.approx([0.0, 0.03, 0.09, 0.1])
+    assert driven == 4 * (1 + 4 + 10 + 10)  # nobody is driven on after its condition failed
+
+
+def test_past_ten_on_request() -> None:
+    found = run([0.155, 5.0], RobustnessSettings(samples=2, steps=20))[0].result()
+    assert [one.degree for one in found] == [15, 20]
+
+
+@given(st.lists(st.floats(0.0005, 0.2), min_size=1, max_size=5), st.integers(1, 8))
+@settings(max_examples=50)
+def test_bisection_closes_in_on_the_widest_box(limits: list[float], refinements: int) -> None:
+    chosen = RobustnessSettings(samples=2, refinements=refinements)
+    for limit, found in zip(limits, run(limits, chosen)[0].result(), strict=True):
+        assert found.radius <= limit
+        if not found.at_least:
+            assert limit - found.radius <= chosen.delta / 2**refinements * (1 + 1e-9)
+        assert found.degree == min(10, int(np.floor(round(limit / chosen.delta, 9))))
+
+
+def test_a_study_that_is_told_the_same_goes_on_as_the_first() -> None:
+    chosen = RobustnessSettings(samples=3, refinements=2)
+    nominal = np.array([[6.0, 5.0], [4.0, 4.0]])
+    first, boxes = RobustnessStudy(nominal, TABLE_8, NOMINAL, chosen), []
+    while (box := first.ask()) is not None:
+        boxes.append(box)
+        first.tell({one: np.round(nominal[one] - 60 * radius) + np.zeros((3, 2)) for one, radius in box.radius.items()})
+    second = RobustnessStudy(nominal, TABLE_8, NOMINAL, chosen)
+    for box in boxes:
+        assert second.ask() == box
+        assert second.ask() == box
+        second.tell({one: np.round(nominal[one] - 60 * radius) + np.zeros((3, 2)) for one, radius in box.radius.items()})
+    assert second.ask() is None
+    assert second.result() == first.result()
+
+
+def test_nothing_to_examine_is_no_study() -> None:
+    assert RobustnessStudy(np.zeros((0, 6)), TABLE_8, NOMINAL, RobustnessSettings()).ask() is None
+
+
+def test_telling_before_asking_is_refused() -> None:
+    with pytest.raises(RuntimeError, match="ask first"):
+        RobustnessStudy(np.zeros((1, 6)), TABLE_8, NOMINAL, RobustnessSettings()).tell({})

@@ -1,0 +1,98 @@
+"""The sets of Section V: all effects of the reducible parameters covered, and variants that stay in their regions."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivecal.analysis.validation import MOST_EXACT, ReducibleSpace, coverage, design
+
+EVERY = np.arange(10)
+LOW = np.array([-1, -1, -1, 3, 4, 5, 6, 7, 8, 9])
+BOTH = np.array([-1, -1, 2, 3, 4, 5, 6, 99, 99, 99])
+SINGLE = np.array([-1, 1, 2, 3, 4, 5, 6, 7, 8, 99])
+FREE = np.zeros(10, dtype=np.int64)
+
+
+def brute_force(masks: npt.NDArray[np.bool_], orders: int) -> tuple[int, int]:
+    n = masks.shape[1]
+    subsets = [one for order in range(1, orders + 1) for one in combinations(range(n), order)]
+    return len(subsets), sum(any(mask[list(one)].all() for mask in masks) for one in subsets)
+
+
+@given(st.integers(1, 6).flatmap(lambda n: st.lists(st.lists(st.booleans(), min_size=n, max_size=n), max_size=12).map(
+    lambda rows: np.array(rows, dtype=np.bool_).reshape(-1, n))))  # fmt: skip
+def test_coverage_counts_what_enumeration_counts(masks: npt.NDArray[np.bool_]) -> None:
+    found = coverage(masks)
+    assert (found.effects, found.covered) == brute_force(masks, masks.shape[1])
+    assert found.complete == (found.covered == 2 ** masks.shape[1] - 1)
+
+
+@given(seed=st.integers(0, 50))
+@settings(max_examples=10)
+def test_beyond_sixteen_parameters_effects_of_up_to_three_are_counted(seed: int) -> None:
+    masks = np.random.default_rng(seed).random((6, MOST_EXACT + 2)) < 0.4
+    found = coverage(masks)
+    assert (found.effects, found.covered) == brute_force(masks, 3)
+
+
+def test_a_parameter_is_reducible_where_a_region_has_more_than_one_value() -> None:
+    assert ReducibleSpace([EVERY, LOW, BOTH, SINGLE, FREE]).reducible.tolist() == [1, 2, 4]
+
+
+def test_where_nothing_can_be_reduced_there_is_nothing_to_validate() -> None:
+    assert design(ReducibleSpace([EVERY, SINGLE]), 20, 5, 1, 1000) is None
+
+
+@given(seed=st.integers(0, 1000), references=st.integers(1, 6))
+@settings(max_examples=30)
+def test_variants_differ_inside_their_regions_only(seed: int, references: int) -> None:
+    classes = [EVERY, LOW, BOTH, FREE]
+    found = design(ReducibleSpace(classes), 16, references, seed, 4096)
+    assert found is not None
+    assert found.variants.shape == (len(found.bases), references, 4)
+    for base, variants in zip(found.bases, found.variants, strict=True):
+        for variant in variants:
+            assert (variant != base).any()
+            for column, one in enumerate(classes):
+                assert one[variant[column]] == one[base[column]]
+
+
+def test_samples_grow_until_every_effect_is_covered() -> None:
+    found = design(ReducibleSpace([LOW, LOW, LOW, LOW]), 4, 3, 1, 100_000)
+    assert found is not None
+    assert found.coverage.complete
+    assert found.coverage.effects == 15
+    assert found.drawn > 4
+    smaller = design(ReducibleSpace([LOW, LOW, LOW, LOW]), found.drawn // 2, 3, 1, found.drawn // 2)
+    assert smaller is not None
+    assert not smaller.coverage.complete
+
+
+def test_the_cap_is_kept_and_what_is_missing_is_told() -> None:
+    found = design(ReducibleSpace([LOW] * 10), 8, 1, 1, 20)
+    assert found is not None
+    assert found.drawn == 20
+    assert found.coverage.covered < found.coverage.effects == 1023
+
+
+def test_the_same_seed_gives_the_same_sets_and_another_one_others() -> None:
+    one, same, other = (design(ReducibleSpace([LOW, BOTH, FREE]), 16, 3, seed, 4096) for seed in (5, 5, 6))
+    assert one is not None
+    assert same is not None
+    assert other is not None
+    assert np.array_equal(one.variants, same.variants)
+    assert not np.array_equal(one.variants, other.variants)
+
+
+def test_every_other_value_of_a_region_is_equally_likely() -> None:
+    space, generator = ReducibleSpace([FREE]), np.random.default_rng(3)
+    drawn = [int(space.variant(np.array([4]), np.array([0]), generator)[0]) for _ in range(9000)]
+    counts = np.bincount(drawn, minlength=10)
+    assert counts[4] == 0
+    assert counts[counts > 0] == pytest.approx(np.full(9, 1000), rel=0.15)
