@@ -15,15 +15,16 @@ from drivecal.campaigns.pace import Pace
 from drivecal.campaigns.planning import View, WantedCell, plan_cells, sync_reference_keys
 from drivecal.campaigns.problem import CalibrationProblem
 from drivecal.campaigns.selfcheck import error_rates
-from drivecal.campaigns.solutions import Solution, Standing
+from drivecal.campaigns.solutions import EQUAL, Solution, Standing
 from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, Progress
 from drivecal.domain.campaigns import Stage
 from drivecal.domain.errors import NoResultError
+from drivecal.domain.events import EventKind
 from drivecal.domain.parameters import ParameterSet
 from drivecal.execution.scheduler import Completed
 from drivecal.plugins.ports import Optimizer, Proposal
 from drivecal.reduction.assignment import Policy
-from drivecal.storage import audits, campaigns, generations, parameter_sets, results
+from drivecal.storage import audits, campaigns, events, generations, parameter_sets, results
 from drivecal.storage.campaigns import Snapshot, StoredCampaign
 from drivecal.storage.database import Database
 from drivecal.storage.generations import Figures
@@ -57,6 +58,7 @@ class Calibration:
         if problem.specification.reduction.narrow:
             self._notes = (*problem.notes, self._area.note())
         self._best, self._baseline = campaign.best, campaign.baseline
+        self._repeatable_no_more = campaign.cells.unrepeatable > 0
         if problem.optimization is None:
             raise ValueError("the campaign has no calibration stage")
         self._optimization = problem.optimization
@@ -161,6 +163,8 @@ class Calibration:
                 optimizer_state=self._optimizer.state(),
             )
             self._save(connection)
+            if iteration == 0:
+                self._tell_beginning(connection)
         return work
 
     def _tell(self) -> None:
@@ -175,6 +179,8 @@ class Calibration:
             figures = self._figures(objectives)
             generations.finish(connection, self._campaign.sequence, self._iteration, figures, objectives.tolist())
             self._save(connection)
+            told = {"iteration": self._iteration, "iterations": self._optimization.iterations, **asdict(figures)}
+            events.add(connection, self._campaign.sequence, EventKind.GENERATION, told)
         self._before = CellCounts(**self._ledger.counts)
         self._optimizer.tell(objectives, ratings)
         self._proposal = None
@@ -186,7 +192,12 @@ class Calibration:
         found = audits.contradictions(connection, sequence, view.influence_map_sequence, evaluator, view.watermark)
         limit = self._problem.specification.reduction.max_error
         counts = audits.count(connection, sequence, evaluator)
-        self._error_rate = error_rates(counts, self._error_rate, self._problem.scenarios, limit, found)
+        before = self._error_rate
+        self._error_rate = error_rates(counts, before, self._problem.scenarios, limit, found)
+        for scenario, rate in self._error_rate.items():
+            if rate.stopped and not (scenario in before and before[scenario].stopped):
+                told = {"scenario": scenario, "wrong": rate.wrong, "audited": rate.audited}
+                events.add(connection, sequence, EventKind.REUSE_STOPPED, told)
 
     @property
     def _shares_runs(self) -> bool:
@@ -243,13 +254,20 @@ class Calibration:
         if found is not None:
             solution, alternatives = found
             parameters = parameter_sets.load(connection, [solution.parameter_set])[solution.parameter_set]
+            before = self._best
             self._best = Best(
                 objective=solution.objective,
                 parameters=parameters.floats,
                 scores=dict(solution.scores),
                 alternatives=alternatives,
             )
+            if before is None or self._best.objective > before.objective + EQUAL:
+                told = self._best.model_dump(exclude={"alternatives"}) | {"iteration": solution.iteration}
+                events.add(connection, self._campaign.sequence, EventKind.BEST, told)
+        unknown = self._baseline is None or self._baseline.objective is None
         self._remember_baseline(connection)
+        if unknown and self._baseline is not None and self._baseline.objective is not None:
+            events.add(connection, self._campaign.sequence, EventKind.BASELINE, self._baseline.model_dump())
 
     def _remember_baseline(self, connection: Connection) -> None:
         baseline: ParameterSet | None = self._problem.baseline
@@ -264,6 +282,13 @@ class Calibration:
             scores=none_yet if solution is None else dict(solution.scores),
         )
 
+    def _tell_beginning(self, connection: Connection) -> None:
+        told = {"stage": Stage.CALIBRATION, "cells": self._expected.calibration_at_most}
+        events.add(connection, self._campaign.sequence, EventKind.STAGE, told)
+        for note in self._notes:
+            if note not in self._campaign.notes:  # the sensitivity stage has told those
+                events.add(connection, self._campaign.sequence, EventKind.NOTE, {"text": note})
+
     def _save(self, connection: Connection) -> None:
         counts = CellCounts(**self._ledger.counts)
         notes = list(self._notes)
@@ -272,6 +297,9 @@ class Calibration:
                 notes.append(f"reuse in {scenario} was stopped: {rate.wrong} of {rate.audited} audited cells were wrong")
         if counts.unrepeatable:
             notes.append(f"{counts.unrepeatable} simulations gave other bits than the stored run of the same cell")
+            if not self._repeatable_no_more:
+                events.add(connection, self._campaign.sequence, EventKind.NOTE, {"text": notes[-1]})
+                self._repeatable_no_more = True
         campaigns.save_progress(
             connection,
             self._campaign.sequence,

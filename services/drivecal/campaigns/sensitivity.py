@@ -17,6 +17,7 @@ from drivecal.campaigns.problem import CalibrationProblem
 from drivecal.campaigns.spaces import space_to_document
 from drivecal.contracts.campaign import SensitivityCellCounts
 from drivecal.domain.campaigns import Stage
+from drivecal.domain.events import EventKind
 from drivecal.domain.influence import InfluenceMap
 from drivecal.domain.parameters import ParameterSet, text
 from drivecal.execution.scheduler import Completed
@@ -25,7 +26,7 @@ from drivecal.reduction.assignment import Policy
 from drivecal.reduction.keys import ReferenceKeys, billionths_matrix
 from drivecal.sensitivity.analysis import Phase, SensitivityAnalysis
 from drivecal.sensitivity.scenario import ScenarioInfluence
-from drivecal.storage import campaigns, evaluations, influence_maps, results
+from drivecal.storage import campaigns, evaluations, events, influence_maps, results
 from drivecal.storage.campaigns import Snapshot, StoredCampaign
 from drivecal.storage.database import Database
 
@@ -59,6 +60,7 @@ class Sensitivity:
         self._expected = problem.expected_runs()
         self._pace = Pace(clock, campaign.sensitivity_cells.requested)
         self._phase: Phase | None = None
+        self._finished_phase: Phase | None = None
         self.finished = False
 
     def work(self) -> list[Work]:
@@ -66,6 +68,7 @@ class Sensitivity:
         while not self._ledger.waiting and not self.finished:
             if self._phase is not None:
                 self._tell(self._phase)
+                self._finished_phase = self._phase
             self._phase = self._analysis.ask()
             if self._phase is None:
                 self._make_map()
@@ -87,12 +90,26 @@ class Sensitivity:
         """Commits the cells of a phase before anything is dispatched; takes them up as they are where that was done already."""
         with self._database.transaction() as connection:
             if not results.has_iteration(connection, self._campaign.sequence, Stage.SENSITIVITY, phase.number):
+                self._tell_progress(connection)
                 wanted = self._wanted(phase)
                 cells = plan_cells(connection, self._view, self._policy, Stage.SENSITIVITY, phase.number, wanted)
                 self._ledger.request(connection, cells, carried_over=0)
             work = self._ledger.load(connection, share_runs=self._policy.mode != "off")
             self._save(connection)
         return work
+
+    def _tell_progress(self, connection: Connection) -> None:
+        """The beginning of the stage, or the end of the phase before; in the transaction that follows it, so that it is told once."""
+        sequence, done = self._campaign.sequence, self._finished_phase
+        if done is not None:
+            counts = SensitivityCellCounts(**self._ledger.counts).model_dump(exclude={"proposed", "pending"})
+            events.add(connection, sequence, EventKind.PHASE, {"phase": done.number, "name": done.name, **counts})
+            return
+        events.add(
+            connection, sequence, EventKind.STAGE, {"stage": Stage.SENSITIVITY, "cells": self._expected.sensitivity_at_most}
+        )
+        for note in self._problem.notes:
+            events.add(connection, sequence, EventKind.NOTE, {"text": note})
 
     @property
     def _policy(self) -> Policy:
@@ -130,8 +147,12 @@ class Sensitivity:
                 scenarios=analysis_to_document(found),
                 basis=self._basis(found),
             )
+            influence_map = stored_map(stored)
             campaigns.set_influence_map(connection, self._campaign.sequence, stored.id)
-            self._give_keys(connection, stored_map(stored))
+            self._give_keys(connection, influence_map)
+            self._tell_progress(connection)
+            told = {"id": stored.id, "influential": _influential(influence_map)}
+            events.add(connection, self._campaign.sequence, EventKind.INFLUENCE_MAP, told)
 
     def _give_keys(self, connection: Connection, influence_map: InfluenceMap) -> None:
         cells: dict[str, list[tuple[int, ParameterSet]]] = {}
@@ -178,3 +199,11 @@ class Sensitivity:
                 notes=self._problem.notes,
             ),
         )
+
+
+def _influential(influence_map: InfluenceMap) -> dict[str, list[str]]:
+    """The parameters that matter, by scenario."""
+    return {
+        scenario: [name for name, influence in parameters.items() if influence.influential]
+        for scenario, parameters in influence_map.scenarios.items()
+    }

@@ -13,7 +13,8 @@ from sqlalchemy import Connection, Row, Text, Update, case, cast, func, select, 
 from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, Narrowed, Progress, SensitivityCellCounts
 from drivecal.domain.campaigns import CampaignState, Stage
 from drivecal.domain.errors import ConflictError, NotFoundError
-from drivecal.storage import cursors, runs
+from drivecal.domain.events import EventKind
+from drivecal.storage import cursors, events, runs
 from drivecal.storage.identifiers import is_identifier
 from drivecal.storage.membership import insert as insert_into
 from drivecal.storage.tables import campaigns
@@ -126,7 +127,9 @@ def insert(
     statement = insert_into(connection, campaigns).on_conflict_do_nothing(index_elements=["idempotency_key"])
     inserted = connection.execute(statement.values(row).returning(campaigns)).one_or_none()
     if inserted is not None:
-        return _campaign(inserted)
+        queued = _campaign(inserted)
+        _tell(connection, queued.sequence, EventKind.QUEUED, CampaignState.QUEUED, name=name)
+        return queued
     earlier = connection.execute(select(campaigns).where(campaigns.c.idempotency_key == idempotency_key)).one()
     if earlier.body_digest != body_digest:
         raise ConflictError(
@@ -201,36 +204,45 @@ def request_action(connection: Connection, campaign_id: str, action: Action) -> 
     if row is None:
         raise NotFoundError("campaign", campaign_id)
     campaign = _campaign(row)
-    changes = _changes(campaign, action)
-    if changes:
-        connection.execute(_of(campaign.sequence).values(changes))
-    return by_sequence(connection, campaign.sequence)
+    change = _change(campaign, action)
+    if change is None:
+        return campaign
+    kind, changes = change
+    connection.execute(_of(campaign.sequence).values(changes))
+    changed = by_sequence(connection, campaign.sequence)
+    state = CampaignState.CANCELLING if kind is EventKind.CANCELLING else changed.state
+    _tell(connection, campaign.sequence, kind, state)
+    return changed
 
 
-def _changes(campaign: StoredCampaign, action: Action) -> dict[str, Any]:
+def _change(campaign: StoredCampaign, action: Action) -> tuple[EventKind, dict[str, Any]] | None:
+    """What an action tells and changes; None where it is what holds or was asked for already."""
     state, asked = campaign.state, campaign.requested_action
     if state.ended:
         if action == "cancel" and state is CampaignState.CANCELLED:
-            return {}
+            return None
         raise ConflictError(f"campaign {campaign.id} has ended ({state}): it is too late to {action} it")
     cancelling = state is CampaignState.CANCELLING or asked == "cancel"
     if cancelling and action != "cancel":
         raise ConflictError(f"campaign {campaign.id} is being cancelled: it is too late to {action} it")
-    never_started = campaign.started_at is None
     match action:
         case "cancel" if not cancelling:
             if state is CampaignState.RUNNING:
-                return {"requested_action": "cancel"}
-            return {"state": CampaignState.CANCELLED, "ended_at": now(), "requested_action": None}
-        case "pause":
-            if state is CampaignState.QUEUED:
-                return {"state": CampaignState.PAUSED}
-            return {"requested_action": "pause" if state is CampaignState.RUNNING else None}
-        case "resume":
-            if state is CampaignState.PAUSED and never_started:
-                return {"state": CampaignState.QUEUED}
-            return {"requested_action": "resume" if state is CampaignState.PAUSED else None}
-    return {}
+                return EventKind.CANCELLING, {"requested_action": "cancel"}
+            return EventKind.CANCELLED, {"state": CampaignState.CANCELLED, "ended_at": now(), "requested_action": None}
+        case "pause" if state is CampaignState.QUEUED:
+            return EventKind.PAUSED, {"state": CampaignState.PAUSED}
+        case "pause" if state is CampaignState.RUNNING and asked != "pause":
+            return EventKind.PAUSING, {"requested_action": "pause"}
+        case "pause" if asked == "resume":
+            return EventKind.PAUSED, {"requested_action": None}
+        case "resume" if state is CampaignState.PAUSED and campaign.started_at is None:
+            return EventKind.QUEUED, {"state": CampaignState.QUEUED}
+        case "resume" if state is CampaignState.PAUSED and asked != "resume":
+            return EventKind.RESUMING, {"requested_action": "resume"}
+        case "resume" if asked == "pause":
+            return EventKind.RESUMED, {"requested_action": None}
+    return None
 
 
 _EXECUTES = {CampaignState.CANCELLING: "cancel", CampaignState.PAUSED: "pause", CampaignState.RUNNING: "resume"}
@@ -245,7 +257,10 @@ def change_state(connection: Connection, sequence: int, expected: Collection[Cam
         .where(campaigns.c.state.in_(list(expected)))
         .values(state=state, requested_action=case((executed, None), else_=campaigns.c.requested_action))
     )
-    return connection.execute(statement).rowcount == 1
+    changed = connection.execute(statement).rowcount == 1
+    if changed and state is not CampaignState.CANCELLING:  # which was told when it was asked for
+        _tell(connection, sequence, EventKind.RESUMED if state is CampaignState.RUNNING else EventKind(state), state)
+    return changed
 
 
 def start(connection: Connection, sequence: int) -> StoredCampaign | None:
@@ -257,7 +272,10 @@ def start(connection: Connection, sequence: int) -> StoredCampaign | None:
         .returning(campaigns)
     )
     row = connection.execute(statement).one_or_none()
-    return None if row is None else _campaign(row)
+    if row is None:
+        return None
+    _tell(connection, sequence, EventKind.RUNNING, CampaignState.RUNNING)
+    return _campaign(row)
 
 
 def save_progress(connection: Connection, sequence: int, snapshot: Snapshot) -> None:
@@ -289,7 +307,10 @@ def pause(connection: Connection, sequence: int) -> bool:
         .where(campaigns.c.state == CampaignState.RUNNING, campaigns.c.requested_action == "pause")
         .values(state=CampaignState.PAUSED, requested_action=None, degraded=None)
     )
-    return connection.execute(statement).rowcount == 1
+    paused = connection.execute(statement).rowcount == 1
+    if paused:
+        _tell(connection, sequence, EventKind.PAUSED, CampaignState.PAUSED)
+    return paused
 
 
 def set_influence_map(connection: Connection, sequence: int, influence_map_id: str) -> None:
@@ -304,9 +325,15 @@ def set_narrowed(connection: Connection, sequence: int, narrowed: Collection[Nar
 
 def degrade(connection: Connection, sequences: Collection[int], reason: str | None) -> None:
     """Says of running campaigns why they go on more slowly, or not at all, for now; None where all is well."""
-    if sequences:
-        changed = campaigns.c.sequence.in_(list(sequences)) & campaigns.c.degraded.is_distinct_from(reason)
-        connection.execute(update(campaigns).where(changed).values(degraded=reason, revision=campaigns.c.revision + 1))
+    if not sequences:
+        return
+    changed = campaigns.c.sequence.in_(list(sequences)) & campaigns.c.degraded.is_distinct_from(reason)
+    statement = update(campaigns).where(changed).values(degraded=reason, revision=campaigns.c.revision + 1)
+    for sequence in sorted(connection.execute(statement.returning(campaigns.c.sequence)).scalars()):
+        if reason is None:
+            events.add(connection, sequence, EventKind.RECOVERED)
+        else:
+            events.add(connection, sequence, EventKind.DEGRADED, {"reason": reason})
 
 
 def end(connection: Connection, sequence: int, state: CampaignState, error: str | None = None) -> bool:
@@ -317,7 +344,14 @@ def end(connection: Connection, sequence: int, state: CampaignState, error: str 
         .where(campaigns.c.state.in_(open_states))
         .values(state=state, error=error, ended_at=now(), requested_action=None, degraded=None)
     )
-    return connection.execute(statement).rowcount == 1
+    ended = connection.execute(statement).rowcount == 1
+    if ended:
+        _tell(connection, sequence, EventKind(state), state, **({} if error is None else {"error": error}))
+    return ended
+
+
+def _tell(connection: Connection, sequence: int, kind: EventKind, state: CampaignState, **more: Any) -> None:
+    events.add(connection, sequence, kind, {"state": state, **more})
 
 
 def _of(sequence: int) -> Update:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable
+from datetime import timedelta
 from typing import Any
 
 import pytest
@@ -18,10 +19,12 @@ from tests.support.storage import EVALUATOR, campaign, new_run, sample_set_ids, 
 
 from drivecal.domain.campaigns import Stage
 from drivecal.domain.evaluations import Outcome
-from drivecal.storage import audits, campaigns, evaluations, parameter_sets, reference_keys, results, runs
+from drivecal.domain.events import EventKind
+from drivecal.storage import audits, campaigns, evaluations, events, parameter_sets, reference_keys, results, runs
 from drivecal.storage.database import Database
 from drivecal.storage.evaluations import Answer, NewEvaluation
 from drivecal.storage.membership import LARGEST_IN
+from drivecal.storage.types import now
 
 ROWS = 4_000
 SMALL = {"reference_indexes"}
@@ -67,7 +70,7 @@ def plans(connection: Connection, use: Callable[[Connection], Any]) -> str:
     explained: list[str] = []
 
     def explain(one: Connection, _: Any, statement: str, parameters: Any, __: Any, executemany: bool) -> None:
-        if not statement.startswith("EXPLAIN") and re.match(r"(WITH|SELECT|UPDATE)\b", statement):
+        if not statement.startswith("EXPLAIN") and re.match(r"(WITH|SELECT|UPDATE|DELETE)\b", statement):
             values = parameters[0] if executemany else parameters
             prefix = "EXPLAIN QUERY PLAN " if one.dialect.name == "sqlite" else "EXPLAIN (FORMAT JSON) "
             rows = one.exec_driver_sql(prefix + statement, values).all()
@@ -185,3 +188,24 @@ def test_the_dispatcher_finds_active_campaigns_among_many_ended_ones(database: D
         plan = plans(connection, campaigns.active)
     assert scanned(plan) == set(), plan
     assert "ix_campaigns_active" in plan
+
+
+def test_events_are_read_and_forgotten_by_their_indexes(database: Database) -> None:
+    with database.transaction() as connection:
+        sequences = [campaign(connection).sequence for _ in range(40)]
+        for _ in range(50):
+            for sequence in sequences:
+                events.add(connection, sequence, EventKind.NOTE, {"text": "x"})
+        connection.execute(text("UPDATE events SET created_at = '2020-01-01 00:00:00' WHERE id < 20"))
+    gather_statistics(database)
+    old = now() - timedelta(days=1)
+    with database.transaction() as connection:
+        for use, index in (
+            (lambda one: events.since(one, 3, 1_000, 100), "ix_events_campaign_sequence_id"),
+            (lambda one: events.newest_id(one, 3), "ix_events_campaign_sequence_id"),
+            (lambda one: events.prune(one, old, 10), "ix_events_created_at"),
+        ):
+            plan = plans(connection, use)
+            assert scanned(plan) == set(), plan
+            assert index in plan, plan
+            assert "TEMP B-TREE" not in plan

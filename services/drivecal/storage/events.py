@@ -1,0 +1,66 @@
+"""What happened to campaigns: few, meaningful events, each written in the transaction of what it tells.
+
+A reader that has seen all events of a campaign up to some id never misses one by asking for those after it: ids of one campaign grow in the
+order of commits. SQLite has one writer at a time; on PostgreSQL, where a number is drawn long before its transaction ends, whoever adds
+an event holds the lock of the campaign's row from before the number is drawn until the commit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import Connection, Row, delete, func, insert, select
+
+from drivecal.domain.events import EventKind
+from drivecal.storage.tables import campaigns, events
+from drivecal.storage.types import now
+
+
+@dataclass(frozen=True, slots=True)
+class StoredEvent:
+    """One event; `data` depends on its `kind`."""
+
+    id: int
+    campaign_sequence: int
+    kind: str
+    data: Mapping[str, Any]
+    created_at: datetime
+
+
+def add(connection: Connection, campaign_sequence: int, kind: EventKind, data: Mapping[str, Any] | None = None) -> None:
+    """Tells of a campaign what the same transaction writes, and thereby changes its revision."""
+    if connection.dialect.name == "postgresql":
+        held = select(campaigns.c.sequence).where(campaigns.c.sequence == campaign_sequence)
+        connection.execute(held.with_for_update(key_share=True))  # not in the way of rows that only refer to the campaign
+    values = {"campaign_sequence": campaign_sequence, "kind": kind, "data": dict(data or {}), "created_at": now()}
+    connection.execute(insert(events).values(values))
+
+
+def since(connection: Connection, campaign_sequence: int, last_id: int, limit: int) -> list[StoredEvent]:
+    """The first `limit` events of a campaign after the one with id `last_id`, in their order."""
+    query = select(events).where(events.c.campaign_sequence == campaign_sequence, events.c.id > last_id)
+    return [_event(row) for row in connection.execute(query.order_by(events.c.id).limit(limit))]
+
+
+def newest_id(connection: Connection, campaign_sequence: int) -> int:
+    """The id of a campaign's last event; 0 where it has none, as those have that an older drivecal made."""
+    query = select(func.max(events.c.id)).where(events.c.campaign_sequence == campaign_sequence)
+    return connection.execute(query).scalar() or 0
+
+
+def prune(connection: Connection, older_than: datetime, at_most: int = 10_000) -> int:
+    """Forgets `at_most` events that are older, and says how many those were; less than `at_most`: there are no more.
+
+    The last event of a campaign stays, however old: who comes back to it learns at least how it stands.
+    """
+    newer = events.alias("newer")
+    followed = select(newer.c.id).where(newer.c.campaign_sequence == events.c.campaign_sequence, newer.c.id > events.c.id)
+    old = select(events.c.id).where(events.c.created_at < older_than, followed.exists()).limit(at_most)
+    return connection.execute(delete(events).where(events.c.id.in_(old))).rowcount
+
+
+def _event(row: Row[Any]) -> StoredEvent:
+    return StoredEvent(row.id, row.campaign_sequence, row.kind, row.data, row.created_at)
