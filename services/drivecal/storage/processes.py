@@ -1,4 +1,9 @@
-"""The processes of the server, as they report themselves."""
+"""The processes of the server, as they report themselves, and the term of the one that is elected.
+
+At most one dispatcher works on a database at a time: the one that holds the lock (`locks`). A lock alone cannot keep out a dispatcher that
+lost it without knowing, because it was stopped for a while or cut off. So each election begins a new *term*, and every transaction of a
+dispatcher looks, inside itself, whether its own term is still the current one (`confirm`).
+"""
 
 from __future__ import annotations
 
@@ -7,26 +12,61 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import Connection, select
+from sqlalchemy import Connection, Select, select
 
+from drivecal.domain.errors import SupersededError
 from drivecal.storage.membership import insert
 from drivecal.storage.tables import processes
 from drivecal.storage.types import now
 
+DISPATCHER = "dispatcher"
+"""Under which the dispatcher reports itself, and whose terms are counted."""
+
 
 @dataclass(frozen=True, slots=True)
 class StoredProcess:
-    """A process by its `name`, and when it was last heard of."""
+    """A process by its `name`, when it was last heard of, and its term where it was elected."""
 
     name: str
     pid: int
     started_at: datetime
     heartbeat_at: datetime
     detail: Mapping[str, Any]
+    term: int
+
+
+def elect(connection: Connection, name: str, pid: int, started_at: datetime) -> int:
+    """Begins a new term, held by the process `pid`; gives its number. Waits until no transaction of the one before runs any more."""
+    # FOR UPDATE: this, and nothing that heartbeats do, excludes the FOR KEY SHARE of `confirm`
+    connection.execute(_term(name).with_for_update())
+    values = {"pid": pid, "started_at": started_at, "heartbeat_at": now(), "detail": {}}
+    statement = insert(connection, processes).values(name=name, term=1, **values)
+    elected = statement.on_conflict_do_update(index_elements=["name"], set_={"term": processes.c.term + 1, **values})
+    term: int = connection.execute(elected.returning(processes.c.term)).scalar_one()
+    return term
+
+
+def confirm(connection: Connection, name: str, term: int) -> None:
+    """Makes sure that a process may write: to be the first statement of each of its transactions.
+
+    Nobody else is elected before the transaction has ended. Raises SupersededError where somebody was.
+    """
+    found = connection.scalar(_term(name).with_for_update(read=True, key_share=True))
+    if found != term:
+        raise SupersededError(f"another {name} was elected (term {found}, this one had {term}); this one writes nothing more")
+
+
+def term_in_office(connection: Connection, name: str = DISPATCHER) -> int:
+    """The current term; 0 where nobody was elected yet."""
+    return connection.scalar(_term(name)) or 0
+
+
+def _term(name: str) -> Select[int]:
+    return select(processes.c.term).where(processes.c.name == name)
 
 
 def heartbeat(connection: Connection, name: str, pid: int, started_at: datetime, detail: Mapping[str, Any]) -> None:
-    """Says that the process lives, and how it is. A new process of the same name takes the place of the one before."""
+    """Says that the process lives, and how it is. A new process of the same name takes the place of the one before; its term stays."""
     values = {"pid": pid, "started_at": started_at, "heartbeat_at": now(), "detail": dict(detail)}
     statement = insert(connection, processes).values(name=name, **values)
     connection.execute(statement.on_conflict_do_update(index_elements=["name"], set_=values))
@@ -37,4 +77,4 @@ def read(connection: Connection, name: str) -> StoredProcess | None:
     row = connection.execute(select(processes).where(processes.c.name == name)).one_or_none()
     if row is None:
         return None
-    return StoredProcess(row.name, row.pid, row.started_at, row.heartbeat_at, row.detail)
+    return StoredProcess(row.name, row.pid, row.started_at, row.heartbeat_at, row.detail, row.term)

@@ -1,0 +1,119 @@
+"""Leases: which evaluations are at a worker, on whose account, and how often they broke down there.
+
+Before a cell is sent to a worker, it is leased (`take`); its result counts only while that lease is the current one (`accept`). So a cell
+may be simulated more than once, after a crash of whatever process, but has one effect. Leases belong to a dispatcher's term
+(`processes`): they end with it, so that the next dispatcher need not wait for any of them. The breakdowns do not end: a cell that brings
+its workers down must not get three new attempts from every dispatcher.
+
+A lease has no row of its own before it was taken once, and none any more when the cell has its answer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from typing import Any
+
+from sqlalchemy import Connection, bindparam, delete, select, update
+
+from drivecal.storage.membership import among, insert
+from drivecal.storage.processes import term_in_office
+from drivecal.storage.tables import evaluations, leases
+from drivecal.storage.types import now
+
+
+@dataclass(frozen=True, slots=True)
+class WantedLease:
+    """An evaluation to lease for so many `seconds`. `breakdowns`: how often it broke down so far."""
+
+    evaluation_id: int
+    breakdowns: int
+    seconds: float
+
+
+def take(connection: Connection, wanted: Sequence[WantedLease]) -> dict[int, int]:
+    """Leases evaluations; gives the number of the lease of each that was granted, by id.
+
+    Not granted are those that have their answer, those under a lease of this term that has neither expired nor been given back, and, on
+    PostgreSQL, those that somebody is leasing at this moment: they are skipped, nobody waits.
+    """
+    if not wanted:
+        return {}
+    asked = {one.evaluation_id: one for one in wanted}
+    free: list[int] = []
+    for condition in among(connection, evaluations.c.id, list(asked)):
+        query = select(evaluations.c.id).where(condition, evaluations.c.outcome.is_(None))
+        free += connection.scalars(query.with_for_update(skip_locked=True))
+    term, moment = term_in_office(connection), now()
+    statement = insert(connection, leases)
+    over = (leases.c.term != term) | (leases.c.expires_at <= moment)
+    statement = statement.on_conflict_do_update(
+        index_elements=["evaluation_id"],
+        set_={
+            "number": leases.c.number + 1,
+            "attempts": statement.excluded.attempts,
+            "term": statement.excluded.term,
+            "expires_at": statement.excluded.expires_at,
+        },
+        where=over,
+    )
+    rows = [_row(asked[number], term, moment) for number in sorted(free)]
+    if not rows:
+        return {}
+    granted = connection.execute(statement.returning(leases.c.evaluation_id, leases.c.number), rows)
+    return {row.evaluation_id: row.number for row in granted}
+
+
+def _row(one: WantedLease, term: int, moment: datetime) -> dict[str, Any]:
+    return {
+        "evaluation_id": one.evaluation_id,
+        "number": 1,
+        "attempts": one.breakdowns,
+        "term": term,
+        "expires_at": moment + timedelta(seconds=one.seconds),
+    }
+
+
+def give_back(connection: Connection, breakdowns: Mapping[int, int]) -> None:
+    """Ends leases of this term whose cells have no answer, and notes how often each broke down so far, by id."""
+    if not breakdowns:
+        return
+    statement = (
+        update(leases)
+        .where(leases.c.evaluation_id == bindparam("evaluation"), leases.c.term == term_in_office(connection))
+        .values(attempts=bindparam("breakdowns"), expires_at=now())
+    )
+    connection.execute(statement, [{"evaluation": one, "breakdowns": count} for one, count in sorted(breakdowns.items())])
+
+
+def accept(connection: Connection, numbers: Mapping[int, int]) -> set[int]:
+    """Ends the leases under which results arrived, given by evaluation id; says whose lease was the current one.
+
+    The results of the others are late: somebody else has, or had, the cell. To be called in the transaction that stores the results.
+    """
+    term = term_in_office(connection)
+    current: list[int] = []
+    for condition in among(connection, leases.c.evaluation_id, list(numbers)):
+        query = select(leases.c.evaluation_id, leases.c.number).where(condition, leases.c.term == term)
+        current += [one for one, number in connection.execute(query.with_for_update()) if numbers[one] == number]
+    for condition in among(connection, leases.c.evaluation_id, current):
+        connection.execute(delete(leases).where(condition))
+    return set(current)
+
+
+def breakdowns(connection: Connection, evaluation_ids: Sequence[int]) -> dict[int, int]:
+    """How often evaluations broke down so far, by id; those that never did are left out."""
+    found: dict[int, int] = {}
+    for condition in among(connection, leases.c.evaluation_id, list(evaluation_ids)):
+        query = select(leases.c.evaluation_id, leases.c.attempts).where(condition, leases.c.attempts > 0)
+        found.update((one, count) for one, count in connection.execute(query))
+    return found
+
+
+def forget(connection: Connection, campaign_sequence: int) -> None:
+    """Removes the leases of a campaign that has ended: its cells without an answer get none any more."""
+    pending = select(evaluations.c.id).where(
+        evaluations.c.campaign_sequence == campaign_sequence, evaluations.c.outcome.is_(None)
+    )
+    connection.execute(delete(leases).where(leases.c.evaluation_id.in_(pending)))

@@ -1,0 +1,141 @@
+from __future__ import annotations
+
+from datetime import timedelta
+
+import pytest
+from sqlalchemy import select, text
+from tests.contract.storage.conftest import Backend
+from tests.support.storage import campaign, sample_set_ids, setup_id
+
+from drivecal.domain.campaigns import Stage
+from drivecal.domain.evaluations import Outcome
+from drivecal.storage import evaluations, leases, processes
+from drivecal.storage.database import Database
+from drivecal.storage.evaluations import Answer, NewEvaluation
+from drivecal.storage.leases import WantedLease
+from drivecal.storage.tables import leases as table
+from drivecal.storage.types import now
+
+HOUR = 3600.0
+
+
+def pending(database: Database, count: int) -> list[int]:
+    """Evaluations without an answer."""
+    with database.transaction() as connection:
+        setup, sets = setup_id(connection), sample_set_ids(connection, count)
+        cells = [NewEvaluation(Stage.CALIBRATION, 0, n, "S1", setup, one, Outcome.SIMULATED) for n, one in enumerate(sets)]
+        return evaluations.insert(connection, campaign(connection).sequence, cells)
+
+
+def take(database: Database, ids: list[int], breakdowns: int = 0, seconds: float = HOUR) -> dict[int, int]:
+    with database.transaction() as connection:
+        return leases.take(connection, [WantedLease(one, breakdowns, seconds) for one in ids])
+
+
+def elect(database: Database) -> None:
+    with database.transaction() as connection:
+        processes.elect(connection, "dispatcher", 1, now())
+
+
+def test_a_leased_cell_is_not_granted_again_until_it_is_given_back(database: Database) -> None:
+    ids = pending(database, 5)
+    assert take(database, ids[:3]) == dict.fromkeys(ids[:3], 1)
+    assert take(database, ids) == dict.fromkeys(ids[3:], 1)
+    with database.transaction() as connection:
+        leases.give_back(connection, {ids[0]: 1, ids[1]: 0})
+    assert take(database, ids) == {ids[0]: 2, ids[1]: 2}
+
+
+def test_an_expired_lease_and_one_of_an_earlier_term_are_over(database: Database) -> None:
+    ids = pending(database, 2)
+    assert take(database, ids[:1], seconds=0.0) == {ids[0]: 1}
+    assert take(database, ids[:1]) == {ids[0]: 2}
+    assert take(database, ids[:1]) == {}
+    elect(database)
+    assert take(database, ids[:1]) == {ids[0]: 3}
+    assert take(database, ids[:1]) == {}
+
+
+def test_what_has_its_answer_is_not_leased(database: Database) -> None:
+    ids = pending(database, 3)
+    with database.transaction() as connection:
+        evaluations.answer(connection, [Answer(ids[1], Outcome.FAILED, None, None, None, "crash")])
+    assert take(database, [*ids, 10**9]) == {ids[0]: 1, ids[2]: 1}
+
+
+def test_only_results_of_the_current_lease_count_and_once(database: Database) -> None:
+    ids = pending(database, 4)
+    take(database, ids)
+    with database.transaction() as connection:
+        leases.give_back(connection, {ids[0]: 1})
+    take(database, ids[:1], breakdowns=1)
+    with database.transaction() as connection:
+        assert leases.accept(connection, {ids[0]: 1, ids[1]: 1, ids[2]: 7, 10**9: 1}) == {ids[1]}
+        assert leases.accept(connection, {ids[1]: 1}) == set()
+        assert leases.accept(connection, {ids[0]: 2}) == {ids[0]}
+    elect(database)
+    with database.transaction() as connection:
+        assert leases.accept(connection, {ids[3]: 1}) == set(), "its dispatcher is not in office any more"
+        assert sorted(connection.scalars(select(table.c.evaluation_id))) == [ids[2], ids[3]]
+
+
+def test_breakdowns_survive_a_dispatcher_and_its_own_end_is_none(database: Database) -> None:
+    ids = pending(database, 3)
+    take(database, ids[:2])
+    with database.transaction() as connection:
+        leases.give_back(connection, {ids[0]: 1})
+    elect(database)
+    with database.read() as connection:
+        assert leases.breakdowns(connection, ids) == {ids[0]: 1}
+    take(database, ids, breakdowns=1)
+    elect(database)
+    with database.transaction() as connection:
+        assert leases.breakdowns(connection, ids) == dict.fromkeys(ids, 1)
+        leases.give_back(connection, dict.fromkeys(ids, 2))
+        assert leases.breakdowns(connection, ids) == dict.fromkeys(ids, 1), "a dispatcher of an earlier term has no say"
+
+
+def test_an_ended_campaign_has_no_leases(database: Database) -> None:
+    one, other = pending(database, 3), pending(database, 3)
+    take(database, [*one, *other])
+    with database.transaction() as connection:
+        sequence = connection.scalar(text(f"SELECT campaign_sequence FROM evaluations WHERE id = {one[0]}"))
+        leases.forget(connection, int(sequence))
+        assert sorted(connection.scalars(select(table.c.evaluation_id))) == other
+
+
+def _take_in_vain(database: Database, ids: list[int]) -> None:
+    with database.transaction() as connection:
+        leases.take(connection, [WantedLease(one, 0, HOUR) for one in ids])
+        raise ZeroDivisionError
+
+
+def test_a_lease_that_is_not_committed_is_none(database: Database) -> None:
+    ids = pending(database, 2)
+    with pytest.raises(ZeroDivisionError):
+        _take_in_vain(database, ids)
+    assert take(database, ids) == dict.fromkeys(ids, 1)
+
+
+def test_two_connections_lease_different_cells_and_neither_waits(backend: Backend, database: Database) -> None:
+    if backend == "sqlite":
+        pytest.skip("there is one writer at a time")
+    ids = pending(database, 40)
+    wanted = [WantedLease(one, 0, HOUR) for one in ids]
+    with database.transaction() as one, database.transaction() as other:
+        for connection in (one, other):
+            connection.execute(text("SET LOCAL lock_timeout = '2s'"))
+        first = leases.take(one, wanted[:25])
+        second = leases.take(other, wanted)
+    assert sorted(first) == ids[:25]
+    assert sorted(second) == ids[25:]
+
+
+def test_expiry_counts_from_the_moment_of_leasing(database: Database) -> None:
+    [only] = pending(database, 1)
+    begin = now()
+    take(database, [only], seconds=90.0)
+    with database.read() as connection:
+        expires = connection.scalar(select(table.c.expires_at))
+    assert expires is not None
+    assert begin + timedelta(seconds=90) <= expires <= now() + timedelta(seconds=90)
