@@ -43,4 +43,7 @@ def misbehaving_setup(scenario: str = "S1", evaluator: str = "reference") -> Set
 
 
 def misbehaving_cells(behaviours: Sequence[Behaviour], first: int = 1) -> tuple[Cell, ...]:
-    return tuple(Cell(first + index, {"behaviour": float(one), "value": 0.0}) for index, one in enumerate(behaviours))
+    """No two are identical: they would be simulated once."""
+    return tuple(
+        Cell(first + index, {"behaviour": float(one), "value": float(first + index)}) for index, one in enumerate(behaviours)
+    )

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Hashable
+from collections.abc import Mapping
 from dataclasses import dataclass
+
+from drivecal.execution.outstanding import SetupKey
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,16 +27,26 @@ class CellCosts:
 
     def __init__(self, remembered: int = 7) -> None:
         self._remembered = remembered
-        self._measured: dict[Hashable, deque[float]] = {}
+        self._measured: dict[SetupKey, deque[float]] = {}
+        self._medians: dict[SetupKey, float] = {}
 
-    def observe(self, setup: Hashable, cells: int, seconds: float) -> None:
+    def observe(self, setup: SetupKey, cells: int, seconds: float) -> None:
         """Takes in one finished batch."""
-        self._measured.setdefault(setup, deque(maxlen=self._remembered)).append(max(seconds, 1e-6) / cells)
+        measured = self._measured.setdefault(setup, deque(maxlen=self._remembered))
+        measured.append(max(seconds, 1e-6) / cells)
+        self._medians[setup] = sorted(measured)[(len(measured) - 1) // 2]
 
-    def seconds_per_cell(self, setup: Hashable) -> float | None:
+    def seconds_per_cell(self, setup: SetupKey) -> float | None:
         """What a cell of this setup costs; None before the first measurement."""
-        measured = self._measured.get(setup)
-        return sorted(measured)[(len(measured) - 1) // 2] if measured else None
+        return self._medians.get(setup)
+
+    def seconds(self, cells: Mapping[SetupKey, int]) -> float:
+        """What cells, counted by setup, will cost together. Setups without a measurement count as the average of the others, or
+        nothing where there is none at all."""
+        known = [(count, self._medians[setup]) for setup, count in cells.items() if setup in self._medians]
+        counted = sum(count for count, _ in known)
+        measured = sum(count * cost for count, cost in known)
+        return measured / counted * sum(cells.values()) if counted else 0.0
 
 
 def batch_size(policy: BatchPolicy, seconds_per_cell: float | None, waiting_seconds: float, workers: int) -> int:

@@ -1,8 +1,9 @@
 """Which cells are sent next, to whom, and what becomes of those that broke down: a pure state machine without clock or I/O.
 
-Cells wait in groups of one setup, so that workers seldom have to load another scenario. A batch whose worker was lost is a
-suspicion against each of its cells: from then on each is sent alone, to an idle worker with nothing behind it, so that a poison cell
-takes no other cell along. After `ATTEMPTS` it has failed; innocent cells succeed at once.
+Campaigns of equal priority share the workers' time (`queue`), identical cells are simulated once (`outstanding`), and workers seldom
+have to load another scenario. A batch whose worker was lost is a suspicion against each of its cells: from then on each is sent
+alone, to an idle worker with nothing behind it, so that a poison cell takes no other cell along. After `ATTEMPTS` breakdowns it has
+failed; innocent cells succeed at once.
 
 A worker that lives and reports a breakdown may itself be to blame. Its cells are suspects as well, but go to another worker, or to
 the process that replaces the only one. A worker that refuses a setup says nothing about the cells: they wait for somebody else.
@@ -11,19 +12,19 @@ the process that replaces the only one. A worker that refuses a setup says nothi
 from __future__ import annotations
 
 import itertools
-from collections import deque
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 
 from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult, SetupRequest
 from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.batching import BatchPolicy, CellCosts, batch_size
+from drivecal.execution.outstanding import WITNESSES, Claim, Outstanding, SetupKey
+from drivecal.execution.queue import FairQueue, Group, Line
 from drivecal.execution.standing import Standings
 
 ATTEMPTS = 3
-"""How often a cell is sent before it has failed."""
-WITNESSES = 2
-"""Workers that must have seen an exception: it is deterministic, unless a worker or an earlier cell of the batch is to blame."""
+"""After how many breakdowns a cell has failed."""
 MOST_PASSED_OVER = 200
 """Batches of a quarter of a second, after which a suspect no longer waits until its only worker has nothing else to do."""
 
@@ -68,28 +69,15 @@ class Replacement:
     fault: str | None
 
 
-_SetupKey = tuple[str, str, str, str]
-
-
 @dataclass(slots=True)
-class _Entry:
-    cell: Cell
-    setup: SetupRequest
-    tag: str
-    priority: int
-    attempts: int = 0
-    withdrawn: bool = False
-    witnesses: set[str] = field(default_factory=set)
-    """Workers that live and reported that the cell broke down."""
+class _Sent:
+    """Cells at a worker, and what the line that they came from was charged for them."""
 
-    @property
-    def avoid(self) -> frozenset[str]:
-        """The worker whose word alone does not count."""
-        return frozenset(self.witnesses) if len(self.witnesses) < WITNESSES else frozenset()
-
-
-def _key(setup: SetupRequest) -> _SetupKey:
-    return (setup.run_fingerprint, setup.catalogue, setup.scenario, setup.evaluator)
+    worker: str
+    line: Line
+    leaders: list[Claim]
+    alone: bool
+    charged: float = 0.0
 
 
 class Scheduler:
@@ -98,14 +86,17 @@ class Scheduler:
     def __init__(self, policy: BatchPolicy) -> None:
         self._policy = policy
         self._costs = CellCosts()
-        self._waiting: dict[int, dict[_SetupKey, deque[_Entry]]] = {}
-        self._suspects: dict[tuple[_SetupKey, frozenset[str]], deque[_Entry]] = {}
-        """By setup and by the workers that must not have them."""
+        self._outstanding = Outstanding()
+        self._queue = FairQueue()
         self._standings = Standings()
+        self._last: dict[str, SetupKey] = {}
+        """The setup that was last sent to each worker."""
+        self._workers_on: Counter[SetupKey] = Counter()
+        """To how many workers it was."""
         self._passed_over = 0
         """Batches that a worker got while a suspect waited that only its replacement can take."""
-        self._sent: dict[int, list[_Entry]] = {}
-        self._by_id: dict[int, _Entry] = {}
+        self._sent: dict[int, _Sent] = {}
+        self._changed: dict[int, int] = {}
         self._batch_ids = itertools.count(1)
 
     def add(
@@ -120,55 +111,71 @@ class Scheduler:
     ) -> None:
         """Queues cells. One that is identical to an outstanding cell (setup, evaluator and every bit of the parameters) is not sent:
         it takes the other's answer, unless one of the two is `exclusive`. `breakdowns`, by id: how often a cell broke down before
-        this scheduler knew it. Raises ValueError where a cell's id is outstanding already."""
-        identifiers = [cell.id for cell in cells]
-        twice = [identifier for identifier in identifiers if identifier in self._by_id]
-        if twice or len(set(identifiers)) < len(identifiers):
-            raise ValueError(f"cells are outstanding already or listed twice, e.g. {twice[:3] or identifiers[:3]}")
-        group = self._waiting.setdefault(priority, {}).setdefault(_key(setup), deque())
-        for cell in cells:
-            entry = _Entry(cell, setup, tag, priority, attempts=(breakdowns or {}).get(cell.id, 0))
-            self._by_id[cell.id] = entry
-            group.append(entry)
+        this scheduler knew it; at least one more try is made. Raises ValueError where a cell's id is outstanding already."""
+        earlier = breakdowns or {}
+        for claim in self._outstanding.add(setup, cells, tag, priority, exclusive=exclusive):
+            simulation = claim.simulation
+            count = max(simulation.breakdowns, min(earlier.get(claim.cell.id, 0), ATTEMPTS - 1))
+            if count > simulation.breakdowns:  # a suspect from now on
+                self._queue.withdraw(simulation)
+                simulation.breakdowns = count
+                if simulation.leader is None:
+                    self._queue.put(simulation)
+            elif simulation.leader is None:
+                self._queue.join(claim)
+
+    def meet(self, ready: Sequence[str]) -> None:
+        """Tells which workers have started and live."""
+        self._standings.meet(ready)
+        for gone in self._last.keys() - set(ready):
+            self._move(gone, None)
+
+    def next_batch(self, worker: str, *, idle: bool) -> Dispatch | None:
+        """What to send to a free slot of a worker, None for nothing. Where it is the turn of a suspect, it gets that alone, and
+        nothing behind a running batch: it runs dry, so that it can take it. So does a worker that is to be replaced."""
+        if self._standings.fault(worker) is not None:
+            return None
+        for line in self._queue.in_turn():
+            group = self._suspects_for(worker, line)
+            if group is not None:
+                if not idle:
+                    return None
+                self._passed_over *= not group.avoid
+                return self._dispatch(worker, group, 1)
+            group = self._group_for(worker, line)
+            if group is not None:
+                if self._is_alone(worker):
+                    if self._passed_over >= MOST_PASSED_OVER:
+                        return None
+                    self._passed_over += 1
+                return self._dispatch(worker, group, self._size(worker, group))
+        return None
 
     def take_back(self, batch_id: int) -> None:
         """A dispatch was not sent after all: its cells return to the front of their queues, as if they had not been taken out."""
-        self._take_back(self._sent.pop(batch_id))
+        self._put_back(self._sent.pop(batch_id))
 
     def drop(self, batch_id: int, cells: Collection[int]) -> Dispatch | None:
         """Some cells of a dispatch, which was not sent yet, are not to be simulated: they are forgotten, neither completed nor held.
         Identical cells that waited for them wait for themselves. Returns the dispatch of what is left, to be sent in place of the
         first one; None where nothing is."""
-        raise NotImplementedError
+        sent = self._sent[batch_id]
+        dropped = [claim for claim in sent.leaders if claim.cell.id in cells]
+        sent.leaders = [claim for claim in sent.leaders if claim.cell.id not in cells]
+        for claim in dropped:
+            claim.simulation.leader = None
+            self._forget(claim)
+        self._queue.put_back(dropped)
+        if sent.leaders:
+            return self._as_dispatch(batch_id, sent)
+        self._charge(self._sent.pop(batch_id), 0.0)
+        return None
 
     def take_breakdowns(self) -> dict[int, int]:
         """The number of breakdowns, by id, of the outstanding cells for which it changed since the last call: to be written down, for
         the scheduler that comes after this one (`add`)."""
-        raise NotImplementedError
-
-    def meet(self, ready: Sequence[str]) -> None:
-        """Tells which workers have started and live."""
-        self._standings.meet(ready)
-
-    def next_batch(self, worker: str, *, idle: bool) -> Dispatch | None:
-        """What to send to a free slot of a worker, None for nothing. While suspects wait that it may have, it gets them one by one and
-        nothing behind a running batch: it runs dry, so that it can take them. So does a worker that is to be replaced."""
-        if self._standings.fault(worker) is not None:
-            return None
-        for (setup, avoid), suspects in self._suspects.items():
-            if worker in self._standings.candidates(setup, avoid):
-                return self._dispatch(worker, [self._take_suspect(setup, avoid, suspects)], alone=True) if idle else None
-        passes_over = self._is_alone(worker)
-        if passes_over and self._passed_over >= MOST_PASSED_OVER:
-            return None
-        for priority in sorted(self._waiting, reverse=True):
-            for setup, group in self._waiting[priority].items():
-                if not self._standings.refuses(worker, setup):
-                    self._passed_over += passes_over
-                    taken = [group.popleft() for _ in range(min(self._size(worker, setup), len(group)))]
-                    self._forget_if_empty(priority, setup)
-                    return self._dispatch(worker, taken, alone=False)
-        return None
+        changed, self._changed = self._changed, {}
+        return changed
 
     def replacement(self, worker: str) -> Replacement | None:
         """Whether an idle worker for which there is no batch is to be replaced: because it never has results, or because a cell broke
@@ -178,12 +185,11 @@ class Scheduler:
 
     def is_kept_from(self, worker: str) -> bool:
         """True where something waits that this worker refuses."""
-        waiting = [*(setup for groups in self._waiting.values() for setup in groups), *(setup for setup, _ in self._suspects)]
-        return any(self._standings.refuses(worker, setup) for setup in waiting)
+        return any(self._standings.refuses(worker, setup) for setup in self._queue.setups())
 
     def trouble(self) -> str | None:
         """Which workers refuse what is to be done, in words, and why; None where none does."""
-        setups = {_key(entry.setup): entry.setup for entry in self._by_id.values()}
+        setups = self._outstanding.setups()
         refusals = self._standings.refusals(setups)
         if not refusals:
             return None
@@ -194,25 +200,27 @@ class Scheduler:
 
     def finished(self, batch_id: int, result: BatchResult) -> list[Completed]:
         """Takes in the results of a batch; a batch that is not (or no longer) expected changes nothing."""
-        entries = self._sent.pop(batch_id, None)
-        if entries is None:
+        sent = self._sent.pop(batch_id, None)
+        if sent is None:
             return []
-        setup = _key(entries[0].setup)
+        setup = sent.leaders[0].simulation.key
         self._standings.answered(result.worker, setup, result)
         if result.refusal is not None:
-            self._take_back(entries)
+            self._put_back(sent)
             return []
+        self._charge(sent, result.seconds)
         if result.results:
-            self._costs.observe(setup, len(entries), result.seconds)
+            self._costs.observe(setup, len(sent.leaders), result.seconds)
         found = {answer.id: answer for answer in result.results}
         completed = []
-        for entry in entries:
-            answer = found.get(entry.cell.id) or _broken(entry, Breakdown.ERROR, "the worker returned no result for this cell")
+        for leader in sent.leaders:
+            answer = found.get(leader.cell.id) or _broken(
+                leader, Breakdown.ERROR, "the worker returned no result for this cell"
+            )
             if answer.breakdown is None:
-                del self._by_id[entry.cell.id]
-                completed.append(Completed(entry.tag, result.worker, answer, entry.attempts))
+                completed += self._complete(leader, answer, result.worker, leader.simulation.breakdowns + 1)
             else:
-                completed += self._broke_down(entry, answer, result.worker)
+                completed += self._broke_down(leader, answer, result.worker, alone=sent.alone)
         return completed
 
     def lost(
@@ -220,111 +228,141 @@ class Scheduler:
     ) -> list[Completed]:
         """Takes in the loss of a batch: its cells are tried again one by one; those with no attempts left have failed. `seconds`: how
         long the worker was busy with it, where that is known: it is charged to the campaign's share of the workers' time."""
-        del seconds
-        entries = self._sent.pop(batch_id, [])
+        sent = self._sent.pop(batch_id, None)
+        if sent is None:
+            return []
+        self._charge(sent, sent.charged if seconds is None else seconds)
+        answers = [(leader, _broken(leader, breakdown, detail)) for leader in sent.leaders]
         if breakdown is not Breakdown.ERROR:  # the worker is gone as well
-            return [
-                done for entry in entries for done in self._again_or_failed(entry, _broken(entry, breakdown, detail), worker)
-            ]
-        if entries:
-            self._standings.failed(worker, detail)
-        return [done for entry in entries for done in self._broke_down(entry, _broken(entry, breakdown, detail), worker)]
+            return [done for one in answers for done in self._again_or_failed(*one, worker, alone=sent.alone)]
+        self._standings.failed(worker, detail)
+        return [done for one in answers for done in self._broke_down(*one, worker, alone=sent.alone)]
 
     def withdraw(self, tag: str) -> int:
         """Drops the cells of `tag` that are not at a worker. Returns how many are: those still complete, unless they get lost."""
-        for priority, groups in list(self._waiting.items()):
-            for key, group in list(groups.items()):
-                groups[key] = self._without(group, tag)
-                self._forget_if_empty(priority, key)
-        kept = {place: self._without(suspects, tag) for place, suspects in self._suspects.items()}
-        self._suspects = {place: suspects for place, suspects in kept.items() if suspects}
-        running = [entry for entry in self._by_id.values() if entry.tag == tag]
-        for entry in running:
-            entry.withdrawn = True
-        return len(running)
+        running = 0
+        for claim in list(self._outstanding.of(tag)):
+            if claim.simulation.leader is claim:
+                claim.withdrawn = True
+                running += 1
+            else:
+                self._forget(claim)
+        self._queue.forget(tag)
+        return running
 
     def held(self, tag: str) -> int:
         """Cells of `tag` without an answer."""
-        return sum(entry.tag == tag for entry in self._by_id.values())
+        return len(self._outstanding.of(tag))
 
-    def _dispatch(self, worker: str, entries: list[_Entry], *, alone: bool) -> Dispatch:
-        for entry in entries:
-            entry.attempts += 1
-        batch_id = next(self._batch_ids)
-        self._sent[batch_id] = entries
-        setup = entries[0].setup
-        cost = self._costs.seconds_per_cell(_key(setup))
-        expected = None if cost is None else cost * len(entries)
-        breakdowns = {entry.cell.id: entry.attempts - 1 for entry in entries}
-        return Dispatch(worker, batch_id, Batch(setup, tuple(entry.cell for entry in entries)), expected, alone, breakdowns)
+    def _suspects_for(self, worker: str, line: Line) -> Group | None:
+        return next(
+            (one for (setup, avoid), one in line.suspects.items() if self._standings.may_try(worker, setup, avoid)), None
+        )
 
-    def _size(self, worker: str, setup: _SetupKey) -> int:
+    def _group_for(self, worker: str, line: Line) -> Group | None:
+        """The setup that the worker ran last, or the one with most to do for each worker that is at it. Where nobody is at a setup, one
+        of several who are at the same moves there, so that none is left to the end and then to a single worker."""
+        able = {setup: one for setup, one in line.groups.items() if not self._standings.refuses(worker, setup)}
+        last = self._last.get(worker)
+        on = self._workers_on
+        if last in able and (on[last] == 1 or all(on[setup] for setup in able)):
+            return able[last]
+        return max(able.values(), key=lambda one: self._to_do(one) / (on[one.setup] or 1e-9), default=None)
+
+    def _to_do(self, group: Group) -> float:
+        cost = self._costs.seconds_per_cell(group.setup)
+        return group.waiting * (self._policy.target_seconds if cost is None else cost)
+
+    def _size(self, worker: str, group: Group) -> int:
         if self._standings.on_probation(worker):
             return 1
-        cost = self._costs.seconds_per_cell(setup)
-        return batch_size(self._policy, cost, self._waiting_seconds(), self._standings.ready)
+        cost = self._costs.seconds_per_cell(group.setup)
+        waiting = self._costs.seconds(self._queue.simulations(group.line.priority))
+        return batch_size(self._policy, cost, waiting, self._standings.ready)
 
-    def _broke_down(self, entry: _Entry, answer: CellResult, worker: str) -> list[Completed]:
+    def _dispatch(self, worker: str, group: Group, cells: int) -> Dispatch:
+        sent = _Sent(worker, group.line, self._queue.take(group, cells), alone=group.avoid is not None)
+        for leader in sent.leaders:
+            leader.simulation.leader = leader
+        self._move(worker, group.setup)
+        batch_id = next(self._batch_ids)
+        self._sent[batch_id] = sent
+        return self._as_dispatch(batch_id, sent)
+
+    def _move(self, worker: str, setup: SetupKey | None) -> None:
+        """Notes what a worker is sent, None where it is gone."""
+        last = self._last.pop(worker, None)
+        if last is not None:
+            self._workers_on[last] -= 1
+            if not self._workers_on[last]:
+                del self._workers_on[last]
+        if setup is not None:
+            self._last[worker] = setup
+            self._workers_on[setup] += 1
+
+    def _as_dispatch(self, batch_id: int, sent: _Sent) -> Dispatch:
+        first = sent.leaders[0].simulation
+        cost = self._costs.seconds_per_cell(first.key)
+        expected = None if cost is None else cost * len(sent.leaders)
+        self._charge(sent, self._policy.target_seconds if expected is None else expected)
+        batch = Batch(first.setup, tuple(leader.cell for leader in sent.leaders))
+        breakdowns = {leader.cell.id: leader.simulation.breakdowns for leader in sent.leaders}
+        return Dispatch(sent.worker, batch_id, batch, expected, sent.alone, breakdowns)
+
+    def _charge(self, sent: _Sent, seconds: float) -> None:
+        """What a batch costs its line by now."""
+        self._queue.charge(sent.line, seconds - sent.charged)
+        sent.charged = seconds
+
+    def _put_back(self, sent: _Sent) -> None:
+        """These cells wait as before, as if they had not been sent."""
+        self._charge(sent, 0.0)
+        for leader in sent.leaders:
+            leader.simulation.leader = None
+            if leader.withdrawn:
+                self._forget(leader)
+        self._queue.put_back(sent.leaders)
+
+    def _broke_down(self, leader: Claim, answer: CellResult, worker: str, *, alone: bool) -> list[Completed]:
         """A worker that lives reported that a cell gave no result."""
-        entry.witnesses.add(worker)
-        if len(entry.witnesses) >= WITNESSES:
-            self._standings.confirmed(entry.witnesses)
-        return self._again_or_failed(entry, answer, worker)
+        simulation = leader.simulation
+        simulation.witnesses |= {worker}
+        if len(simulation.witnesses) >= WITNESSES:
+            self._standings.confirmed(simulation.witnesses)
+        return self._again_or_failed(leader, answer, worker, alone=alone)
 
-    def _again_or_failed(self, entry: _Entry, answer: CellResult, worker: str) -> list[Completed]:
-        settled = answer.breakdown == Breakdown.ERROR and len(entry.witnesses) >= WITNESSES
-        failed = settled or entry.attempts >= ATTEMPTS
-        if not failed and not entry.withdrawn:
-            self._suspects.setdefault((_key(entry.setup), entry.avoid), deque()).append(entry)
-            return []
-        del self._by_id[entry.cell.id]
-        # a withdrawn cell had fewer attempts than it was due: it has not failed, it was not simulated
-        return [Completed(entry.tag, worker, answer, entry.attempts)] if failed else []
+    def _again_or_failed(self, leader: Claim, answer: CellResult, worker: str, *, alone: bool) -> list[Completed]:
+        simulation = leader.simulation
+        # a cell that broke down before, elsewhere, may be in a batch all the same: what happens there proves nothing against it
+        simulation.breakdowns = min(simulation.breakdowns + 1, ATTEMPTS if alone else ATTEMPTS - 1)
+        settled = answer.breakdown == Breakdown.ERROR and len(simulation.witnesses) >= WITNESSES
+        if settled or simulation.breakdowns >= ATTEMPTS:
+            return self._complete(leader, answer, worker, simulation.breakdowns)
+        simulation.leader = None
+        if leader.withdrawn:  # it had fewer attempts than it was due: it has not failed, it was not simulated
+            self._forget(leader)
+        self._changed |= {claim.cell.id: simulation.breakdowns for claim in simulation.claims}
+        self._queue.put(simulation)
+        return []
 
-    def _take_back(self, entries: list[_Entry]) -> None:
-        """A worker refused these cells: they wait as before, as if they had not been sent."""
-        for entry in reversed(entries):
-            entry.attempts -= 1
-            setup = _key(entry.setup)
-            if entry.withdrawn:
-                del self._by_id[entry.cell.id]
-            elif entry.attempts:
-                self._suspects.setdefault((setup, entry.avoid), deque()).appendleft(entry)
-            else:
-                self._waiting.setdefault(entry.priority, {}).setdefault(setup, deque()).appendleft(entry)
+    def _complete(self, leader: Claim, answer: CellResult, worker: str, attempts: int) -> list[Completed]:
+        completed = [Completed(leader.tag, worker, answer, attempts)]
+        self._forget(leader)
+        for follower in list(leader.simulation.claims):
+            its = replace(answer, id=follower.cell.id)
+            completed.append(Completed(follower.tag, worker, its, attempts, leader=leader.cell.id))
+            self._forget(follower)
+        return completed
+
+    def _forget(self, claim: Claim) -> None:
+        self._queue.leave(claim)
+        self._outstanding.remove(claim)
+        self._changed.pop(claim.cell.id, None)
 
     def _is_alone(self, worker: str) -> bool:
         """True where a cell broke down at this worker and there is nobody else to try."""
-        return any(worker in avoid and not self._standings.candidates(setup, avoid) for setup, avoid in self._suspects)
-
-    def _take_suspect(self, setup: _SetupKey, avoid: frozenset[str], suspects: deque[_Entry]) -> _Entry:
-        self._passed_over = 0
-        entry = suspects.popleft()
-        if not suspects:
-            del self._suspects[setup, avoid]
-        return entry
-
-    def _waiting_seconds(self) -> float:
-        costs = self._costs
-        return sum(
-            len(group) * (costs.seconds_per_cell(key) or 0.0)
-            for groups in self._waiting.values()
-            for key, group in groups.items()
-        )
-
-    def _without(self, entries: deque[_Entry], tag: str) -> deque[_Entry]:
-        for entry in entries:
-            if entry.tag == tag:
-                del self._by_id[entry.cell.id]
-        return deque(entry for entry in entries if entry.tag != tag)
-
-    def _forget_if_empty(self, priority: int, key: _SetupKey) -> None:
-        groups = self._waiting[priority]
-        if not groups[key]:
-            del groups[key]
-        if not groups:
-            del self._waiting[priority]
+        return any(self._standings.nobody_may_try(one.setup, one.avoid or ()) for one in self._queue.avoiding(worker))
 
 
-def _broken(entry: _Entry, breakdown: Breakdown, detail: str) -> CellResult:
-    return CellResult(entry.cell.id, None, None, {}, None, 0.0, breakdown.value, detail)
+def _broken(leader: Claim, breakdown: Breakdown, detail: str) -> CellResult:
+    return CellResult(leader.cell.id, None, None, {}, None, 0.0, breakdown.value, detail)

@@ -7,6 +7,7 @@ that never has any is replaced.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Hashable, Iterable, Sequence
 from enum import IntEnum
 
@@ -30,10 +31,12 @@ class Standings:
     """Workers are known by names that no two processes share."""
 
     def __init__(self) -> None:
-        self._ready: Sequence[str] = ()
+        self._ready: frozenset[str] = frozenset()
         self._proven: set[str] = set()
         self._without_result: dict[str, tuple[int, str]] = {}
         self._refusals: dict[Hashable, dict[str, str]] = {}
+        self._census: Counter[Trust] | None = None
+        """How many of the ready workers are trusted how much; None where that has to be counted anew."""
 
     @property
     def ready(self) -> int:
@@ -43,9 +46,11 @@ class Standings:
     def meet(self, ready: Sequence[str]) -> None:
         """Tells which workers have started. What the others have shown is forgotten, but not what they refused: it holds until
         somebody else answers."""
-        self._ready = ready
-        self._proven.intersection_update(ready)
-        for gone in self._without_result.keys() - set(ready):
+        if self._ready == (now := frozenset(ready)):
+            return
+        self._ready, self._census = now, None
+        self._proven &= now
+        for gone in self._without_result.keys() - now:
             del self._without_result[gone]
 
     def answered(self, worker: str, setup: Hashable, result: BatchResult) -> None:
@@ -57,18 +62,21 @@ class Standings:
         if still:
             self._refusals[setup] = still
         if any(one.breakdown is None for one in result.results):
-            self._proven.add(worker)
-            self._without_result.pop(worker, None)
+            if self._trust(worker) is not Trust.PROVEN:
+                self._proven.add(worker)
+                self.confirmed([worker])
         elif result.refusal is None:
             self.failed(worker, (result.results[-1].detail if result.results else None) or "it says nothing")
 
     def failed(self, worker: str, detail: str) -> None:
         """A whole batch went without a result."""
+        self._census = None
         count, _ = self._without_result.get(worker, (0, ""))
         self._without_result[worker] = (count + 1, detail)
 
     def confirmed(self, workers: Iterable[str]) -> None:
-        """These workers broke down at the same cell: it is to blame."""
+        """These workers are not to blame: they broke down at the same cell, or have results."""
+        self._census = None
         for worker in workers:
             self._without_result.pop(worker, None)
 
@@ -76,17 +84,20 @@ class Standings:
         """True where the worker said that it cannot run the setup."""
         return worker in self._refusals.get(setup, {})
 
-    def candidates(self, setup: Hashable, avoid: Collection[str]) -> list[str]:
-        """The workers to ask about a cell that broke down at those in `avoid`: of the others the most trusted."""
-        able = [worker for worker in self._ready if worker not in avoid and not self.refuses(worker, setup)]
-        if not avoid:
-            return able
-        best = max(map(self._trust, able), default=Trust.UNKNOWN)
-        return [worker for worker in able if self._trust(worker) == best]
+    def may_try(self, worker: str, setup: Hashable, avoid: Collection[str]) -> bool:
+        """Whether this worker is to be asked about a cell that broke down at those in `avoid`: of the others the most trusted are."""
+        if worker not in self._ready or worker in avoid or self.refuses(worker, setup):
+            return False
+        own = self._trust(worker)
+        return not avoid or not any(self._able(trust, setup, avoid) for trust in Trust if trust > own)
+
+    def nobody_may_try(self, setup: Hashable, avoid: Collection[str]) -> bool:
+        """True where there is nobody to ask but those in `avoid` and those who refuse."""
+        return not any(self._able(trust, setup, avoid) for trust in Trust)
 
     def on_probation(self, worker: str) -> bool:
         """True for a worker without results while others have some: it gets a single cell to begin with."""
-        return self._trust(worker) is not Trust.PROVEN and any(self._trust(one) is Trust.PROVEN for one in self._ready)
+        return self._trust(worker) is not Trust.PROVEN and self._counted()[Trust.PROVEN] > 0
 
     def fault(self, worker: str) -> str | None:
         """Why a worker is to be replaced, in words; None where it is not."""
@@ -103,6 +114,16 @@ class Standings:
             if setup in setups
             for worker, reason in refusing.items()
         }
+
+    def _able(self, trust: Trust, setup: Hashable, avoid: Collection[str]) -> int:
+        """How many workers that are trusted so much neither are in `avoid` nor refuse."""
+        unable = {*avoid, *self._refusals.get(setup, ())} & self._ready
+        return self._counted()[trust] - sum(self._trust(worker) == trust for worker in unable)
+
+    def _counted(self) -> Counter[Trust]:
+        if self._census is None:
+            self._census = Counter(map(self._trust, self._ready))
+        return self._census
 
     def _trust(self, worker: str) -> Trust:
         if worker in self._without_result:
