@@ -14,7 +14,7 @@ from drivecal.domain.errors import DatabaseError, DrivecalError, UnavailableErro
 
 _NO_DATABASE = {sqlite3.SQLITE_NOTADB: "is no SQLite database", sqlite3.SQLITE_CORRUPT: "is a damaged SQLite database"}
 _NOT_USABLE = {sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_PERM}
-_BUSY = {sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_FULL, sqlite3.SQLITE_PROTOCOL}
+_FOR_NOW = {sqlite3.SQLITE_IOERR, sqlite3.SQLITE_FULL, sqlite3.SQLITE_PROTOCOL}
 
 
 @contextmanager
@@ -44,8 +44,18 @@ def _translate(error: BaseException | None, database: str) -> DrivecalError | No
             return DatabaseError(f"{database} {_NO_DATABASE[code]}; name another file or restore a backup")
         if code in _NOT_USABLE:
             return DatabaseError(f"{database} cannot be opened for writing; check that the file and its folder are writable")
-        if code in _BUSY:
+        if code in {sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED}:
+            return UnavailableError(
+                f"the database {database} is locked by another process that writes to it; try again, and end whatever else has it open"
+            )
+        if code in _FOR_NOW:
             return UnavailableError(f"the database {database} cannot be used at the moment: {error}")
+    if isinstance(error, psycopg.errors.LockNotAvailable):
+        return UnavailableError(f"another transaction holds what is needed of the database {database}; try again")
+    if isinstance(error, psycopg.errors.QueryCanceled):
+        return UnavailableError(
+            f"the database {database} took longer than it may for one statement; try again, or ask for less"
+        )
     if isinstance(error, psycopg.OperationalError | psycopg.InterfaceError):
         lines = str(error).splitlines() or [type(error).__name__]
         return UnavailableError(f"the database {database} does not answer: {lines[0]}")

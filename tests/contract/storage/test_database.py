@@ -4,6 +4,7 @@ import multiprocessing
 import sqlite3
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,8 +15,7 @@ from tests.support.storage import campaign
 
 from drivecal.domain.errors import DatabaseError, UnavailableError
 from drivecal.storage import campaigns
-from drivecal.storage import database as database_module
-from drivecal.storage.database import Database
+from drivecal.storage.database import PROMPT, Database
 from drivecal.storage.schema import REVISION_TABLE
 from drivecal.storage.tables import metadata
 
@@ -198,17 +198,16 @@ def test_an_unreachable_postgresql_is_named_without_the_password() -> None:
         pass
 
 
-def test_a_database_that_another_program_keeps_locked_is_unavailable(
-    migrated_sqlite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(database_module, "BUSY_SECONDS", 0)
+def test_a_database_that_another_program_keeps_locked_is_unavailable(migrated_sqlite: Path, tmp_path: Path) -> None:
     file = tmp_path / "drivecal.db"
     file.write_bytes(migrated_sqlite.read_bytes())
-    database = Database.open(f"sqlite:///{file}")
+    database = Database.open(f"sqlite:///{file}", replace(PROMPT, lock=0.1))
     with closing(sqlite3.connect(file, isolation_level=None)) as other:
         other.execute("BEGIN EXCLUSIVE")
-        with pytest.raises(UnavailableError, match="database is locked"), database.transaction():
+        with pytest.raises(UnavailableError, match="is locked by another process"), database.transaction():
             pass
+        with database.read() as connection:
+            assert campaigns.active(connection) == []
     with database.transaction() as connection:
         campaign(connection)
 
