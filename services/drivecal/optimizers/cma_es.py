@@ -1,0 +1,86 @@
+"""CMA-ES (Hansen's package `cma`) as an optimizer: `optimizer: {kind: cma_es}`, with the extra [cma]."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import ConfigDict, Field
+
+from drivecal.contracts.specification import OptimizerSpecification
+from drivecal.domain.parameters import Indices
+from drivecal.optimizers.checks import searchable
+from drivecal.optimizers.plugin import BuiltIn
+from drivecal.optimizers.ranking import ranking
+from drivecal.optimizers.replayed import Replayed, require
+from drivecal.plugins.ports import Floats, OptimizerPlugin
+
+require("cma", extra="cma")
+
+
+class CmaSettings(OptimizerSpecification):
+    """`step`: the first standard deviation, in shares of the parameters' ranges."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    kind: Literal["cma_es"] = "cma_es"
+    step: Annotated[float, Field(gt=0, le=1)] = 0.3
+
+
+class CmaEngine:
+    """Searches the unit cube from the best of the start population on; what is proposed is the grid point next to each of its points.
+
+    It is told ranks, which is all that CMA-ES uses: equal objectives are ordered by the rating.
+    """
+
+    def __init__(self, settings: CmaSettings, n_values: Indices) -> None:
+        self._settings = settings
+        self._last = (searchable(n_values) - 1).astype(np.float64)
+        self._generator = np.random.Generator(np.random.PCG64([settings.seed, 1]))
+        self._strategy: Any = None
+        self._points: list[Any] = []
+
+    def propose(self) -> Indices:
+        """See `replayed.Engine`."""
+        self._points = self._strategy.ask()
+        indices: Indices = np.rint(np.array(self._points) * self._last).astype(np.int64)
+        return np.clip(indices, 0, self._last.astype(np.int64))
+
+    def learn(self, population: Indices, objectives: Floats, tie_breakers: Floats) -> None:
+        """See `replayed.Engine`."""
+        order = ranking(objectives, tie_breakers)
+        if self._strategy is None:
+            self._strategy = self._begin(population[order[0]] / self._last)
+            return
+        ranks = np.empty(len(order))
+        ranks[order] = np.arange(len(order))
+        self._strategy.tell(self._points, ranks.tolist())
+
+    def _begin(self, centre: Floats) -> Any:
+        import cma
+
+        options = {
+            "popsize": self._settings.population,
+            "bounds": [0, 1],
+            "randn": lambda *shape: self._generator.standard_normal(shape),
+            "seed": 0,  # never used: all draws come from `randn`
+            "verbose": -9,
+        }
+        return cma.CMAEvolutionStrategy(centre.tolist(), self._settings.step, options)
+
+
+class CmaPlugin(BuiltIn[CmaSettings]):
+    """`optimizer: {kind: cma_es}`."""
+
+    name = "cma_es"
+    settings = CmaSettings
+
+    def _renewed(self, settings: CmaSettings) -> int:
+        return settings.population
+
+    def _optimizer(self, settings: CmaSettings, first: Indices, n_values: Indices, generator: np.random.Generator) -> Replayed:
+        del generator  # the engine's own, which a replay finds as it was
+        return Replayed(first, CmaEngine(settings, n_values))
+
+
+CMA_ES: OptimizerPlugin = CmaPlugin()

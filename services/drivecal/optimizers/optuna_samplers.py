@@ -1,0 +1,104 @@
+"""Optuna's samplers as optimizers: `optimizer: {kind: optuna, sampler: tpe}`, with the extra [optuna]."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import ConfigDict
+
+from drivecal.contracts.specification import OptimizerSpecification
+from drivecal.domain.parameters import Indices
+from drivecal.optimizers.checks import searchable
+from drivecal.optimizers.plugin import BuiltIn
+from drivecal.optimizers.replayed import Replayed, require
+from drivecal.plugins.ports import Floats, OptimizerPlugin
+
+require("optuna", extra="optuna")
+
+TIE = 1e-6
+"""Weight of the rating (0 to 7) beside the objective: it orders equal objectives and never outweighs a point of a single scenario."""
+
+
+class OptunaSettings(OptimizerSpecification):
+    """`sampler`: Optuna's `TPESampler`, `NSGAIISampler` (with one objective a genetic algorithm) or `RandomSampler`.
+
+    The tree-structured Parzen estimator gets slower with every trial; it is meant for hundreds, not for tens of thousands.
+    """
+
+    model_config = ConfigDict(extra="forbid")
+
+    kind: Literal["optuna"] = "optuna"
+    sampler: Literal["tpe", "nsga2", "random"] = "tpe"
+
+
+class OptunaEngine:
+    """A study in memory over integer parameters, asked for a whole population at a time."""
+
+    def __init__(self, settings: OptunaSettings, n_values: Indices) -> None:
+        import optuna
+
+        optuna.logging.set_verbosity(optuna.logging.WARNING)
+        self._population = settings.population
+        self._distributions: dict[str, Any] = {
+            f"x{column}": optuna.distributions.IntDistribution(0, last)
+            for column, last in enumerate((searchable(n_values) - 1).tolist())
+        }
+        self._study = optuna.create_study(direction="maximize", sampler=_sampler(settings))
+        self._asked: list[Any] = []
+
+    def propose(self) -> Indices:
+        """See `replayed.Engine`."""
+        self._asked = [self._study.ask(self._distributions) for _ in range(self._population)]
+        return np.array([[trial.params[name] for name in self._distributions] for trial in self._asked], dtype=np.int64)
+
+    def learn(self, population: Indices, objectives: Floats, tie_breakers: Floats) -> None:
+        """See `replayed.Engine`."""
+        import optuna
+
+        values = (objectives + TIE * tie_breakers).tolist()
+        failed, complete = optuna.trial.TrialState.FAIL, optuna.trial.TrialState.COMPLETE
+        if not self._asked:  # the start population, which Optuna has not proposed
+            self._study.add_trials(
+                optuna.trial.create_trial(
+                    params=dict(zip(self._distributions, row, strict=True)),
+                    distributions=self._distributions,
+                    **({"state": failed} if np.isnan(value) else {"value": value}),
+                )
+                for row, value in zip(population.tolist(), values, strict=True)
+            )
+            return
+        for trial, value in zip(self._asked, values, strict=True):
+            self._study.tell(trial, None if np.isnan(value) else value, state=failed if np.isnan(value) else complete)
+
+
+def _sampler(settings: OptunaSettings) -> Any:
+    from optuna import samplers
+
+    seed = settings.seed % 2**32  # as wide as Optuna's seeds are
+    match settings.sampler:
+        case "tpe":
+            return samplers.TPESampler(seed=seed, multivariate=False, constant_liar=True)
+        case "nsga2":
+            return samplers.NSGAIISampler(seed=seed, population_size=settings.population)
+        case "random":
+            return samplers.RandomSampler(seed=seed)
+
+
+class OptunaPlugin(BuiltIn[OptunaSettings]):
+    """`optimizer: {kind: optuna}`."""
+
+    name = "optuna"
+    settings = OptunaSettings
+
+    def _renewed(self, settings: OptunaSettings) -> int:
+        return settings.population
+
+    def _optimizer(
+        self, settings: OptunaSettings, first: Indices, n_values: Indices, generator: np.random.Generator
+    ) -> Replayed:
+        del generator  # the engine's own, which a replay finds as it was
+        return Replayed(first, OptunaEngine(settings, n_values))
+
+
+OPTUNA: OptimizerPlugin = OptunaPlugin()

@@ -1,0 +1,85 @@
+"""Optimizers of other libraries behind drivecal's port.
+
+Their inner state is theirs and cannot be stored as plain data. So what is stored is what they were told: all of them are deterministic for
+a seed, and one that is told the same again is in the same state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib.util import find_spec
+from typing import Any, Protocol
+
+import numpy as np
+
+from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.domain.parameters import Indices
+from drivecal.optimizers.checks import checked_answers, fitting
+from drivecal.optimizers.state import dump_floats, load_floats
+from drivecal.plugins.ports import Floats, Proposal
+
+
+def require(package: str, extra: str) -> None:
+    """Raises InvalidInputError where a library is not installed. To be called before it is imported."""
+    if find_spec(package) is None:
+        raise InvalidInputError(
+            Problem(
+                "optimizer.kind", f"it needs the package {package}", f"install drivecal with the extra [{extra}] on the server"
+            )
+        )
+
+
+class Engine(Protocol):
+    """A library's optimizer of grid indices."""
+
+    def propose(self) -> Indices:
+        """The next population, shape (n, n_searched)."""
+
+    def learn(self, population: Indices, objectives: Floats, tie_breakers: Floats) -> None:
+        """What became of a population, the first one included, which the library has not proposed; as in `ports.Optimizer.tell`."""
+
+
+class Replayed:
+    """Ask/tell: the campaign's start design first, then what the engine proposes."""
+
+    def __init__(self, first: Indices, engine: Engine) -> None:
+        """`first`: the start population, shape (n, n_searched)."""
+        self._first = self._population = first
+        self._changed = np.ones(len(first), dtype=np.bool_)
+        self._engine = engine
+        self._history: list[tuple[Floats, Floats]] = []
+        self._told = False
+
+    def ask(self) -> Proposal:
+        """The next population; individuals that are proposed again in the same place are not `changed`."""
+        if self._told:
+            before, self._population = self._population, self._engine.propose()
+            self._changed = (self._population != before).any(axis=1)
+            self._told = False
+        return Proposal(self._population.copy(), self._changed.copy())
+
+    def tell(self, objectives: Floats, tie_breakers: Floats) -> None:
+        """The answers to the last `ask`. Raises RuntimeError where they were given already, ValueError where they do not fit."""
+        if self._told:
+            raise RuntimeError("the objectives of this population are known already; ask for the next one")
+        answers = checked_answers(objectives, tie_breakers, len(self._changed))
+        self._history.append(answers)
+        self._engine.learn(self._population, *answers)
+        self._told = True
+
+    def state(self) -> dict[str, Any]:
+        """The start population and all that it was told since, as data for strict JSON."""
+        return {
+            "first": self._first.tolist(),
+            "told": [[dump_floats(objectives), dump_floats(ties)] for objectives, ties in self._history],
+            "asked": not self._told,
+        }
+
+    def resume(self, state: Mapping[str, Any]) -> None:
+        """Is told all of it again. Raises InvalidInputError where it belongs to a population of another size or another space."""
+        self._first = self._population = fitting(np.array(state["first"], dtype=np.int64), self._first)
+        for objectives, ties in state["told"]:
+            self.ask()
+            self.tell(np.array(load_floats(objectives)), np.array(load_floats(ties)))
+        if state["asked"]:
+            self.ask()

@@ -1,0 +1,134 @@
+"""Optimizers of other libraries behind the port: deterministic, resumable, and better than chance."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from drivecal.domain.errors import InvalidInputError
+from drivecal.domain.parameters import Indices
+from drivecal.optimizers import cma_es, optuna_samplers
+from drivecal.optimizers.plugin import RANDOM
+from drivecal.plugins import registry
+from drivecal.plugins.ports import Floats, Optimizer, OptimizerPlugin
+
+GRID = np.array([59, 201, 16, 2001])
+CMA_ES, OPTUNA = cma_es.CMA_ES, optuna_samplers.OPTUNA
+CASES: list[tuple[OptimizerPlugin, dict[str, Any]]] = [
+    (CMA_ES, {}),
+    *((OPTUNA, {"sampler": sampler}) for sampler in ("tpe", "nsga2", "random")),
+]
+every = pytest.mark.parametrize(("plugin", "chosen"), CASES, ids=["cma_es", "tpe", "nsga2", "random"])
+
+
+def bowl(population: Indices) -> tuple[Floats, Floats]:
+    rating = -((population / (GRID - 1) - 0.3) ** 2).sum(axis=1)
+    return np.round(4 * rating) / 4, rating
+
+
+def patchy(population: Indices) -> tuple[Floats, Floats]:
+    objectives, ratings = bowl(population)
+    missing = population[:, 0] % 5 == 0
+    return np.where(missing, np.nan, objectives), np.where(missing, np.nan, ratings)
+
+
+def drive(optimizer: Optimizer, iterations: int) -> list[Indices]:
+    found = []
+    for _ in range(iterations):
+        found.append(optimizer.ask().population)
+        optimizer.tell(*patchy(found[-1]))
+    return found
+
+
+def create(plugin: OptimizerPlugin, chosen: dict[str, Any], **more: Any) -> Optimizer:
+    return plugin.create(plugin.settings(**({"population": 12} | chosen | more)), GRID)
+
+
+@every
+def test_the_same_seed_gives_the_same_populations_on_the_grid(plugin: OptimizerPlugin, chosen: dict[str, Any]) -> None:
+    one, same, other = (drive(create(plugin, chosen, seed=seed), 4) for seed in (7, 7, 8))
+    assert all(np.array_equal(a, b) for a, b in zip(one, same, strict=True))
+    assert not all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
+    for population in one:
+        assert population.shape == (12, 4)
+        assert population.min() >= 0
+        assert np.all(population < GRID)
+
+
+@every
+@pytest.mark.parametrize("asked", [False, True])
+def test_a_resumed_run_equals_an_uninterrupted_one(plugin: OptimizerPlugin, chosen: dict[str, Any], asked: bool) -> None:
+    whole = drive(create(plugin, chosen), 6)
+    first = create(plugin, chosen)
+    begun = drive(first, 3)
+    if asked:
+        first.ask()
+    settings = plugin.settings(**({"population": 12} | chosen))
+    second = plugin.restore(settings, GRID, json.loads(json.dumps(first.state(), allow_nan=False)))
+    resumed = begun + drive(second, 3)
+    assert all(np.array_equal(a, b) for a, b in zip(resumed, whole, strict=True))
+
+
+@every
+def test_the_start_population_is_the_campaigns(plugin: OptimizerPlugin, chosen: dict[str, Any]) -> None:
+    settings = plugin.settings(**({"population": 12, "start": "halton"} | chosen))
+    reference = RANDOM.create(RANDOM.settings(population=12, start="halton"), GRID).ask().population
+    assert np.array_equal(plugin.create(settings, GRID).ask().population, reference)
+    assert plugin.requested_individuals(settings) == 12 * 20
+
+
+def test_a_state_of_another_population_is_refused() -> None:
+    state = create(CMA_ES, {}).state()
+    with pytest.raises(InvalidInputError, match=r"the saved population is \(12, 4\), not \(5, 4\)"):
+        CMA_ES.restore(CMA_ES.settings(population=5), GRID, state)
+
+
+def test_telling_twice_is_refused() -> None:
+    optimizer = create(CMA_ES, {})
+    answers = bowl(optimizer.ask().population)
+    optimizer.tell(*answers)
+    with pytest.raises(RuntimeError, match="ask for the next one"):
+        optimizer.tell(*answers)
+
+
+@pytest.mark.parametrize(
+    ("plugin", "chosen", "iterations"),
+    [(*case, iterations) for case, iterations in zip(CASES, (8, 8, 25), strict=False)],
+    ids=["cma_es", "tpe", "nsga2"],
+)
+def test_they_beat_random_search(plugin: OptimizerPlugin, chosen: dict[str, Any], iterations: int) -> None:
+    def best(which: OptimizerPlugin, options: dict[str, Any], seed: int) -> float:
+        optimizer = which.create(which.settings(population=15, seed=seed, **options), GRID)
+        found = -np.inf
+        for _ in range(iterations):
+            objectives, ratings = bowl(optimizer.ask().population)
+            optimizer.tell(objectives, ratings)
+            found = max(found, float(ratings.max()))
+        return found
+
+    theirs = [best(plugin, chosen, seed) for seed in range(10)]
+    floor = [best(RANDOM, {"renewal": 1.0}, seed) for seed in range(10)]
+    assert stats.mannwhitneyu(theirs, floor, alternative="greater").pvalue < 0.01
+
+
+@pytest.mark.parametrize(
+    ("name", "package", "module"),
+    [("cma_es", "cma", "drivecal.optimizers.cma_es"), ("optuna", "optuna", "drivecal.optimizers.optuna_samplers")],
+)
+def test_one_whose_library_is_missing_says_which_extra_brings_it(
+    name: str, package: str, module: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    registry._load.cache_clear()
+    monkeypatch.delitem(sys.modules, module)
+    monkeypatch.setattr("drivecal.optimizers.replayed.find_spec", lambda wanted: None if wanted == package else object())
+    with pytest.raises(InvalidInputError, match=rf"needs the package {package}; install drivecal with the extra \[{package}\]"):
+        registry.optimizer(name)
+    monkeypatch.undo()
+    importlib.import_module(module)
+    assert registry.optimizer(name).name == name
