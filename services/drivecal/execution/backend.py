@@ -46,13 +46,18 @@ class Slot:
 
 @dataclass(frozen=True, slots=True)
 class WorkerInfo:
-    """One worker: `state` is `starting`, `idle` or `busy`; `cells` counts what it has finished. No other process ever has its `id`."""
+    """One worker: `state` is `starting`, `idle` or `busy`; `cells` counts what it has finished. No other process ever has its `id`.
+
+    The pool adds what it is doing: the `scenario` that it simulates, `since` when (UTC, ISO 8601), and how fast it was lately."""
 
     id: str
     node: str
     pid: int | None
     state: str
     cells: int
+    scenario: str | None = None
+    since: str | None = None
+    cells_per_second: float | None = None
 
 
 class Backend(Protocol):

@@ -1,0 +1,45 @@
+from __future__ import annotations
+
+from drivecal.execution.activity import RECENT_BATCHES, Activity
+from drivecal.execution.backend import WorkerInfo
+
+WORKER = WorkerInfo("worker-1", "here", 7, "busy", 30)
+
+
+def test_a_worker_does_the_first_of_what_it_was_sent_since_the_one_before_came_back() -> None:
+    now = [0.0]
+    activity = Activity(lambda: now[0])
+    assert activity.describe([WORKER]) == [WORKER]
+    activity.sent("worker-1", 1, "S1")
+    now[0] = 60.0
+    activity.sent("worker-1", 2, "S2")
+    (first,) = activity.describe([WORKER])
+    assert (first.scenario, first.since, first.cells_per_second) == ("S1", "1970-01-01T00:00:00.000+00:00", None)
+    activity.finished("worker-1", 1, 30, 15.0)
+    (second,) = activity.describe([WORKER])
+    assert (second.scenario, second.since, second.cells_per_second) == ("S2", "1970-01-01T00:01:00.000+00:00", 2.0)
+    activity.lost("worker-1", 2)
+    (idle,) = activity.describe([WORKER])
+    assert (idle.scenario, idle.since, idle.cells_per_second) == (None, None, 2.0)
+
+
+def test_the_speed_is_that_of_the_last_batches() -> None:
+    activity = Activity()
+    for batch in range(10):
+        activity.sent("worker-1", batch, "S1")
+        activity.finished("worker-1", batch, 1, 1.0)
+    for batch in range(10, 10 + RECENT_BATCHES):
+        activity.sent("worker-1", batch, "S1")
+        activity.finished("worker-1", batch, 8, 1.0)
+    assert activity.describe([WORKER])[0].cells_per_second == 8.0
+
+
+def test_late_and_unknown_batches_and_workers_change_nothing() -> None:
+    activity = Activity()
+    activity.sent("worker-1", 1, "S1")
+    activity.finished("ghost", 1, 1, 1.0)
+    activity.finished("worker-1", 9, 1, 1.0)
+    activity.lost("worker-1", 9)
+    assert activity.describe([WORKER])[0].scenario == "S1"
+    activity.describe([])
+    assert activity.describe([WORKER]) == [WORKER]
