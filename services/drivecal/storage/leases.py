@@ -11,9 +11,7 @@ A lease has no row of its own before it was taken once, and none any more when t
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from datetime import datetime, timedelta
-from typing import Any
+from datetime import timedelta
 
 from sqlalchemy import Connection, bindparam, delete, select, update
 
@@ -23,56 +21,31 @@ from drivecal.storage.tables import evaluations, leases
 from drivecal.storage.types import now
 
 
-@dataclass(frozen=True, slots=True)
-class WantedLease:
-    """An evaluation to lease for so many `seconds`. `breakdowns`: how often it broke down so far."""
-
-    evaluation_id: int
-    breakdowns: int
-    seconds: float
-
-
-def take(connection: Connection, wanted: Sequence[WantedLease]) -> dict[int, int]:
-    """Leases evaluations; gives the number of the lease of each that was granted, by id.
+def take(connection: Connection, breakdowns: Mapping[int, int], seconds: float) -> dict[int, int]:
+    """Leases evaluations for so many `seconds`; gives the number of the lease of each that was granted, by id. `breakdowns` says, by id,
+    how often each broke down so far.
 
     Not granted are those that have their answer, those under a lease of this term that has neither expired nor been given back, and, on
     PostgreSQL, those that somebody is leasing at this moment: they are skipped, nobody waits.
     """
-    if not wanted:
-        return {}
-    asked = {one.evaluation_id: one for one in wanted}
     free: list[int] = []
-    for condition in among(connection, evaluations.c.id, list(asked)):
+    for condition in among(connection, evaluations.c.id, list(breakdowns)):
         query = select(evaluations.c.id).where(condition, evaluations.c.outcome.is_(None))
         free += connection.scalars(query.with_for_update(skip_locked=True))
-    term, moment = term_in_office(connection), now()
-    statement = insert(connection, leases)
-    over = (leases.c.term != term) | (leases.c.expires_at <= moment)
-    statement = statement.on_conflict_do_update(
-        index_elements=["evaluation_id"],
-        set_={
-            "number": leases.c.number + 1,
-            "attempts": statement.excluded.attempts,
-            "term": statement.excluded.term,
-            "expires_at": statement.excluded.expires_at,
-        },
-        where=over,
-    )
-    rows = [_row(asked[number], term, moment) for number in sorted(free)]
-    if not rows:
+    if not free:
         return {}
+    term, moment = term_in_office(connection), now()
+    new = insert(connection, leases)
+    again = {name: new.excluded[name] for name in ("attempts", "term", "expires_at")}
+    statement = new.on_conflict_do_update(
+        index_elements=["evaluation_id"],
+        set_={"number": leases.c.number + 1, **again},
+        where=(leases.c.term != term) | (leases.c.expires_at <= moment),
+    )
+    common = {"number": 1, "term": term, "expires_at": moment + timedelta(seconds=seconds)}
+    rows = [{"evaluation_id": one, "attempts": breakdowns[one], **common} for one in sorted(free)]
     granted = connection.execute(statement.returning(leases.c.evaluation_id, leases.c.number), rows)
     return {row.evaluation_id: row.number for row in granted}
-
-
-def _row(one: WantedLease, term: int, moment: datetime) -> dict[str, Any]:
-    return {
-        "evaluation_id": one.evaluation_id,
-        "number": 1,
-        "attempts": one.breakdowns,
-        "term": term,
-        "expires_at": moment + timedelta(seconds=one.seconds),
-    }
 
 
 def give_back(connection: Connection, breakdowns: Mapping[int, int]) -> None:

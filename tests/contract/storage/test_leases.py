@@ -12,7 +12,6 @@ from drivecal.domain.evaluations import Outcome
 from drivecal.storage import evaluations, leases, processes
 from drivecal.storage.database import Database
 from drivecal.storage.evaluations import Answer, NewEvaluation
-from drivecal.storage.leases import WantedLease
 from drivecal.storage.tables import leases as table
 from drivecal.storage.types import now
 
@@ -29,7 +28,7 @@ def pending(database: Database, count: int) -> list[int]:
 
 def take(database: Database, ids: list[int], breakdowns: int = 0, seconds: float = HOUR) -> dict[int, int]:
     with database.transaction() as connection:
-        return leases.take(connection, [WantedLease(one, breakdowns, seconds) for one in ids])
+        return leases.take(connection, dict.fromkeys(ids, breakdowns), seconds)
 
 
 def elect(database: Database) -> None:
@@ -106,7 +105,7 @@ def test_an_ended_campaign_has_no_leases(database: Database) -> None:
 
 def _take_in_vain(database: Database, ids: list[int]) -> None:
     with database.transaction() as connection:
-        leases.take(connection, [WantedLease(one, 0, HOUR) for one in ids])
+        leases.take(connection, dict.fromkeys(ids, 0), HOUR)
         raise ZeroDivisionError
 
 
@@ -121,12 +120,11 @@ def test_two_connections_lease_different_cells_and_neither_waits(backend: Backen
     if backend == "sqlite":
         pytest.skip("there is one writer at a time")
     ids = pending(database, 40)
-    wanted = [WantedLease(one, 0, HOUR) for one in ids]
     with database.transaction() as one, database.transaction() as other:
         for connection in (one, other):
             connection.execute(text("SET LOCAL lock_timeout = '2s'"))
-        first = leases.take(one, wanted[:25])
-        second = leases.take(other, wanted)
+        first = leases.take(one, dict.fromkeys(ids[:25], 0), HOUR)
+        second = leases.take(other, dict.fromkeys(ids, 0), HOUR)
     assert sorted(first) == ids[:25]
     assert sorted(second) == ids[25:]
 
