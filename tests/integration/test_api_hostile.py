@@ -177,7 +177,7 @@ def test_a_body_declared_too_large_is_refused_before_it_is_sent(api: RunningApi)
     host, port = api.url.removeprefix("http://").split(":")
     with socket.create_connection((host, int(port)), timeout=10) as connection:
         connection.sendall(
-            b"POST /api/v1/campaigns HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\nContent-Length: 500000000\r\n\r\n"
+            b"POST /api/v1/campaigns HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: 500000000\r\n\r\n"
         )
         answer = connection.recv(65536)
     assert b" 413 " in answer.split(b"\r\n")[0]

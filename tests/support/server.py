@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import httpx
 import psycopg
@@ -19,6 +20,7 @@ from psycopg import sql
 from sqlalchemy import make_url
 
 from drivecal.api.app import create_app
+from drivecal.api.protocol import configuration
 from drivecal.configuration.settings import load_settings
 from drivecal.storage.database import Database
 
@@ -52,20 +54,19 @@ def new_database(request: pytest.FixtureRequest, kind: str, folder: Path) -> str
 
 
 @contextmanager
-def serving(database_url: str) -> Iterator[RunningApi]:
-    """The API on a free loopback port until the block is left."""
+def serving(database_url: str, **settings: Any) -> Iterator[RunningApi]:
+    """The API on a free loopback port until the block is left; `settings` beside the database, as flags."""
     database = Database.open(database_url)
     database.upgrade()
-    port = free_port()
-    app = create_app(load_settings(database_url=database_url))
-    server = uvicorn.Server(uvicorn.Config(app, host="127.0.0.1", port=port, log_level="error", timeout_graceful_shutdown=5))
-    thread = threading.Thread(target=server.run)
+    listener = socket.create_server(("127.0.0.1", 0))
+    server = uvicorn.Server(configuration(create_app(load_settings(database_url=database_url, **settings))))
+    thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
     thread.start()
     while not server.started:
         if not thread.is_alive():
             raise RuntimeError("the server ended before it was ready")
         time.sleep(0.01)
-    url = f"http://127.0.0.1:{port}"
+    url = f"http://127.0.0.1:{listener.getsockname()[1]}"
     try:
         with httpx.Client(base_url=url, timeout=30) as http:
             yield RunningApi(url, http, database)

@@ -9,7 +9,11 @@ import sys
 import uvicorn
 
 from drivecal.api.app import create_app
+from drivecal.api.protocol import configuration
+from drivecal.configuration import logs
+from drivecal.configuration.access import check_exposure
 from drivecal.configuration.settings import load_settings
+from drivecal.domain.errors import DrivecalError
 
 
 def main() -> int:
@@ -21,17 +25,24 @@ def main() -> int:
     parser.add_argument("--port", type=int, default=8000)
     parser.add_argument("--socket", type=int, help="file descriptor of a socket that listens already, instead of host and port")
     arguments = parser.parse_args()
-    configuration = uvicorn.Config(
-        create_app(load_settings()),
-        host=arguments.host,
-        port=arguments.port,
-        log_level="warning",
-        server_header=False,
-        timeout_graceful_shutdown=5,
-    )
-    server = uvicorn.Server(configuration)
-    server.run(sockets=None if arguments.socket is None else [socket.socket(fileno=arguments.socket)])
+    try:
+        settings = load_settings()
+        logs.configure("api", settings)
+        listener = _listener(arguments)
+        check_exposure(listener.getsockname()[0], settings)
+        server = uvicorn.Server(configuration(create_app(settings)))
+    except (DrivecalError, OSError) as error:
+        sys.stderr.write(f"{error}\n")
+        return 1
+    server.run(sockets=[listener])
     return 0 if server.started else 1
+
+
+def _listener(arguments: argparse.Namespace) -> socket.socket:
+    if arguments.socket is not None:
+        return socket.socket(fileno=arguments.socket)
+    family = socket.AF_INET6 if ":" in arguments.host else socket.AF_INET
+    return socket.create_server((arguments.host, arguments.port), family=family)
 
 
 if __name__ == "__main__":

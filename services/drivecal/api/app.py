@@ -10,19 +10,25 @@ from fastapi import FastAPI
 
 from drivecal.api import problems
 from drivecal.api.answers import ROOT
-from drivecal.api.limits import BodyLimit
+from drivecal.api.auth import Authorisation
+from drivecal.api.dependencies import Limits
+from drivecal.api.limits import Concurrency, Requests
 from drivecal.api.routes import campaigns, evaluations, health, influence_maps, inventory, tables
 from drivecal.configuration.settings import Settings
+from drivecal.configuration.tokens import TokenFile
 from drivecal.storage.database import Database
 
 
 def create_app(settings: Settings) -> FastAPI:
-    """The ASGI application. Raises DatabaseError where the settings name no usable database."""
+    """The ASGI application. Raises DatabaseError where the settings name no usable database, InvalidInputError where its tokens file
+    cannot be used."""
     database = Database.open(settings.database_url)
+    tokens = None if settings.tokens_file is None else TokenFile(settings.tokens_file)
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         app.state.database = database
+        app.state.limits = Limits.of(settings)
         yield
         database.dispose()
 
@@ -34,7 +40,9 @@ def create_app(settings: Settings) -> FastAPI:
         redirect_slashes=False,
         responses=problems.RESPONSES,
     )
-    app.add_middleware(BodyLimit)
+    app.add_middleware(Concurrency)
+    app.add_middleware(Authorisation, tokens=tokens)
+    app.add_middleware(Requests)  # the last one is the first that a request meets
     problems.install(app)
     for router in (campaigns.router, tables.router, evaluations.router, influence_maps.router, inventory.router):
         app.include_router(router, prefix=ROOT)

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import AsyncIterator
+from dataclasses import dataclass
+from typing import Annotated, Self
 
+from anyio import CapacityLimiter
 from fastapi import Depends, Header, Request
 
+from drivecal.api.limits import Places
+from drivecal.configuration.settings import Settings
 from drivecal.storage.database import Database
 
 
@@ -15,6 +20,45 @@ async def _database(request: Request) -> Database:
 
 
 DatabaseDependency = Annotated[Database, Depends(_database)]
+
+
+LARGE_BODIES = 2
+"""Large bodies that are read at the same time: each takes up to fifty times its size in memory while it is."""
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """How much of everything the server takes on."""
+
+    queued_campaigns: int
+    largest_campaign: int
+    event_streams: Places
+    large_bodies: CapacityLimiter
+
+    @classmethod
+    def of(cls, settings: Settings) -> Self:
+        """Those that the settings give, with nothing taken yet. To be called in the event loop that they are for."""
+        streams = Places(settings.event_streams, "event streams are open", retry_seconds=10)
+        return cls(settings.queued_campaigns, settings.largest_campaign, streams, CapacityLimiter(LARGE_BODIES))
+
+
+async def _limits(request: Request) -> Limits:
+    limits: Limits = request.app.state.limits
+    return limits
+
+
+LimitsDependency = Annotated[Limits, Depends(_limits)]
+
+
+async def _event_stream(request: Request, limits: LimitsDependency) -> AsyncIterator[None]:
+    with limits.event_streams.take():
+        request.state.place.give_back()
+        yield
+
+
+EventStreamPlace = Annotated[None, Depends(_event_stream)]
+"""For routes that stream events: a place among the open streams until the stream ends, instead of one among the requests.
+OverloadError (429) where there is none."""
 
 IdempotencyKey = Annotated[
     str | None,

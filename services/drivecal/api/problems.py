@@ -11,6 +11,7 @@ from typing import Any
 from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel
+from sqlalchemy.exc import SQLAlchemyError
 from starlette.exceptions import HTTPException
 
 from drivecal.contracts import validation
@@ -21,13 +22,17 @@ from drivecal.domain.errors import (
     DrivecalError,
     InvalidInputError,
     NotFoundError,
+    OverloadError,
     Problem,
+    TooLargeError,
     UnavailableError,
 )
 
 MEDIA_TYPE = "application/problem+json"
 RETRY_SECONDS = 5
 """What a client is told to wait when something the service depends on does not answer."""
+MOST_PROBLEMS = 100
+"""Problems that one answer lists: who sends 10,000 wrong fields mends the first ones first."""
 
 log = logging.getLogger("drivecal.api")
 
@@ -54,12 +59,21 @@ class ProblemDocument(BaseModel):
 RESPONSES: dict[int | str, dict[str, Any]] = {
     status: {"model": ProblemDocument, "description": description, "content": {MEDIA_TYPE: {}}}
     for status, description in {
+        400: "The request is not complete",
+        401: "A token is missing or unknown",
+        403: "The token may only read, or a web page of another origin asks",
         404: "There is no such thing",
+        405: "The method is not possible here",
+        408: "The body did not arrive in time",
         409: "The request contradicts the state or an earlier request",
-        413: "The body is too large",
-        415: "The body is not declared as JSON",
+        413: "The body, or the campaign that it describes, is too large",
+        414: "The address is too long",
+        415: "The body is not declared as JSON, or is compressed",
+        421: "The Host is none that a server without tokens answers to",
         422: "Fields do not fit; `errors` names each",
-        503: "The database or the dispatcher does not answer",
+        429: "The queue is full, or too many event streams are open",
+        431: "The headers are too large",
+        503: "The database does not answer, or too many requests are being answered",
     }.items()
 }
 
@@ -69,6 +83,12 @@ def problem_response(
 ) -> Response:
     """The answer for something that went wrong."""
     title = HTTPStatus(status).phrase
+    if len(errors) > MOST_PROBLEMS:
+        errors = [
+            *errors[:MOST_PROBLEMS],
+            Problem("", f"{len(errors) - MOST_PROBLEMS:,} more are not listed", "mend these first"),
+        ]
+        detail = "\n".join(map(str, errors))
     document = {
         "type": "about:blank",
         "title": title,
@@ -86,12 +106,16 @@ def install(app: FastAPI) -> None:
     app.add_exception_handler(DrivecalError, _drivecal_error)
     app.add_exception_handler(RequestValidationError, _validation_error)
     app.add_exception_handler(HTTPException, _http_error)
+    app.add_exception_handler(SQLAlchemyError, _database_error)
     app.add_exception_handler(Exception, _unexpected)
 
 
 async def _drivecal_error(request: Request, error: Exception) -> Response:
     if isinstance(error, InvalidInputError):
-        return problem_response(request, 422, str(error), error.problems)
+        status = 413 if isinstance(error, TooLargeError) else 422
+        return problem_response(request, status, str(error), error.problems)
+    if isinstance(error, OverloadError):
+        return problem_response(request, 429, str(error), headers={"Retry-After": str(error.retry_seconds)})
     if isinstance(error, NotFoundError):
         return problem_response(request, 404, str(error))
     if isinstance(error, ConflictError):
@@ -102,24 +126,21 @@ async def _drivecal_error(request: Request, error: Exception) -> Response:
 
 
 async def _validation_error(request: Request, error: Exception) -> Response:
-    """What FastAPI itself found: query, path and header parameters, and the fields of a body."""
+    """What FastAPI itself found: query, path and header parameters. Bodies are read by `drivecal.api.bodies`."""
     if not isinstance(error, RequestValidationError):
         raise error
-    found: list[Problem] = []
-    body = [detail | {"loc": detail["loc"][1:]} for detail in error.errors() if detail["loc"][0] == "body"]
-    if body:
-        found += validation.problems(body, _body_model(request), error.body)
-    for detail in error.errors():
-        if detail["loc"][0] != "body":
-            where = ".".join(shown(part) for part in detail["loc"][1:])
-            found.append(validation.problem(where, detail))
+    found = [
+        validation.problem(".".join(shown(part) for part in detail["loc"][1:]), detail)
+        for detail in error.errors()[: MOST_PROBLEMS + 1]
+    ]
     return problem_response(request, 422, "\n".join(map(str, found)), found)
 
 
-def _body_model(request: Request) -> type[BaseModel]:
-    field = request.scope["route"].body_field
-    annotation = field.field_info.annotation if field else None
-    return annotation if isinstance(annotation, type) and issubclass(annotation, BaseModel) else BaseModel
+async def _database_error(request: Request, error: Exception) -> Response:
+    """What the storage could not name, such as a table that is gone. Whatever ails a database, trying again later may work."""
+    log.error("%s %s: the database fails", request.method, request.url.path, exc_info=error)
+    detail = "the database does not do what drivecal asks of it; the server's log says more"
+    return problem_response(request, 503, detail, headers={"Retry-After": str(RETRY_SECONDS)})
 
 
 async def _http_error(request: Request, error: Exception) -> Response:

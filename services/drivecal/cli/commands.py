@@ -13,7 +13,7 @@ from typer.core import TyperGroup
 from drivecal.client.client import Client
 from drivecal.configuration.settings import load_settings
 from drivecal.domain.campaigns import CampaignState
-from drivecal.domain.errors import DrivecalError, InvalidInputError, NotFoundError, UnavailableError
+from drivecal.domain.errors import DrivecalError, InvalidInputError, NotAuthorisedError, NotFoundError, UnavailableError
 
 
 class ExitCode(IntEnum):
@@ -96,7 +96,7 @@ def exit_code(error: DrivecalError) -> ExitCode:
         return ExitCode.USAGE
     if isinstance(error, NotFoundError):
         return ExitCode.NOT_FOUND
-    if isinstance(error, UnavailableError):
+    if isinstance(error, (UnavailableError, NotAuthorisedError)):
         return ExitCode.UNREACHABLE
     if isinstance(error, WaitTimedOutError):
         return ExitCode.TIMED_OUT
@@ -123,7 +123,8 @@ def tell(message: str) -> None:
 
 def connect(url: str | None) -> Client:
     """A client of the server that flags, environment and config file name."""
-    return Client(load_settings(url=url).url)
+    settings = load_settings(url=url)
+    return Client(settings.url, token=settings.token)
 
 
 def full_id(client: Client, identifier: str) -> str:

@@ -9,7 +9,9 @@ from typing import Annotated
 import typer
 
 from drivecal.cli.commands import JsonOption, app, tell
+from drivecal.configuration.access import check_exposure
 from drivecal.configuration.settings import load_settings
+from drivecal.configuration.tokens import TokenFile
 
 
 @app.command()
@@ -26,19 +28,29 @@ def serve(
     home: Annotated[
         str | None, typer.Option(help="The folder of drivecal's files; else DRIVECAL_HOME, else .drivecal.")
     ] = None,
+    tokens_file: Annotated[
+        str | None,
+        typer.Option(
+            help="Who may use the server, a line each: NAME read|write TOKEN; else DRIVECAL_TOKENS_FILE, else this machine."
+        ),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Run the server: the API and the dispatcher with its workers. Ctrl-C or SIGTERM stops it; campaigns go on at the next start."""
     from drivecal.server import serving  # the database's half a second, for this command only
 
-    settings = load_settings(workers=workers, ray_address=ray_address, database_url=database_url, home=home)
+    settings = load_settings(
+        workers=workers, ray_address=ray_address, database_url=database_url, home=home, tokens_file=tokens_file
+    )
     with serving.listen(host, port) as listener:
         url = serving.url_of(listener, host)
-        if not serving.is_loopback(listener):
-            tell(
-                f"everyone who reaches {host} can use this server: it asks for no token yet; listen on 127.0.0.1 if that is not meant"
-            )
-
+        check_exposure(listener.getsockname()[0], settings)
+        if settings.tokens_file is None:
+            tell("no token is asked for: only this machine can connect")
+        else:
+            tokens = TokenFile(settings.tokens_file).tokens
+            reading = sum(not token.may_write for token in tokens)
+            tell(f"a token is asked for: {len(tokens)} in {settings.tokens_file}, {reading} of them may only read")
         database = serving.prepare_database(settings)
         tell(f"starting; the database is {database.name}")
 

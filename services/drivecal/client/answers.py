@@ -6,7 +6,15 @@ from http import HTTPStatus
 
 import httpx
 
-from drivecal.domain.errors import ConflictError, DrivecalError, InvalidInputError, NotFoundError, Problem, UnavailableError
+from drivecal.domain.errors import (
+    ConflictError,
+    DrivecalError,
+    InvalidInputError,
+    NotAuthorisedError,
+    NotFoundError,
+    Problem,
+    UnavailableError,
+)
 
 GATEWAY = {HTTPStatus.BAD_GATEWAY, HTTPStatus.SERVICE_UNAVAILABLE, HTTPStatus.GATEWAY_TIMEOUT, HTTPStatus.TOO_MANY_REQUESTS}
 
@@ -32,11 +40,25 @@ def raise_for(response: httpx.Response, kind: str, identifier: str) -> None:
     detail = str(document.get("detail") or document.get("title") or f"HTTP {response.status_code}")
     if response.status_code == HTTPStatus.CONFLICT:
         raise ConflictError(detail)
+    if response.status_code == HTTPStatus.UNAUTHORIZED:
+        raise NotAuthorisedError(_unknown(response))
+    if response.status_code in {HTTPStatus.FORBIDDEN, HTTPStatus.MISDIRECTED_REQUEST}:
+        raise NotAuthorisedError(f"the server at {_server(response)} refuses: {detail}")
     if response.status_code in GATEWAY:
         raise UnavailableError(detail)
     if response.is_client_error:
         raise InvalidInputError(*(_problems(document) or [Problem("", detail)]))
-    raise DrivecalError(f"the server at {response.url.copy_with(path='/')} failed: {detail}")
+    raise DrivecalError(f"the server at {_server(response)} failed: {detail}")
+
+
+def _server(response: httpx.Response) -> httpx.URL:
+    return response.url.copy_with(path="/", query=None)
+
+
+def _unknown(response: httpx.Response) -> str:
+    if "authorization" in response.request.headers:
+        return f"the server at {_server(response)} does not know this token; give DRIVECAL_TOKEN one that is in its tokens file"
+    return f"the server at {_server(response)} asks for a token; set DRIVECAL_TOKEN to one that is in its tokens file"
 
 
 def _document(response: httpx.Response) -> dict[str, object]:

@@ -27,19 +27,27 @@ Table = Literal["evaluations", "generations", "solutions", "influence"]
 Answer = TypeVar("Answer", bound=BaseModel)
 
 ATTEMPTS_TO_CONNECT = 3
+PATIENCE_SECONDS = 30.0
+"""How long a call waits in all for a server that asks to try again later, where trying again can do no harm."""
 SILENCE_SECONDS = 60.0
 """How long `watch` bears a server that does not answer: a restart takes less."""
 
 
 class Client:
     """Speaks to the server at `url`. Every method raises UnavailableError where nothing answers, InvalidInputError where the server
-    refuses what it was given, and NotFoundError or ConflictError where the thing asked for is not there or not in a fitting state."""
+    refuses what it was given, NotAuthorisedError where it does not know the `token` or wants one, and NotFoundError or ConflictError
+    where the thing asked for is not there or not in a fitting state.
 
-    def __init__(self, url: str, timeout: float = 30.0) -> None:
+    A server that is too busy, or whose database is away, is asked again after the time that it names, for up to PATIENCE_SECONDS; but
+    never where the first attempt may have done something that a second one would do again.
+    """
+
+    def __init__(self, url: str, timeout: float = 30.0, token: str | None = None) -> None:
         self.url = url.rstrip("/")
+        headers = {} if token is None else {"Authorization": f"Bearer {token}"}
         # Only a connection that was never made is tried again, so that nothing is ever done twice.
         transport = httpx.HTTPTransport(retries=ATTEMPTS_TO_CONNECT - 1)
-        self._http = httpx.Client(base_url=self.url, timeout=timeout, transport=transport)
+        self._http = httpx.Client(base_url=self.url, timeout=timeout, transport=transport, headers=headers)
 
     def __enter__(self) -> Self:
         return self
@@ -73,7 +81,8 @@ class Client:
         while True:
             wait = 1.0
             try:
-                response = self._request("GET", _path("campaigns", identifier), headers={"If-None-Match": etag} if etag else {})
+                headers = {"If-None-Match": etag} if etag else {}
+                response = self._once("GET", _path("campaigns", identifier), headers=headers)  # has a patience of its own
                 raise_for(response, "campaign", identifier)
             except UnavailableError:
                 silent_since = silent_since or time.monotonic()
@@ -207,11 +216,31 @@ class Client:
         identifier: str = "",
     ) -> Answer:
         headers = {"Idempotency-Key": key} if key else {}
-        response = self._request("POST", path, query=query, headers=headers, document=document)
+        # Actions on a campaign (no document) and counting (validate_only) may be repeated as well.
+        ask = self._once if document is not None and not key and not query else self._request
+        response = ask("POST", path, query=query, headers=headers, document=document)
         raise_for(response, kind, identifier)
         return self._answer(response, model)
 
     def _request(
+        self,
+        method: str,
+        path: str,
+        query: Mapping[str, Any] | None = None,
+        headers: Mapping[str, str] | None = None,
+        document: Mapping[str, Any] | None = None,
+    ) -> httpx.Response:
+        """The answer, asked for again while the server asks for it and patience lasts. To be used where repeating does no harm."""
+        waited = 0.0
+        while True:
+            response = self._once(method, path, query, headers, document)
+            pause = _pause(response)
+            if pause is None or waited + pause > PATIENCE_SECONDS:
+                return response
+            time.sleep(pause)
+            waited += pause
+
+    def _once(
         self,
         method: str,
         path: str,
@@ -239,3 +268,11 @@ class Client:
 
 def _path(*parts: str) -> str:
     return "/api/v1/" + "/".join(quote(part, safe="") for part in parts)
+
+
+def _pause(response: httpx.Response) -> float | None:
+    """Seconds after which the server wants to be asked again; None where it does not."""
+    if response.status_code not in {HTTPStatus.TOO_MANY_REQUESTS, HTTPStatus.SERVICE_UNAVAILABLE}:
+        return None
+    given = response.headers.get("retry-after", "")
+    return max(0.1, float(given)) if given.isascii() and given.isdecimal() and len(given) < 10 else None

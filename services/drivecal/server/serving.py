@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import errno
 import http.client
-import ipaddress
 import socket
 import sys
 from collections.abc import Callable, Sequence
 
+from drivecal.configuration.access import is_loopback
 from drivecal.configuration.settings import Settings
 from drivecal.domain.errors import ConflictError, DrivecalError, InvalidInputError, Problem
 from drivecal.server.supervisor import ChildProcess, Supervisor
@@ -48,15 +48,12 @@ def listen(host: str, port: int) -> socket.socket:
 
 def url_of(listener: socket.socket, host: str) -> str:
     """Where a client on this machine finds the server."""
-    port = listener.getsockname()[1]
+    address, port = listener.getsockname()[:2]
+    if is_loopback(address) and host != "localhost":
+        host = address  # whatever name it was given by, this is one that a server without tokens answers to
     if host in {"0.0.0.0", "::", ""}:  # noqa: S104  # compared, not bound
         host = "127.0.0.1"
     return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
-
-
-def is_loopback(listener: socket.socket) -> bool:
-    """True where only this machine can connect."""
-    return ipaddress.ip_address(listener.getsockname()[0]).is_loopback
 
 
 def prepare_database(settings: Settings) -> Database:

@@ -17,6 +17,8 @@ GRACE_SECONDS = 8.0
 TRIES_TO_START = 3
 LOOK_SECONDS = 0.1
 PATIENCE_SECONDS = 30.0
+KEPT_BACK = {"DRIVECAL_TOKEN"}
+"""A user's own token is nothing that a server, its workers and their plug-ins need to know."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +59,8 @@ class _Child:
         self.process = subprocess.Popen(  # noqa: S603  # the server's own commands
             [*guardian, *self.specification.command],
             stdin=subprocess.PIPE,  # never written to; its end tells the guardian that we are gone
-            env=dict(os.environ) | dict(self.specification.environment),
+            env={name: value for name, value in os.environ.items() if name not in KEPT_BACK}
+            | dict(self.specification.environment),
             pass_fds=self.specification.keep,
             start_new_session=True,  # Ctrl-C in a terminal reaches the supervisor alone
         )

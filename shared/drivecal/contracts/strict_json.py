@@ -14,6 +14,7 @@ from drivecal.domain.errors import InvalidInputError, Problem
 
 DEEPEST = 32
 """Nesting beyond this is refused; the deepest document that drivecal understands needs six levels."""
+_HARMLESS = {int, bool, type(None)}
 _TOO_DEEP = Problem("", f"the document is nested deeper than {DEEPEST} levels", "send a flatter one")
 
 
@@ -55,9 +56,8 @@ def check_plain(document: object) -> None:
             if isinstance(value, dict):
                 for key in value:
                     _check_text(key, path)
-            waiting.extend(
-                (child, (*path, key)) for key, child in (value.items() if isinstance(value, dict) else enumerate(value))
-            )
+            children = value.items() if isinstance(value, dict) else enumerate(value)
+            waiting.extend((child, (*path, key)) for key, child in children if type(child) not in _HARMLESS)
 
 
 def field_name(path: Sequence[int | str]) -> str:

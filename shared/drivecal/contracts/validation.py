@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from difflib import get_close_matches
+from itertools import islice
 from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
@@ -14,6 +15,9 @@ from drivecal.domain.errors import InvalidInputError, Problem
 Specification = TypeVar("Specification", bound=BaseModel)
 Detail = Mapping[str, Any]
 """One entry of `ValidationError.errors()`."""
+MOST_FINDINGS = 500
+"""Of a document with more, only the beginning of every list and object is looked at: the findings on a hostile megabyte take a hundred."""
+BEGINNING = 20
 
 _WANTED = {
     "string_type": "text",
@@ -52,11 +56,30 @@ _PATTERNS = {
 
 
 def validated(model: type[Specification], document: object) -> Specification:
-    """`document` as a `model`. Raises InvalidInputError with every field that does not fit."""
+    """`document` as a `model`. Raises InvalidInputError with every field that does not fit, of very many with the first ones."""
     try:
         return model.model_validate(document)
     except ValidationError as error:
-        raise InvalidInputError(*problems(error.errors(include_url=False), model, document)) from error
+        count = error.error_count()
+        if count <= MOST_FINDINGS:
+            raise InvalidInputError(*problems(error.errors(include_url=False), model, document)) from error
+    raise InvalidInputError(Problem("", f"{count:,} values do not fit", "mend the first ones first"), *_first(model, document))
+
+
+def _first(model: type[BaseModel], document: object) -> list[Problem]:
+    """What is wrong with the beginning of a document."""
+    beginning = _beginning(document)
+    try:
+        model.model_validate(beginning)
+    except ValidationError as error:
+        return problems(error.errors(include_url=False)[:MOST_FINDINGS], model, beginning)
+    return []
+
+
+def _beginning(value: object) -> object:
+    if isinstance(value, dict):
+        return {key: _beginning(inner) for key, inner in islice(value.items(), BEGINNING)}
+    return [_beginning(inner) for inner in value[:BEGINNING]] if isinstance(value, list) else value
 
 
 def problems(details: Sequence[Any], model: type[BaseModel], document: object) -> list[Problem]:

@@ -59,7 +59,10 @@ def test_results_that_a_server_shows_are_not_deleted_by_a_new_demo(tmp_path: Pat
         assert list(folder.iterdir()) == []
 
 
-def test_a_coordinator_that_does_not_start_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("DRIVECAL_WORKERS", "many")
-    with pytest.raises(DrivecalError, match=r"did not start \(exit status 2\)(.|\n)*workers"), coordinator(tmp_path):
+def test_a_coordinator_that_does_not_start_says_why(tmp_path: Path) -> None:
+    with (
+        locks.hold(f"sqlite:///{tmp_path / 'drivecal.db'}"),
+        pytest.raises(DrivecalError, match=r"did not start \(exit status 1\)(.|\n)*another drivecal server"),
+        coordinator(tmp_path),
+    ):
         pass

@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from drivecal.client.client import Client
+from drivecal.configuration.settings import load_settings
 from drivecal.domain.errors import ConflictError, DrivecalError
 
 SECONDS_TO_START = 180.0
@@ -55,17 +56,21 @@ def coordinator(home: Path) -> Iterator[Client]:
 
     Raises DrivecalError with the end of the log where it does not start.
     """
-    environment = os.environ | {
-        "DRIVECAL_HOME": str(home),
-        "DRIVECAL_DATABASE_URL": _database_url(home),
-    }
+    settings = load_settings(home=str(home), database_url=_database_url(home)).environment
+    environment = {name: value for name, value in (os.environ | settings).items() if name != "DRIVECAL_TOKENS_FILE"}
     # The guardian ends the server, whatever becomes of the demo: it notices when our end of its standard input is gone.
     guardian = [sys.executable, "-m", "drivecal.server.guardian", str(SECONDS_TO_STOP), ""]
     serve = [sys.executable, "-m", "drivecal.cli", "serve", "--host", "127.0.0.1", "--port", "0", "--json"]
     with (home / ANNOUNCEMENT).open("wb") as announcement, (home / LOG).open("wb") as log:
         # In a session of its own: Ctrl-C reaches the demo alone, which then stops the server as it should be stopped.
         process = subprocess.Popen(  # noqa: S603  # our own command
-            [*guardian, *serve], env=environment, stdin=subprocess.PIPE, stdout=announcement, stderr=log, start_new_session=True
+            [*guardian, *serve],
+            env=environment,
+            cwd=home,  # where no config file is: a demo on loopback asks for no token, whatever the user's own server does
+            stdin=subprocess.PIPE,
+            stdout=announcement,
+            stderr=log,
+            start_new_session=True,
         )
     try:
         with _interrupted_by_sigterm(), Client(_url_when_ready(process, home)) as client:

@@ -1,0 +1,139 @@
+"""Who may do what: in front of everything else, so that no route, known or not, is ever reached without it.
+
+With a tokens file every request needs `Authorization: Bearer TOKEN`, and every one that changes something a token that may write.
+Without one the server listens on loopback only, and what is left to keep out are web pages that the user's browser has open: those
+that give a name of their own to 127.0.0.1 (DNS rebinding) by the Host header, those that post blindly by the Origin header.
+No answer ever carries a CORS header.
+"""
+
+from __future__ import annotations
+
+import logging
+from typing import Protocol
+
+from starlette.requests import Request
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from drivecal.api.answers import ROOT
+from drivecal.api.problems import problem_response
+from drivecal.configuration import logs
+from drivecal.configuration.access import is_loopback
+from drivecal.configuration.tokens import Token
+from drivecal.contracts.strict_json import shown
+
+OPEN = {"/healthz", "/readyz"}
+"""For supervisors and load balancers, which have no token: they are told no more than whether the service works."""
+READING = {"GET", "HEAD", "OPTIONS"}
+ANYBODY = Token("anybody", may_write=True, digest=b"")
+"""Who asks where no tokens are asked for."""
+CHALLENGE = 'Bearer realm="drivecal"'
+
+log = logging.getLogger("drivecal.api")
+
+
+class Tokens(Protocol):
+    """Where tokens are looked up."""
+
+    def find(self, presented: bytes) -> Token | None:
+        """Whose token it is; None where it is nobody's."""
+
+
+class Authorisation:
+    """ASGI middleware. `request.state.token` is the token that was shown, ANYBODY where none is asked for, and None on the open
+    routes where none was shown."""
+
+    def __init__(self, app: ASGIApp, tokens: Tokens | None) -> None:
+        self.app = app
+        self.tokens = tokens
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Passes on what is allowed."""
+        if scope["type"] == "lifespan":
+            await self.app(scope, receive, send)
+            return
+        if scope["type"] != "http":  # there are no websockets here
+            await send({"type": "websocket.close", "code": 1008})
+            return
+        request = Request(scope)
+        refusal = self._admit_by_origin(request) if self.tokens is None else self._admit_by_token(request, self.tokens)
+        if refusal is not None:
+            status, detail, headers = refusal
+            await problem_response(request, status, detail, headers=headers)(scope, receive, send)
+        elif request.method in READING:
+            await self.app(scope, receive, send)
+        else:
+            await self._logged(request, receive, send)
+
+    def _admit_by_token(self, request: Request, tokens: Tokens) -> tuple[int, str, dict[str, str]] | None:
+        """Status, sentence and headers of a refusal; None where the request may go on."""
+        given = request.headers.getlist("authorization")
+        presented = _bearer(given[0]) if len(given) == 1 else None
+        token = None if presented is None else tokens.find(presented)
+        request.state.token = token
+        if request.scope["path"] in OPEN:
+            return None
+        if token is None and not given:
+            return 401, "this server asks for a token: send Authorization: Bearer TOKEN", {"WWW-Authenticate": CHALLENGE}
+        if token is None:
+            wrong = CHALLENGE + ', error="invalid_token"'
+            return (
+                401,
+                "this server does not know that token; it takes Authorization: Bearer TOKEN",
+                {"WWW-Authenticate": wrong},
+            )
+        if not token.may_write and request.method not in READING and not _only_checks(request):
+            insufficient = CHALLENGE + ', error="insufficient_scope"'
+            detail = f"the token of {token.name} may only read; changing something needs one that may write"
+            return 403, detail, {"WWW-Authenticate": insufficient}
+        return None
+
+    def _admit_by_origin(self, request: Request) -> tuple[int, str, dict[str, str]] | None:
+        request.state.token = ANYBODY
+        hosts, origins = request.headers.getlist("host"), request.headers.getlist("origin")
+        if len(hosts) != 1 or not is_loopback_host(hosts[0]):
+            detail = "without tokens this server answers to localhost, 127.0.0.1 and [::1] only; use one of them as the address"
+            return 421, detail, {}
+        if request.method not in READING and origins and origins not in ([f"http://{hosts[0]}"], [f"https://{hosts[0]}"]):
+            return 403, "without tokens this server takes no changes from web pages of other origins", {}
+        return None
+
+    async def _logged(self, request: Request, receive: Receive, send: Send) -> None:
+        """Passes a request on that may change something, and says in the log who it was."""
+        if request.state.token is not None:
+            logs.note(token=request.state.token.name)
+
+        async def noting(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                log.info("%s %s: %d", request.method, shown(request.scope["path"], 200), message["status"])
+            await send(message)
+
+        await self.app(request.scope, receive, noting)
+
+
+def _bearer(header: str) -> bytes | None:
+    """The token in an Authorization header, as the bytes that were sent; None where the scheme is another one."""
+    scheme, _, token = header.encode("latin-1").partition(b" ")
+    return token.strip(b" ") if scheme.lower() == b"bearer" else None
+
+
+def _only_checks(request: Request) -> bool:
+    """A post that stores nothing. Compared to the letter, so that nobody reads the query in another way than the route does."""
+    return request.method == "POST" and (request.scope["path"], request.scope["query_string"]) == (
+        f"{ROOT}/campaigns",
+        b"validate_only=true",
+    )
+
+
+def is_loopback_host(host: str) -> bool:
+    """True for localhost and addresses of the loopback interface, with any port: what no stranger's name can stand for."""
+    name, colon, port = host.rpartition(":")
+    if not colon or host.endswith("]"):
+        name, port = host, ""
+    if port and not (port.isascii() and port.isdecimal()):
+        return False
+    if name.lower() == "localhost":
+        return True
+    try:
+        return is_loopback(name[1:-1] if name.startswith("[") and name.endswith("]") else name)
+    except ValueError:
+        return False
