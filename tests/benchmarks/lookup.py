@@ -1,9 +1,11 @@
 """How long does one look-up for a whole population take? `python tests/benchmarks/lookup.py [--references 10000 1000000]`.
 
-6,000 cells are asked for against tables of stored results, on SQLite and PostgreSQL: by reference key (Figure 6 of the paper) and by
-parameter set. Beside them a vectorised scan of Figure 6 over arrays that are in memory already, which is what the keys replace;
-it is measured on a few cells and extrapolated. Also timed: computing the keys of all stored results under a new influence map, which
-must take less than a minute for a million. Writes `.drivecal/bench/lookup.json`.
+6,000 cells are asked for against tables of stored results, on SQLite and PostgreSQL: by reference key (Figure 6 of the paper), by
+parameter set, and from the cells' values to their donors, keys included. The tables of all sizes stand beside each other and take
+turns, and a time is the shortest of all rounds (the median is written down too), so that other work on the machine blurs the ratio of
+two sizes as little as possible. Beside them a vectorised scan of Figure 6 over arrays that are in memory already, which is what the
+keys replace; it is measured on a few cells and extrapolated. Also timed: computing the keys of all stored results under a new
+influence map, which must take less than a minute for a million. Writes `.drivecal/bench/lookup.json`.
 """
 
 from __future__ import annotations
@@ -15,7 +17,8 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -25,6 +28,7 @@ import numpy.typing as npt
 import psycopg
 from sqlalchemy import Connection, make_url, text
 
+from drivecal.domain.evaluations import Donor
 from drivecal.domain.influence import Influence, InfluenceMap
 from drivecal.domain.parameters import ParameterSet, decimal
 from drivecal.reduction.keys import BELOW, ReferenceKeys
@@ -33,7 +37,9 @@ from drivecal.storage.database import Database
 
 TARGET = Path(".drivecal/bench/lookup.json")
 CELLS = 6_000
-REPEATS = 7
+ROUNDS = 5
+REPEATS = 5
+"""Look-ups of a kind in each round."""
 SCANNED = 20
 """Cells for which the scan is carried out."""
 MOST_SECONDS_PER_MILLION = 60.0
@@ -61,59 +67,103 @@ def main(arguments: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--references", type=int, nargs="+", default=[10_000, 1_000_000], help="sizes of the table")
     sizes = parser.parse_args(arguments).references
-    print(f"{'references':>10}  {'':22}  {'SQLite':>10}  {'PostgreSQL':>10}")
-    figures: dict[str, dict[str, dict[str, float]]] = {}
-    for size in sizes:
-        generator = np.random.default_rng(size)
-        stored = generator.integers(0, VALUES, (size, len(NAMES)))
-        asked = generator.integers(0, VALUES, (CELLS, len(NAMES)))
-        asked[: CELLS // 2] = stored[generator.choice(size, CELLS // 2, replace=False)]  # half of them are there
-        with sqlite() as first, postgresql() as second:
-            measured = {name: measure(one, stored, asked) for name, one in (("sqlite", first), ("postgresql", second))}
-        seconds = scan(stored, asked)
-        for name in measured["sqlite"]:
-            label = name.removesuffix("_seconds").replace("_", " ") + ", s"
-            print(f"{size:10,}  {label:22}  {measured['sqlite'][name]:10.3f}  {measured['postgresql'][name]:10.3f}")
-        print(f"{size:10,}  {'scan in memory, s':22}  {seconds:10.3f}  {seconds:10.3f}   (from {SCANNED} cells)", flush=True)
-        figures[str(size)] = {**measured, "numpy": {"scan_in_memory_seconds": seconds}}
+    figures: dict[str, dict[str, dict[str, float]]] = {str(size): {} for size in sizes}
+    with ExitStack() as stack:
+        tables: list[Table] = []
+        for size in sizes:
+            stored, asked = cells(size)
+            for backend, new in (("sqlite", sqlite), ("postgresql", postgresql)):
+                database = stack.enter_context(new())
+                fill(database, stored)
+                started = time.perf_counter()
+                reference_keys.sync(database, 1, 1, EVALUATOR, size, keys_of)
+                synced = time.perf_counter() - started
+                figures[str(size)][backend] = {"keys_of_a_new_map_seconds": synced}
+                tables.append(Table(size, backend, database, asked))
+            figures[str(size)]["numpy"] = {"scan_in_memory_seconds": scan(stored, asked)}
+        times: dict[tuple[int, str, str], list[float]] = {}
+        for _ in range(ROUNDS):
+            for table in tables:
+                for name, seconds in measure(table).items():
+                    times.setdefault((table.size, table.backend, name), []).extend(seconds)
+    for (size, backend, name), seconds in times.items():
+        figures[str(size)][backend] |= {f"{name}_seconds": min(seconds), f"{name}_median_seconds": median(seconds)}
+    show(sizes, figures)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     print(f"{CELLS:,} cells per look-up; memory of this process at its peak {peak:.0f} MB")
     TARGET.parent.mkdir(parents=True, exist_ok=True)
     TARGET.write_text(json.dumps({"cells": CELLS, "references": figures, "peak_megabytes": peak}, indent=2))
     rates = [
-        measured[name]["keys_of_a_new_map_seconds"] / int(size)
-        for size, measured in figures.items()
-        for name in ("sqlite", "postgresql")
-        if int(size) >= 1_000_000
+        figures[str(size)][backend]["keys_of_a_new_map_seconds"] / size
+        for size in sizes
+        for backend in ("sqlite", "postgresql")
+        if size >= 1_000_000
     ]
     return int(any(rate * 1_000_000 > MOST_SECONDS_PER_MILLION for rate in rates))
 
 
-def measure(database: Database, stored: Steps, asked: Steps) -> dict[str, float]:
-    """Seconds for everything that is asked of one database."""
-    fill(database, stored)
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Stored results in one database, and the cells that are asked for, in steps, shape (CELLS, n_p)."""
+
+    size: int
+    backend: str
+    database: Database
+    asked: Steps
+
+
+def cells(size: int) -> tuple[Steps, Steps]:
+    """Stored sets, shape (size, n_p), and asked ones, shape (CELLS, n_p), of which half are stored; in steps."""
+    generator = np.random.default_rng(size)
+    stored = generator.integers(0, VALUES, (size, len(NAMES)))
+    asked = generator.integers(0, VALUES, (CELLS, len(NAMES)))
+    asked[: CELLS // 2] = stored[generator.choice(size, CELLS // 2, replace=False)]
+    return stored, asked
+
+
+def measure(table: Table) -> dict[str, list[float]]:
+    """The times of one round of look-ups, seconds."""
+    keys = list(dict.fromkeys(keys_of(NAMES, table.asked * STEP)))
+    wanted = np.random.default_rng(1).integers(1, 2 * table.size, CELLS).tolist()  # half of these are there
+    with table.database.read() as connection:
+
+        def by_key(some: Sequence[bytes] = keys) -> dict[bytes, Donor]:
+            return reference_keys.look_up(connection, 1, 1, some, EVALUATOR, table.size)
+
+        uses: dict[str, Callable[[], Any]] = {
+            "look_up_by_key": by_key,
+            "look_up_by_set": lambda: runs.look_up_exact(connection, 1, wanted, EVALUATOR, table.size),
+            "look_up_of_cells": lambda: by_key(list(dict.fromkeys(keys_of(NAMES, table.asked * STEP)))),
+        }
+        found = by_key()
+        if not CELLS // 2 - 10 <= len(found) < CELLS:
+            raise SystemExit(f"half of the cells should have been found, not {len(found)}")
+        return {name: [timed(use) for _ in range(REPEATS)] for name, use in uses.items()}
+
+
+def timed(use: Callable[[], Any]) -> float:
+    """How long `use` takes, seconds."""
     started = time.perf_counter()
-    reference_keys.sync(database, 1, 1, EVALUATOR, len(stored), keys_of)
-    synced = time.perf_counter() - started
-    keys = list(dict.fromkeys(keys_of(NAMES, asked * STEP)))
-    wanted = np.random.default_rng(1).integers(1, 2 * len(stored), CELLS).tolist()  # half of these are there
-    with database.read() as connection:
-        by_key = repeated(lambda: reference_keys.look_up(connection, 1, 1, keys, EVALUATOR, len(stored)))
-        by_set = repeated(lambda: runs.look_up_exact(connection, 1, wanted, EVALUATOR, len(stored)))
-        found = reference_keys.look_up(connection, 1, 1, keys, EVALUATOR, len(stored))
-    if not CELLS // 2 - 10 <= len(found) < CELLS:
-        raise SystemExit(f"half of the cells should have been found, not {len(found)}")
-    return {"look_up_by_key_seconds": by_key, "look_up_by_set_seconds": by_set, "keys_of_a_new_map_seconds": synced}
+    use()
+    return time.perf_counter() - started
 
 
-def repeated(use: Callable[[], Any]) -> float:
-    """The median time of `use`, seconds."""
-    times: list[float] = []
-    for _ in range(REPEATS):
-        started = time.perf_counter()
-        use()
-        times.append(time.perf_counter() - started)
-    return median(times)
+def show(sizes: Sequence[int], figures: dict[str, dict[str, dict[str, float]]]) -> None:
+    """Prints what was measured; from the second size on, look-ups also as multiples of those against the first."""
+    print(f"{'references':>10}  {'':22}  {'SQLite':>10}  {'PostgreSQL':>10}")
+    for size in sizes:
+        measured, first = figures[str(size)], figures[str(sizes[0])]
+        for name in measured["sqlite"]:
+            if "median" in name:
+                continue
+            sqlite_s, postgresql_s = measured["sqlite"][name], measured["postgresql"][name]
+            times = ""
+            if size != sizes[0] and name.startswith("look_up"):
+                times = f"   {sqlite_s / first['sqlite'][name]:.1f} and {postgresql_s / first['postgresql'][name]:.1f} times"
+            label = name.removesuffix("_seconds").replace("_", " ") + ", s"
+            print(f"{size:10,}  {label:22}  {sqlite_s:10.3f}  {postgresql_s:10.3f}{times}")
+        seconds = measured["numpy"]["scan_in_memory_seconds"]
+        print(f"{size:10,}  {'scan in memory, s':22}  {seconds:10.3f}  {seconds:10.3f}   (from {SCANNED} cells)")
 
 
 def keys_of(names: tuple[str, ...], values: Steps) -> list[bytes]:

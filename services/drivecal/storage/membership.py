@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any, cast
 
-from sqlalchemy import ARRAY, Column, ColumnElement, Connection, Table, any_, bindparam
+from sqlalchemy import ARRAY, Column, ColumnElement, Connection, Dialect, LargeBinary, Table, any_, bindparam
 from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.dialects.sqlite import Insert
 
@@ -19,11 +19,19 @@ def among(connection: Connection, column: Column[Any], values: Sequence[Any]) ->
     """Conditions that together say that `column` is among `values`, one for each chunk; both backends answer them from an index."""
     if connection.dialect.name == "postgresql":
         for start in range(0, len(values), LARGEST_ARRAY):
-            array = bindparam(None, list(values[start : start + LARGEST_ARRAY]), type_=ARRAY(column.type))
-            yield column == any_(array)
+            kind = _Bytes() if isinstance(column.type, LargeBinary) else column.type
+            yield column == any_(bindparam(None, list(values[start : start + LARGEST_ARRAY]), type_=ARRAY(kind)))
     else:
         for start in range(0, len(values), LARGEST_IN):
-            yield column.in_(values[start : start + LARGEST_IN])
+            chunk = list(values[start : start + LARGEST_IN])
+            yield column.in_(bindparam(None, chunk, expanding=True, type_=column.type))  # a bare list is checked value by value
+
+
+class _Bytes(LargeBinary):
+    """Bytes handed to psycopg as they are. In the wrapper of its DB-API they would go as text, and take half of a look-up's time."""
+
+    def bind_processor(self, dialect: Dialect) -> None:
+        del dialect
 
 
 def insert(connection: Connection, table: Table) -> Insert:

@@ -53,7 +53,7 @@ def look_up(
     one = reference_keys.c
     for condition in among(connection, one.key, sorted(keys)):  # in the order of the tree
         query = select(one.key, one.evaluation_id, one.run_id, one.score, one.rating, one.failure)
-        for key, *donor in connection.execute(query.where(one.index_id == index, condition, one.run_id <= watermark)):
+        for key, *donor in connection.execute(query.where(one.index_id == index, condition, one.run_id <= watermark)).all():
             if key not in newest or donor[1] > newest[key].run:
                 newest[key] = Donor(*donor)
     return newest

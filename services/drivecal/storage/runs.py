@@ -96,13 +96,13 @@ def look_up_exact(
 ) -> dict[int, Donor]:
     """The stored results of parameter sets in one setup, by parameter set id; of runs up to `watermark` that `evaluator` rated."""
     found: dict[int, Donor] = {}
-    for condition in among(connection, runs.c.parameter_set_id, [int(one) for one in parameter_set_ids]):
+    for condition in among(connection, runs.c.parameter_set_id, sorted(int(one) for one in parameter_set_ids)):
         query = (
             select(runs.c.parameter_set_id, runs.c.id, runs.c.evaluation_id, runs.c.failure, ratings.c.score, ratings.c.rating)
             .join(ratings, (ratings.c.run_id == runs.c.id) & (ratings.c.evaluator == evaluator))
             .where(runs.c.setup_id == setup_id, condition, runs.c.id <= watermark)
         )
-        for parameter_set_id, run, evaluation, failure, score, rating in connection.execute(query):
+        for parameter_set_id, run, evaluation, failure, score, rating in connection.execute(query).all():
             found[parameter_set_id] = Donor(evaluation, run, score, rating, failure)
     return found
 
