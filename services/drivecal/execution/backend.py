@@ -9,6 +9,11 @@ from drivecal.contracts.work import Batch, BatchResult
 from drivecal.domain.errors import DrivecalError
 from drivecal.domain.evaluations import Breakdown
 
+DEADLINE_SECONDS = 60.0
+"""A batch that takes longer than this, and longer than ..."""
+DEADLINE_FACTOR = 20.0
+"""... times what was expected, is given up as hung."""
+
 
 class BackendLostError(DrivecalError):
     """The backend as a whole is gone and does not come back: the process that uses it has to start again."""
@@ -34,6 +39,8 @@ class Lost:
     worker: str
     breakdown: Breakdown
     detail: str
+    seconds: float | None = None
+    """How long the worker was busy with it; None where that is not known."""
 
 
 @dataclass(frozen=True, slots=True)

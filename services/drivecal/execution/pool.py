@@ -1,22 +1,22 @@
-"""The work pool: what the dispatcher gives cells to and gets results from. A thin driver between `Scheduler` and `Backend`."""
+"""The work pool: what the dispatcher gives cells to and gets results from. A thin driver between `Scheduler`, `Leases` and `Backend`."""
 
 from __future__ import annotations
 
 import logging
 import time
-from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 from drivecal.contracts.work import BatchResult, Cell, SetupRequest
-from drivecal.execution.backend import Backend, Finished, WorkerInfo
+from drivecal.domain.errors import UnavailableError
+from drivecal.execution.backend import DEADLINE_FACTOR, DEADLINE_SECONDS, Backend, Finished, Lost, WorkerInfo
 from drivecal.execution.batching import BatchPolicy
-from drivecal.execution.scheduler import Completed, Scheduler
+from drivecal.execution.leasing import Leases
+from drivecal.execution.observing import Observer, breakdowns
+from drivecal.execution.scheduler import Completed, Dispatch, Scheduler
 
 PATIENCE_WITH_REFUSALS = 30.0
 """Seconds after which a worker that refuses what is to be done is replaced: its installation may have been mended meanwhile."""
-
-FAILURES_TOLD = 20
-"""Of a campaign, before only the 32nd, 64th, 128th ... are."""
 
 log = logging.getLogger(__name__)
 
@@ -28,43 +28,65 @@ class WorkPool:
     """
 
     def __init__(
-        self, backend: Backend, policy: BatchPolicy | None = None, clock: Callable[[], float] = time.monotonic
+        self,
+        backend: Backend,
+        leases: Leases | None = None,
+        policy: BatchPolicy | None = None,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
+        """`leases`: None where nobody else can have the cells, and nobody asks later how often they broke down."""
         self._backend = backend
+        self._leases = leases
         self._scheduler = Scheduler(policy or BatchPolicy())
         self._clock = clock
+        self._sent: dict[int, Dispatch] = {}
+        self._numbers: dict[int, int] = {}
+        """Of the leases of cells at workers."""
+        self._returned: dict[int, int] = {}
+        """Breakdowns of the cells whose leases are to be given back with the next exchange."""
+        self._completed: list[Completed] = []
         self._refusing_since: dict[str, float] = {}
-        self._failures: Counter[str] = Counter()
+        self._observer = Observer()
 
     def workers(self) -> list[WorkerInfo]:
-        """The backend's workers."""
-        return self._backend.workers()
+        """The backend's workers, and what they do."""
+        return self._observer.describe(self._backend.workers())
 
     def trouble(self) -> str | None:
         """Why fewer workers than wanted run, or refuse to, in words; None where all is well."""
         return "; ".join(filter(None, (self._backend.trouble(), self._scheduler.trouble()))) or None
 
-    def submit(self, setup: SetupRequest, cells: Sequence[Cell], *, tag: str, priority: int = 0) -> None:
+    def submit(
+        self,
+        setup: SetupRequest,
+        cells: Sequence[Cell],
+        *,
+        tag: str,
+        priority: int = 0,
+        exclusive: bool = False,
+        breakdowns: Mapping[int, int] | None = None,
+    ) -> None:
         """Queues cells of one setup and sends what there is room for. Higher priorities go first. `tag` names the cells for
-        `withdraw`. Raises ValueError where a cell's id is outstanding already."""
-        self._scheduler.add(setup, cells, tag, priority)
+        `withdraw`. `exclusive` cells are simulated even where an identical one is under way. `breakdowns`: how often cells broke
+        down earlier, by id.
+
+        Raises ValueError where a cell's id is outstanding already, and UnavailableError where nothing can be leased: the cells wait then.
+        """
+        self._scheduler.add(setup, cells, tag, priority, exclusive=exclusive, breakdowns=breakdowns)
         self._fill()
 
     def poll(self, timeout: float) -> list[Completed]:
         """Waits up to `timeout` seconds for results and keeps the workers busy. Every submitted cell comes back exactly once:
-        with a result, or with a `breakdown` after its last attempt. Returns earlier, perhaps with nothing, when a batch was lost."""
+        with a result, or with a `breakdown` after its last attempt, unless its lease was not granted: then it is forgotten, for it
+        has its answer or is simulated elsewhere. Returns earlier, perhaps with nothing, when a batch was lost.
+
+        Raises UnavailableError where nothing can be leased; no result is lost then, the next call returns them. Raises BackendLostError.
+        """
         self._fill()
-        completed: list[Completed] = []
         for event in self._backend.wait(timeout):
-            if isinstance(event, Finished):
-                self._note_refusal(event.result)
-                completed += self._scheduler.finished(event.batch_id, event.result)
-            else:
-                completed += self._scheduler.lost(event.batch_id, event.worker, event.breakdown, event.detail)
-        for one in completed:
-            if one.result.breakdown is not None:
-                self._tell_failure(one)
+            self._completed += self._take_in(event)
         self._fill()
+        completed, self._completed = self._completed, []
         return completed
 
     def withdraw(self, tag: str) -> int:
@@ -73,22 +95,39 @@ class WorkPool:
         return self._scheduler.withdraw(tag)
 
     def held(self, tag: str) -> int:
-        """Cells of `tag` without an answer."""
-        return self._scheduler.held(tag)
+        """Cells of `tag` that have not come back."""
+        return self._scheduler.held(tag) + sum(one.tag == tag for one in self._completed)
+
+    def give_back(self, unwanted: Sequence[Completed]) -> None:
+        """Results that nobody writes down: their cells may be leased again."""
+        self._returned |= {one.result.id: one.attempts - 1 for one in unwanted if one.lease is not None and not one.shared}
 
     def close(self) -> None:
         """Ends the workers; what has no answer is dropped."""
         self._backend.close()
 
-    def _tell_failure(self, one: Completed) -> None:
-        """All of a campaign's first failures, then fewer and fewer: thousands may be alike."""
-        self._failures[one.tag] += 1
-        count = self._failures[one.tag]
-        if count <= FAILURES_TOLD or count.bit_count() == 1:
-            log.warning(
-                "cell %d of %s has no result after %d attempts (%s, at last on %s; failure %d of this campaign): %s",
-                *(one.result.id, one.tag, one.attempts, one.result.breakdown, one.worker, count, one.result.detail),
-            )
+    def _take_in(self, event: Finished | Lost) -> list[Completed]:
+        if isinstance(event, Finished):
+            self._note_refusal(event.result)
+            found = self._scheduler.finished(event.batch_id, event.result)
+        else:
+            found = self._scheduler.lost(event.batch_id, event.worker, event.breakdown, event.detail, event.seconds)
+        dispatch = self._sent.pop(event.batch_id, None)
+        if dispatch is None:  # it came back before, and the scheduler has taken no notice of it either
+            return []
+        numbers = {cell: self._numbers.pop(cell, None) for cell in dispatch.breakdowns}
+        completed = [replace(one, lease=numbers[one.result.id if one.leader is None else one.leader]) for one in found]
+        self._note_returned(dispatch, event, {one.result.id for one in completed})
+        self._observer.came_back(dispatch, event, completed)
+        return completed
+
+    def _note_returned(self, dispatch: Dispatch, event: Finished | Lost, completed: set[int]) -> None:
+        """The cells of a batch that have no final answer give their leases back; those that broke down are told apart from others."""
+        broken = breakdowns(dispatch, event)
+        for cell, count in dispatch.breakdowns.items():
+            if cell not in completed:
+                self._returned[cell] = count + (cell in broken)
+        self._returned |= self._scheduler.take_breakdowns()
 
     def _note_refusal(self, result: BatchResult) -> None:
         if result.refusal is not None and result.worker not in self._refusing_since:
@@ -100,18 +139,48 @@ class WorkPool:
         ready = [worker.id for worker in self._backend.workers() if worker.state != "starting"]
         self._scheduler.meet(ready)
         self._refusing_since = {worker: since for worker, since in self._refusing_since.items() if worker in ready}
-        sent = True
-        while sent:
-            sent = False
-            for slot in self._backend.slots():
-                dispatch = self._scheduler.next_batch(slot.worker, idle=slot.idle)
-                if dispatch is not None:
-                    self._backend.submit(
-                        dispatch.worker, dispatch.batch_id, dispatch.batch, dispatch.expected_seconds, alone=dispatch.alone
-                    )
-                    sent = True
+        while True:
+            wanted = [self._scheduler.next_batch(slot.worker, idle=slot.idle) for slot in self._backend.slots()]
+            dispatches = [one for one in wanted if one is not None]
+            for dispatch in self._lease(dispatches):
+                self._backend.submit(
+                    dispatch.worker, dispatch.batch_id, dispatch.batch, dispatch.expected_seconds, alone=dispatch.alone
+                )
+                self._sent[dispatch.batch_id] = dispatch
+                self._observer.sent(dispatch)
+            if not dispatches:
+                break
         for worker in {slot.worker for slot in self._backend.slots() if slot.idle}:
             self._replace_if_needed(worker)
+
+    def _lease(self, dispatches: Sequence[Dispatch]) -> list[Dispatch]:
+        """Leases the cells of all dispatches of a round at once, and gives back what is due; gives the dispatches to send."""
+        if self._leases is None:
+            self._returned.clear()
+            return list(dispatches)
+        if not dispatches and not self._returned:
+            return []
+        cells = {cell: count for dispatch in dispatches for cell, count in dispatch.breakdowns.items()}
+        seconds = max((_longest(dispatch.expected_seconds) for dispatch in dispatches), default=0.0)
+        try:
+            granted = self._leases.exchange(self._returned, cells, seconds)
+        except UnavailableError:
+            for dispatch in reversed(dispatches):
+                self._scheduler.take_back(dispatch.batch_id)
+            self._returned |= cells  # perhaps they are leased, and only the answer was lost
+            raise
+        self._returned.clear()
+        self._numbers |= granted
+        left = (
+            dispatch if granted.keys() >= dispatch.breakdowns.keys() else self._drop(dispatch, granted)
+            for dispatch in dispatches
+        )
+        return [dispatch for dispatch in left if dispatch is not None]
+
+    def _drop(self, dispatch: Dispatch, granted: Mapping[int, int]) -> Dispatch | None:
+        refused = dispatch.breakdowns.keys() - granted.keys()
+        log.warning("cells that are answered or at work elsewhere are not simulated again: %s", sorted(refused))
+        return self._scheduler.drop(dispatch.batch_id, refused)
 
     def _replace_if_needed(self, worker: str) -> None:
         replacement = self._scheduler.replacement(worker)
@@ -121,3 +190,8 @@ class WorkPool:
         patience_ends = self._refusing_since.get(worker, float("inf")) + PATIENCE_WITH_REFUSALS
         if self._clock() >= patience_ends and self._scheduler.is_kept_from(worker):
             self._backend.replace(worker, None)
+
+
+def _longest(expected_seconds: float | None) -> float:
+    """Seconds until a batch that is sent now has come back, one way or another: it may wait behind one like it."""
+    return 2 * max(DEADLINE_SECONDS, DEADLINE_FACTOR * (expected_seconds or 0.0))

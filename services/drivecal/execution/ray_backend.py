@@ -15,7 +15,15 @@ from typing import Any
 from drivecal.contracts.work import Batch, BatchResult
 from drivecal.domain.errors import DrivecalError
 from drivecal.domain.evaluations import Breakdown
-from drivecal.execution.backend import BackendLostError, Finished, Lost, Slot, WorkerInfo
+from drivecal.execution.backend import (
+    DEADLINE_FACTOR,
+    DEADLINE_SECONDS,
+    BackendLostError,
+    Finished,
+    Lost,
+    Slot,
+    WorkerInfo,
+)
 from drivecal.execution.ray_cluster import Cluster
 from drivecal.runtime.worker import Worker
 
@@ -39,8 +47,8 @@ class RayOptions:
 
     address: str | None = None
     workers: int | None = None
-    deadline_seconds: float = 60.0
-    deadline_factor: float = 20.0
+    deadline_seconds: float = DEADLINE_SECONDS
+    deadline_factor: float = DEADLINE_FACTOR
     start_seconds: float = 180.0
 
 
@@ -224,7 +232,8 @@ class RayBackend:
             words = str(cause if isinstance(cause, DrivecalError) else error).strip().splitlines()[-1][:LONGEST_REASON]
             if actor.warming is not None:
                 return self._bury(actor, Breakdown.ERROR, f"{_place(actor)} cannot start: {words}", error)
-            return [Lost(self._next_call(actor).batch_id, actor.name, Breakdown.ERROR, words)]
+            seconds = self._busy_seconds(actor)
+            return [Lost(self._next_call(actor).batch_id, actor.name, Breakdown.ERROR, words, seconds)]
         if actor.warming is not None:
             actor.warming, actor.node, actor.pid = None, value.node, value.pid
             actor.failed_starts = 0
@@ -245,6 +254,11 @@ class RayBackend:
             actor.deadline = time.monotonic() + actor.calls[0].seconds
         return call
 
+    def _busy_seconds(self, actor: _Actor) -> float:
+        """How long the running call has been running."""
+        begun = actor.deadline - actor.calls[0].seconds if actor.calls else actor.deadline
+        return max(0.0, time.monotonic() - begun)
+
     def _overdue(self, now: float) -> list[Finished | Lost]:
         events: list[Finished | Lost] = []
         for actor in self._actors:
@@ -264,7 +278,11 @@ class RayBackend:
     def _bury(self, actor: _Actor, breakdown: Breakdown, detail: str, cause: BaseException | None) -> list[Finished | Lost]:
         """Everything an actor had is lost; a new one starts at once, or after a pause where it was the start that failed."""
         log.warning("%s; it is replaced", detail, exc_info=cause if log.isEnabledFor(logging.DEBUG) else None)
-        lost: list[Finished | Lost] = [Lost(call.batch_id, actor.name, breakdown, detail) for call in actor.calls]
+        seconds = self._busy_seconds(actor)
+        lost: list[Finished | Lost] = [
+            Lost(call.batch_id, actor.name, breakdown, detail, 0.0 if behind else seconds)
+            for behind, call in enumerate(actor.calls)
+        ]
         if actor.warming is not None:
             actor.failed_starts += 1
             actor.reason = detail
