@@ -8,6 +8,7 @@ from typing import Any
 from pydantic import BaseModel
 from sqlalchemy import Connection
 
+from drivecal.api.dependencies import Limits
 from drivecal.campaigns.maps import check_basis
 from drivecal.campaigns.problem import CalibrationProblem, evaluator_id, resolve, resolve_evaluation
 from drivecal.contracts.campaign import ExpectedRuns
@@ -18,32 +19,57 @@ from drivecal.contracts.specification import (
     RerunSpecification,
 )
 from drivecal.contracts.validation import validated
-from drivecal.domain.errors import ConflictError, InvalidInputError, NotFoundError, Problem
+from drivecal.domain.errors import ConflictError, InvalidInputError, NotFoundError, Problem, TooLargeError
 from drivecal.domain.setups import canonical_json, digest
 from drivecal.plugins import registry
-from drivecal.storage import campaigns, influence_maps
+from drivecal.storage import admission, campaigns, influence_maps
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.database import Database
 from drivecal.storage.influence_maps import StoredInfluenceMap
 
 
-def submit(database: Database, specification: CampaignSpecification, key: str | None) -> StoredCampaign:
-    """Queues a campaign. Raises InvalidInputError for one that cannot run."""
+def submit(database: Database, limits: Limits, specification: CampaignSpecification, key: str | None) -> StoredCampaign:
+    """Queues a campaign. Raises InvalidInputError for one that cannot run, TooLargeError for one that is too large, and OverloadError
+    where the queue is full."""
     problem = resolve(specification)
+    check_size(problem, limits.largest_campaign)
     with database.transaction() as connection:
-        return _queue(connection, problem, key, _digest("campaigns", specification))
+        return _queue(connection, limits, problem, key, _digest("campaigns", specification))
 
 
-def expected(database: Database, specification: CampaignSpecification) -> ExpectedRuns:
-    """What a campaign would cost. Raises InvalidInputError as `submit` does."""
+def expected(database: Database, limits: Limits, specification: CampaignSpecification) -> ExpectedRuns:
+    """What a campaign would cost. Raises InvalidInputError and TooLargeError as `submit` does."""
     problem = resolve(specification)
+    check_size(problem, limits.largest_campaign)
     with database.read() as connection:
         _influence_map(connection, problem)
     return problem.expected_runs()
 
 
-def rerun(database: Database, first_id: str, changes: RerunSpecification, key: str | None) -> StoredCampaign:
-    """Queues a campaign like an ended one but for `changes`. Raises ConflictError while the first is not ended."""
+def check_size(problem: CalibrationProblem, largest: int) -> None:
+    """Raises TooLargeError where a campaign proposes more than `largest` cells."""
+    runs = problem.expected_runs()
+    analysis, search = runs.sensitivity_at_most, runs.calibration_proposed
+    if analysis + search <= largest:
+        return
+    scenarios, wanted = len(problem.scenarios), problem.optimization
+    problems = []
+    if wanted is not None and search >= analysis:
+        message = (
+            f"{wanted.population:,} individuals x {wanted.iterations:,} iterations x {scenarios} scenarios are {search:,} cells"
+        )
+        problems.append(
+            Problem("optimizer", message, f"this server takes {largest:,}; reduce population, iterations or scenarios")
+        )
+    if analysis and (search < analysis or analysis + search > largest >= search):
+        message = f"the analysis of {scenarios} scenarios may take {analysis:,} cells"
+        remedy = f"this server takes {largest:,} with the search ({search:,}); reduce samples, intervals or scenarios"
+        problems.append(Problem("sensitivity", message, remedy))
+    raise TooLargeError(*problems)
+
+
+def rerun(database: Database, limits: Limits, first_id: str, changes: RerunSpecification, key: str | None) -> StoredCampaign:
+    """Queues a campaign like an ended one but for `changes`. Raises ConflictError while the first is not ended, and as `submit` does."""
     with database.read() as connection:
         first = campaigns.get(connection, first_id)
         used = None if first.influence_map_id is None else influence_maps.get(connection, first.influence_map_id)
@@ -53,14 +79,16 @@ def rerun(database: Database, first_id: str, changes: RerunSpecification, key: s
         raise ConflictError(f"campaign {first_id} is {first.state}; rerun it when it has ended, or cancel it first")
     specification = validated(CampaignSpecification, _changed(first, used, changes))
     problem = resolve(specification)
+    check_size(problem, limits.largest_campaign)
     with database.transaction() as connection:
-        return _queue(connection, problem, key, _digest(f"campaigns/{first_id}/rerun", changes), rerun_of=first_id)
+        return _queue(connection, limits, problem, key, _digest(f"campaigns/{first_id}/rerun", changes), rerun_of=first_id)
 
 
-def evaluate(database: Database, specification: EvaluationSpecification, key: str | None) -> StoredCampaign:
-    """Queues a single evaluation. Raises InvalidInputError for one that cannot run."""
+def evaluate(database: Database, limits: Limits, specification: EvaluationSpecification, key: str | None) -> StoredCampaign:
+    """Queues a single evaluation. Raises InvalidInputError for one that cannot run, OverloadError where the queue is full."""
     resolve_evaluation(specification)
     with database.transaction() as connection:
+        admission.admit(connection, limits.queued_campaigns, key)
         return campaigns.insert(
             connection,
             name="evaluation",
@@ -72,9 +100,15 @@ def evaluate(database: Database, specification: EvaluationSpecification, key: st
 
 
 def _queue(
-    connection: Connection, problem: CalibrationProblem, key: str | None, body: str, rerun_of: str | None = None
+    connection: Connection,
+    limits: Limits,
+    problem: CalibrationProblem,
+    key: str | None,
+    body: str,
+    rerun_of: str | None = None,
 ) -> StoredCampaign:
     specification = problem.specification
+    admission.admit(connection, limits.queued_campaigns, key)
     return campaigns.insert(
         connection,
         name=specification.name,

@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Header, Response
-from fastapi.responses import JSONResponse
 from sqlalchemy import Connection
 
 from drivecal.api import submission
-from drivecal.api.answers import ROOT, campaign_answer, etag
+from drivecal.api.answers import ROOT, campaign_answer, etag, list_etag, matches
 from drivecal.api.bodies import StrictRoute
-from drivecal.api.dependencies import DatabaseDependency, IdempotencyKey
+from drivecal.api.dependencies import DatabaseDependency, IdempotencyKey, LimitsDependency
 from drivecal.api.queries import CampaignsQuery, SubmissionQuery
+from drivecal.api.silence import silence
 from drivecal.campaigns.accounting import MapOrigin, account
 from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns
 from drivecal.contracts.specification import CampaignSpecification, RerunSpecification
 from drivecal.domain.campaigns import Stage
 from drivecal.domain.errors import ConflictError
-from drivecal.storage import campaigns, costs, influence_maps
+from drivecal.storage import campaigns, costs, glances, influence_maps
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.database import Database
 from drivecal.storage.types import now
@@ -28,6 +28,8 @@ router = APIRouter(prefix="/campaigns", tags=["campaigns"], route_class=StrictRo
 
 SECONDS_BETWEEN_POLLS = 1
 """What a client that follows a running campaign is asked to wait."""
+NOT_MODIFIED: dict[int | str, dict[str, Any]] = {304: {"description": "Not changed since"}}
+IfNoneMatch = Annotated[str | None, Header(max_length=10_000)]
 
 
 @router.post("", status_code=202, responses={200: {"model": ExpectedRuns}, 202: {"model": Campaign}}, response_model=None)
@@ -36,39 +38,46 @@ def submit(
     query: SubmissionQuery,
     response: Response,
     database: DatabaseDependency,
+    limits: LimitsDependency,
     idempotency_key: IdempotencyKey = None,
 ) -> Campaign | ExpectedRuns:
     """Queues a campaign; with `validate_only=true` checks it, counts its runs and stores nothing."""
     if query.validate_only:
         response.status_code = 200
-        return submission.expected(database, specification)
-    return _accepted(response, submission.submit(database, specification, idempotency_key))
+        return submission.expected(database, limits, specification)
+    return _accepted(response, submission.submit(database, limits, specification, idempotency_key))
 
 
-@router.get("")
-def list_campaigns(query: CampaignsQuery, database: DatabaseDependency) -> CampaignPage:
-    """Campaigns, newest first."""
+@router.get("", response_model=CampaignPage, responses=NOT_MODIFIED)
+def list_campaigns(query: CampaignsQuery, database: DatabaseDependency, if_none_match: IfNoneMatch = None) -> Response:
+    """Campaigns, newest first. The page has an `ETag`, as a campaign has."""
+    moment, kind = now(), "calibration"
     with database.read() as connection:
-        found, following = campaigns.page(connection, state=query.state, limit=query.limit, cursor=query.cursor)
-    moment = now()
-    return CampaignPage(items=[campaign_answer(one, moment) for one in found], next_cursor=following)
+        seen = glances.page(connection, kind=kind, state=query.state, limit=query.limit, cursor=query.cursor)
+        silent = silence(glances.heartbeat(connection), moment)
+        headers = {"ETag": list_etag(seen, silent), "Cache-Control": "no-cache"}
+        if matches(if_none_match, headers["ETag"]):
+            return Response(status_code=304, headers=headers)
+        found, following = campaigns.page(connection, kind=kind, state=query.state, limit=query.limit, cursor=query.cursor)
+    page = CampaignPage(items=[campaign_answer(one, moment, silent) for one in found], next_cursor=following)
+    return Response(page.model_dump_json(), headers=headers, media_type="application/json")
 
 
-@router.get("/{campaign_id}", response_model=Campaign, responses={304: {"description": "Not changed since"}})
-def read(
-    campaign_id: str, database: DatabaseDependency, if_none_match: Annotated[str | None, Header(max_length=10_000)] = None
-) -> Response:
+@router.get("/{campaign_id}", response_model=Campaign, responses=NOT_MODIFIED)
+def read(campaign_id: str, database: DatabaseDependency, if_none_match: IfNoneMatch = None) -> Response:
     """One campaign. Send its `ETag` back as `If-None-Match` to be told 304 while nothing changed."""
+    moment = now()
     with database.read() as connection:
-        stored = campaigns.get(connection, campaign_id)
-    campaign = campaign_answer(stored, now())
-    tag = etag(campaign)
-    headers = {"ETag": tag, "Cache-Control": "no-cache"}
-    if not stored.state.ended:
-        headers["Retry-After"] = str(SECONDS_BETWEEN_POLLS)
-    if if_none_match is not None and _matches(if_none_match, tag):
-        return Response(status_code=304, headers=headers)
-    return JSONResponse(campaign.model_dump(mode="json"), headers=headers)
+        seen, heartbeat_at = glances.glance(connection, campaign_id)
+        silent = silence(heartbeat_at, moment)
+        headers = {"ETag": etag(seen, silent), "Cache-Control": "no-cache"}
+        if not seen.state.ended:
+            headers["Retry-After"] = str(SECONDS_BETWEEN_POLLS)
+        if matches(if_none_match, headers["ETag"]):
+            return Response(status_code=304, headers=headers)
+        stored = campaigns.by_sequence(connection, seen.sequence)
+    answer = campaign_answer(stored, moment, silent)
+    return Response(answer.model_dump_json(), headers=headers, media_type="application/json")
 
 
 @router.get("/{campaign_id}/accounting")
@@ -118,24 +127,22 @@ def rerun(
     changes: RerunSpecification,
     response: Response,
     database: DatabaseDependency,
+    limits: LimitsDependency,
     idempotency_key: IdempotencyKey = None,
 ) -> Campaign:
     """Queues a new campaign on the references and the influence map of an ended one."""
-    return _accepted(response, submission.rerun(database, campaign_id, changes, idempotency_key))
+    return _accepted(response, submission.rerun(database, limits, campaign_id, changes, idempotency_key))
 
 
 def _asked(database: Database, campaign_id: str, action: campaigns.Action, response: Response) -> Campaign:
     with database.transaction() as connection:
         stored = campaigns.request_action(connection, campaign_id, action)
-    return _accepted(response, stored)
+    return _accepted(response, database, stored)
 
 
-def _accepted(response: Response, stored: StoredCampaign) -> Campaign:
+def _accepted(response: Response, database: Database, stored: StoredCampaign) -> Campaign:
     response.headers["Location"] = f"{ROOT}/campaigns/{stored.id}"
-    return campaign_answer(stored, now())
-
-
-def _matches(if_none_match: str, tag: str) -> bool:
-    """The weak comparison of RFC 9110, 8.8.3.2."""
-    given = {one.strip().removeprefix("W/") for one in if_none_match.split(",")}
-    return "*" in given or tag.removeprefix("W/") in given
+    moment = now()
+    with database.read() as connection:
+        silent = silence(glances.heartbeat(connection), moment)
+    return campaign_answer(stored, moment, silent)

@@ -10,7 +10,7 @@ from sqlalchemy import Connection
 from drivecal.api import submission
 from drivecal.api.answers import evaluated_cell, evaluation_answer, evaluation_row
 from drivecal.api.bodies import StrictRoute
-from drivecal.api.dependencies import DatabaseDependency, IdempotencyKey
+from drivecal.api.dependencies import DatabaseDependency, IdempotencyKey, LimitsDependency
 from drivecal.campaigns.explaining import explain
 from drivecal.contracts.evaluation import Evaluation
 from drivecal.contracts.explanation import Explanation
@@ -30,10 +30,11 @@ def evaluate(
     specification: EvaluationSpecification,
     response: Response,
     database: DatabaseDependency,
+    limits: LimitsDependency,
     idempotency_key: IdempotencyKey = None,
 ) -> Evaluation:
     """Queues the evaluation of one parameter set; `Location` says where its result will be."""
-    stored = submission.evaluate(database, specification, idempotency_key)
+    stored = submission.evaluate(database, limits, specification, idempotency_key)
     with database.read() as connection:
         answer = _evaluation(connection, stored)
     response.headers["Location"] = answer.links["self"]

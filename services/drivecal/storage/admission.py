@@ -1,0 +1,33 @@
+"""Whether there is room for one more in the queue."""
+
+from __future__ import annotations
+
+from sqlalchemy import Connection, func, select, text
+
+from drivecal.domain.errors import OverloadError
+from drivecal.storage.tables import campaigns
+
+KEY = 0x64726332
+"""First key of the advisory lock on PostgreSQL; the second is a hash of the schema."""
+RETRY_SECONDS = 30
+
+
+def admit(connection: Connection, most: int, idempotency_key: str | None) -> None:
+    """Raises OverloadError where `most` campaigns and evaluations wait already to be started. To be called in the transaction that
+    inserts: until its end no other one is admitted, so that any number of them at once cannot overshoot.
+
+    A request whose key is known inserts nothing and is always admitted.
+    """
+    if connection.dialect.name == "postgresql":  # on SQLite a transaction that writes is alone from its start
+        connection.execute(text("SELECT pg_advisory_xact_lock(:key, hashtext(current_schema()))"), {"key": KEY})
+    if idempotency_key is not None:
+        known = select(campaigns.c.sequence).where(campaigns.c.idempotency_key == idempotency_key)
+        if connection.execute(known).first() is not None:
+            return
+    open_ones = select(func.count()).select_from(campaigns).where(campaigns.c.ended_at.is_(None))
+    waiting = connection.scalar(open_ones.where(campaigns.c.started_at.is_(None))) or 0
+    if waiting >= most:
+        message = (
+            f"{waiting:,} campaigns and evaluations wait already, as many as this server takes; try again later, or cancel some"
+        )
+        raise OverloadError(message, RETRY_SECONDS)
