@@ -1,0 +1,133 @@
+from __future__ import annotations
+
+from collections import Counter
+from datetime import timedelta
+from typing import Any
+
+import pytest
+from sqlalchemy import Connection, event, update
+from tests.support.storage import campaign, sample_set_ids, setup_id
+
+from drivecal.domain.campaigns import CampaignState, Stage
+from drivecal.domain.evaluations import Outcome
+from drivecal.storage import campaigns, evaluations, leases, processes, statistics
+from drivecal.storage.database import Database
+from drivecal.storage.evaluations import NewEvaluation
+from drivecal.storage.statistics import CampaignKey, CellKey, Statistics, Tally
+from drivecal.storage.tables import campaigns as table
+from drivecal.storage.types import now
+
+OLD = timedelta(hours=1)
+
+
+def look(database: Database, tally: Tally) -> tuple[Statistics, Tally]:
+    with database.read() as connection:
+        return statistics.read(connection, tally)
+
+
+def change(connection: Connection, sequence: int, **values: Any) -> None:
+    connection.execute(update(table).where(table.c.sequence == sequence).values(values))
+
+
+def ended(connection: Connection, sequence: int, simulated: int) -> None:
+    cells = {"simulated": simulated, "requested": simulated, "pending": 7}
+    change(connection, sequence, cells=cells, simulating_seconds=0.5 * simulated, created_at=now() - OLD)
+    campaigns.end(connection, sequence, CampaignState.SUCCEEDED)
+
+
+def test_sums_are_right_from_the_beginning_and_from_look_to_look(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(statistics, "ROWS_AT_A_TIME", 3)
+    tally = Tally()
+    with database.transaction() as connection:
+        sequences = [campaign(connection, str(number)).sequence for number in range(8)]
+        for simulated, sequence in enumerate(sequences[:5]):
+            ended(connection, sequence, simulated)
+        change(connection, sequences[5], cells={"simulated": 3, "pending": 4, "reused": 1}, sensitivity_cells={"pending": 2})
+    found, tally = look(database, tally)
+    assert found.sums.campaigns == {CampaignKey("calibration", "succeeded"): 5, CampaignKey("calibration", "queued"): 3}
+    assert found.sums.cells[CellKey("calibration", "simulated")] == 10 + 3
+    assert found.sums.cells[CellKey("calibration", "reused")] == 1
+    assert found.sums.pending == Counter(calibration=4, sensitivity=2)
+    assert found.sums.simulating_seconds == 5.0
+    assert tally.settled == sequences[4]
+    with database.transaction() as connection:
+        for sequence in sequences[5:7]:
+            ended(connection, sequence, 100)
+        change(connection, sequences[7], created_at=now() - OLD)
+        late = campaign(connection).sequence
+    for _ in range(3):
+        found, tally = look(database, tally)
+        assert found.sums.cells[CellKey("calibration", "simulated")] == 10 + 200
+        assert found.sums.campaigns[CampaignKey("calibration", "succeeded")] == 7
+        assert (tally.settled, tally.open) == (sequences[7], (sequences[7],))
+    assert found.sums == look(database, Tally())[0].sums
+    with database.transaction() as connection:
+        ended(connection, sequences[7], 1)
+        ended(connection, late, 1)
+    found, tally = look(database, tally)
+    assert found.sums == look(database, Tally())[0].sums
+    assert (tally.settled, tally.open) == (late, ())
+
+
+def test_what_becomes_visible_after_a_later_one_is_counted(database: Database) -> None:
+    """A number is given before the commit: campaign 2 may be seen before campaign 1."""
+    with database.transaction() as connection:
+        row = connection.execute(table.select().where(table.c.sequence == campaign(connection).sequence)).one()._mapping
+        connection.execute(table.insert().values({**row, "sequence": 30, "id": "later"}))
+    before, tally = look(database, Tally())
+    assert before.sums.campaigns.total() == 2
+    with database.transaction() as connection:
+        connection.execute(table.insert().values({**row, "sequence": 20, "id": "earlier"}))
+    after, _ = look(database, tally)
+    assert after.sums.campaigns.total() == 3
+
+
+def test_single_evaluations_are_counted_apart(database: Database) -> None:
+    with database.transaction() as connection:
+        stored = campaigns.insert(connection, name="one", spec={}, kind="evaluation")
+        change(connection, stored.sequence, cells={"repeated": 2, "pending": 1})
+    found, _ = look(database, Tally())
+    assert found.sums.campaigns == {CampaignKey("evaluation", "queued"): 1}
+    assert found.sums.cells[CellKey("evaluation", "repeated")] == 2
+    assert found.sums.pending["evaluation"] == 1
+
+
+def test_leases_of_the_current_term_are_those_at_workers(database: Database) -> None:
+    assert look(database, Tally())[0].leases == 0
+    with database.transaction() as connection:
+        processes.elect(connection, processes.DISPATCHER, 1, now())
+        sequence, setup = campaign(connection).sequence, setup_id(connection)
+        cells = [
+            NewEvaluation(Stage.CALIBRATION, 0, n, "S1", setup, parameter_set, Outcome.SIMULATED)
+            for n, parameter_set in enumerate(sample_set_ids(connection, 4))
+        ]
+        ids = evaluations.insert(connection, sequence, cells)
+        leases.take(connection, dict.fromkeys(ids, 0), 60.0)
+        leases.give_back(connection, {ids[0]: 1})
+    found, _ = look(database, Tally())
+    assert found.leases == 3
+    assert found.dispatcher is not None
+    with database.transaction() as connection:
+        processes.elect(connection, processes.DISPATCHER, 2, now())
+    assert look(database, Tally())[0].leases == 0
+
+
+def test_a_look_reads_only_what_is_open_or_new(database: Database) -> None:
+    with database.transaction() as connection:
+        sequences = [campaign(connection, str(number)).sequence for number in range(500)]
+        values = {"created_at": now() - OLD}
+        connection.execute(update(table).values(values))
+        connection.execute(update(table).where(table.c.sequence > sequences[9]).values(ended_at=now(), state="succeeded"))
+    _, tally = look(database, Tally())
+    assert len(tally.open) == 10
+    read: list[int] = []
+
+    def count(one: Connection, _: Any, statement: str, parameters: Any, __: Any, ___: bool) -> None:
+        if "FROM campaigns" in statement and not statement.startswith("SELECT count"):
+            read.extend(one.exec_driver_sql(f"SELECT count(*) FROM ({statement}) AS asked", parameters).scalars())
+
+    with database.read() as connection:
+        event.listen(connection, "before_cursor_execute", count)
+        found, _ = statistics.read(connection, tally)
+    assert found.sums.campaigns.total() == 500
+    assert sum(read) == 10
