@@ -2,33 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import zlib
+from collections.abc import Mapping, Sequence
 from datetime import datetime
 from typing import Any
 
+from drivecal.api.silence import degraded
 from drivecal.contracts.campaign import Campaign, Seconds
 from drivecal.contracts.evaluation import EvaluatedCell, Evaluation
 from drivecal.domain.campaigns import CampaignState
-from drivecal.domain.setups import canonical_json, digest
+from drivecal.domain.setups import digest
 from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.glances import Glance
 from drivecal.storage.results import StoredEvaluation
 
 ROOT = "/api/v1"
 TABLES = ("generations", "evaluations", "solutions", "influence", "accounting")
-"""What a campaign links to below itself."""
+"""What a campaign links to below itself; and `events`."""
 BEFORE_PARAMETERS = ("id", "stage", "iteration", "individual", "scenario")
 AFTER_PARAMETERS = ("outcome", "score", "rating", "reference", "audited", "agrees", "failure", "milliseconds", "worker")
 
 
-def campaign_answer(stored: StoredCampaign, now: datetime) -> Campaign:
-    """A campaign as clients see it at the moment `now`. One that is asked to cancel counts as cancelling already."""
+def campaign_answer(stored: StoredCampaign, now: datetime, silent: str | None) -> Campaign:
+    """A campaign as clients see it at the moment `now`, when of the dispatcher `silent` is to be said. One that is asked to cancel
+    counts as cancelling already."""
     asked = stored.requested_action == "cancel" and not stored.state.ended
     wall = 0.0 if stored.started_at is None else ((stored.ended_at or now) - stored.started_at).total_seconds()
     return Campaign(
         id=stored.id,
         name=stored.name,
         state=CampaignState.CANCELLING if asked else stored.state,
-        degraded=stored.degraded,
+        requested_action=stored.requested_action,
+        degraded=degraded(stored, silent),
         stage=stored.stage,
         iteration=stored.iteration,
         progress=stored.progress,
@@ -50,17 +55,34 @@ def campaign_answer(stored: StoredCampaign, now: datetime) -> Campaign:
     )
 
 
-def etag(campaign: Campaign) -> str:
-    """Changes with everything in the answer but the time that passes by itself, hence weak."""
-    document = campaign.model_dump(mode="json", exclude={"seconds": {"wall"}})
-    return f'W/"{digest(canonical_json(document).encode())}"'
+def etag(seen: Glance, silent: str | None) -> str:
+    """Changes with everything in `campaign_answer` but the time that passes by itself, hence weak."""
+    return f'W/"{seen.id}-{_version(seen, silent)}"'
+
+
+def list_etag(seen: Sequence[Glance], silent: str | None) -> str:
+    """As `etag`, of a page."""
+    return f'W/"{digest("".join(f"{one.id}-{_version(one, silent)} " for one in seen).encode())}"'
+
+
+def _version(seen: Glance, silent: str | None) -> str:
+    said = degraded(seen, silent)
+    return f"{seen.revision}-{0 if said is None else zlib.crc32(said.encode()):x}"
+
+
+def matches(if_none_match: str | None, tag: str) -> bool:
+    """Whether a client has the answer with this ETag: the weak comparison of RFC 9110, 8.8.3.2."""
+    if if_none_match is None:
+        return False
+    given = {one.strip().removeprefix("W/") for one in if_none_match.split(",")}
+    return "*" in given or tag.removeprefix("W/") in given
 
 
 def _links(stored: StoredCampaign) -> dict[str, str]:
     if stored.kind == "evaluation":
         return {"self": f"{ROOT}/evaluations/{stored.id}"}
     here = f"{ROOT}/campaigns/{stored.id}"
-    links = {"self": here} | {table: f"{here}/{table}" for table in TABLES}
+    links = {"self": here, "events": f"{here}/events"} | {table: f"{here}/{table}" for table in TABLES}
     if stored.influence_map_id is not None:
         links["influence_map"] = f"{ROOT}/influence-maps/{stored.influence_map_id}"
     if stored.rerun_of is not None:

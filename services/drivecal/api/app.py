@@ -13,7 +13,8 @@ from drivecal.api.answers import ROOT
 from drivecal.api.auth import Authorisation
 from drivecal.api.dependencies import Limits
 from drivecal.api.limits import Concurrency, Requests
-from drivecal.api.routes import campaigns, evaluations, health, influence_maps, inventory, tables
+from drivecal.api.routes import campaigns, evaluations, events, health, influence_maps, inventory, tables
+from drivecal.api.streams import EventHub
 from drivecal.configuration.settings import Settings
 from drivecal.configuration.tokens import TokenFile
 from drivecal.storage.database import Database
@@ -29,7 +30,8 @@ def create_app(settings: Settings) -> FastAPI:
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         app.state.database = database
         app.state.limits = Limits.of(settings)
-        yield
+        async with EventHub(database).running() as app.state.event_hub:
+            yield
         database.dispose()
 
     app = FastAPI(
@@ -44,7 +46,7 @@ def create_app(settings: Settings) -> FastAPI:
     app.add_middleware(Authorisation, tokens=tokens)
     app.add_middleware(Requests)  # the last one is the first that a request meets
     problems.install(app)
-    for router in (campaigns.router, tables.router, evaluations.router, influence_maps.router, inventory.router):
+    for router in (campaigns.router, events.router, tables.router, evaluations.router, influence_maps.router, inventory.router):
         app.include_router(router, prefix=ROOT)
     app.include_router(health.router)
     return app

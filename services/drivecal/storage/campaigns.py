@@ -3,25 +3,25 @@
 from __future__ import annotations
 
 import uuid
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, fields
 from datetime import datetime
 from typing import Any, Literal
 
-from sqlalchemy import Connection, Row, Text, Update, case, cast, func, select, update
+from sqlalchemy import ColumnElement, Connection, Row, Select, Text, Update, case, cast, func, select, update
 
 from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, Narrowed, Progress, SensitivityCellCounts
 from drivecal.domain.campaigns import CampaignState, Stage
 from drivecal.domain.errors import ConflictError, NotFoundError
 from drivecal.domain.events import EventKind
-from drivecal.storage import cursors, events, runs
+from drivecal.storage import actions, cursors, events, runs
 from drivecal.storage.identifiers import is_identifier
 from drivecal.storage.membership import insert as insert_into
 from drivecal.storage.tables import campaigns
 from drivecal.storage.types import now
 
 Kind = Literal["calibration", "evaluation"]
-Action = Literal["cancel", "pause", "resume"]
+Action = actions.Action
 LONGEST_LISTED = 20_000
 """Characters of a specification that a list still carries: a page of a thousand has 20 MB at most, where it could have had a GB."""
 
@@ -170,15 +170,22 @@ def page(
     """
     short = case((func.length(cast(campaigns.c.spec, Text)) <= LONGEST_LISTED, campaigns.c.spec)).label("spec")
     columns = [short if column is campaigns.c.spec else column for column in campaigns.c]
-    query = select(*columns).where(campaigns.c.kind == kind).order_by(campaigns.c.sequence.desc()).limit(limit + 1)
+    found = [_campaign(row) for row in connection.execute(listed(columns, kind, state, limit + 1, cursor))]
+    following = cursors.encode(found[limit - 1].sequence) if len(found) > limit else None
+    return found[:limit], following
+
+
+def listed(
+    columns: Iterable[ColumnElement[Any]], kind: Kind, state: CampaignState | None, limit: int, cursor: str | None
+) -> Select[Any]:
+    """The query of a page: these columns of campaigns, newest first. Raises InvalidInputError for a cursor that is none."""
+    query = select(*columns).where(campaigns.c.kind == kind).order_by(campaigns.c.sequence.desc()).limit(limit)
     if state is not None:
         query = query.where(campaigns.c.state == state)
     if cursor is not None:
         (before,) = cursors.decode(cursor, int)
         query = query.where(campaigns.c.sequence < before)
-    found = [_campaign(row) for row in connection.execute(query)]
-    following = cursors.encode(found[limit - 1].sequence) if len(found) > limit else None
-    return found[:limit], following
+    return query
 
 
 def active(connection: Connection) -> list[CampaignHeading]:
@@ -204,7 +211,8 @@ def request_action(connection: Connection, campaign_id: str, action: Action) -> 
     if row is None:
         raise NotFoundError("campaign", campaign_id)
     campaign = _campaign(row)
-    change = _change(campaign, action)
+    asked = campaign.requested_action
+    change = actions.change(campaign.id, campaign.state, asked, action, has_started=campaign.started_at is not None)
     if change is None:
         return campaign
     kind, changes = change
@@ -213,36 +221,6 @@ def request_action(connection: Connection, campaign_id: str, action: Action) -> 
     state = CampaignState.CANCELLING if kind is EventKind.CANCELLING else changed.state
     _tell(connection, campaign.sequence, kind, state)
     return changed
-
-
-def _change(campaign: StoredCampaign, action: Action) -> tuple[EventKind, dict[str, Any]] | None:
-    """What an action tells and changes; None where it is what holds or was asked for already."""
-    state, asked = campaign.state, campaign.requested_action
-    if state.ended:
-        if action == "cancel" and state is CampaignState.CANCELLED:
-            return None
-        raise ConflictError(f"campaign {campaign.id} has ended ({state}): it is too late to {action} it")
-    cancelling = state is CampaignState.CANCELLING or asked == "cancel"
-    if cancelling and action != "cancel":
-        raise ConflictError(f"campaign {campaign.id} is being cancelled: it is too late to {action} it")
-    match action:
-        case "cancel" if not cancelling:
-            if state is CampaignState.RUNNING:
-                return EventKind.CANCELLING, {"requested_action": "cancel"}
-            return EventKind.CANCELLED, {"state": CampaignState.CANCELLED, "ended_at": now(), "requested_action": None}
-        case "pause" if state is CampaignState.QUEUED:
-            return EventKind.PAUSED, {"state": CampaignState.PAUSED}
-        case "pause" if state is CampaignState.RUNNING and asked != "pause":
-            return EventKind.PAUSING, {"requested_action": "pause"}
-        case "pause" if asked == "resume":
-            return EventKind.PAUSED, {"requested_action": None}
-        case "resume" if state is CampaignState.PAUSED and campaign.started_at is None:
-            return EventKind.QUEUED, {"state": CampaignState.QUEUED}
-        case "resume" if state is CampaignState.PAUSED and asked != "resume":
-            return EventKind.RESUMING, {"requested_action": "resume"}
-        case "resume" if asked == "pause":
-            return EventKind.RESUMED, {"requested_action": None}
-    return None
 
 
 _EXECUTES = {CampaignState.CANCELLING: "cancel", CampaignState.PAUSED: "pause", CampaignState.RUNNING: "resume"}

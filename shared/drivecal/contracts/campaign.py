@@ -112,7 +112,10 @@ class Campaign(Answer):
     id: str
     name: str
     state: str
+    requested_action: str | None = None
+    """`pause`, `resume` or `cancel`, where that was asked for and is not done yet."""
     degraded: str | None = None
+    """Why it goes on more slowly, or not at all, for now."""
     stage: str | None = None
     iteration: int | None = None
     progress: Progress = Progress()

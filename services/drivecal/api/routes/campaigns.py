@@ -45,20 +45,20 @@ def submit(
     if query.validate_only:
         response.status_code = 200
         return submission.expected(database, limits, specification)
-    return _accepted(response, submission.submit(database, limits, specification, idempotency_key))
+    return _accepted(response, database, submission.submit(database, limits, specification, idempotency_key))
 
 
 @router.get("", response_model=CampaignPage, responses=NOT_MODIFIED)
 def list_campaigns(query: CampaignsQuery, database: DatabaseDependency, if_none_match: IfNoneMatch = None) -> Response:
     """Campaigns, newest first. The page has an `ETag`, as a campaign has."""
-    moment, kind = now(), "calibration"
+    moment = now()
     with database.read() as connection:
-        seen = glances.page(connection, kind=kind, state=query.state, limit=query.limit, cursor=query.cursor)
+        seen = glances.page(connection, kind="calibration", state=query.state, limit=query.limit, cursor=query.cursor)
         silent = silence(glances.heartbeat(connection), moment)
         headers = {"ETag": list_etag(seen, silent), "Cache-Control": "no-cache"}
         if matches(if_none_match, headers["ETag"]):
             return Response(status_code=304, headers=headers)
-        found, following = campaigns.page(connection, kind=kind, state=query.state, limit=query.limit, cursor=query.cursor)
+        found, following = campaigns.page(connection, state=query.state, limit=query.limit, cursor=query.cursor)
     page = CampaignPage(items=[campaign_answer(one, moment, silent) for one in found], next_cursor=following)
     return Response(page.model_dump_json(), headers=headers, media_type="application/json")
 
@@ -131,7 +131,7 @@ def rerun(
     idempotency_key: IdempotencyKey = None,
 ) -> Campaign:
     """Queues a new campaign on the references and the influence map of an ended one."""
-    return _accepted(response, submission.rerun(database, limits, campaign_id, changes, idempotency_key))
+    return _accepted(response, database, submission.rerun(database, limits, campaign_id, changes, idempotency_key))
 
 
 def _asked(database: Database, campaign_id: str, action: campaigns.Action, response: Response) -> Campaign:

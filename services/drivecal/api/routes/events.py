@@ -1,0 +1,98 @@
+"""The event stream of a campaign."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncGenerator
+from contextlib import aclosing
+from typing import Annotated
+
+from fastapi import APIRouter, Header, Query, Request, Response
+from fastapi.concurrency import run_in_threadpool
+from fastapi.sse import EventSourceResponse
+from pydantic import BaseModel, ConfigDict, Field
+from starlette.types import Send
+
+from drivecal.api.bodies import StrictRoute
+from drivecal.api.dependencies import DatabaseDependency, EventStreamPlace
+from drivecal.api.streams import EventHub
+from drivecal.contracts.events import CampaignEvent, CampaignProgress
+from drivecal.domain.events import EventKind
+from drivecal.storage import events, glances
+from drivecal.storage.database import Database
+
+router = APIRouter(prefix="/campaigns", tags=["campaigns"], route_class=StrictRoute)
+
+STALLED_SECONDS = 60.0
+"""A client that reads nothing for so long is let go; it can resume."""
+
+EventId = Annotated[int, Field(ge=0, le=2**63 - 1)]
+
+STREAM = f"""Events as `text/event-stream`: {", ".join(f"`{kind}`" for kind in EventKind)}, each with its `id`, its name as `event`, and as
+`data` a `CampaignEvent` without the id; in between, at most once a second and without an id, `progress` with a `CampaignProgress`. Also
+without an id: `degraded` and `recovered` where the dispatcher or the database is silent and nobody can store them."""
+
+
+class EventsOf(BaseModel):
+    """Where a stream begins."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    last_event_id: EventId | None = None
+    """The last event that was received, for tools that cannot send the header `Last-Event-ID`."""
+
+
+class EventStream(EventSourceResponse):
+    """A stream that ends when its client does not read it."""
+
+    def __init__(self, content: AsyncGenerator[bytes]) -> None:
+        # Buffering proxies would hold events back until there are many.
+        super().__init__(content, headers={"Cache-Control": "no-cache", "X-Accel-Buffering": "no"})
+        self._chunks = content
+
+    async def stream_response(self, send: Send) -> None:
+        """Sends chunk by chunk."""
+        await send({"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers})
+        async with aclosing(self._chunks):
+            async for chunk in self._chunks:
+                async with asyncio.timeout(STALLED_SECONDS):
+                    await send({"type": "http.response.body", "body": chunk, "more_body": True})
+        await send({"type": "http.response.body", "body": b"", "more_body": False})
+
+
+@router.get(
+    "/{campaign_id}/events",
+    response_class=EventSourceResponse,
+    responses={
+        200: {"description": STREAM, "model": CampaignEvent | CampaignProgress},
+        204: {"description": "The campaign has ended, and the client has all of its events: there is no need to come back"},
+    },
+)
+async def stream(
+    campaign_id: str,
+    request: Request,
+    query: Annotated[EventsOf, Query()],
+    database: DatabaseDependency,
+    place: EventStreamPlace,
+    last_event_id: Annotated[EventId | None, Header(alias="Last-Event-ID")] = None,
+) -> Response:
+    """What happened to a campaign, from its beginning or from after the event `Last-Event-ID`, and what happens from now on. The stream
+    closes when the campaign has ended and when the server stops: come back with the last id, and nothing is missed or told twice.
+
+    Old events are forgotten after a while, the last one of a campaign never. Single evaluations have a stream as well.
+    """
+    del place  # held until the stream ends
+    last = last_event_id if last_event_id is not None else query.last_event_id
+    hub: EventHub = request.app.state.event_hub
+    seen, newest = await run_in_threadpool(_look, database, campaign_id)
+    if last is not None and last == newest and seen.state.ended:
+        return Response(status_code=204)
+    if last is None or last > newest:  # an id that never was here: of a database that was replaced by an older one
+        last = 0
+    return EventStream(hub.stream(seen.sequence, seen.id, last))
+
+
+def _look(database: Database, campaign_id: str) -> tuple[glances.Glance, int]:
+    with database.read() as connection:
+        seen, _ = glances.glance(connection, campaign_id)
+        return seen, events.newest_id(connection, seen.sequence)

@@ -1,0 +1,39 @@
+"""What the event stream of a campaign sends. Which events there are, `drivecal.domain.events` lists."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Any
+
+from drivecal.contracts.campaign import Answer, CellCounts, Progress, Seconds, SensitivityCellCounts
+
+PROGRESS = "progress"
+"""The name of what is sent between events, without an id: how far the campaign is now."""
+
+
+class CampaignEvent(Answer):
+    """Something that happened to a campaign; what more it holds depends on its `kind`.
+
+    `id` is what the stream can be resumed after; null for what is not stored: that the dispatcher is silent, and that it speaks again.
+    """
+
+    id: int | None = None
+    kind: str
+    campaign: str
+    at: datetime
+    data: dict[str, Any] = {}
+
+
+class CampaignProgress(Answer):
+    """What moves while a campaign runs, as in `Campaign`."""
+
+    state: str
+    requested_action: str | None = None
+    degraded: str | None = None
+    stage: str | None = None
+    iteration: int | None = None
+    progress: Progress = Progress()
+    cells: CellCounts = CellCounts()
+    sensitivity_cells: SensitivityCellCounts = SensitivityCellCounts()
+    best_objective: float | None = None
+    seconds: Seconds = Seconds()
