@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Hashable, Iterable, Sequence
+from dataclasses import dataclass
 from enum import IntEnum
 
 from drivecal.contracts.work import BatchResult
@@ -27,16 +28,34 @@ class Trust(IntEnum):
     """It has given results."""
 
 
+@dataclass(frozen=True, slots=True)
+class _Shown:
+    """By one worker since it started."""
+
+    proven: bool = False
+    without_result: int = 0
+    """Its last batches, in a row."""
+    detail: str = ""
+
+    @property
+    def trust(self) -> Trust:
+        if self.without_result:
+            return Trust.DOUBTED
+        return Trust.PROVEN if self.proven else Trust.UNKNOWN
+
+
+_NOTHING = _Shown()
+
+
 class Standings:
     """Workers are known by names that no two processes share."""
 
     def __init__(self) -> None:
         self._ready: frozenset[str] = frozenset()
-        self._proven: set[str] = set()
-        self._without_result: dict[str, tuple[int, str]] = {}
+        self._shown: dict[str, _Shown] = {}
+        self._trusted: Counter[Trust] = Counter()
+        """How many of the ready workers are trusted how much."""
         self._refusals: dict[Hashable, dict[str, str]] = {}
-        self._census: Counter[Trust] | None = None
-        """How many of the ready workers are trusted how much; None where that has to be counted anew."""
 
     @property
     def ready(self) -> int:
@@ -48,10 +67,9 @@ class Standings:
         somebody else answers."""
         if self._ready == (now := frozenset(ready)):
             return
-        self._ready, self._census = now, None
-        self._proven &= now
-        for gone in self._without_result.keys() - now:
-            del self._without_result[gone]
+        self._ready = now
+        self._shown = {worker: shown for worker, shown in self._shown.items() if worker in now}
+        self._trusted = Counter(map(self._trust, now))
 
     def answered(self, worker: str, setup: Hashable, result: BatchResult) -> None:
         """Takes in what a worker made of a batch."""
@@ -62,23 +80,19 @@ class Standings:
         if still:
             self._refusals[setup] = still
         if any(one.breakdown is None for one in result.results):
-            if self._trust(worker) is not Trust.PROVEN:
-                self._proven.add(worker)
-                self.confirmed([worker])
+            self._note(worker, _Shown(proven=True))
         elif result.refusal is None:
             self.failed(worker, (result.results[-1].detail if result.results else None) or "it says nothing")
 
     def failed(self, worker: str, detail: str) -> None:
         """A whole batch went without a result."""
-        self._census = None
-        count, _ = self._without_result.get(worker, (0, ""))
-        self._without_result[worker] = (count + 1, detail)
+        shown = self._shown.get(worker, _NOTHING)
+        self._note(worker, _Shown(shown.proven, shown.without_result + 1, detail))
 
     def confirmed(self, workers: Iterable[str]) -> None:
-        """These workers are not to blame: they broke down at the same cell, or have results."""
-        self._census = None
+        """These workers broke down at the same cell: it is to blame."""
         for worker in workers:
-            self._without_result.pop(worker, None)
+            self._note(worker, _Shown(self._shown.get(worker, _NOTHING).proven))
 
     def refuses(self, worker: str, setup: Hashable) -> bool:
         """True where the worker said that it cannot run the setup."""
@@ -89,22 +103,22 @@ class Standings:
         if worker not in self._ready or worker in avoid or self.refuses(worker, setup):
             return False
         own = self._trust(worker)
-        return not avoid or not any(self._able(trust, setup, avoid) for trust in Trust if trust > own)
+        return not avoid or not any(self._any_able(trust, setup, avoid) for trust in Trust if trust > own)
 
     def nobody_may_try(self, setup: Hashable, avoid: Collection[str]) -> bool:
         """True where there is nobody to ask but those in `avoid` and those who refuse."""
-        return not any(self._able(trust, setup, avoid) for trust in Trust)
+        return not any(self._any_able(trust, setup, avoid) for trust in Trust)
 
     def on_probation(self, worker: str) -> bool:
         """True for a worker without results while others have some: it gets a single cell to begin with."""
-        return self._trust(worker) is not Trust.PROVEN and self._counted()[Trust.PROVEN] > 0
+        return self._trust(worker) is not Trust.PROVEN and self._trusted[Trust.PROVEN] > 0
 
     def fault(self, worker: str) -> str | None:
         """Why a worker is to be replaced, in words; None where it is not."""
-        count, detail = self._without_result.get(worker, (0, ""))
-        if count < BATCHES_WITHOUT_RESULT:
+        shown = self._shown.get(worker, _NOTHING)
+        if shown.without_result < BATCHES_WITHOUT_RESULT:
             return None
-        return f"{count} batches in a row gave no result, the last one because: {detail}"
+        return f"{shown.without_result} batches in a row gave no result, the last one because: {shown.detail}"
 
     def refusals(self, setups: Collection[Hashable]) -> dict[str, str]:
         """The reason of each worker that refuses one of these setups."""
@@ -115,17 +129,18 @@ class Standings:
             for worker, reason in refusing.items()
         }
 
-    def _able(self, trust: Trust, setup: Hashable, avoid: Collection[str]) -> int:
-        """How many workers that are trusted so much neither are in `avoid` nor refuse."""
-        unable = {*avoid, *self._refusals.get(setup, ())} & self._ready
-        return self._counted()[trust] - sum(self._trust(worker) == trust for worker in unable)
+    def _any_able(self, trust: Trust, setup: Hashable, avoid: Collection[str]) -> bool:
+        """Whether some worker that is trusted so much neither is in `avoid` nor refuses."""
+        number, refusing = self._trusted[trust], self._refusals.get(setup, {})
+        if number == 0 or number > len(avoid) + len(refusing):
+            return number > 0
+        return number > sum(self._trust(worker) == trust for worker in {*avoid, *refusing} & self._ready)
 
-    def _counted(self) -> Counter[Trust]:
-        if self._census is None:
-            self._census = Counter(map(self._trust, self._ready))
-        return self._census
+    def _note(self, worker: str, shown: _Shown) -> None:
+        if worker in self._ready:
+            self._trusted[self._trust(worker)] -= 1
+            self._trusted[shown.trust] += 1
+        self._shown[worker] = shown
 
     def _trust(self, worker: str) -> Trust:
-        if worker in self._without_result:
-            return Trust.DOUBTED
-        return Trust.PROVEN if worker in self._proven else Trust.UNKNOWN
+        return self._shown.get(worker, _NOTHING).trust

@@ -1,0 +1,203 @@
+"""Whose turn it is: priorities, worker time, and the setups within a campaign."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from tests.support.plant import TARGET, Plant, answers, cells, ids, setup
+
+from drivecal.domain.evaluations import Breakdown
+from drivecal.execution.batching import BatchPolicy, CellCosts
+from drivecal.execution.outstanding import key_of
+from drivecal.execution.scheduler import Scheduler
+
+
+def test_a_lower_priority_gets_nothing_while_a_higher_one_waits() -> None:
+    plant = Plant(3)
+    plant.add("low", "S1", cells(2000))
+    plant.add("high", "S1", cells(2000, first=10_001), priority=2)
+    plant.add("middle", "S1", cells(2000, first=20_001), priority=1)
+    plant.run()
+    order = [tag for tag, _, _ in plant.order]
+    assert order == sorted(order, key=["high", "middle", "low"].index)
+
+
+def test_cells_at_workers_are_not_taken_back_for_a_higher_priority() -> None:
+    plant = Plant(1)
+    plant.add("low", "S1", cells(20))
+    plant.fill()
+    plant.add("high", "S1", cells(20, first=101), priority=1)
+    plant.run()
+    assert [tag for tag, _, _ in plant.order][:3] == ["low", "low", "high"]
+    assert len(plant.completed) == 40
+
+
+def test_suspects_of_a_lower_priority_wait_as_well() -> None:
+    scheduler = Scheduler(BatchPolicy())
+    scheduler.meet(["w"])
+    scheduler.add(setup(), cells(1), "low", 0)
+    sent = scheduler.next_batch("w", idle=True)
+    assert sent is not None
+    scheduler.lost(sent.batch_id, "w", Breakdown.CRASH, "it died")
+    scheduler.add(setup(), cells(1, first=2), "high", 1)
+    assert ids(scheduler.next_batch("w", idle=True)) == [2]
+    assert ids(scheduler.next_batch("w", idle=True)) == [1]
+
+
+def test_campaigns_of_equal_priority_share_the_workers_time_and_not_their_batches() -> None:
+    plant = Plant(2, {"cheap": 0.001, "dear": 0.9})
+    plant.add("a", "cheap", cells(100_000))
+    plant.add("b", "dear", cells(1000, first=200_001))
+    plant.run(until=60.0)
+    assert plant.given["a"] == pytest.approx(plant.given["b"], rel=0.05)
+    batches = Counter(tag for tag, _, _ in plant.order)
+    assert batches["a"] > 5 * batches["b"]
+
+
+def test_a_newcomer_neither_makes_up_for_lost_time_nor_waits_until_others_had_theirs() -> None:
+    plant = Plant(2)
+    plant.add("old", "S1", cells(50_000))
+    plant.run(until=100.0)
+    before = dict(plant.given)
+    plant.add("new", "S1", cells(50_000, first=100_001))
+    plant.run(until=120.0)
+    assert plant.given["new"] == pytest.approx(20.0, abs=3 * TARGET)
+    assert plant.given["old"] - before["old"] == pytest.approx(20.0, abs=3 * TARGET)
+
+
+def test_a_campaign_that_asked_for_nothing_for_a_while_does_not_make_up_for_it() -> None:
+    plant = Plant(2)
+    plant.add("lazy", "S1", cells(10))
+    plant.add("busy", "S1", cells(50_000, first=100_001))
+    plant.run(until=100.0)
+    before = dict(plant.given)
+    plant.add("lazy", "S1", cells(50_000, first=200_001))
+    plant.run(until=120.0)
+    assert plant.given["lazy"] - before["lazy"] == pytest.approx(20.0, abs=3 * TARGET)
+    assert plant.given["busy"] - before["busy"] == pytest.approx(20.0, abs=3 * TARGET)
+
+
+def test_who_comes_when_nothing_waits_is_level_with_those_who_come_back() -> None:
+    plant = Plant(2)
+    plant.add("old", "S1", cells(10_000))
+    plant.run()
+    before = dict(plant.given)
+    plant.add("new", "S1", cells(20_000, first=100_001))
+    plant.add("old", "S1", cells(20_000, first=200_001))
+    plant.run(until=plant.now + 20.0)
+    assert plant.given["new"] == pytest.approx(20.0, abs=3 * TARGET)
+    assert plant.given["old"] - before["old"] == pytest.approx(20.0, abs=3 * TARGET)
+
+
+def test_a_campaign_whose_cells_hang_pays_for_the_time_that_they_take() -> None:
+    scheduler = Scheduler(BatchPolicy())
+    scheduler.meet(["w"])
+    scheduler.add(setup("S1"), cells(10), "hangs", 0)
+    scheduler.add(setup("S2"), cells(1000, first=101), "good", 0)
+    time = {"hangs": 0.0, "good": 0.0}
+    while time["good"] < 170.0:
+        sent = scheduler.next_batch("w", idle=True)
+        assert sent is not None
+        if sent.batch.setup.scenario == "S1":
+            time["hangs"] += 60.0
+            scheduler.lost(sent.batch_id, "w", Breakdown.HANG, "it hung", seconds=60.0)
+        else:
+            time["good"] += len(sent.batch.cells)
+            scheduler.finished(sent.batch_id, answers(sent, float(len(sent.batch.cells))))
+    assert time["hangs"] <= 240.0
+
+
+def test_a_worker_goes_on_with_the_setup_that_it_has_loaded() -> None:
+    plant = Plant(2)
+    for number, scenario in enumerate(("S1", "S2", "S3", "S4", "S5", "S6")):
+        plant.add("a", scenario, cells(1000, first=1 + 10_000 * number))
+    plant.run()
+    assert len(plant.completed) == 6000
+    assert len(plant.order) > 160
+    assert sum(plant.loads.values()) <= 6 + 2 * 3  # every setup once, and a few times more where one helps the other out
+
+
+def test_no_setup_is_left_to_the_end() -> None:
+    plant = Plant(4)
+    plant.add("a", "S1", cells(4000))
+    plant.run(until=1.0)
+    plant.add("a", "S2", cells(4000, first=10_001))
+    so_far = len(plant.order)
+    plant.run(until=2.0)
+    assert {scenario for _, scenario, _ in plant.order[so_far:]} == {"S1", "S2"}
+
+
+@pytest.mark.parametrize("workers", [1, 2, 7, 16])
+@pytest.mark.parametrize("tags", [1, 3])
+def test_workers_finish_together_over_all_setups_and_campaigns(workers: int, tags: int) -> None:
+    cost = {"S1": 0.0071, "S2": 0.0043, "S3": 0.03, "S4": 0.11}
+    plant = Plant(workers, cost)
+    work = 0.0
+    for tag in range(tags):
+        for number, scenario in enumerate(cost):
+            count = (100, 400, 60, 20)[number] * workers
+            plant.add(f"campaign {tag}", scenario, cells(count, first=1 + 1_000_000 * tag + 100_000 * number))
+            work += count * cost[scenario]
+    plant.run()
+    assert work / (plant.now * workers) >= 0.97
+
+
+def test_setups_that_were_never_measured_count_as_the_average_of_those_that_were() -> None:
+    costs = CellCosts()
+    one, other, third = (key_of(setup(scenario)) for scenario in ("S1", "S2", "S3"))
+    assert costs.seconds({one: 10}) == 0.0
+    costs.observe(one, 10, 1.0)
+    costs.observe(other, 10, 3.0)
+    assert costs.seconds({one: 10, other: 10, third: 10}) == pytest.approx(1.0 + 3.0 + 2.0)
+    assert costs.seconds({third: 10}) == 0.0
+
+
+_costs = st.fixed_dictionaries({scenario: st.floats(0.0005, 0.6) for scenario in ("S1", "S2", "S3")})
+
+
+@given(st.integers(1, 6), _costs, st.lists(st.sampled_from(["S1", "S2", "S3"]), min_size=2, max_size=4), st.integers(2, 4))
+def test_two_campaigns_that_always_wait_differ_by_one_batch_at_most(
+    workers: int, cost: dict[str, float], scenarios: list[str], tags: int
+) -> None:
+    assume(tags <= len(scenarios))
+    plant = Plant(workers, cost)
+    for number, scenario in enumerate(dict.fromkeys(scenarios)):  # so that every cost is known
+        plant.add("first", scenario, cells(1, first=1 + number))
+    plant.run()
+    plant.scheduler.withdraw("first")
+    names = [f"campaign {number}" for number in range(tags)]
+    for number, name in enumerate(names):
+        for position in range(2):
+            scenario = scenarios[(number + position) % len(scenarios)]
+            plant.add(name, scenario, cells(3000, first=100_001 + 10_000 * number + 4000 * position))
+    longest = max(TARGET, *cost.values()) + 1e-9
+    for _ in range(100):
+        plant.step()
+        times = [plant.given[name] for name in names]
+        assert max(times) - min(times) <= longest
+
+
+@given(
+    st.integers(1, 5),
+    st.lists(
+        st.tuples(st.sampled_from("abc"), st.sampled_from(["S1", "S2", "S3"]), st.integers(1, 40), st.integers(0, 2)),
+        min_size=1,
+        max_size=12,
+    ),
+    st.integers(0, 5),
+)
+def test_no_cell_is_lost_or_completed_twice(workers: int, work: list[tuple[str, str, int, int]], steps: int) -> None:
+    plant = Plant(workers, {"S2": 0.2})
+    first = 1
+    for tag, scenario, count, priority in work:
+        values = [float(index // 2) for index in range(count)]  # within a campaign and between them, many are identical
+        plant.add(tag, scenario, cells(count, first, values), priority)
+        first += count
+        for _ in range(steps):
+            plant.step()
+    plant.run()
+    assert sorted(one.result.id for one in plant.completed) == list(range(1, first))
+    assert all(plant.scheduler.held(tag) == 0 for tag in "abc")
