@@ -15,12 +15,11 @@ from typing import Any
 import httpx
 import psycopg
 import pytest
-import uvicorn
 from psycopg import sql
 from sqlalchemy import make_url
 
 from drivecal.api.app import create_app
-from drivecal.api.protocol import configuration
+from drivecal.api.protocol import Server, configuration
 from drivecal.configuration.settings import load_settings
 from drivecal.storage.database import Database
 
@@ -54,12 +53,12 @@ def new_database(request: pytest.FixtureRequest, kind: str, folder: Path) -> str
 
 
 @contextmanager
-def serving(database_url: str, **settings: Any) -> Iterator[RunningApi]:
-    """The API on a free loopback port until the block is left; `settings` beside the database, as flags."""
+def serving(database_url: str, port: int = 0, **settings: Any) -> Iterator[RunningApi]:
+    """The API on a loopback port, a free one where none is given, until the block is left; `settings` beside the database, as flags."""
     database = Database.open(database_url)
     database.upgrade()
-    listener = socket.create_server(("127.0.0.1", 0))
-    server = uvicorn.Server(configuration(create_app(load_settings(database_url=database_url, **settings))))
+    listener = socket.create_server(("127.0.0.1", port))
+    server = Server(configuration(create_app(load_settings(database_url=database_url, **settings))))
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
     thread.start()
     while not server.started:

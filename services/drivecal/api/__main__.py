@@ -6,10 +6,8 @@ import argparse
 import socket
 import sys
 
-import uvicorn
-
 from drivecal.api.app import create_app
-from drivecal.api.protocol import configuration
+from drivecal.api.protocol import Server, configuration
 from drivecal.configuration import logs
 from drivecal.configuration.access import check_exposure
 from drivecal.configuration.settings import load_settings
@@ -30,7 +28,7 @@ def main() -> int:
         logs.configure("api", settings)
         listener = _listener(arguments)
         check_exposure(listener.getsockname()[0], settings)
-        server = uvicorn.Server(configuration(create_app(settings)))
+        server = Server(configuration(create_app(settings)))
     except (DrivecalError, OSError) as error:
         sys.stderr.write(f"{error}\n")
         return 1

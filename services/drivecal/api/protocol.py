@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import socket
 import sys
 from http import HTTPStatus
 
@@ -80,6 +81,17 @@ class Protocol(H11Protocol):
         head = f"HTTP/1.1 {status} {title}\r\nContent-Type: {MEDIA_TYPE}\r\nContent-Length: {len(content)}\r\n{headers}"
         self.transport.write(head.encode() + b"Connection: close\r\n\r\n" + content)
         self.transport.close()
+
+
+class Server(uvicorn.Server):
+    """uvicorn, which ends event streams before it waits for everything that is being answered."""
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """To be called by uvicorn."""
+        app = self.config.app
+        if isinstance(app, FastAPI):
+            app.state.event_hub.close()
+        await super().shutdown(sockets)
 
 
 def configuration(app: FastAPI) -> uvicorn.Config:
