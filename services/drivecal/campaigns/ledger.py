@@ -5,28 +5,41 @@ The rows in the database are the truth: a ledger is loaded from them after every
 
 from __future__ import annotations
 
+import logging
 import sys
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from sqlalchemy import Connection
 
 from drivecal.campaigns.planning import View
 from drivecal.contracts.work import Cell, SetupRequest
 from drivecal.domain.evaluations import Donor, Outcome
+from drivecal.execution.measures import MEASURES
 from drivecal.execution.scheduler import Completed
-from drivecal.storage import evaluations, runs
+from drivecal.storage import evaluations, leases, runs
 from drivecal.storage.evaluations import COPIES, Answer, NewEvaluation, PendingEvaluation
 from drivecal.storage.runs import NewRun, StoredRun
+
+LONGEST_DETAIL = 2_000
+"""Characters of why a cell failed that are kept."""
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
 class Work:
-    """Cells of one setup to simulate; a cell's id is that of its evaluation."""
+    """Cells of one setup to simulate; a cell's id is that of its evaluation.
+
+    `exclusive`: each is simulated for itself, even where an identical one is under way. `breakdowns`: how often cells broke down so far,
+    by id, where they did.
+    """
 
     setup: SetupRequest
     cells: tuple[Cell, ...]
+    exclusive: bool = False
+    breakdowns: Mapping[int, int] = field(default_factory=dict)
 
 
 class Ledger:
@@ -39,6 +52,8 @@ class Ledger:
         self._counts = Counter(counts)
         self._pending: dict[int, PendingEvaluation] = {}
         self._copies: dict[int, list[PendingEvaluation]] = {}
+        self._breakdowns: Mapping[int, int] = {}
+        self._exclusive = False
         self.simulating_seconds = simulating_seconds
 
     @property
@@ -66,8 +81,9 @@ class Ledger:
         """Reads what waits for an answer; gives what is to be simulated.
 
         With `share_runs`, a cell that another campaign has simulated meanwhile takes that run: it counts as simulated all the same, for
-        the campaign did not see it when it planned.
+        the campaign did not see it when it planned. Without it, every cell is simulated for this campaign alone.
         """
+        self._exclusive = not share_runs
         self._pending = {one.id: one for one in evaluations.pending(connection, self._view.campaign)}
         self._copies = {}
         for one in self._pending.values():
@@ -75,18 +91,26 @@ class Ledger:
                 self._copies.setdefault(one.reference, []).append(one)
         if share_runs:
             self._share_runs(connection)
+        self._breakdowns = leases.breakdowns(connection, list(self._pending))
         return self._work([one for one in self._pending.values() if one.plan is Outcome.SIMULATED])
 
     def record(self, connection: Connection, completed: Sequence[Completed]) -> list[Work]:
-        """Writes down what became of simulated cells, and of those that waited for them; gives what has to be simulated instead."""
+        """Writes down what became of simulated cells, and of those that waited for them; gives what has to be simulated instead.
+
+        Results whose lease is not the current one are late: somebody else has the cell, or had it. They change nothing.
+        """
         answers: list[Answer] = []
         orphans: list[PendingEvaluation] = []
+        again: list[PendingEvaluation] = []
         finished: list[tuple[PendingEvaluation, Completed]] = []
+        late = self._late(connection, completed)
         for one in completed:
             cell = self._pending.get(one.result.id)
             if cell is None:  # answered already, by an earlier attempt
                 continue
-            if one.result.breakdown is None:
+            if one.result.id in late:
+                again.append(cell)
+            elif one.result.breakdown is None:
                 finished.append((cell, one))
             else:
                 orphans += self._break_down(cell, one, answers)
@@ -95,13 +119,33 @@ class Ledger:
             self._simulated(cell, one, run, answers)
         evaluations.answer(connection, answers)
         evaluations.simulate_instead(connection, [one.id for one in orphans])
-        return self._work(orphans)
+        return self._work([*again, *orphans])
+
+    def _late(self, connection: Connection, completed: Sequence[Completed]) -> set[int]:
+        """Ends the leases of these results; gives the cells whose lease was over before. A result that was obtained for another cell
+        has no lease of its own."""
+        numbers = {one.result.id: one.lease for one in completed if one.lease is not None and not one.shared}
+        late = numbers.keys() - leases.accept(connection, numbers)
+        if late:
+            MEASURES.count("late_results", times=len(late))
+            log.warning(
+                "%d results came too late and change nothing: their leases were over, e.g. of cell %d", len(late), min(late)
+            )
+        return late
 
     def _work(self, cells: Sequence[PendingEvaluation]) -> list[Work]:
         by_scenario: dict[str, list[Cell]] = {}
         for one in cells:
             by_scenario.setdefault(one.scenario, []).append(Cell(one.id, one.parameters.floats))
-        return [Work(self._view.bench.requests[scenario], tuple(listed)) for scenario, listed in by_scenario.items()]
+        return [
+            Work(
+                self._view.bench.requests[scenario],
+                tuple(listed),
+                self._exclusive,
+                {one.id: self._breakdowns[one.id] for one in listed if one.id in self._breakdowns},
+            )
+            for scenario, listed in by_scenario.items()
+        ]
 
     def _share_runs(self, connection: Connection) -> None:
         wanted: dict[int, list[PendingEvaluation]] = {}
@@ -121,9 +165,12 @@ class Ledger:
         if one.result.score is None or one.result.rating is None:
             raise ValueError(f"the worker gave no score for evaluation {cell.id}")
         self._counts["unrepeatable"] += not run.agrees
-        self.simulating_seconds += one.result.milliseconds / 1000
         donor = Donor(cell.id, run.id, one.result.score, one.result.rating, one.result.failure)
-        self._answer(cell, donor, answers, one)
+        if one.shared:  # counted where it was simulated
+            self._answer(cell, donor, answers)
+        else:
+            self.simulating_seconds += one.result.milliseconds / 1000
+            self._answer(cell, donor, answers, one)
 
     def _answer(
         self, cell: PendingEvaluation, result: Donor, answers: list[Answer], simulation: Completed | None = None
@@ -149,10 +196,12 @@ class Ledger:
     def _break_down(self, cell: PendingEvaluation, one: Completed, answers: list[Answer]) -> list[PendingEvaluation]:
         """The cell has no result after all attempts. Copies of the same parameter set share its fate; the others are orphans."""
         orphans: list[PendingEvaluation] = []
+        detail = None if one.result.detail is None else _storable(one.result.detail)
         for other in (cell, *self._copies.pop(cell.id, ())):
             if other.plan is Outcome.REUSED:
                 orphans.append(other)
                 continue
+            own = other is cell and not one.shared
             answers.append(
                 Answer(
                     id=other.id,
@@ -161,9 +210,10 @@ class Ledger:
                     rating=None,
                     run_id=None,
                     failure=one.result.breakdown,
-                    milliseconds=one.result.milliseconds if other is cell else None,
-                    worker=one.worker if other is cell else None,
-                    attempts=one.attempts if other is cell else 0,
+                    milliseconds=one.result.milliseconds if own else None,
+                    worker=one.worker if own else None,
+                    attempts=one.attempts if own else 0,
+                    detail=detail,
                 )
             )
             self._close(other, Outcome.FAILED)
@@ -201,3 +251,8 @@ class Ledger:
             iteration=cell.iteration,
             individual=cell.individual,
         )
+
+
+def _storable(words: str) -> str:
+    """What a worker said, as any database can store it."""
+    return words[:LONGEST_DETAIL].encode(errors="replace").decode().replace("\0", "\ufffd")

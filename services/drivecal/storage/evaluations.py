@@ -60,7 +60,8 @@ class PendingEvaluation:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What answers a pending cell. `failure` is a `Failure` of a run or a `Breakdown` of the attempts; `agrees`: of an audited cell."""
+    """What answers a pending cell. `failure` is a `Failure` of a run or a `Breakdown` of the attempts, whose cause `detail` says in words;
+    `agrees`: of an audited cell."""
 
     id: int
     outcome: Outcome
@@ -72,6 +73,7 @@ class Answer:
     worker: str | None = None
     attempts: int = 0
     agrees: bool | None = None
+    detail: str | None = None
 
 
 def insert(connection: Connection, campaign_sequence: int, cells: Sequence[NewEvaluation]) -> list[int]:
@@ -131,7 +133,7 @@ def answer(connection: Connection, answers: Sequence[Answer]) -> int:
     return connection.execute(statement, rows).rowcount
 
 
-_ANSWER = ("outcome", "score", "rating", "run_id", "failure", "milliseconds", "worker", "attempts", "agrees")
+_ANSWER = ("outcome", "score", "rating", "run_id", "failure", "milliseconds", "worker", "attempts", "agrees", "detail")
 
 
 def simulate_instead(connection: Connection, evaluation_ids: Sequence[int]) -> None:
