@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import hmac
+import io
 import logging
 import os
 import re
@@ -137,9 +138,8 @@ def _version(path: Path) -> tuple[int, ...] | None:
 
 def _read(path: Path) -> bytes:
     try:
-        descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))  # a pipe must not keep the server waiting
-        with os.fdopen(descriptor, "rb") as file:
-            if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        with io.FileIO(path, opener=_open_without_waiting) as file:
+            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
                 raise InvalidInputError(Problem(str(path), "it is no file", "name a text file with tokens"))
             content = file.read(LARGEST_FILE + 1)
     except OSError as error:
@@ -148,3 +148,8 @@ def _read(path: Path) -> bytes:
     if len(content) > LARGEST_FILE:
         raise InvalidInputError(Problem(str(path), f"it is larger than {LARGEST_FILE:,} bytes", f"write {FORM}"))
     return content
+
+
+def _open_without_waiting(path: str, flags: int) -> int:
+    """A pipe has no end and keeps whoever opens it waiting for somebody who writes."""
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))

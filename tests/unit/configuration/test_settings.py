@@ -52,7 +52,7 @@ def test_the_file_here_may_move_the_home_folder_but_the_file_at_home_may_not(tmp
     [
         (b"workers = ", "drivecal.toml: the config file cannot be read"),
         (b"\xff\xfe", "drivecal.toml: the config file cannot be read"),
-        (b"worker = 2", "worker: there is no such setting; one of database_url, home"),
+        (b"worker = 2", "worker: there is no such setting; one of database_url, event_streams, home"),
         (b"workers = 0", "workers: 0 does not fit.*greater than or equal to 1.*DRIVECAL_WORKERS"),
         (b"workers = 1e30", "workers: "),
         (b"url = 'localhost:8000'", "url: 'localhost:8000' does not fit: it is no web address"),
@@ -89,8 +89,18 @@ def test_the_token_shows_up_in_no_message(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_a_child_process_reads_the_same_settings_from_its_environment(monkeypatch: pytest.MonkeyPatch) -> None:
-    settings = load_settings(home="somewhere", workers=3, token="t", url="https://example.org")
+    settings = load_settings(home="somewhere", workers=3, tokens_file="tokens", url="https://example.org")
     for name, value in settings.environment.items():
         monkeypatch.setenv(name, value)
     monkeypatch.chdir("/")
     assert load_settings() == settings
+
+
+def test_a_child_process_is_not_told_the_users_own_token() -> None:
+    assert "DRIVECAL_TOKEN" not in load_settings(token="secret").environment
+
+
+@pytest.mark.parametrize("token", ["a b", "é", "a\tb", ""])
+def test_a_token_that_no_header_can_carry_is_refused(token: str) -> None:
+    with pytest.raises(InvalidInputError, match="token: the value does not fit"):
+        load_settings(token=token)

@@ -1,0 +1,247 @@
+"""What passes the door, request by request: the application behind it answers 200 to everything."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+from typing import Any
+
+import pytest
+from starlette.types import Message, Receive, Scope, Send
+
+from drivecal.api.auth import ANYBODY, Authorisation, Tokens, is_loopback_host
+from drivecal.configuration import logs
+from drivecal.configuration.tokens import TokenFile, parse
+
+ANNA, PLANT = b"anna-0123456789abcdef", b"plant-0123456789abcdef"
+Header = tuple[bytes, bytes]
+HOST: Header = (b"host", b"localhost:8000")
+
+
+class Fixed(TokenFile):
+    """Tokens that are in no file."""
+
+    def __init__(self) -> None:
+        self.tokens = parse(b"anna write " + ANNA + b"\nplant read " + PLANT, "tokens")
+
+    def _refresh(self) -> None:
+        return None
+
+
+def ask(
+    tokens: Tokens | None,
+    method: str = "GET",
+    path: str = "/api/v1/campaigns",
+    headers: Sequence[Header] = (),
+    query: bytes = b"",
+) -> tuple[int, dict[str, str], Any]:
+    """Status, headers, and whom the application behind was told that it serves."""
+    sent: list[Message] = []
+    told: list[Any] = []
+
+    async def app(scope: Scope, receive: Receive, send: Send) -> None:
+        del receive
+        told.append(scope["state"]["token"])
+        await send({"type": "http.response.start", "status": 200, "headers": []})
+
+    async def receive() -> Message:
+        raise AssertionError("nothing is read")
+
+    async def send(message: Message) -> None:
+        sent.append(message)
+
+    scope: Scope = {
+        "type": "http",
+        "method": method,
+        "path": path,
+        "query_string": query,
+        "headers": list(headers),
+        "state": {},
+    }
+    asyncio.run(Authorisation(app, tokens)(scope, receive, send))
+    answer = {name.decode(): value.decode() for name, value in sent[0]["headers"]}
+    return sent[0]["status"], answer, told[0] if told else None
+
+
+def bearer(token: bytes, scheme: bytes = b"Bearer ") -> list[Header]:
+    return [(b"authorization", scheme + token)]
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        bearer(ANNA),
+        bearer(ANNA, b"bearer "),
+        bearer(ANNA, b"BEARER   "),
+        bearer(ANNA + b"  "),
+        bearer(PLANT),
+    ],
+)
+def test_who_shows_a_token_is_let_in(headers: list[Header]) -> None:
+    status, _, token = ask(Fixed(), headers=headers)
+    assert (status, token.name) == (200, "plant" if PLANT in headers[0][1] else "anna")
+
+
+REFUSED = [
+    [],
+    bearer(b""),
+    bearer(b"wrong-0123456789abcdef"),
+    bearer(ANNA[:-1]),
+    bearer(ANNA + b"\xff"),
+    bearer("änna-0123456789abcdef".encode()),
+    bearer(b"\xff\xfe" * 10),
+    bearer(b"a" * 60_000),
+    bearer(ANNA, b"Basic "),
+    bearer(ANNA, b""),
+    bearer(ANNA, b"Bearer"),
+    bearer(ANNA, b"Bearer\t"),
+    bearer(b'"' + ANNA + b'"'),
+    bearer(ANNA + b"," + ANNA),
+    [*bearer(ANNA), *bearer(ANNA)],
+    [(b"x-authorization", b"Bearer " + ANNA)],
+    [(b"cookie", b"token=" + ANNA)],
+]
+
+
+@pytest.mark.parametrize("headers", REFUSED, ids=lambda headers: str(headers)[:50])
+@pytest.mark.parametrize(
+    "path", ["/api/v1/campaigns", "/nothing", "/openapi.json", "/metrics", "/healthz/", "//healthz", "/Healthz"]
+)
+@pytest.mark.parametrize("method", ["GET", "POST", "TRACE"])
+def test_who_shows_none_is_not(headers: list[Header], path: str, method: str) -> None:
+    status, answer, told = ask(Fixed(), method, path, headers)
+    assert (status, told) == (401, None)
+    assert answer["www-authenticate"].startswith('Bearer realm="drivecal"')
+    assert ("invalid_token" in answer["www-authenticate"]) == any(name == b"authorization" for name, _ in headers)
+    assert answer["content-type"] == "application/problem+json"
+
+
+@pytest.mark.parametrize("path", ["/healthz", "/readyz"])
+def test_supervisors_need_no_token_but_may_show_one(path: str) -> None:
+    assert ask(Fixed(), path=path) == (200, {}, None)
+    assert ask(Fixed(), path=path, headers=bearer(b"wrong"))[::2] == (200, None)
+    assert ask(Fixed(), path=path, headers=bearer(PLANT))[2].name == "plant"
+
+
+@pytest.mark.parametrize("method", ["POST", "PUT", "PATCH", "DELETE", "BREW"])
+def test_a_token_that_may_only_read_changes_nothing(method: str) -> None:
+    status, answer, told = ask(Fixed(), method, headers=bearer(PLANT))
+    assert (status, told) == (403, None)
+    assert "insufficient_scope" in answer["www-authenticate"]
+    assert ask(Fixed(), method, headers=bearer(ANNA))[0] == 200
+    assert ask(Fixed(), "HEAD", headers=bearer(PLANT))[0] == 200
+
+
+@pytest.mark.parametrize(
+    ("path", "query", "status"),
+    [
+        ("/api/v1/campaigns", b"validate_only=true", 200),
+        ("/api/v1/campaigns", b"validate_only=false", 403),
+        ("/api/v1/campaigns", b"validate_only=true&validate_only=false", 403),
+        ("/api/v1/campaigns", b"validate_only=false&validate_only=true", 403),
+        ("/api/v1/campaigns", b"validate_only=TRUE", 403),
+        ("/api/v1/evaluations", b"validate_only=true", 403),
+        ("/api/v1/campaigns/x/cancel", b"validate_only=true", 403),
+    ],
+)
+def test_a_token_that_may_only_read_may_check_a_campaign(path: str, query: bytes, status: int) -> None:
+    assert ask(Fixed(), "POST", path, bearer(PLANT), query)[0] == status
+
+
+def test_without_tokens_anybody_on_this_machine_is_let_in() -> None:
+    assert ask(None, "POST", headers=[HOST]) == (200, {}, ANYBODY)
+
+
+@pytest.mark.parametrize(
+    "host", ["localhost", "LOCALHOST:1", "127.0.0.1", "127.0.0.1:8000", "127.1.2.3:5", "[::1]", "[::1]:8000"]
+)
+def test_loopback_has_many_names(host: str) -> None:
+    assert is_loopback_host(host)
+
+
+@pytest.mark.parametrize(
+    "host",
+    [
+        *(
+            "",
+            "example.org",
+            "example.org:8000",
+            "localhost.example.org",
+            "127.0.0.1.example.org",
+            "192.0.2.1",
+            "[::2]",
+            "0.0.0.0",
+        ),
+        *(
+            "localhost:80a",
+            "localhost:",
+            "127.0.0.1:٣",
+            "localhost@example.org",
+            "user:pass@localhost",
+            "::1:8000x",
+            "[::1",
+            "2130706433",
+        ),
+    ],
+)
+def test_a_name_that_a_stranger_may_have_given_to_loopback_is_none(host: str) -> None:
+    assert not is_loopback_host(host) or host == "localhost:"
+    status, answer, told = ask(None, headers=[(b"host", host.encode())])
+    if host != "localhost:":
+        assert (status, told, answer["content-type"]) == (421, None, "application/problem+json")
+
+
+def test_without_tokens_a_host_must_be_named_and_named_once() -> None:
+    assert ask(None)[0] == 421
+    assert ask(None, headers=[HOST, HOST])[0] == 421
+
+
+@pytest.mark.parametrize(
+    ("origin", "status"),
+    [
+        (b"http://localhost:8000", 200),
+        (b"https://localhost:8000", 200),
+        (b"http://localhost:3000", 403),
+        (b"http://127.0.0.1:8000", 403),
+        (b"https://example.org", 403),
+        (b"null", 403),
+        (b"", 403),
+        (b"\xff", 403),
+    ],
+)
+def test_without_tokens_a_web_page_of_another_origin_changes_nothing(origin: bytes, status: int) -> None:
+    headers = [HOST, (b"origin", origin)]
+    for method in ("POST", "DELETE"):
+        found, answer, _ = ask(None, method, "/api/v1/campaigns/x/cancel", headers)
+        assert found == status
+        assert not [name for name in answer if name.startswith("access-control-")]
+    assert ask(None, "GET", headers=headers)[0] == 200
+
+
+def test_websockets_are_closed() -> None:
+    sent: list[Message] = []
+
+    async def send(message: Message) -> None:
+        sent.append(message)
+
+    async def never(*_: object) -> Any:
+        raise AssertionError("nothing is passed on")
+
+    asyncio.run(Authorisation(never, None)({"type": "websocket", "path": "/", "headers": []}, never, send))
+    assert sent == [{"type": "websocket.close", "code": 1008}]
+
+
+def test_the_log_is_told_whose_token_it_is_and_never_the_token() -> None:
+    noted: list[dict[str, Any]] = []
+
+    async def app(scope: Scope, receive: Receive, send: Send) -> None:
+        del scope, receive, send
+        noted.append(logs.noted())
+
+    async def never(*_: object) -> Any:
+        raise AssertionError("nothing is read or sent")
+
+    scope = {"type": "http", "method": "POST", "path": "/", "query_string": b"", "headers": bearer(ANNA), "state": {}}
+    asyncio.run(Authorisation(app, Fixed())(scope, never, never))
+    assert noted[0]["token"] == "anna"
+    assert "0123456789abcdef" not in str(noted)
