@@ -13,22 +13,26 @@ from drivecal.api.answers import ROOT
 from drivecal.api.auth import Authorisation
 from drivecal.api.dependencies import Limits
 from drivecal.api.limits import Concurrency, Requests
-from drivecal.api.routes import campaigns, evaluations, events, health, influence_maps, inventory, tables
+from drivecal.api.metrics import Meters
+from drivecal.api.requests import RequestRecords
+from drivecal.api.routes import campaigns, evaluations, events, health, influence_maps, inventory, metrics, tables
 from drivecal.api.streams import EventHub
 from drivecal.configuration.settings import Settings
 from drivecal.configuration.tokens import TokenFile
-from drivecal.storage.database import Database
+from drivecal.storage.database import PROMPT, Database
 
 
 def create_app(settings: Settings) -> FastAPI:
     """The ASGI application. Raises DatabaseError where the settings name no usable database, InvalidInputError where its tokens file
     cannot be used."""
-    database = Database.open(settings.database_url)
+    database = Database.open(settings.database_url, PROMPT)
+    meters = Meters(database)
     tokens = None if settings.tokens_file is None else TokenFile(settings.tokens_file)
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         app.state.database = database
+        app.state.meters = meters
         app.state.limits = Limits.of(settings)
         async with EventHub(database).running() as app.state.event_hub:
             yield
@@ -44,9 +48,11 @@ def create_app(settings: Settings) -> FastAPI:
     )
     app.add_middleware(Concurrency)
     app.add_middleware(Authorisation, tokens=tokens)
-    app.add_middleware(Requests)  # the last one is the first that a request meets
+    app.add_middleware(Requests)
+    app.add_middleware(RequestRecords, meters=meters)  # the last one is the first that a request meets
     problems.install(app)
     for router in (campaigns.router, events.router, tables.router, evaluations.router, influence_maps.router, inventory.router):
         app.include_router(router, prefix=ROOT)
     app.include_router(health.router)
+    app.include_router(metrics.router)
     return app

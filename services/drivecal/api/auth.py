@@ -8,18 +8,16 @@ No answer ever carries a CORS header.
 
 from __future__ import annotations
 
-import logging
 from typing import Protocol
 
 from starlette.requests import Request
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.types import ASGIApp, Receive, Scope, Send
 
 from drivecal.api.answers import ROOT
 from drivecal.api.problems import problem_response
 from drivecal.configuration import logs
 from drivecal.configuration.access import is_loopback
 from drivecal.configuration.tokens import Token
-from drivecal.contracts.strict_json import shown
 
 OPEN = {"/healthz", "/readyz"}
 """For supervisors and load balancers, which have no token: they are told no more than whether the service works."""
@@ -27,8 +25,6 @@ READING = {"GET", "HEAD", "OPTIONS"}
 ANYBODY = Token("anybody", may_write=True, digest=b"")
 """Who asks where no tokens are asked for."""
 CHALLENGE = 'Bearer realm="drivecal"'
-
-log = logging.getLogger("drivecal.api")
 
 
 class Tokens(Protocol):
@@ -59,10 +55,8 @@ class Authorisation:
         if refusal is not None:
             status, detail, headers = refusal
             await problem_response(request, status, detail, headers=headers)(scope, receive, send)
-        elif request.method in READING:
-            await self.app(scope, receive, send)
         else:
-            await self._logged(request, receive, send)
+            await self.app(scope, receive, send)
 
     def _admit_by_token(self, request: Request, tokens: Tokens) -> tuple[int, str, dict[str, str]] | None:
         """Status, sentence and headers of a refusal; None where the request may go on."""
@@ -70,6 +64,7 @@ class Authorisation:
         presented = _bearer(given[0]) if len(given) == 1 else None
         token = None if presented is None else tokens.find(presented)
         request.state.token = token
+        logs.note(token=None if token is None else token.name)
         if request.scope["path"] in OPEN:
             return None
         if token is None and not given:
@@ -96,18 +91,6 @@ class Authorisation:
         if request.method not in READING and origins and origins not in ([f"http://{hosts[0]}"], [f"https://{hosts[0]}"]):
             return 403, "without tokens this server takes no changes from web pages of other origins", {}
         return None
-
-    async def _logged(self, request: Request, receive: Receive, send: Send) -> None:
-        """Passes a request on that may change something, and says in the log who it was."""
-        if request.state.token is not None:
-            logs.note(token=request.state.token.name)
-
-        async def noting(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                log.info("%s %s: %d", request.method, shown(request.scope["path"], 200), message["status"])
-            await send(message)
-
-        await self.app(request.scope, receive, noting)
 
 
 def _bearer(header: str) -> bytes | None:

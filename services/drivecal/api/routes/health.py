@@ -2,54 +2,55 @@
 
 from __future__ import annotations
 
-from datetime import timedelta
-
-from fastapi import APIRouter, Response
+from fastapi import APIRouter, Request, Response
 
 from drivecal.api.dependencies import DatabaseDependency
+from drivecal.api.readiness import Judgement, judge
 from drivecal.contracts.inventory import Readiness
-from drivecal.domain.errors import DrivecalError
+from drivecal.domain.errors import DrivecalError, UnavailableError
 from drivecal.storage import processes
 from drivecal.storage.database import Database
 from drivecal.storage.types import now
 
 router = APIRouter(tags=["health"])
 
-FRESH = timedelta(seconds=10)
-"""A dispatcher that has been silent for longer counts as gone; it speaks every second."""
+RETRY_SECONDS = 5
 
 
 @router.get("/healthz")
 async def alive() -> dict[str, str]:
-    """The process answers."""
+    """The process answers. Nothing else is looked at, so that nobody restarts it for what is not its fault."""
     return {"status": "alive"}
 
 
 @router.get("/readyz", responses={503: {"model": Readiness, "description": "Not ready; `problems` says why"}})
-def ready(response: Response, database: DatabaseDependency) -> Readiness:
-    """Campaigns can be stored, and a dispatcher is there to carry them out. With a worker at work it is ready even where `problems` says
-    that others are missing, or refuse somebody's campaign."""
-    problems, is_ready = _state(database)
-    if not is_ready:
+def ready(request: Request, response: Response, database: DatabaseDependency) -> Readiness:
+    """Campaigns can be stored, and a dispatcher with a worker is there to carry them out. With a worker at work it is ready even where
+    `problems` says that others are missing, or refuse somebody's campaign. Without a token, where one is asked for, `problems` is
+    empty. Answers within five seconds, whatever is wrong."""
+    judgement = _judge(database)
+    if not judgement.ready:
         response.status_code = 503
-        response.headers["Retry-After"] = "1"
-    return Readiness(ready=is_ready, problems=problems)
+        response.headers["Retry-After"] = str(RETRY_SECONDS)
+    told = [] if request.state.token is None else list(judgement.problems)
+    return Readiness(ready=judgement.ready, problems=told)
 
 
-def _state(database: Database) -> tuple[list[str], bool]:
-    """What is wrong, and whether work can be done all the same."""
+def _judge(database: Database) -> Judgement:
     try:
         database.check()
         with database.read() as connection:
-            dispatcher = processes.read(connection, "dispatcher")
+            judgement = judge(processes.read(connection, processes.DISPATCHER), now())
     except DrivecalError as error:
-        return [str(error)], False
-    if dispatcher is None:
-        return ["no dispatcher has started yet"], False
-    silent = now() - dispatcher.heartbeat_at
-    if silent > FRESH:
-        return [f"the dispatcher has been silent for {silent.total_seconds():.0f} s"], False
-    problem = dispatcher.detail.get("degraded")
-    if not problem:
-        return [], True
-    return [str(problem)], any(worker["state"] != "starting" for worker in dispatcher.detail.get("workers", []))
+        return Judgement(ready=False, problems=(str(error),))
+    reason = _locked(database) if judgement.silent else None
+    return judgement if reason is None else Judgement(ready=False, problems=(reason, *judgement.problems), silent=True)
+
+
+def _locked(database: Database) -> str | None:
+    """Why nothing can be written, as far as that may be why the dispatcher is silent: another program has SQLite's lock."""
+    try:
+        with database.transaction():
+            return None
+    except UnavailableError as error:
+        return str(error)

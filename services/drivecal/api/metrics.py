@@ -1,0 +1,146 @@
+"""What Prometheus is told at `/metrics`: of the requests to this process, of the database, and of the dispatcher through its heartbeat.
+
+Where the database does not answer, all that is known from it is left out and `drivecal_database_up` is 0. Counters taken from the
+database never go backwards, not even with a new process; those of the dispatcher's and the API's own memory begin at 0 with it, which
+Prometheus knows how to read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from importlib.metadata import version
+from itertools import accumulate
+from typing import Any
+
+from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector, disable_created_metrics
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily, InfoMetricFamily
+from prometheus_client.registry import Collector
+from prometheus_client.utils import floatToGoString
+from sqlalchemy.exc import SQLAlchemyError
+
+from drivecal.api.readiness import judge, silent_seconds
+from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.errors import DrivecalError
+from drivecal.domain.evaluations import Outcome
+from drivecal.execution.measures import BOUNDS, DURATIONS, KINDS, Duration, Happening
+from drivecal.storage import statistics
+from drivecal.storage.database import Database
+from drivecal.storage.processes import StoredProcess
+from drivecal.storage.statistics import CampaignKey, CellKey, Statistics, Tally
+from drivecal.storage.types import now
+
+WORKER_STATES = ("starting", "idle", "busy")
+DURATION_METRICS: dict[Duration, tuple[str, str]] = {
+    "lookup": ("drivecal_lookup_seconds", "Looking up what is stored for the cells of one population or sample"),
+    "evaluation": ("drivecal_evaluation_seconds", "CPU time of one simulated cell"),
+    "batch": ("drivecal_batch_seconds", "Duration of one batch of cells at its worker"),
+    "lease": ("drivecal_lease_transaction_seconds", "Duration of transactions that lease cells"),
+    "record": ("drivecal_record_transaction_seconds", "Duration of transactions that write results down"),
+}
+COUNT_METRICS: dict[Happening, tuple[str, str]] = {
+    "breakdowns": ("drivecal_breakdowns", "Cells that broke down, alone or with their worker, once per attempt"),
+    "retries": ("drivecal_retries", "Cells that were sent again after a breakdown"),
+    "late_results": ("drivecal_late_results", "Results that came after their lease was over, and were rejected"),
+}
+
+
+class Meters:
+    """What one API process measures and shows: a registry of its own, so that several may live in one process."""
+
+    def __init__(self, database: Database) -> None:
+        disable_created_metrics()  # type: ignore[no-untyped-call]  # a second series for each, which nobody reads
+        self.registry = CollectorRegistry()
+        self.requests = Counter(
+            "drivecal_http_requests",
+            "Answered requests; route is the template, or none where nothing is or the request was refused before",
+            ["route", "method", "status"],
+            registry=self.registry,
+        )
+        self.request_seconds = Histogram(
+            "drivecal_http_request_seconds",
+            "Duration of requests from their head to the end of the answer, event streams excepted",
+            ["route", "method"],
+            registry=self.registry,
+        )
+        self.event_streams = Gauge("drivecal_http_event_streams", "Open event streams", registry=self.registry)
+        ProcessCollector(registry=self.registry)
+        self.registry.register(ServiceCollector(database))
+
+
+class ServiceCollector(Collector):
+    """Everything that is asked for at the moment of the scrape: one short transaction."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+        self._tally = Tally()
+
+    def collect(self) -> Iterator[Any]:
+        """The metrics; see the table in `deploy/README.md`."""
+        yield InfoMetricFamily("drivecal_build", "The version of drivecal", {"version": version("drivecal")})
+        try:
+            with self._database.read() as connection:
+                found, self._tally = statistics.read(connection, self._tally)
+        except (DrivecalError, SQLAlchemyError):
+            yield GaugeMetricFamily("drivecal_database_up", _UP, 0)
+            return
+        yield GaugeMetricFamily("drivecal_database_up", _UP, 1)
+        yield from _of_database(found)
+        yield from _of_dispatcher(found.dispatcher)
+
+
+_UP = "1 where the database answers, else 0, and what is known from it is left out"
+
+
+def _of_database(found: Statistics) -> Iterator[Any]:
+    sums = found.sums
+    campaigns = GaugeMetricFamily("drivecal_campaigns", "Campaigns and single evaluations by state", labels=["kind", "state"])
+    for kind in sorted({"calibration", "evaluation"} | {key.kind for key in sums.campaigns}):
+        for state in CampaignState:
+            campaigns.add_metric([kind, state.value], sums.campaigns[CampaignKey(kind, state)])
+    yield campaigns
+    cells = CounterMetricFamily("drivecal_cells", "Answered cells of all campaigns", labels=["stage", "outcome"])
+    pending = GaugeMetricFamily("drivecal_cells_pending", "Cells of open campaigns without an answer", labels=["stage"])
+    for stage in sorted({"sensitivity", "calibration", "evaluation"} | {key.stage for key in sums.cells}):
+        for outcome in Outcome:
+            cells.add_metric([stage, outcome.value], sums.cells[CellKey(stage, outcome)])
+        pending.add_metric([stage], sums.pending[stage])
+    yield cells
+    yield pending
+    yield GaugeMetricFamily("drivecal_leases", "Cells that are at workers", found.leases)
+    newest = "Number of the newest run in the reference table: how many there are, or on PostgreSQL a little more"
+    yield GaugeMetricFamily("drivecal_reference_runs", newest, found.largest_run)
+    yield CounterMetricFamily("drivecal_simulating_seconds", "CPU time of all simulations", sums.simulating_seconds)
+
+
+def _of_dispatcher(dispatcher: StoredProcess | None) -> Iterator[Any]:
+    readiness = judge(dispatcher, now())
+    yield GaugeMetricFamily("drivecal_ready", "1 where campaigns are carried out, as /readyz says", float(readiness.ready))
+    degraded = "1 where something is wrong: less work is done than could be, or none"
+    yield GaugeMetricFamily("drivecal_degraded", degraded, float(bool(readiness.problems)))
+    if dispatcher is None:
+        return
+    silent = silent_seconds(dispatcher, now())
+    yield GaugeMetricFamily("drivecal_dispatcher_heartbeat_age_seconds", "Since the dispatcher was last heard of", silent)
+    yield CounterMetricFamily("drivecal_dispatcher_elections", "How many dispatchers this database has had", dispatcher.term)
+    workers = GaugeMetricFamily("drivecal_workers", "Workers by state; none where the dispatcher is silent", labels=["state"])
+    states = [] if readiness.silent else [one.get("state") for one in dispatcher.detail.get("workers", [])]
+    for state in WORKER_STATES:
+        workers.add_metric([state], states.count(state))
+    yield workers
+    measures: Mapping[str, Any] = dispatcher.detail.get("measures") or {"seconds": {}, "counts": {}}
+    for duration in DURATIONS:
+        if duration in measures["seconds"]:
+            yield _histogram(*DURATION_METRICS[duration], measures["seconds"][duration])
+    for happening, kinds in KINDS.items():
+        if happening in measures["counts"]:
+            labels = ["kind"] if any(kinds) else []
+            counter = CounterMetricFamily(*COUNT_METRICS[happening], labels=labels)
+            for kind, count in measures["counts"][happening].items():
+                counter.add_metric([kind] if labels else [], count)
+            yield counter
+
+
+def _histogram(name: str, documentation: str, measured: Mapping[str, Any]) -> HistogramMetricFamily:
+    totals = accumulate(measured["buckets"])
+    bounds = [*map(floatToGoString, BOUNDS), "+Inf"]
+    return HistogramMetricFamily(name, documentation, list(zip(bounds, totals, strict=True)), measured["sum"])
