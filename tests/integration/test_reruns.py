@@ -13,10 +13,12 @@ from tests.support.computed import ComputedBackend
 from tests.support.runs import WITH_ANALYSIS, dispatcher, get, influenced, run
 
 from drivecal.api import submission
+from drivecal.api.dependencies import Limits
 from drivecal.campaigns.maps import map_from_document
 from drivecal.campaigns.planning import View
 from drivecal.campaigns.problem import resolve
 from drivecal.campaigns.rerating import rate_stored_runs
+from drivecal.configuration.settings import load_settings
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, RerunSpecification
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import CampaignState, Stage
@@ -28,6 +30,8 @@ from drivecal.plugins.ports import Evaluator
 from drivecal.storage import campaigns, influence_maps, results
 from drivecal.storage.campaigns import Action, StoredCampaign
 from drivecal.storage.database import Database
+
+LIMITS = Limits.of(load_settings())
 
 
 @dataclass(frozen=True)
@@ -65,12 +69,14 @@ def strict(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def _run(database: Database, **changes: Any) -> StoredCampaign:
     specification = CampaignSpecification.model_validate(WITH_ANALYSIS | changes)
-    return run(database, submission.submit(database, specification, None), ComputedBackend(answer=influenced))
+    return run(database, submission.submit(database, LIMITS, specification, None), ComputedBackend(answer=influenced))
 
 
 def _rerun(database: Database, first: StoredCampaign, backend: ComputedBackend | None = None, **changes: Any) -> StoredCampaign:
     wanted = RerunSpecification.model_validate({"weights": {}} | changes)
-    return run(database, submission.rerun(database, first.id, wanted, None), backend or ComputedBackend(answer=influenced))
+    return run(
+        database, submission.rerun(database, LIMITS, first.id, wanted, None), backend or ComputedBackend(answer=influenced)
+    )
 
 
 def test_a_narrowed_campaign_searches_where_some_scenario_is_influenced(database: Database) -> None:
@@ -108,7 +114,7 @@ def test_a_narrowed_campaign_that_was_killed_ends_like_one_that_was_not(tmp_path
         opened = Database.open(f"sqlite:///{tmp_path / str(killed)}.db")
         opened.upgrade()
         specification = CampaignSpecification.model_validate(WITH_ANALYSIS | changes)
-        campaign = submission.submit(opened, specification, None)
+        campaign = submission.submit(opened, LIMITS, specification, None)
         while not get(opened, campaign).state.ended:
             one = dispatcher(opened, ComputedBackend(draw.randrange(99), answer=influenced))
             for _ in range(draw.randrange(1, 12) if killed else 9_999):
@@ -228,16 +234,16 @@ def test_what_another_campaign_simulates_meanwhile_changes_no_evaluators_view_of
         opened = Database.open(f"sqlite:///{tmp_path / str(accompanied)}.db")
         opened.upgrade()
         specification = CampaignSpecification.model_validate(WITH_ANALYSIS)
-        first = run(opened, submission.submit(opened, specification, None), ComputedBackend(answer=forgetful))
+        first = run(opened, submission.submit(opened, LIMITS, specification, None), ComputedBackend(answer=forgetful))
         changes = RerunSpecification(weights={}, evaluator="strict")
-        slow = submission.rerun(opened, first.id, changes, None)
+        slow = submission.rerun(opened, LIMITS, first.id, changes, None)
         one = dispatcher(opened, ComputedBackend(answer=strict_answer))
         one.step()
         _ask(opened, slow, "pause")
         while get(opened, slow).state is not CampaignState.PAUSED:
             one.step()
         if accompanied:
-            fast = run(opened, submission.rerun(opened, first.id, changes, None), ComputedBackend(answer=strict_answer))
+            fast = run(opened, submission.rerun(opened, LIMITS, first.id, changes, None), ComputedBackend(answer=strict_answer))
             assert fast.cells.unrepeatable > 0, "it simulated runs that the evaluator could not rate"
         _ask(opened, slow, "resume")
         run(opened, slow, ComputedBackend(answer=strict_answer))
@@ -263,11 +269,11 @@ def test_a_single_evaluation_by_another_evaluator_is_answered_from_the_stored_ru
         row = next(row for row in results.stream(connection, first.sequence) if row.scenario == "S1" and not row.failure)
     wanted = EvaluationSpecification.model_validate({"parameters": row.parameters, "scenario": "S1", "evaluator": "strict"})
     backend = ComputedBackend(answer=strict_answer)
-    ended = run(database, submission.evaluate(database, wanted, None), backend)
+    ended = run(database, submission.evaluate(database, LIMITS, wanted, None), backend)
     assert (ended.cells.repeated, ended.cells.simulated, backend.sent) == (1, 0, [])
 
 
 def test_an_evaluator_that_is_not_installed_is_refused(database: Database) -> None:
     first = _run(database)
     with pytest.raises(InvalidInputError, match="evaluator: there is no evaluator 'learnt'"):
-        submission.rerun(database, first.id, RerunSpecification(weights={}, evaluator="learnt"), None)
+        submission.rerun(database, LIMITS, first.id, RerunSpecification(weights={}, evaluator="learnt"), None)
