@@ -14,7 +14,7 @@ from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, N
 from drivecal.domain.campaigns import CampaignState, Stage
 from drivecal.domain.errors import ConflictError, NotFoundError
 from drivecal.domain.events import EventKind
-from drivecal.storage import actions, cursors, events, runs
+from drivecal.storage import actions, cursors, events, leases, runs
 from drivecal.storage.identifiers import is_identifier
 from drivecal.storage.membership import insert as insert_into
 from drivecal.storage.tables import campaigns
@@ -219,6 +219,8 @@ def request_action(connection: Connection, campaign_id: str, action: Action) -> 
     connection.execute(_of(campaign.sequence).values(changes))
     changed = by_sequence(connection, campaign.sequence)
     state = CampaignState.CANCELLING if kind is EventKind.CANCELLING else changed.state
+    if state.ended:
+        leases.forget(connection, campaign.sequence)
     _tell(connection, campaign.sequence, kind, state)
     return changed
 
@@ -324,6 +326,7 @@ def end(connection: Connection, sequence: int, state: CampaignState, error: str 
     )
     ended = connection.execute(statement).rowcount == 1
     if ended:
+        leases.forget(connection, sequence)
         _tell(connection, sequence, EventKind(state), state, **({} if error is None else {"error": error}))
     return ended
 
