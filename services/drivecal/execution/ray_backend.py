@@ -176,12 +176,13 @@ class RayBackend:
         """See `Backend`."""
         starting = [actor for actor in self._actors if actor.failed_starts]
         failing = [actor for actor in self._actors if actor.faults and not actor.failed_starts]
-        found = [
+        found = [self._cluster.trouble()]
+        found += [
             f"{len(actors)} of {len(self._actors)} workers {words}: {actors[0].reason}"
             for actors, words in ((starting, "do not start"), (failing, "give no results"))
             if actors
         ]
-        return "; ".join(found) or None
+        return "; ".join(filter(None, found)) or None
 
     def close(self) -> None:
         """See `Backend`."""

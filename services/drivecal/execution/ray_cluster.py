@@ -18,11 +18,14 @@ from typing import Any
 
 from drivecal.domain.errors import UnavailableError
 from drivecal.execution.backend import BackendLostError
+from drivecal.execution.ray_watch import StartedAnewError, Watch
 
 OBJECT_STORE_BYTES = 80 * 2**20
 """Ray's least: batches and results travel with the calls, the object store stays empty."""
 LONGEST_FOLDER = 40
 """Ray's sockets lie 65 characters deep, and a Unix socket's path ends at 107."""
+ANSWER_SECONDS = 1.0
+"""What the store of Ray's state may take to answer."""
 A_MOMENT = 60.0
 """Between making a folder and locking it, s, amply."""
 
@@ -48,8 +51,9 @@ class Cluster:
 
     def __init__(self, address: str | None, cpus: int | None) -> None:
         """Starts a local Ray with `cpus` CPUs (None: all), or joins the cluster at `address`. Raises UnavailableError."""
-        self.address = address
+        self.name = "the local Ray" if address is None else f"the Ray cluster at {address}"
         self._folder: _PrivateFolder | None = None
+        self._watch: Watch | None = None
         os.environ.update(_ALWAYS)
         if address is None:
             os.environ.update(_LOCAL)
@@ -75,27 +79,45 @@ class Cluster:
                     ray.init(address=address, **_QUIET)
         except Exception as error:
             self.close()
-            where = "a local Ray" if address is None else f"the Ray cluster at {address}"
             reason = " ".join(str(error).split()) or type(error).__name__
-            raise UnavailableError(f"{where} cannot be used: {reason[:500]}") from error
+            raise UnavailableError(f"{self.name} cannot be used: {reason[:500]}") from error
+        self._watch = Watch(self.name, self._ask)
 
     def cpus(self) -> int:
         """The CPUs of all nodes."""
         return int(self.ray.cluster_resources().get("CPU", 0))
 
     def check(self) -> None:
-        """Raises BackendLostError where a part of a local Ray has died; left alone, Ray would end this process a minute later."""
+        """Raises BackendLostError where Ray is gone for good: left alone, it would end this process a minute later."""
         node = self.ray._private.worker._global_node  # noqa: SLF001  # Ray tells nobody else
         dead = sorted({kind for kind, _ in node.dead_processes()} & _VITAL) if node else ["connection"]
         if dead:
             raise BackendLostError(f"Ray's {' and '.join(dead)} ended unexpectedly")
+        lost = None if self._watch is None else self._watch.lost()
+        if lost is not None:
+            raise BackendLostError(lost)
+
+    def trouble(self) -> str | None:
+        """That Ray does not answer at the moment, in words; None where it does."""
+        return None if self._watch is None else self._watch.trouble()
 
     def close(self) -> None:
         """Leaves the cluster; a local Ray ends."""
+        if self._watch is not None:
+            self._watch.stop()
+            self._watch = None
         self.ray.shutdown()
         if self._folder is not None:
             self._folder.remove()
             self._folder = None
+
+    def _ask(self) -> None:
+        """Asks the store of the cluster's state anything. To be called by the watching thread."""
+        client = self.ray._private.worker.global_worker.gcs_client  # noqa: SLF001  # all public ways wait without end
+        try:
+            client.internal_kv_exists(b"drivecal", None, timeout=ANSWER_SECONDS)
+        except self.ray.exceptions.AuthenticationError as error:
+            raise StartedAnewError("has started anew, or does not accept our token any more") from error
 
 
 _VITAL = {"raylet", "gcs_server"}
