@@ -51,6 +51,45 @@ class Planner(Protocol):
         (t from now, x, y, heading, curvature, speed, acceleration); at least `period` plus one second long."""
 
 
+class CertifiablePlanner(Planner, Protocol):
+    """A planner that decides by the lowest cost over candidates, linear in weights that depend on parameters alone, over features that do
+    not depend on them: whatever else it does must not depend on parameters either. Then a run is determined by its decisions, and
+    `drivecal.certification` can prove from stored decisions what another parameter set would drive."""
+
+    @property
+    def n_features(self) -> int:
+        """Numbers that describe a planning state for its decision."""
+
+    @property
+    def n_candidates(self) -> int:
+        """Candidates that are decided among."""
+
+    @property
+    def grid(self) -> float:
+        """A power of two that most features are non-negative multiples of: those are stored in two bytes, others in twelve."""
+
+    @property
+    def most_plans(self) -> int:
+        """Plans of one run, at most."""
+
+    @property
+    def decision_features(self) -> Floats:
+        """Of the last plan, shape (n_features,), no negative zeros. All that the decision depends on but weights and feasibility."""
+
+    @property
+    def infeasible(self) -> npt.NDArray[np.bool_]:
+        """The candidates that the last plan found infeasible, shape (n_candidates,)."""
+
+    @property
+    def chosen(self) -> int:
+        """The candidate of the last plan that is driven."""
+
+    def walk(self, nodes: Any, parameters: Sequence[float]) -> int:
+        """Decides again from node to node of `drivecal.certification.nodes.Nodes`, from node 0 on, as `plan` would with these parameters:
+        the cheapest candidate that is not known to be infeasible; where all are, the cheapest of all. Gives the node where the way
+        ends: one with a leaf, one that is not described, or one whose choice was never driven."""
+
+
 class DrivingFunction(Protocol):
     """A driving function whose parameters are calibrated."""
 
@@ -72,7 +111,7 @@ class DrivingFunction(Protocol):
 
     @property
     def certifiable(self) -> bool:
-        """True where it decides by the lowest cost, linear in weights that depend on parameters, over features that do not."""
+        """True where its planners are `CertifiablePlanner`s."""
 
     def create(self, scenario: Scenario) -> Planner:
         """The planner for one scenario."""

@@ -57,9 +57,10 @@ class ClosedLoop:
         x, y, heading = to_cartesian(self._line, ego.s, ego.d)
         self._start = (x, y, heading + ego.heading, ego.speed)
 
-    def drive(self, parameters: Sequence[float], watch: Watcher | None = None) -> Drive:
-        """One run. Raises SimulationError where SUMO fails."""
-        scenario, planner, vehicle, simulation = self._scenario, self._planner, self._vehicle, self._simulation
+    def drive(self, parameters: Sequence[float], watch: Watcher | None = None, planner: Planner | None = None) -> Drive:
+        """One run; `planner` plans in place of the loop's own. Raises SimulationError where SUMO fails."""
+        scenario, vehicle, simulation = self._scenario, self._vehicle, self._simulation
+        planner = planner or self._planner
         step, steps_per_plan, half_length = scenario.step, self._steps_per_plan, 0.5 * scenario.ego.length
         line, outline, motions = self._line, self._outline, self._motions
         simulation.load(scenario)

@@ -507,3 +507,39 @@ def plan(
     for index in range(7):
         memory[index, 1] = quartics[index, j]
     return chosen
+
+
+@compiled
+def walk(
+    n_longitudinal: int, n_lateral: int, weights: Any, grid: float, packed: Any, beside_start: Any, beside_count: Any, places: Any,
+    values: Any, described: Any, infeasible: Any, first_child: Any, next_sibling: Any, decision: Any,
+) -> int:  # fmt: skip
+    """Decides again from node to node, as `plan` does, see `ports.CertifiablePlanner.walk`. Gives the node where the way ends.
+
+    A state's features are those of `consider`: lateral, longitudinal, combined, one after the other. The arrays are those of
+    `drivecal.certification.nodes.Nodes`.
+    """
+    features = np.empty(packed.shape[1])
+    ends = 6 * n_lateral, 6 * n_lateral + 2 * n_longitudinal
+    lateral = features[: ends[0]].reshape((6, n_lateral))
+    longitudinal = features[ends[0] : ends[1]].reshape((2, n_longitudinal))
+    combined = features[ends[1] :].reshape((7, n_longitudinal, n_lateral))
+    costs = np.empty((n_longitudinal, n_lateral))
+    nothing = np.zeros(n_longitudinal * n_lateral, dtype=np.bool_)
+    node = 0
+    while described[node]:
+        for place in range(len(features)):
+            features[place] = packed[node, place] * grid
+        for index in range(beside_start[node], beside_start[node] + beside_count[node]):
+            features[places[index]] = values[index]
+        costs_of(lateral, longitudinal, combined, weights, costs)
+        chosen = cheapest(costs, infeasible[node])
+        if chosen < 0:
+            chosen = cheapest(costs, nothing)
+        child = first_child[node]
+        while child >= 0 and decision[child] != chosen:
+            child = next_sibling[child]
+        if child < 0:
+            return node
+        node = child
+    return node

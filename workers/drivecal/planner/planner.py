@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -39,6 +41,7 @@ class FrenetPlanner:
     """
 
     period = PERIOD
+    grid = 1.0 / kernel.FEATURE_GRID
 
     def __init__(self, scenario: Scenario) -> None:
         """Raises InvalidInputError where the scenario's step does not divide the planning period."""
@@ -66,9 +69,14 @@ class FrenetPlanner:
 
         n_lateral, n_longitudinal = self._lateral_ends[0].shape[1], self._longitudinal_ends.shape[1]
         self.n_lateral, self.n_candidates = n_lateral, n_lateral * n_longitudinal
-        self._lateral = np.zeros((6, n_lateral))
-        self._longitudinal = np.zeros((2, n_longitudinal))
-        self._combined = np.zeros((7, n_longitudinal, n_lateral))
+        self.n_features = 6 * n_lateral + 2 * n_longitudinal + 7 * self.n_candidates
+        self.decision_features = np.zeros(self.n_features)
+        """All features of the last plan, shape (n_features,): lateral, longitudinal, combined, as the kernel names them."""
+        ends = 6 * n_lateral, 6 * n_lateral + 2 * n_longitudinal
+        self._lateral = self.decision_features[: ends[0]].reshape(6, n_lateral)
+        self._longitudinal = self.decision_features[ends[0] : ends[1]].reshape(2, n_longitudinal)
+        self._combined = self.decision_features[ends[1] :].reshape(7, n_longitudinal, n_lateral)
+        self.most_plans = math.ceil(scenario.duration / PERIOD)
         self.infeasible: npt.NDArray[np.bool_] = np.zeros(self.n_candidates, dtype=np.bool_)
         """The candidates of the last plan that were cheaper than the chosen one but cannot be driven, shape (n_candidates,)."""
         self.chosen = -1
@@ -146,6 +154,25 @@ class FrenetPlanner:
         for row, column in _COMBINED.items():
             features[:, :, column] += self._combined[row]
         return features.reshape(-1, 12)
+
+    def walk(self, nodes: Any, parameters: Sequence[float]) -> int:
+        """See `drivecal.plugins.ports.CertifiablePlanner`."""
+        return kernel.walk(
+            self._combined.shape[1],
+            self.n_lateral,
+            weights(parameters),
+            nodes.grid,
+            nodes.packed,
+            nodes.beside_start,
+            nodes.beside_count,
+            nodes.places,
+            nodes.values,
+            nodes.described,
+            nodes.infeasible,
+            nodes.first_child,
+            nodes.next_sibling,
+            nodes.decision,
+        )
 
     def _wanted(self, time: float) -> int:
         """0 while the start lane is wanted, 1 once the target lane is."""

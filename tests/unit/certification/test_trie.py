@@ -1,0 +1,177 @@
+"""A run that is certified is the run that would have been simulated, for any planner that decides by linear costs."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivecal.certification.nodes import walk
+from drivecal.certification.trie import NotDeterministicError, Trie
+from drivecal.plugins.ports import Floats, Observation, Planner
+
+PLANS = 8
+
+
+class Linear:
+    """A planner of the certifiable class: features are any function of what was observed, costs are linear in weights that are a function
+    of the parameters, and some candidates turn out to be infeasible."""
+
+    period = 1.0
+    grid = 1 / 256
+    most_plans = PLANS
+
+    def __init__(self, seed: int, n_candidates: int, n_terms: int, share_infeasible: float) -> None:
+        self.n_candidates, self.n_terms, self.n_features = n_candidates, n_terms, n_candidates * n_terms
+        self._seed, self._share = seed, share_infeasible
+        self._weights = np.zeros(n_terms)
+        self.decision_features = np.zeros(self.n_features)
+        self.infeasible: npt.NDArray[np.bool_] = np.zeros(n_candidates, dtype=np.bool_)
+        self.chosen = -1
+        self.offset = 0.0
+
+    def reset(self, parameters: Sequence[float]) -> None:
+        self._weights = np.exp(np.array(parameters))
+
+    def costs(self, features: Floats) -> Floats:
+        total = np.zeros(self.n_candidates)
+        for weight, column in zip(self._weights.tolist(), features.reshape(self.n_candidates, -1).T, strict=True):
+            total += weight * column
+        return total
+
+    def plan(self, observation: Observation) -> Floats:
+        state = hashlib.blake2b(observation.ego.tobytes(), digest_size=8, salt=self._seed.to_bytes(8, "little")).digest()
+        generator = np.random.default_rng(int.from_bytes(state, "little"))
+        # coarse, so that ties occur; some of them off the grid, some too large for two bytes
+        self.decision_features = np.round(generator.exponential(2.0, self.n_features))
+        odd = generator.random(self.n_features) < 0.05
+        self.decision_features[odd] += generator.choice([0.1, 500.0], odd.sum()) + self.offset
+        cannot = generator.random(self.n_candidates) < self._share
+        costs = self.costs(self.decision_features)
+        self.infeasible = np.zeros(self.n_candidates, dtype=np.bool_)
+        for candidate in np.argsort(costs, kind="stable").tolist():
+            if not cannot[candidate]:
+                self.chosen = candidate
+                break
+            self.infeasible[candidate] = True
+        else:
+            self.chosen = int(np.argmin(costs))
+        return np.array([self.chosen, costs[self.chosen]])
+
+    def walk(self, nodes: Any, parameters: Sequence[float]) -> int:
+        self.reset(parameters)
+        return walk(nodes, self.costs)
+
+
+def drive(planner: Planner, parameters: Sequence[float]) -> bytes:
+    """A world in which everything depends on what was chosen, and nothing else on the parameters. Some runs end early."""
+    planner.reset(parameters)
+    ego, history = np.zeros(3), []
+    for step in range(PLANS):
+        chosen = int(planner.plan(Observation(float(step), ego, np.zeros((0, 6))))[0])
+        ego = np.array([step + 1.0, ego[1] * 0.7 + chosen, np.sin(ego[2] + chosen)])
+        history.append(ego.tobytes())
+        if ego[2] > 0.97:
+            break
+    return b"".join(history)
+
+
+def simulate_or_prove(trie: Trie[bytes], parameters: Sequence[float], number: int) -> tuple[bytes, int | None]:
+    proof = trie.prove(parameters)
+    if proof is not None:
+        return proof.result, proof.proven_by
+    recording = trie.record()
+    result = drive(recording, parameters)
+    recording.finish(result, number)
+    return result, None
+
+
+@given(
+    seed=st.integers(0, 10_000),
+    n_candidates=st.integers(2, 12),
+    n_terms=st.integers(1, 5),
+    share=st.sampled_from([0.0, 0.3, 0.9, 1.0]),
+    room=st.sampled_from([2 * PLANS, 40, 4000]),
+)
+@settings(max_examples=120)
+def test_what_is_certified_is_what_would_have_been_simulated(
+    seed: int, n_candidates: int, n_terms: int, share: float, room: int
+) -> None:
+    trie: Trie[bytes] = Trie(Linear(seed, n_candidates, n_terms, share), room)
+    judge = Linear(seed, n_candidates, n_terms, share)
+    generator, simulated, proved = np.random.default_rng(seed), {}, 0
+    for number in range(60):
+        parameters = np.round(generator.normal(0.0, 1.0, n_terms), 1).tolist()
+        result, by = simulate_or_prove(trie, parameters, number)
+        truth = drive(judge, parameters)
+        assert result == truth
+        if by is None:
+            simulated[number] = truth
+        else:
+            proved += 1
+            assert simulated[by] == truth  # the run that it names is one that was simulated and went just so
+        assert trie.nodes <= room
+    if n_terms == 1 and share == 0.0 and room == 4000:
+        assert proved >= 50  # one weight decides nothing: every set drives alike
+
+
+def test_the_same_set_is_proved_by_its_own_run() -> None:
+    trie: Trie[bytes] = Trie(Linear(1, 6, 3, 0.2), 500)
+    assert trie.prove([0.0, 0.5, 1.0]) is None
+    result, by = simulate_or_prove(trie, [0.0, 0.5, 1.0], 17)
+    assert by is None
+    assert simulate_or_prove(trie, [0.0, 0.5, 1.0], 18) == (result, 17)
+    assert trie.runs == 1
+
+
+def test_a_winner_that_was_never_tested_for_feasibility_proves_nothing() -> None:
+    """Two candidates; the first run prefers candidate 0. A set that prefers candidate 1 cannot know whether it can be driven."""
+    trie: Trie[bytes] = Trie(Linear(3, 2, 2, 0.0), 500)
+    results = {}
+    for number, parameters in enumerate(([0.0, 3.0], [3.0, 0.0], [0.0, 3.0], [3.0, 0.0])):
+        results[number] = simulate_or_prove(trie, parameters, number)
+    assert results[0][0] != results[1][0]
+    assert [by for _, by in results.values()] == [None, None, 0, 1]
+
+
+def test_a_full_trie_forgets_what_was_visited_for_longest_ago() -> None:
+    planner = Linear(5, 10, 4, 0.1)
+    trie: Trie[bytes] = Trie(planner, 6 * PLANS)
+    generator = np.random.default_rng(1)
+    favourite = [0.1, 0.2, 0.3, 0.4]
+    simulate_or_prove(trie, favourite, 0)
+    for number in range(1, 200):
+        simulate_or_prove(trie, generator.normal(0, 2, 4).tolist(), number)
+        found = trie.prove(favourite)
+        assert found is not None
+        assert found.proven_by == 0
+    assert trie.nodes <= 6 * PLANS
+    assert trie.runs < 60
+
+
+def test_a_world_that_is_not_deterministic_is_noticed() -> None:
+    planner = Linear(5, 4, 2, 0.0)
+    trie: Trie[bytes] = Trie(planner, 500)
+    simulate_or_prove(trie, [0.0, 0.0], 0)
+    planner.offset = 0.25
+    recording = trie.record()
+    with pytest.raises(NotDeterministicError, match="the same decisions led to another state at"):
+        drive(recording, [0.0, 0.0])
+
+
+def test_a_run_that_was_interrupted_proves_nothing_and_spoils_nothing() -> None:
+    planner = Linear(8, 5, 3, 0.1)
+    trie: Trie[bytes] = Trie(planner, 500)
+    recording = trie.record()
+    recording.reset([0.0, 0.1, 0.2])
+    recording.plan(Observation(0.0, np.zeros(3), np.zeros((0, 6))))
+    assert trie.prove([0.0, 0.1, 0.2]) is None
+    result, by = simulate_or_prove(trie, [0.0, 0.1, 0.2], 1)
+    assert by is None
+    assert simulate_or_prove(trie, [0.0, 0.1, 0.2], 2) == (result, 1)

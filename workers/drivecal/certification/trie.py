@@ -1,0 +1,144 @@
+"""The trie of one setup: proves that a run would go as a stored one did, or says that it cannot.
+
+Why it is a proof: simulator, vehicle and planner are deterministic, and parameters enter a run through the planner's choice of a
+candidate only. Two runs that begin alike are in the same state until they choose differently. So the trie's nodes are states: a
+parameter set that chooses, by the planner's own arithmetic on the stored features, what was chosen before at every node down to a leaf,
+drives that leaf's run, bit for bit. A candidate that would win but was never tested for feasibility proves nothing: that run has to be
+simulated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from drivecal.certification.nodes import NONE, Nodes
+from drivecal.domain.errors import DrivecalError
+from drivecal.plugins.ports import CertifiablePlanner, Floats, Observation
+
+Result = TypeVar("Result")
+KEPT = 0.5
+"""Share of a full trie that survives an eviction: the states that were visited last."""
+
+
+class NotDeterministicError(DrivecalError):
+    """The same decisions led to another state: something besides them decides runs, and nothing may be certified."""
+
+
+@dataclass(frozen=True, slots=True)
+class Proof(Generic[Result]):
+    """A parameter set would drive as the run `proven_by` did, whose result is `result`."""
+
+    result: Result
+    proven_by: int
+
+
+class Trie(Generic[Result]):
+    """Of one scenario in one setup, in one process. A cache: what it forgets is simulated again."""
+
+    def __init__(self, planner: CertifiablePlanner, room: int) -> None:
+        """`room`: nodes, at least the number of plans in two runs."""
+        self._planner = planner
+        self._nodes = Nodes(planner.n_features, planner.n_candidates, planner.grid, room)
+        self._results: list[Proof[Result]] = []
+        self._used = np.zeros(room, dtype=np.int64)
+        self._clock = 0
+
+    @property
+    def bytes(self) -> int:
+        """Memory of the nodes in use."""
+        return self._nodes.count * self._nodes.bytes_per_node
+
+    @property
+    def nodes(self) -> int:
+        """Planning states that are kept."""
+        return self._nodes.count
+
+    @property
+    def runs(self) -> int:
+        """Runs that can prove others."""
+        return len(self._results)
+
+    def prove(self, parameters: Sequence[float]) -> Proof[Result] | None:
+        """The stored run that these parameters would repeat; None where that is not proved."""
+        node = self._planner.walk(self._nodes, parameters)
+        self._touch(node)
+        leaf = int(self._nodes.leaf[node])
+        return None if leaf == NONE else self._results[leaf]
+
+    def record(self) -> Recording[Result]:
+        """Takes part in a run, as its planner, and learns from it."""
+        if self._nodes.room - self._nodes.count < self._planner.most_plans or self._beside_is_short():
+            self._evict()
+        return Recording(self._planner, self._nodes, self)
+
+    def learn(self, end: int, result: Result, run: int) -> None:
+        """A run, known as number `run`, ended in node `end`."""
+        if self._nodes.leaf[end] == NONE:
+            self._nodes.leaf[end] = len(self._results)
+            self._results.append(Proof(result, run))
+        self._touch(end)
+
+    def _touch(self, node: int) -> None:
+        self._clock += 1
+        while node != NONE:
+            self._used[node] = self._clock
+            node = int(self._nodes.parent[node])
+
+    def _beside_is_short(self) -> bool:
+        return self._nodes.beside > 0.9 * len(self._nodes.places)
+
+    def _evict(self) -> None:
+        """Forgets the states that were not visited for longest. A state was visited whenever one below it was, so what stays is a trie."""
+        count = self._nodes.count
+        used = self._used[:count]
+        threshold = np.partition(used, int((1.0 - KEPT) * count))[int((1.0 - KEPT) * count)]
+        wanted = used > threshold
+        wanted[0] = True
+        self._nodes.keep(wanted)
+        self._used[: self._nodes.count] = used[wanted]
+        leaves = self._nodes.leaf[: self._nodes.count]
+        kept = np.flatnonzero(leaves != NONE)
+        self._results = [self._results[leaf] for leaf in leaves[kept].tolist()]
+        leaves[kept] = np.arange(len(kept), dtype=np.int32)
+
+
+class Recording(Generic[Result]):
+    """A planner that plans as its own does and writes the states and decisions of the run into the trie."""
+
+    def __init__(self, planner: CertifiablePlanner, nodes: Nodes, trie: Trie[Result]) -> None:
+        self._planner, self._nodes, self._trie = planner, nodes, trie
+        self._node = 0
+        self.period = planner.period
+
+    def reset(self, parameters: Sequence[float]) -> None:
+        """See `ports.Planner`."""
+        self._planner.reset(parameters)
+        self._node = 0
+
+    def plan(self, observation: Observation) -> Floats:
+        """See `ports.Planner`. Raises NotDeterministicError where the state is not what the same decisions led to before."""
+        trajectory = self._planner.plan(observation)
+        nodes, node, planner = self._nodes, self._node, self._planner
+        if node == NONE:
+            return trajectory
+        if nodes.described[node]:
+            if not np.array_equal(nodes.features(node), planner.decision_features):
+                raise NotDeterministicError(
+                    f"the same decisions led to another state at {observation.time} s: certified reuse is not possible with this setup"
+                )
+        elif not nodes.describe(node, planner.decision_features):
+            self._node = NONE  # no room: this run proves nothing
+            return trajectory
+        nodes.infeasible[node] |= planner.infeasible
+        child = nodes.child(node, planner.chosen)
+        self._node = child if child != NONE else NONE if nodes.full else nodes.add(node, planner.chosen)
+        return trajectory
+
+    def finish(self, result: Result, run: int) -> None:
+        """The run is over; `run` is the number by which it is known."""
+        if self._node != NONE:
+            self._trie.learn(self._node, result, run)
