@@ -25,6 +25,8 @@ LARGEST_HEAD = 65_536
 MOST_REQUESTS = 200
 """Requests that are answered or wait for one of the 40 threads. Were they not bounded, those that nobody waits for any more would be
 answered before those that somebody waits for."""
+MOST_REQUESTS_OF_STRANGERS = 8
+"""Of those who have no token, where one is asked for: supervisors that ask /readyz."""
 CLOSE = {"Connection": "close"}
 
 
@@ -161,23 +163,25 @@ class Place:
 
 class Concurrency:
     """ASGI middleware: answers 503 where too many requests are being answered. `request.state.place` is the request's place, which an
-    event stream gives back because it waits, and works no more."""
+    event stream gives back because it waits, and works no more. Those who showed no token and should have take no place from others."""
 
-    def __init__(self, app: ASGIApp, most: int = MOST_REQUESTS) -> None:
+    def __init__(self, app: ASGIApp, most: int = MOST_REQUESTS, strangers: int = MOST_REQUESTS_OF_STRANGERS) -> None:
         self.app = app
         self.places = Places(most, "requests are being answered", retry_seconds=2)
+        self.places_of_strangers = Places(strangers, "requests without a token are being answered", retry_seconds=2)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Passes the request on if there is a place for it."""
         if scope["type"] != "http" or scope["path"] == "/healthz":  # a server that has much to do lives
             await self.app(scope, receive, send)
             return
+        stranger = scope.setdefault("state", {}).get("token") is None
         try:
-            place = self.places.take()
+            place = (self.places_of_strangers if stranger else self.places).take()
         except OverloadError as error:
             headers = {"Retry-After": str(error.retry_seconds)}
             await problem_response(Request(scope), 503, str(error), headers=headers)(scope, receive, send)
             return
         with place:
-            scope.setdefault("state", {})["place"] = place
+            scope["state"]["place"] = place
             await self.app(scope, receive, send)

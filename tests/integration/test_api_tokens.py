@@ -1,0 +1,189 @@
+"""Every route refuses who shows no token, over real HTTP: the list is the application's own."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+from tests.support.command import command
+from tests.support.server import RunningApi, serving
+
+from drivecal.api.app import create_app
+from drivecal.client.client import Client
+from drivecal.configuration.settings import load_settings
+from drivecal.domain.errors import NotAuthorisedError
+
+WRITE, READ = "writer-0123456789abcdef", "reader-0123456789abcdef"
+TOKENS = f"writer write {WRITE}\nreader read {READ}\n"
+OPEN = {"/healthz", "/readyz"}
+SMALL = {"sensitivity": None, "optimizer": {"population": 10, "iterations": 2}}
+
+
+def routes() -> list[tuple[str, str]]:
+    """Method and path of everything that the application answers, and of some that it does not."""
+    app = create_app(load_settings(database_url="sqlite:///never-made.db", tokens_file=None))
+    known = [(method.upper(), path) for path, methods in app.openapi()["paths"].items() for method in methods]
+    known += [("GET", str(path)) for path in (getattr(route, "path", None) for route in app.routes) if path is not None]
+    unknown = [
+        ("GET", "/"),
+        ("GET", "/nothing"),
+        ("POST", "/api/v1/nothing"),
+        ("DELETE", "/api/v1/campaigns"),
+        ("OPTIONS", "/api/v1"),
+    ]
+    assert len(known) > 25
+    return [(method, path) for method, path in [*known, *unknown] if path not in OPEN]
+
+
+@pytest.fixture(scope="module")
+def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
+    folder = tmp_path_factory.mktemp("tokens")
+    (folder / "tokens").write_text(TOKENS)
+    with serving(f"sqlite:///{folder / 'drivecal.db'}", tokens_file=str(folder / "tokens")) as running:
+        yield running
+
+
+def bearer(token: str) -> dict[str, str]:
+    return {"Authorization": f"Bearer {token}"}
+
+
+WRONG: dict[str, bytes | None] = {
+    "missing": None,
+    "empty": b"",
+    "no credentials": b"Bearer",
+    "wrong": b"Bearer wrong-0123456789abcdef",
+    "beginning": f"Bearer {WRITE[:-1]}".encode(),
+    "longer": f"Bearer {WRITE}0".encode(),
+    "not ASCII": f"Bearer {WRITE}é".encode(),
+    "not UTF-8": b"Bearer \xff\xfe" + WRITE.encode(),
+    "over-long": b"Bearer " + b"a" * 15_000,
+    "another scheme": b"Basic " + WRITE.encode(),
+    "no scheme": WRITE.encode(),
+}
+
+
+@pytest.mark.parametrize("wrong", WRONG.values(), ids=list(WRONG))
+@pytest.mark.parametrize(("method", "path"), routes())
+def test_every_route_refuses_who_shows_no_token(api: RunningApi, method: str, path: str, wrong: bytes | None) -> None:
+    headers = {} if wrong is None else {b"Authorization": wrong}
+    content = b"{}" if method == "POST" else None
+    response = api.http.request(method, path, headers=headers, content=content)
+    assert response.status_code == 401
+    assert response.headers["www-authenticate"].startswith("Bearer")
+    assert response.headers["content-type"] == "application/problem+json"
+    assert response.json()["status"] == 401
+    assert WRITE not in response.text
+
+
+@pytest.mark.parametrize(("method", "path"), routes())
+def test_a_token_that_may_only_read_changes_nothing_anywhere(api: RunningApi, method: str, path: str) -> None:
+    with api.http.stream(method, path, headers=bearer(READ)) as response:
+        reads = method in {"GET", "OPTIONS"}
+        assert (response.status_code == 403) == (not reads), response.status_code
+        assert response.status_code != 401
+        assert not [name for name in response.headers if name.startswith("access-control-")]
+
+
+def test_health_is_open_and_says_nothing_else(api: RunningApi) -> None:
+    assert api.http.get("/healthz").json() == {"status": "alive"}
+    closed = api.http.get("/readyz")
+    assert (closed.status_code, closed.json()) == (503, {"ready": False, "problems": []})
+    assert api.http.get("/readyz", headers=bearer(READ)).json()["problems"]
+
+
+def test_a_token_that_may_write_submits_and_one_that_may_read_checks_and_reads(api: RunningApi) -> None:
+    posted = api.http.post("/api/v1/campaigns", json=SMALL, headers=bearer(WRITE))
+    assert posted.status_code == 202
+    location = posted.headers["location"]
+    assert api.http.get(location, headers=bearer(READ)).json()["id"] == posted.json()["id"]
+    assert api.http.post(f"{location}/cancel", headers=bearer(READ)).status_code == 403
+    assert api.http.get(location, headers=bearer(WRITE)).json()["state"] == "queued"
+    assert api.http.post("/api/v1/campaigns?validate_only=true", json=SMALL, headers=bearer(READ)).status_code == 200
+
+
+def test_the_document_says_that_a_token_is_asked_for(api: RunningApi) -> None:
+    document = api.http.get("/openapi.json", headers=bearer(READ)).json()
+    assert document["components"]["securitySchemes"]["token"]["scheme"] == "bearer"
+    assert document["security"] == [{"token": []}]
+    open_routes = {path for path, methods in document["paths"].items() for one in methods.values() if one.get("security") == []}
+    assert open_routes == OPEN
+
+
+def test_the_command_says_which_token_is_missing_or_wrong(
+    api: RunningApi, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("DRIVECAL_URL", api.url)
+    monkeypatch.delenv("DRIVECAL_TOKEN", raising=False)
+    told = command("list")
+    assert (told.exit_code, "asks for a token; set DRIVECAL_TOKEN" in told.stderr) == (4, True)
+    monkeypatch.setenv("DRIVECAL_TOKEN", "wrong-0123456789abcdef")
+    told = command("list")
+    assert (told.exit_code, "does not know this token" in told.stderr) == (4, True)
+    assert "wrong-0123456789abcdef" not in told.output
+    monkeypatch.setenv("DRIVECAL_TOKEN", READ)
+    assert command("list").exit_code == 0
+    (tmp_path / "campaign.json").write_text(json.dumps(SMALL))
+    assert command("submit", "campaign.json", "--dry-run").exit_code == 0
+    told = command("submit", "campaign.json")
+    assert (told.exit_code, "the token of reader may only read" in told.stderr) == (4, True)
+    monkeypatch.setenv("DRIVECAL_TOKEN", WRITE)
+    assert command("submit", "campaign.json").exit_code == 0
+
+
+def test_the_client_shows_its_token(api: RunningApi) -> None:
+    with Client(api.url, token=WRITE) as client:
+        assert client.scenarios().items
+        assert client.submit(SMALL).state == "queued"
+    with Client(api.url) as client, pytest.raises(NotAuthorisedError):
+        client.scenarios()
+
+
+def test_a_token_is_revoked_without_a_restart(tmp_path: Path) -> None:
+    path = tmp_path / "tokens"
+    path.write_text(TOKENS)
+    with serving(f"sqlite:///{tmp_path / 'drivecal.db'}", tokens_file=str(path)) as api:
+        assert api.http.get("/api/v1/scenarios", headers=bearer(WRITE)).status_code == 200
+        path.write_text(TOKENS.replace(WRITE, "another-0123456789abcdef"))
+        assert api.http.get("/api/v1/scenarios", headers=bearer(WRITE)).status_code == 401
+        assert api.http.get("/api/v1/scenarios", headers=bearer("another-0123456789abcdef")).status_code == 200
+        path.write_text("broken")
+        assert api.http.get("/api/v1/scenarios", headers=bearer(READ)).status_code == 200
+
+
+@pytest.fixture(scope="module")
+def tokenless(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
+    with serving(f"sqlite:///{tmp_path_factory.mktemp('tokenless') / 'drivecal.db'}") as running:
+        yield running
+
+
+def ask(api: RunningApi, method: str, path: str, **headers: str) -> httpx.Response:
+    return api.http.request(method, path, headers=headers, json=SMALL if method == "POST" else None)
+
+
+def problem(response: httpx.Response) -> dict[str, Any]:
+    assert response.headers["content-type"] == "application/problem+json"
+    document: dict[str, Any] = response.json()
+    return document
+
+
+@pytest.mark.parametrize(("method", "path"), routes())
+def test_without_tokens_no_name_of_a_stranger_reaches_any_route(tokenless: RunningApi, method: str, path: str) -> None:
+    assert problem(ask(tokenless, method, path, Host="attacker.example:8000"))["status"] == 421
+    if method in {"POST", "DELETE"}:
+        assert problem(ask(tokenless, method, path, Origin="https://attacker.example"))["status"] == 403
+
+
+def test_without_tokens_a_web_page_is_given_nothing(tokenless: RunningApi) -> None:
+    preflight = {"Origin": "https://attacker.example", "Access-Control-Request-Method": "POST"}
+    for method in ("OPTIONS", "GET"):
+        response = ask(tokenless, method, "/api/v1/campaigns", **preflight)
+        assert not [name for name in response.headers if name.startswith("access-control-")]
+    before = tokenless.http.get("/api/v1/campaigns").json()
+    form = tokenless.http.post("/api/v1/campaigns", content=b"{}", headers={"Content-Type": "text/plain"})
+    assert form.status_code == 415
+    assert tokenless.http.get("/api/v1/campaigns").json() == before
