@@ -1,0 +1,207 @@
+"""Attempts, over restarts too, and what was not sent after all."""
+
+from __future__ import annotations
+
+import pytest
+from tests.support.plant import TARGET, answers, cells, ids, setup
+
+from drivecal.contracts.work import BatchResult
+from drivecal.domain.evaluations import Breakdown
+from drivecal.execution.batching import BatchPolicy
+from drivecal.execution.scheduler import ATTEMPTS, Completed, Dispatch, Scheduler
+
+W, V = "worker 1", "worker 2"
+
+
+SMALL = 0.0001
+"""Seconds per cell of which many go into a batch, even at the end."""
+
+
+def scheduler(known: float | None = None) -> Scheduler:
+    """Of two workers; `known` is what a cell of S1 costs in seconds."""
+    made = Scheduler(BatchPolicy())
+    made.meet([W, V])
+    for worker in (W, V) if known is not None else ():
+        made.add(setup(), cells(1, first=999), "before", 0)
+        sent = send(made, worker)
+        made.finished(sent.batch_id, answers(sent, known or 0.0))
+    made.withdraw("before")
+    return made
+
+
+def send(of: Scheduler, worker: str = W) -> Dispatch:
+    sent = of.next_batch(worker, idle=True)
+    assert sent is not None
+    return sent
+
+
+def crash(of: Scheduler, sent: Dispatch) -> None:
+    assert of.lost(sent.batch_id, sent.worker, Breakdown.CRASH, "it died") == []
+
+
+def test_a_dispatch_tells_how_often_each_cell_broke_down() -> None:
+    one = scheduler(SMALL)
+    one.add(setup(), cells(4), "a", 0)
+    sent = send(one)
+    assert dict(sent.breakdowns) == {1: 0, 2: 0, 3: 0, 4: 0}
+    crash(one, sent)
+    assert dict(send(one).breakdowns) == {1: 1}
+
+
+def test_a_cell_with_earlier_breakdowns_is_sent_alone_from_the_start() -> None:
+    one = scheduler(SMALL)
+    one.add(setup(), cells(20), "a", 0, breakdowns={7: 1})
+    assert one.next_batch(W, idle=False) is None  # it runs dry
+    sent = send(one)
+    assert (ids(sent), sent.alone, dict(sent.breakdowns)) == ([7], True, {7: 1})
+    assert len(ids(send(one))) > 1
+
+
+@pytest.mark.parametrize("earlier", range(ATTEMPTS + 2))
+def test_breakdowns_before_a_restart_count(earlier: int) -> None:
+    one = scheduler()
+    one.add(setup(), cells(1), "a", 0, breakdowns={1: earlier})
+    tries = 0
+    completed: list[Completed] = []
+    while not completed:
+        tries += 1
+        sent = send(one)
+        completed = one.lost(sent.batch_id, W, Breakdown.HANG, "it hung")
+    assert [(done.result.breakdown, done.attempts) for done in completed] == [("hang", ATTEMPTS)]
+    assert tries == max(ATTEMPTS - earlier, 1)
+
+
+def test_attempts_count_the_breakdowns_and_the_try_that_succeeds() -> None:
+    one = scheduler()
+    one.add(setup(), cells(1), "a", 0, breakdowns={1: 1})
+    crash(one, send(one))
+    sent = send(one)
+    [done] = one.finished(sent.batch_id, answers(sent))
+    assert (done.attempts, done.result.breakdown) == (3, None)
+
+
+def test_breakdowns_are_told_once_to_whoever_writes_them_down() -> None:
+    one = scheduler(SMALL)
+    one.add(setup(), cells(3), "a", 0)
+    one.add(setup(), cells(1, first=11, values=[2.0]), "b", 0)
+    crash(one, send(one))
+    assert one.take_breakdowns() == {1: 1, 2: 1, 3: 1, 11: 1}
+    assert one.take_breakdowns() == {}
+    sent = send(one)
+    assert ids(sent) == [11]
+    crash(one, sent)
+    one.withdraw("b")
+    assert one.take_breakdowns() == {2: 2}
+    crash(one, send(one))
+    while one.held("a"):
+        sent = send(one)
+        one.finished(sent.batch_id, answers(sent))
+    assert one.take_breakdowns() == {}  # nothing is outstanding
+
+
+def test_a_refusal_is_no_breakdown() -> None:
+    one = scheduler(SMALL)
+    one.add(setup(), cells(3), "a", 0)
+    sent = send(one)
+    assert one.finished(sent.batch_id, BatchResult(W, (), 0.1, "it has no frenet")) == []
+    assert one.take_breakdowns() == {}
+    again = send(one, V)
+    assert (ids(again), set(again.breakdowns.values()), again.alone) == ([1, 2, 3], {0}, False)
+
+
+def test_cells_of_a_dispatch_that_was_not_sent_return_to_the_front_in_their_order() -> None:
+    one = scheduler(0.05)
+    one.add(setup(), cells(40), "a", 0)
+    first, second = send(one), send(one)
+    assert ids(first) + ids(second) == list(range(1, len(ids(first)) + len(ids(second)) + 1))
+    one.take_back(second.batch_id)
+    one.take_back(first.batch_id)
+    assert ids(send(one)) == ids(first)
+    assert ids(send(one)) == ids(second)
+
+
+def test_a_dispatch_that_was_not_sent_is_not_charged() -> None:
+    one = scheduler(0.05)
+    one.add(setup(), cells(400), "a", 0)
+    one.add(setup(), cells(400, first=1001), "b", 0)
+    first = send(one)
+    assert ids(first)[0] == 1
+    for _ in range(5):
+        one.take_back(first.batch_id)
+        first = send(one)
+        assert ids(first)[0] == 1
+    assert ids(send(one))[0] == 1001
+
+
+def test_suspects_that_were_not_sent_are_suspects_as_before() -> None:
+    one = scheduler()
+    one.add(setup(), cells(2), "a", 0, breakdowns={2: 2})
+    sent = send(one)
+    one.take_back(sent.batch_id)
+    again = send(one)
+    assert (ids(again), again.alone, dict(again.breakdowns)) == ([2], True, {2: 2})
+    assert one.take_breakdowns() == {}
+
+
+def test_a_dispatch_that_was_taken_back_is_not_expected_any_more() -> None:
+    one = scheduler()
+    one.add(setup(), cells(1), "a", 0)
+    sent = send(one)
+    one.take_back(sent.batch_id)
+    assert one.finished(sent.batch_id, answers(sent)) == []
+    assert one.lost(sent.batch_id, W, Breakdown.CRASH, "it died") == []
+    assert one.held("a") == 1
+
+
+def test_cells_that_were_withdrawn_while_a_dispatch_was_out_do_not_return_with_it() -> None:
+    one = scheduler()
+    one.add(setup(), cells(1), "a", 0)
+    sent = send(one)
+    assert one.withdraw("a") == 1
+    one.take_back(sent.batch_id)
+    assert one.held("a") == 0
+    assert one.next_batch(W, idle=True) is None
+
+
+def test_dropped_cells_are_forgotten_and_the_rest_of_their_batch_is_sent() -> None:
+    one = scheduler(SMALL)
+    one.add(setup(), cells(4), "a", 0)
+    sent = send(one)
+    assert ids(sent) == [1, 2, 3, 4]
+    assert sent.expected_seconds == pytest.approx(4 * SMALL)
+    rest = one.drop(sent.batch_id, {2, 777})
+    assert rest is not None
+    assert (rest.batch_id, rest.worker, ids(rest)) == (sent.batch_id, W, [1, 3, 4])
+    assert rest.expected_seconds == pytest.approx(3 * SMALL)
+    assert set(rest.breakdowns) == {1, 3, 4}
+    assert one.held("a") == 3
+    completed = one.finished(rest.batch_id, answers(rest))
+    assert [done.result.id for done in completed] == ids(rest)
+    one.add(setup(), cells(1, first=2), "a", 0)  # forgotten: it may come again
+
+
+def test_a_batch_of_which_everything_is_dropped_is_none_and_costs_nothing() -> None:
+    one = scheduler(TARGET)
+    one.add(setup(), cells(3), "a", 0)
+    one.add(setup(), cells(3, first=11), "b", 0)
+    for number in (1, 2):
+        sent = send(one)
+        assert ids(sent) == [number]
+        assert one.drop(sent.batch_id, {number}) is None
+        assert one.finished(sent.batch_id, answers(sent)) == []
+    assert ids(send(one)) == [3]
+    assert ids(send(one)) == [11]
+    assert one.held("a") == 1
+
+
+def test_a_breakdown_in_company_is_never_the_last() -> None:
+    """A campaign joins with what broke down twice, before a restart, while its like is in a batch with a poison cell."""
+    one = scheduler(SMALL)
+    one.add(setup(), cells(2), "a", 0)
+    sent = send(one)
+    assert len(ids(sent)) == 2
+    one.add(setup(), cells(1, first=11, values=[1.0]), "b", 0, breakdowns={11: 2})
+    crash(one, sent)
+    again = send(one)
+    assert again.alone
+    assert again.breakdowns in ({1: 2}, {11: 2})

@@ -1,0 +1,224 @@
+"""Identical cells of parallel campaigns are simulated once."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from tests.support.plant import Plant, answers, cells, ids, setup
+
+from drivecal.contracts.work import Cell, SetupRequest
+from drivecal.domain.evaluations import Breakdown
+from drivecal.execution.batching import BatchPolicy
+from drivecal.execution.scheduler import ATTEMPTS, Completed, Dispatch, Scheduler
+
+W, V = "worker 1", "worker 2"
+
+
+def scheduler() -> Scheduler:
+    made = Scheduler(BatchPolicy())
+    made.meet([W, V])
+    return made
+
+
+def add(to: Scheduler, tag: str, first: int, values: Sequence[float], priority: int = 0, *, exclusive: bool = False) -> None:
+    to.add(setup(), cells(len(values), first, values), tag, priority, exclusive=exclusive)
+
+
+def send(of: Scheduler, worker: str = W) -> Dispatch:
+    sent = of.next_batch(worker, idle=True)
+    assert sent is not None
+    return sent
+
+
+def finish(of: Scheduler, sent: Dispatch) -> list[Completed]:
+    return of.finished(sent.batch_id, answers(sent))
+
+
+def crash(of: Scheduler, sent: Dispatch) -> list[Completed]:
+    return of.lost(sent.batch_id, sent.worker, Breakdown.CRASH, "it died")
+
+
+def test_an_identical_cell_of_another_campaign_is_answered_with_the_first_ones_result() -> None:
+    one = scheduler()
+    add(one, "a", 1, [0.25])
+    sent = send(one)
+    add(one, "b", 2, [0.25])
+    assert one.next_batch(V, idle=True) is None
+    leader, follower = finish(one, sent)
+    assert (leader.tag, leader.result.id, leader.shared, leader.leader) == ("a", 1, False, None)
+    assert (follower.tag, follower.result.id, follower.shared, follower.leader) == ("b", 2, True, 1)
+    assert (leader.result.rating, leader.attempts, leader.worker) == (0.25, 1, W)
+    assert (follower.result.rating, follower.attempts, follower.worker) == (0.25, 1, W)
+    assert one.held("a") == one.held("b") == 0
+    add(one, "b", 3, [0.25])
+    assert ids(send(one)) == [3]  # the answer was given: whoever comes later looks it up elsewhere
+
+
+def test_the_cell_whose_turn_comes_first_is_the_one_that_is_sent() -> None:
+    one = scheduler()
+    add(one, "long", 1, [float(value) for value in range(100)])
+    add(one, "short", 1001, [99.0])
+    sent = [send(one), send(one)]
+    assert sorted(number for each in sent for number in ids(each)) == [1, 1001]
+    completed = [done for each in sent for done in finish(one, each)]
+    assert [(done.result.id, done.leader) for done in completed if done.result.rating == 99.0] == [(1001, None), (100, 1001)]
+
+
+def test_a_cell_of_higher_priority_does_not_wait_for_the_priority_of_its_like() -> None:
+    one = scheduler()
+    add(one, "low", 1, [1.0, 2.0, 3.0])
+    add(one, "high", 11, [3.0], priority=7)
+    sent = send(one)
+    assert ids(sent) == [11]
+    assert [(done.tag, done.result.id) for done in finish(one, sent)] == [("high", 11), ("low", 3)]
+
+
+def test_a_follower_fails_with_its_leader_for_good() -> None:
+    one = scheduler()
+    add(one, "a", 1, [1.0])
+    completed: list[Completed] = []
+    for number in range(ATTEMPTS):
+        sent = send(one)
+        if number == 1:
+            add(one, "b", 2, [1.0])
+        assert not completed
+        completed = crash(one, sent)
+    assert [(done.tag, done.result.id, done.result.breakdown, done.attempts) for done in completed] == [
+        ("a", 1, "crash", ATTEMPTS),
+        ("b", 2, "crash", ATTEMPTS),
+    ]
+    assert [done.shared for done in completed] == [False, True]
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        setup("S2"),
+        setup("S1", evaluator="strict"),
+        setup("S1", fingerprint="another version"),
+    ],
+)
+def test_cells_of_other_setups_and_evaluators_are_not_identical(other: SetupRequest) -> None:
+    one = scheduler()
+    add(one, "a", 1, [1.0])
+    one.add(other, cells(1, 2, [1.0]), "b", 0)
+    assert ids(send(one)) + ids(send(one)) == [1, 2]
+
+
+@pytest.mark.parametrize(
+    ("parameters", "like"),
+    [
+        ({"P1": 0.0}, {"P1": -0.0}),
+        ({"P1": 0.1 + 0.2}, {"P1": 0.3}),
+        ({"P1": 1.0}, {"P2": 1.0}),
+        ({"P1": 1.0}, {"P1": 1.0, "P2": 0.0}),
+        ({"P1": 1.0, "P2": 2.0}, {"P1": 2.0, "P2": 1.0}),
+    ],
+)
+def test_parameters_that_differ_in_a_bit_are_not_identical(parameters: dict[str, float], like: dict[str, float]) -> None:
+    one = scheduler()
+    one.add(setup(), [Cell(1, parameters)], "a", 0)
+    one.add(setup(), [Cell(2, like)], "b", 0)
+    assert ids(send(one)) + ids(send(one)) == [1, 2]
+
+
+def test_the_order_of_the_parameters_makes_no_difference() -> None:
+    one = scheduler()
+    one.add(setup(), [Cell(1, {"P1": 1.0, "P2": math.nan})], "a", 0)
+    one.add(setup(), [Cell(2, {"P2": math.nan, "P1": 1.0})], "b", 0)
+    assert ids(send(one)) == [1]
+    assert one.next_batch(V, idle=True) is None
+
+
+@pytest.mark.parametrize("exclusive", [(True, False), (False, True), (True, True)])
+def test_exclusive_cells_are_simulated_themselves(exclusive: tuple[bool, bool]) -> None:
+    one = scheduler()
+    for number, alone in enumerate(exclusive):
+        add(one, "ab"[number], 1 + number, [1.0], exclusive=alone)
+    assert ids(send(one)) + ids(send(one)) == [1, 2]
+
+
+def test_a_withdrawn_follower_leaves_its_leader_alone() -> None:
+    one = scheduler()
+    add(one, "a", 1, [1.0])
+    sent = send(one)
+    add(one, "b", 2, [1.0])
+    assert one.withdraw("b") == 0
+    assert (one.held("a"), one.held("b")) == (1, 0)
+    assert [done.tag for done in finish(one, sent)] == ["a"]
+
+
+def test_a_follower_takes_the_place_of_a_leader_that_is_withdrawn_while_it_waits() -> None:
+    one = scheduler()
+    add(one, "a", 1, [1.0, 2.0])
+    add(one, "b", 11, [1.0, 2.0])
+    assert one.withdraw("a") == 0
+    sent = [send(one), send(one)]
+    assert [number for each in sent for number in ids(each)] == [11, 12]
+    assert [done.result.id for each in sent for done in finish(one, each)] == [11, 12]
+
+
+def test_a_follower_takes_the_place_of_a_leader_that_is_lost_after_it_was_withdrawn() -> None:
+    one = scheduler()
+    add(one, "a", 1, [1.0])
+    sent = send(one)
+    add(one, "b", 2, [1.0])
+    assert one.withdraw("a") == 1
+    assert crash(one, sent) == []
+    assert (one.held("a"), one.held("b")) == (0, 1)
+    again = send(one)
+    assert (ids(again), dict(again.breakdowns), again.alone) == ([2], {2: 1}, True)
+    [done] = finish(one, again)
+    assert (done.tag, done.attempts, done.shared) == ("b", 2, False)
+
+
+def test_a_withdrawn_leader_that_comes_back_answers_its_followers_too() -> None:
+    one = scheduler()
+    add(one, "a", 1, [1.0])
+    sent = send(one)
+    one.withdraw("a")
+    add(one, "b", 2, [1.0])
+    assert one.next_batch(V, idle=True) is None
+    assert [(done.tag, done.shared) for done in finish(one, sent)] == [("a", False), ("b", True)]
+
+
+def test_a_follower_with_earlier_breakdowns_makes_a_suspect_of_its_leader() -> None:
+    one = scheduler()
+    add(one, "a", 1, [1.0, 2.0])
+    one.add(setup(), cells(1, 11, [2.0]), "b", 0, breakdowns={11: 2})
+    suspect = send(one)
+    assert (ids(suspect), suspect.alone, dict(suspect.breakdowns)) == ([2], True, {2: 2})
+    assert {done.result.id: done.attempts for done in finish(one, suspect)} == {2: 3, 11: 3}
+
+
+def test_followers_are_not_lost_with_a_leader_that_is_dropped() -> None:
+    one = scheduler()
+    add(one, "a", 1, [1.0])
+    sent = send(one)
+    add(one, "b", 2, [1.0])
+    assert one.drop(sent.batch_id, {1}) is None
+    assert (one.held("a"), one.held("b")) == (0, 1)
+    assert ids(send(one)) == [2]
+
+
+@given(
+    st.lists(st.tuples(st.sampled_from("abcd"), st.lists(st.integers(0, 9), min_size=1, max_size=30)), min_size=1, max_size=8)
+)
+def test_every_value_is_simulated_once_and_every_cell_gets_its_value(work: list[tuple[str, list[int]]]) -> None:
+    plant = Plant(2)
+    values: dict[int, float] = {}
+    for tag, wanted in work:
+        first = len(values) + 1
+        values |= {first + index: float(value) for index, value in enumerate(wanted)}
+        plant.add(tag, "S1", cells(len(wanted), first, [float(value) for value in wanted]))
+    plant.run()
+    assert {one.result.id: one.result.rating for one in plant.completed} == values
+    assert len(plant.completed) == len(values)
+    assert sum(count for _, _, count in plant.order) == len(set(values.values()))
+    leaders = {one.result.id for one in plant.completed if not one.shared}
+    assert all(values[one.leader] == values[one.result.id] for one in plant.completed if one.leader is not None)
+    assert {one.leader for one in plant.completed if one.leader is not None} <= leaders
