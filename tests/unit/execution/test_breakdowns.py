@@ -87,15 +87,16 @@ def test_breakdowns_are_told_once_to_whoever_writes_them_down() -> None:
     crash(one, send(one))
     assert one.take_breakdowns() == {1: 1, 2: 1, 3: 1, 11: 1}
     assert one.take_breakdowns() == {}
-    sent = send(one)
-    assert ids(sent) == [11]
-    crash(one, sent)
+    sent = [send(one), send(one)]
+    assert [ids(each) for each in sent] == [[1], [11]]
+    for each in sent:
+        crash(one, each)
     one.withdraw("b")
-    assert one.take_breakdowns() == {2: 2}
+    assert one.take_breakdowns() == {1: 2, 2: 2}
     crash(one, send(one))
     while one.held("a"):
-        sent = send(one)
-        one.finished(sent.batch_id, answers(sent))
+        last = send(one)
+        one.finished(last.batch_id, answers(last))
     assert one.take_breakdowns() == {}  # nothing is outstanding
 
 
