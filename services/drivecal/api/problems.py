@@ -31,6 +31,8 @@ from drivecal.domain.errors import (
 MEDIA_TYPE = "application/problem+json"
 RETRY_SECONDS = 5
 """What a client is told to wait when something the service depends on does not answer."""
+REQUEST_ID = "X-Request-ID"
+"""The header with the id under which the log speaks of a request."""
 MOST_PROBLEMS = 100
 """Problems that one answer lists: who sends 10,000 wrong fields mends the first ones first."""
 
@@ -156,4 +158,6 @@ async def _http_error(request: Request, error: Exception) -> Response:
 
 async def _unexpected(request: Request, error: Exception) -> Response:
     log.error("%s %s failed", request.method, request.url.path, exc_info=error)
-    return problem_response(request, 500, "drivecal made a mistake; its log says more")
+    request_id = getattr(request.state, "request_id", "")
+    detail = f"drivecal made a mistake; the server's log says more about request {request_id}"
+    return problem_response(request, 500, detail, headers={REQUEST_ID: request_id})

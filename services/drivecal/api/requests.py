@@ -11,10 +11,11 @@ from http import HTTPStatus
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from drivecal.api.answers import ROOT
 from drivecal.api.metrics import Meters
+from drivecal.api.problems import REQUEST_ID
 from drivecal.configuration import logs
 
-HEADER = "X-Request-ID"
 METHODS = {"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"}
 READING = {"GET", "HEAD", "OPTIONS"}
 LONGEST_PATH = 200
@@ -39,8 +40,9 @@ class RequestRecords:
             await self.app(scope, receive, send)
             return
         begin = time.perf_counter()
-        given = Headers(scope=scope).get(HEADER, "")
+        given = Headers(scope=scope).get(REQUEST_ID, "")
         request_id = given if _SANE.fullmatch(given) else uuid.uuid4().hex
+        scope.setdefault("state", {})["request_id"] = request_id
         logs.begin(request=request_id)
         status = int(HTTPStatus.INTERNAL_SERVER_ERROR)  # where nothing is answered here, an error is answered outside
         streams = False
@@ -50,7 +52,7 @@ class RequestRecords:
             if message["type"] == "http.response.start":
                 status = message["status"]
                 headers = MutableHeaders(scope=message)
-                headers[HEADER] = request_id
+                headers[REQUEST_ID] = request_id
                 streams = headers.get("content-type", "").startswith("text/event-stream")
                 if streams:
                     self.meters.event_streams.inc()
@@ -65,7 +67,7 @@ class RequestRecords:
 
     def _note(self, scope: Scope, status: int, seconds: float | None) -> None:
         """`seconds` is None for an event stream, which lasts as long as somebody listens."""
-        route = getattr(scope.get("route"), "path", "none")
+        route = _template(scope)
         method = scope["method"] if scope["method"] in METHODS else "other"
         self.meters.requests.labels(route, method, status).inc()
         if seconds is not None:
@@ -80,3 +82,11 @@ class RequestRecords:
             known |= {"status": status, "milliseconds": None if seconds is None else round(1000 * seconds, 1)}
             told = {name: value for name, value in known.items() if value is not None}
             log.log(level, "%s %s: %d", method, known["path"], status, extra=told)
+
+
+def _template(scope: Scope) -> str:
+    """The path with its parameters' names, `none` where no route was reached. FastAPI may leave out what a router was included under."""
+    route: str | None = getattr(scope.get("route"), "path", None)
+    if route is None:
+        return "none"
+    return ROOT + route if scope["path"].startswith(ROOT) and not route.startswith(ROOT) else route

@@ -1,0 +1,263 @@
+"""`/metrics` over real HTTP, read as Prometheus reads it."""
+
+from __future__ import annotations
+
+import re
+import threading
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+from prometheus_client import Metric, parser
+from prometheus_client.openmetrics import parser as openmetrics
+from sqlalchemy import text, update
+from tests.support.server import RunningApi, new_database, serving
+
+from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.evaluations import Outcome
+from drivecal.execution.measures import BOUNDS, Measures
+from drivecal.storage import campaigns, processes
+from drivecal.storage.tables import campaigns as table
+from drivecal.storage.tables import processes as process_table
+from drivecal.storage.types import now
+
+OPEN = {"Accept": "application/openmetrics-text; version=1.0.0; charset=utf-8"}
+UNITS = ("_seconds", "_bytes")
+UNITLESS = {
+    *(
+        "drivecal_build",
+        "drivecal_database_up",
+        "drivecal_campaigns",
+        "drivecal_cells",
+        "drivecal_cells_pending",
+        "drivecal_leases",
+    ),
+    *("drivecal_reference_runs", "drivecal_ready", "drivecal_degraded", "drivecal_dispatcher_elections", "drivecal_workers"),
+    *(
+        "drivecal_breakdowns",
+        "drivecal_retries",
+        "drivecal_late_results",
+        "drivecal_http_requests",
+        "drivecal_http_event_streams",
+    ),
+}
+"""What counts things, or is a truth, and so has no unit."""
+
+
+@pytest.fixture(scope="module", params=["sqlite", "postgresql"])
+def api(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
+    url = new_database(request, request.param, tmp_path_factory.mktemp("metrics"))
+    with serving(url) as running:
+        yield running
+
+
+def metrics(api: RunningApi) -> dict[str, Metric]:
+    """By name, of the scrape in either format: they have to agree where nothing happens in between."""
+    response = api.http.get("/metrics", headers=OPEN)
+    assert response.status_code == 200
+    assert response.headers["content-type"].startswith("application/openmetrics-text; version=1.0.0")
+    return {one.name: one for one in openmetrics.text_string_to_metric_families(response.text)}  # type: ignore[no-untyped-call]
+
+
+def samples(metric: Metric) -> dict[tuple[str, ...], float]:
+    """By the values of their labels, in the order of the labels' names."""
+    return {tuple(value for _, value in sorted(one.labels.items())): one.value for one in metric.samples}
+
+
+def value(found: dict[str, Metric], name: str, **labels: str) -> float:
+    (one,) = (one for one in found[name].samples if one.labels == labels)
+    return one.value
+
+
+def beat(api: RunningApi, detail: dict[str, Any]) -> None:
+    with api.database.transaction() as connection:
+        processes.heartbeat(connection, processes.DISPATCHER, 1, now(), detail)
+
+
+def busy(api: RunningApi) -> Measures:
+    """A dispatcher that has done something."""
+    measures = Measures()
+    for seconds in (0.004, 0.2, 0.2, 90.0):
+        measures.observe("lookup", seconds)
+    measures.count("breakdowns", "crash", 2)
+    measures.count("late_results")
+    states = ("idle", "busy", "busy", "starting")
+    workers = [{"id": f"worker-{n}", "node": "here", "state": state, "cells": 0} for n, state in enumerate(states)]
+    beat(api, {"workers": workers, "degraded": "one worker is missing", "measures": measures.snapshot()})
+    return measures
+
+
+def test_the_sums_are_those_of_all_campaigns(api: RunningApi) -> None:
+    cells = [
+        {
+            "proposed": 30,
+            "pending": 9,
+            "requested": 21,
+            "repeated": 1,
+            "reused": 2,
+            "certified": 3,
+            "simulated": 14,
+            "failed": 1,
+        },
+        {"proposed": 10, "pending": 0, "requested": 10, "simulated": 10},
+    ]
+    with api.database.transaction() as connection:
+        for one in cells:
+            stored = campaigns.insert(connection, name="x", spec={})
+            values = {"cells": one, "simulating_seconds": 2.5, "state": "running"}
+            connection.execute(update(table).where(table.c.sequence == stored.sequence).values(values))
+        campaigns.end(connection, stored.sequence, CampaignState.FAILED)
+    found = metrics(api)
+    assert value(found, "drivecal_database_up") == 1
+    by_outcome = {
+        outcome.value: value(found, "drivecal_cells", stage="calibration", outcome=outcome.value) for outcome in Outcome
+    }
+    assert by_outcome == {"repeated": 1, "reused": 2, "certified": 3, "simulated": 24, "failed": 1}
+    assert sum(by_outcome.values()) == 31, "requested is the sum of the outcomes"
+    assert value(found, "drivecal_cells_pending", stage="calibration") == 9
+    assert value(found, "drivecal_campaigns", kind="calibration", state="running") == 1
+    assert value(found, "drivecal_campaigns", kind="calibration", state="failed") == 1
+    assert sum(samples(found["drivecal_campaigns"]).values()) == 2
+    assert value(found, "drivecal_simulating_seconds") == 5.0
+    again = metrics(api)
+    for name in ("drivecal_cells", "drivecal_cells_pending", "drivecal_campaigns", "drivecal_simulating_seconds"):
+        assert samples(again[name]) == samples(found[name])
+
+
+def test_the_dispatchers_measures_come_through(api: RunningApi) -> None:
+    busy(api)
+    found = metrics(api)
+    assert samples(found["drivecal_workers"]) == {("starting",): 1, ("idle",): 1, ("busy",): 2}
+    assert (value(found, "drivecal_ready"), value(found, "drivecal_degraded")) == (1, 1)
+    assert value(found, "drivecal_dispatcher_heartbeat_age_seconds") < 5
+    assert value(found, "drivecal_breakdowns", kind="crash") == 2
+    assert value(found, "drivecal_breakdowns", kind="hang") == 0
+    assert value(found, "drivecal_late_results") == 1
+    lookup = {(one.name, one.labels.get("le")): one.value for one in found["drivecal_lookup_seconds"].samples}
+    buckets = [lookup["drivecal_lookup_seconds_bucket", le] for le in (*map(str, BOUNDS), "+Inf")]
+    assert buckets == sorted(buckets)
+    assert lookup["drivecal_lookup_seconds_bucket", "0.005"] == 1
+    assert lookup["drivecal_lookup_seconds_bucket", "60.0"] == 3
+    assert buckets[-1] == lookup["drivecal_lookup_seconds_count", None] == 4
+    assert lookup["drivecal_lookup_seconds_sum", None] == pytest.approx(90.404)
+
+
+def test_requests_are_counted_by_route_and_not_by_what_somebody_asked_for(api: RunningApi) -> None:
+    before = samples(metrics(api)["drivecal_http_requests"])
+    for path in ("/api/v1/campaigns/a", "/api/v1/campaigns/b", "/no/such/thing", "/another"):
+        assert api.http.get(path).status_code == 404
+    assert api.http.request("BREW", "/healthz").status_code == 405
+    assert api.http.get("/api/v1/campaigns", headers={"Host": "evil.example"}).status_code == 421
+    after = Counter(samples(metrics(api)["drivecal_http_requests"]))
+    after.subtract(before)
+    assert {labels: count for labels, count in after.items() if count and labels[1] != "/metrics"} == {
+        ("GET", "/api/v1/campaigns/{campaign_id}", "404"): 2,
+        ("GET", "none", "404"): 2,
+        ("other", "/healthz", "405"): 1,
+        ("GET", "none", "421"): 1,
+    }
+    found = metrics(api)
+    observed = value_of_count(found["drivecal_http_request_seconds"], "/api/v1/campaigns/{campaign_id}")
+    answered = [
+        one for one in found["drivecal_http_requests"].samples if one.labels["route"] == "/api/v1/campaigns/{campaign_id}"
+    ]
+    assert observed == sum(one.value for one in answered)
+
+
+def value_of_count(histogram: Metric, route: str) -> float:
+    return sum(one.value for one in histogram.samples if one.name.endswith("_count") and one.labels["route"] == route)
+
+
+def test_open_event_streams_are_counted_while_they_are_open(api: RunningApi) -> None:
+    with api.database.transaction() as connection:
+        stored = campaigns.insert(connection, name="followed", spec={})
+    assert value(metrics(api), "drivecal_http_event_streams") == 0
+    with httpx.stream("GET", f"{api.url}/api/v1/campaigns/{stored.id}/events", timeout=30) as stream:
+        assert stream.status_code == 200
+        assert value(metrics(api), "drivecal_http_event_streams") == 1
+    for _ in range(100):
+        if value(metrics(api), "drivecal_http_event_streams") == 0:
+            break
+    assert value(metrics(api), "drivecal_http_event_streams") == 0
+    routes = {one.labels["route"] for one in metrics(api)["drivecal_http_request_seconds"].samples}
+    assert not [route for route in routes if route.endswith("/events")]
+
+
+def test_both_formats_are_what_a_linter_wants(api: RunningApi) -> None:
+    """As `promtool check metrics`: help and type once, names with units, counters that end in _total, and nothing twice."""
+    busy(api)
+    metrics(api)
+    plain = api.http.get("/metrics")
+    assert plain.headers["content-type"] == "text/plain; version=0.0.4; charset=utf-8"
+    lines = plain.text.splitlines()
+    for word in ("HELP", "TYPE"):
+        names = [line.split()[2] for line in lines if line.startswith(f"# {word} ")]
+        assert len(names) == len(set(names))
+    families = list(parser.text_string_to_metric_families(plain.text))
+    for family in families:
+        assert family.documentation, family.name
+        assert family.type in {"counter", "gauge", "histogram"}, family.name
+        assert re.fullmatch(r"(drivecal|process)_[a-z_]+", family.name)
+        assert not family.name.endswith(("_total", "_count", "_sum", "_bucket", "_info")) or family.type == "gauge"
+        if family.name.startswith("drivecal_"):
+            assert family.name.endswith(UNITS) or family.name.removesuffix("_info") in UNITLESS, family.name
+        for sample in family.samples:
+            assert sample.name.endswith("_total") or family.type != "counter", sample.name
+            assert not sample.name.endswith("_created")
+    seen = Counter((one.name, tuple(sorted(one.labels.items()))) for family in families for one in family.samples)
+    assert seen.most_common(1)[0][1] == 1
+    assert {name.removesuffix("_info") for name in {family.name for family in families}} == set(metrics(api))
+
+
+@pytest.mark.parametrize("accept", ["application/openmetrics-text; version=abc", "text/plain; version=;;,,", "\xff", "*/*", ""])
+def test_no_accept_header_is_too_odd(api: RunningApi, accept: str) -> None:
+    assert api.http.get("/metrics", headers=[(b"accept", accept.encode("latin-1"))]).status_code == 200
+
+
+def test_scrapes_at_the_same_time_agree(api: RunningApi) -> None:
+    found: list[float] = []
+    threads = [
+        threading.Thread(target=lambda: found.append(sum(samples(metrics(api)["drivecal_campaigns"]).values())))
+        for _ in range(8)
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(found) == 8
+    assert len(set(found)) == 1
+
+
+def test_every_metric_is_in_the_documentation(api: RunningApi) -> None:
+    busy(api)
+    page = (Path(__file__).parents[2] / "deploy" / "README.md").read_text()
+    documented = set(re.findall(r"^\| `(drivecal_[a-z_]+)", page, re.MULTILINE))
+    shown = {re.sub(r"_(bucket|sum|count)$", "", one.name) for metric in metrics(api).values() for one in metric.samples}
+    assert {name for name in shown if name.startswith("drivecal_")} == documented
+
+
+def test_a_database_that_fails_is_said_to_be_down(tmp_path: Path) -> None:
+    with serving(f"sqlite:///{tmp_path / 'drivecal.db'}") as api:
+        busy(api)
+        assert value(metrics(api), "drivecal_database_up") == 1
+        with api.database.transaction() as connection:
+            connection.execute(text("ALTER TABLE campaigns RENAME TO gone"))
+        found = metrics(api)
+        assert value(found, "drivecal_database_up") == 0
+        assert "drivecal_workers" not in found
+        assert "drivecal_http_requests" in found
+
+
+def test_the_workers_of_a_silent_dispatcher_are_none(tmp_path: Path) -> None:
+    with serving(f"sqlite:///{tmp_path / 'drivecal.db'}") as api:
+        busy(api)
+        with api.database.transaction() as connection:
+            connection.execute(update(process_table).values(heartbeat_at=now().replace(year=2020)))
+        found = metrics(api)
+        assert set(samples(found["drivecal_workers"]).values()) == {0}
+        assert value(found, "drivecal_ready") == 0
+        assert value(found, "drivecal_dispatcher_heartbeat_age_seconds") > 1e6
+        assert value(found, "drivecal_breakdowns", kind="crash") == 2
