@@ -55,6 +55,8 @@ class Settings(BaseSettings):
     log_level: Literal["debug", "info", "warning", "error"] = "info"
     running_campaigns: Annotated[int, Field(ge=1, le=1000)] = 8
     """Campaigns at a time; the others wait, those of higher priority the shortest. Single evaluations do not count."""
+    event_days: Annotated[int, Field(ge=1, le=36_500)] = 30
+    """How long it is kept what happened to campaigns; the last event of each stays."""
 
     @field_validator("home", "tokens_file")
     @classmethod
