@@ -1,6 +1,6 @@
 # drivecal: `make help` lists what can be made. Everything runs in .venv, which is installed on first use.
 .DEFAULT_GOAL := help
-.PHONY: help demo test check bench format lock networks clean
+.PHONY: help demo test test-faults check bench format lock networks clean
 BIN := .venv/bin
 INSTALLED := .venv/.installed
 
@@ -15,6 +15,9 @@ demo: $(INSTALLED) ## calibrate the highway planner in S1..S6 through the REST A
 
 test: $(INSTALLED) ## run the whole test suite: real SUMO, Ray, HTTP, SQLite and PostgreSQL
 	@$(BIN)/pytest
+
+test-faults: $(INSTALLED) ## kill, stop and starve everything there is, at random points: the long forms of the fault suite (hours)
+	@$(BIN)/pytest tests/faults -m faults
 
 check: $(INSTALLED) ## lint, formatting, types and import rules
 	@$(BIN)/ruff check .

@@ -1,4 +1,4 @@
-"""Setup and cells for the driving function in `plugins`, as a coordinator that has it installed would send them."""
+"""Setup and cells for the driving functions in `plugins`, as a coordinator that has them installed would send them."""
 
 from __future__ import annotations
 
@@ -18,22 +18,24 @@ FOLDER = Path(__file__).parent / "plugins"
 
 
 @cache
-def _plug_in() -> Any:
-    specification = importlib.util.spec_from_file_location("misbehaving", FOLDER / "misbehaving.py")
+def plug_in(name: str) -> Any:
+    """The module of one of them."""
+    specification = importlib.util.spec_from_file_location(name, FOLDER / f"{name}.py")
     assert specification is not None
     assert specification.loader is not None
     module = importlib.util.module_from_spec(specification)
     specification.loader.exec_module(module)
-    return module.MISBEHAVING
+    return module
 
 
-def misbehaving_setup(scenario: str = "S1", evaluator: str = "reference") -> SetupRequest:
+def misbehaving_setup(scenario: str = "S1", evaluator: str = "reference", name: str = "misbehaving") -> SetupRequest:
     vehicle = registry.vehicle("single_track")
-    setup = setup_of(registry.catalogue("highway").scenarios[scenario], _plug_in(), vehicle, {})
+    function = getattr(plug_in(name), name.upper())
+    setup = setup_of(registry.catalogue("highway").scenarios[scenario], function, vehicle, {})
     return SetupRequest(
         "highway",
         scenario,
-        "misbehaving",
+        name,
         "single_track",
         setup.vehicle_parameters,
         evaluator,

@@ -1,0 +1,73 @@
+"""What the fault suite needs: databases that can be killed, and what the campaigns find without any fault."""
+
+from __future__ import annotations
+
+import os
+import random
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from tests.support.faults.coordinator import Coordinator, coordinator
+from tests.support.faults.findings import Found, assert_sound, found
+from tests.support.faults.lives import wait_until_ended
+from tests.support.faults.postgres import KillablePostgres, killable_postgres
+from tests.support.faults.workload import submit
+
+LONG = "faults"
+"""The marker of what only `make test-faults` runs."""
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leaves the long forms out unless they are asked for by their marker."""
+    if LONG in config.option.markexpr:
+        return
+    long = [one for one in items if one.get_closest_marker(LONG)]
+    if long:
+        config.hook.pytest_deselected(items=long)
+        items[:] = [one for one in items if not one.get_closest_marker(LONG)]
+
+
+@pytest.fixture(scope="session")
+def postgres() -> Iterator[KillablePostgres]:
+    """A PostgreSQL server that the suite may kill; whoever does starts it again."""
+    with killable_postgres() as server:
+        yield server
+
+
+@pytest.fixture(scope="session")
+def without_faults(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Found]:
+    """What the campaigns find, by name, on SQLite and a server that nothing happens to. Both databases have to give just this."""
+    with coordinator(tmp_path_factory.mktemp("without-faults")) as server:
+        server.start_ready()
+        accepted = submit(server.url)
+        wait_until_ended(server, accepted)
+        assert_sound(server, accepted)
+        results = {name: found(server, identifier) for name, identifier in accepted.campaigns.items()}
+        server.terminate()
+    counts = results["reusing"].campaign["cells"]
+    assert min(counts[name] for name in ("repeated", "reused", "simulated", "audited", "carried_over")) > 0, counts
+    assert len({row["score"] for row in results["reusing"].evaluations}) >= 3
+    assert results["analysing"].campaign["sensitivity_cells"]["simulated"] > 50
+    return results
+
+
+@pytest.fixture
+def server_on(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Callable[[str], Coordinator]]:
+    """Makes the test's server, not started, on an empty database of a kind."""
+    made: list[Coordinator] = []
+
+    def make(kind: str) -> Coordinator:
+        url = request.getfixturevalue("postgres").new_database() if kind == "postgresql" else None
+        made.append(Coordinator(tmp_path, url))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.close()
+
+
+@pytest.fixture(scope="session")
+def base_seed() -> int:
+    """Of all random points: DRIVECAL_FAULTS_SEED repeats a suite that failed, otherwise every suite has its own."""
+    return int(os.environ.get("DRIVECAL_FAULTS_SEED") or random.randrange(10**6) * 1000)

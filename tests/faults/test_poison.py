@@ -1,0 +1,113 @@
+"""Cells that break the worker that simulates them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from sqlalchemy import select
+from tests.support.faults.coordinator import coordinator
+from tests.support.faults.lives import wait_until_ended
+from tests.support.faults.workload import submit
+from tests.support.misbehaviour import FOLDER, misbehaving_setup, plug_in
+
+from drivecal.contracts.work import Batch, Cell
+from drivecal.domain.evaluations import Breakdown
+from drivecal.execution.batching import BatchPolicy
+from drivecal.execution.pool import WorkPool
+from drivecal.execution.ray_backend import RayBackend
+from drivecal.execution.scheduler import ATTEMPTS, Completed
+from drivecal.storage.tables import evaluations
+
+POISON = plug_in("poisonous")
+CAUSES = {POISON.SEGFAULT: Breakdown.CRASH, POISON.HANG: Breakdown.HANG, POISON.MEMORY: Breakdown.MEMORY}
+ALL_AT_ONCE = BatchPolicy(target_seconds=600, shortest_seconds=600, largest=POISON.DOSES)
+DEADLINE_SECONDS = 4.0
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture
+def impatient(ray_backend: RayBackend, monkeypatch: pytest.MonkeyPatch) -> Iterator[RayBackend]:
+    """The tests' workers, of whom nobody waits long for an answer."""
+    while len(ray_backend.slots()) < 2:
+        ray_backend.wait(0.5)
+    monkeypatch.setattr(ray_backend, "_options", replace(ray_backend._options, deadline_seconds=DEADLINE_SECONDS))
+    yield ray_backend
+    while len(ray_backend.slots()) < 2:
+        ray_backend.wait(0.5)
+
+
+def _drain(pool: WorkPool) -> list[Completed]:
+    completed: list[Completed] = []
+    for _ in range(400):
+        if not pool.held("test"):
+            return completed
+        completed += pool.poll(0.5)
+    raise AssertionError(f"{pool.held('test')} cells never came back; {pool.workers()}; {pool.trouble()}")
+
+
+def test_a_segfault_a_hang_and_exhausted_memory_in_a_batch_of_sixteen_cost_their_own_cells_only(
+    impatient: RayBackend, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sent: list[list[int]] = []
+    submit_batch: Callable[..., None] = impatient.submit
+
+    def noting(worker: str, batch_id: int, batch: Batch, *arguments: Any, **options: Any) -> None:
+        sent.append([int(cell.parameters["dose"]) for cell in batch.cells])
+        submit_batch(worker, batch_id, batch, *arguments, **options)
+
+    monkeypatch.setattr(impatient, "submit", noting)
+    pool = WorkPool(impatient, policy=ALL_AT_ONCE)
+    setup = misbehaving_setup(name="poisonous")
+    pool.submit(setup, [Cell(1, {"dose": 0.0})], tag="test")  # tells what a cell costs, without which batches are of one
+    _drain(pool)
+    pool.submit(setup, [Cell(100 + dose, {"dose": float(dose)}) for dose in range(POISON.DOSES)], tag="test")
+    completed = {one.result.id - 100: one for one in _drain(pool)}
+    assert max(len(batch) for batch in sent) == len(completed) == POISON.DOSES
+    assert {dose: one.result.breakdown for dose, one in completed.items() if one.result.breakdown} == CAUSES
+    times = {dose: sum(dose in batch for batch in sent) for dose in range(1, POISON.DOSES)}
+    assert all(times[dose] == ATTEMPTS for dose in CAUSES), times
+    assert max(times.values()) <= ATTEMPTS
+    assert all(len(completed[dose].result.detail or "") > 10 for dose in CAUSES)
+    assert {one.result.rating for dose, one in completed.items() if dose not in CAUSES} == {completed[0].result.rating}
+
+
+@pytest.mark.faults
+@pytest.mark.timeout(1200)
+def test_poison_in_a_campaign_is_failed_with_its_cause_and_nothing_else_is(tmp_path: Path) -> None:
+    document: dict[str, Any] = {
+        "catalogue": ["S1"],
+        "driving_function": "poisonous",
+        "parameters": "all",
+        "sensitivity": None,
+        "optimizer": {
+            "kind": "genetic",
+            "population": POISON.DOSES,
+            "iterations": 1,
+            "start_sets": [{"dose": dose} for dose in range(POISON.DOSES)],
+        },
+    }
+    with coordinator(tmp_path, plugins=FOLDER) as server:
+        server.start_ready()
+        accepted = submit(server.url, {"poison": document})
+        wait_until_ended(server, accepted, 600)
+        campaign = server.answers(f"/api/v1/campaigns/{accepted.campaigns['poison']}")
+        rows = server.answers(f"/api/v1/campaigns/{accepted.campaigns['poison']}/evaluations")
+        assert campaign is not None
+        assert rows is not None
+        with server.database.read() as connection:
+            attempts = {row.id: row.attempts for row in connection.execute(select(evaluations.c.id, evaluations.c.attempts))}
+            details = dict(connection.execute(select(evaluations.c.id, evaluations.c.detail)).tuples().all())
+        server.terminate()
+    assert (campaign.json()["state"], campaign.json()["cells"]["failed"]) == ("succeeded", len(CAUSES))
+    found = {int(row["parameters"]["dose"]): row for row in rows.json()["items"]}
+    assert len(found) == POISON.DOSES
+    assert {dose: row["failure"] for dose, row in found.items() if row["outcome"] == "failed"} == CAUSES
+    assert {row["outcome"] for dose, row in found.items() if dose not in CAUSES} <= {"simulated", "reused", "repeated"}
+    assert all(attempts[found[dose]["id"]] == ATTEMPTS for dose in CAUSES), attempts
+    assert all(details[found[dose]["id"]] for dose in CAUSES), details
+    assert max(attempts.values()) <= ATTEMPTS

@@ -1,0 +1,74 @@
+"""Runs one command so that none of its descendants can get lost: `python cage.py COMMAND...`.
+
+The cage is a child subreaper (Linux): a process whose parent was killed becomes the cage's child, so whatever the command started is
+found by parentage alone, however it was orphaned. It ends with the command's exit code once no descendant is left; when its standard
+input ends, because whoever started it is gone, it kills them all. Standard library only.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+PR_SET_CHILD_SUBREAPER = 36
+LOOK_SECONDS = 0.05
+
+
+def descendants(process: int) -> list[int]:
+    """All processes below `process`, in no order."""
+    parents: dict[int, list[int]] = {}
+    for entry in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            # pid (name) state ppid ...; the name may hold anything
+            parent = int(entry.read_text(errors="replace").rpartition(")")[2].split()[1])
+        except OSError:
+            continue
+        parents.setdefault(parent, []).append(int(entry.parent.name))
+    found, left = [], [process]
+    while left:
+        children = parents.get(left.pop(), [])
+        found += children
+        left += children
+    return found
+
+
+def main(command: list[str]) -> int:
+    """Runs `command` in the cage."""
+    if ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0) != 0:
+        raise OSError("this system has no child subreapers; the fault suite needs Linux")
+    first = subprocess.Popen(command, stdin=subprocess.DEVNULL)
+    code = 0
+    watched = True
+    while True:
+        try:
+            pid, status = os.waitpid(-1, os.WNOHANG)
+        except ChildProcessError:
+            return code
+        if pid == first.pid:
+            code = os.waitstatus_to_exitcode(status)
+        elif pid == 0:
+            ready, _, _ = select.select([0] if watched else [], [], [], LOOK_SECONDS)
+            if ready and not os.read(0, 4096):
+                watched = False
+        if not watched:
+            for one in descendants(os.getpid()):
+                _kill(one)
+            time.sleep(0.01)
+
+
+def _kill(process: int) -> None:
+    try:
+        os.kill(process, signal.SIGKILL)
+    except ProcessLookupError:
+        return
+
+
+if __name__ == "__main__":
+    result = main(sys.argv[1:])
+    sys.exit(128 - result if result < 0 else result)

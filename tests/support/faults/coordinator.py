@@ -1,0 +1,250 @@
+"""`drivecal serve` in a cage: its processes found by parentage, killed, and started again on the same database and port."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import httpx
+import psutil
+from tests.support.faults import cage
+from tests.support.serve import environment, until
+from tests.support.server import free_port
+
+from drivecal.domain.errors import DrivecalError
+from drivecal.storage import processes
+from drivecal.storage.database import Database
+from drivecal.storage.processes import StoredProcess
+
+READY_SECONDS = 60.0
+"""In which a server is to be ready again, whatever was killed."""
+STOP_SECONDS = 10.0
+"""In which SIGTERM ends it."""
+ORPHAN_SECONDS = 5.0
+"""In which nothing is left of what was killed."""
+
+
+class Coordinator:
+    """A server with a folder, a port and a database that outlive its processes. Does nothing by itself: `start` it."""
+
+    def __init__(
+        self,
+        folder: Path,
+        database_url: str | None = None,
+        settings: Mapping[str, str] | None = None,
+        plugins: Path | None = None,
+    ) -> None:
+        """`settings`: environment variables. `plugins`: a folder whose packages are installed for it."""
+        self.folder = folder
+        self.port = free_port()
+        self.url = f"http://127.0.0.1:{self.port}"
+        self.database_url = database_url or f"sqlite:///{folder / 'home' / 'drivecal.db'}"
+        self.log = folder / "log"
+        self._environment = environment(folder, workers=2) | {"DRIVECAL_DATABASE_URL": self.database_url} | dict(settings or {})
+        if plugins is not None:
+            path = self._environment.get("PYTHONPATH")
+            self._environment["PYTHONPATH"] = os.pathsep.join(filter(None, (str(plugins), path)))
+        self._database: Database | None = None
+        self._cage: subprocess.Popen[bytes] | None = None
+
+    @property
+    def database(self) -> Database:
+        """The database, for looking at what is in it."""
+        self._database = self._database or Database.open(self.database_url)
+        return self._database
+
+    def start(self) -> None:
+        """Starts the server and waits for nothing."""
+        assert self._cage is None, "it runs already"
+        command = [sys.executable, "-m", "drivecal.cli", "serve", "--port", str(self.port)]
+        with self.log.open("ab") as log:
+            self._cage = subprocess.Popen(
+                [sys.executable, cage.__file__, *command],
+                cwd=self.folder,
+                env=self._environment,
+                stdin=subprocess.PIPE,
+                stdout=log,
+                stderr=log,
+                start_new_session=True,
+            )
+
+    def start_ready(self) -> None:
+        """Starts the server and waits until it can work."""
+        self.start()
+        self.wait_ready()
+
+    @property
+    def running(self) -> bool:
+        """Whether anything of it runs."""
+        return self._cage is not None and self._cage.poll() is None
+
+    def family(self) -> list[psutil.Process]:
+        """All processes of the server, the orphans among them included."""
+        if self._cage is None:
+            return []
+        with suppress(psutil.NoSuchProcess):
+            return [one for one in psutil.Process(self._cage.pid).children(recursive=True) if alive(one)]
+        return []
+
+    def supervisor(self) -> psutil.Process:
+        """The process that was started."""
+        return self._one("drivecal.cli", "serve")
+
+    def api(self) -> psutil.Process:
+        """The process that answers requests."""
+        return self._one("drivecal.api")
+
+    def dispatcher(self) -> psutil.Process:
+        """The process that carries campaigns out."""
+        return self._one("drivecal.dispatch")
+
+    def ray_part(self, name: str) -> psutil.Process:
+        """`raylet` or `gcs_server` of the local Ray."""
+        found = [one for one in self.dispatcher().children(recursive=True) if alive(one) and one.name() == name]
+        assert found, f"no {name} runs"
+        return found[0]
+
+    def workers(self) -> list[psutil.Process]:
+        """The workers' processes that the dispatcher knows, as far as they run, by its last heartbeat; on this machine only."""
+        told = self.heartbeat()
+        known = {worker["pid"] for worker in told.detail["workers"]} if told else set()
+        return [one for one in self.family() if one.pid in known]
+
+    def heartbeat(self) -> StoredProcess | None:
+        """What the dispatcher last said."""
+        with self.database.read() as connection:
+            return processes.read(connection, "dispatcher")
+
+    def answers(self, path: str) -> httpx.Response | None:
+        """The answer to GET, None where there is none."""
+        try:
+            return httpx.get(self.url + path, timeout=5.0)
+        except httpx.HTTPError:
+            return None
+
+    @property
+    def ready(self) -> bool:
+        """Whether the API says so, and the dispatcher that runs is the one that it means, with a worker."""
+        answer = self.answers("/readyz")
+        if answer is None or answer.status_code != httpx.codes.OK:
+            return False
+        try:
+            told, dispatcher = self.heartbeat(), self.dispatcher()
+        except (DrivecalError, AssertionError):
+            return False
+        return told is not None and told.pid == dispatcher.pid and self._has_worker(told)
+
+    def wait_ready(self, seconds: float = READY_SECONDS) -> float:
+        """Waits until the server can work; gives the seconds that it took."""
+        begin = time.monotonic()
+        until(lambda: self.ready or not self.running, "a server that is ready", seconds)
+        assert self.running, f"the server has ended:\n{self.told()}"
+        return time.monotonic() - begin
+
+    def kill_all(self) -> None:
+        """SIGKILL to every process of it at once."""
+        for one in self.family():
+            with suppress(psutil.NoSuchProcess):
+                one.kill()
+        self.wait_gone()
+
+    def kill_supervisor(self) -> None:
+        """SIGKILL to the process that was started; the others have to notice."""
+        self.supervisor().kill()
+        self.wait_gone()
+
+    def terminate(self, seconds: float = STOP_SECONDS) -> float:
+        """SIGTERM to the process that was started, as a user or an init system sends it; gives the seconds until nothing was left."""
+        begin = time.monotonic()
+        self.supervisor().send_signal(signal.SIGTERM)
+        self.wait_gone(seconds)
+        return time.monotonic() - begin
+
+    def wait_gone(self, seconds: float = ORPHAN_SECONDS) -> None:
+        """Waits until no process of it is left, and its port is free. AssertionError naming those that stay."""
+        assert self._cage is not None
+        try:
+            self._cage.wait(seconds)
+        except subprocess.TimeoutExpired:
+            left = [f"{one.pid} {' '.join(one.cmdline())[:120]}" for one in self.family()]
+            raise AssertionError(f"after {seconds:.0f} s there are still {left}:\n{self.told()}") from None
+        self._forget_cage()
+        with socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(("127.0.0.1", self.port))
+
+    def told(self) -> str:
+        """The end of what it said, of all its lives."""
+        return self.log.read_text(errors="replace")[-6000:]
+
+    def close(self) -> None:
+        """Ends what is left of it, without asking."""
+        if self._cage is not None:
+            if self._cage.stdin:
+                self._cage.stdin.close()
+            self._cage.wait(60)
+            self._forget_cage()
+        if self._database is not None:
+            self._database.dispose()
+            self._database = None
+
+    def _forget_cage(self) -> None:
+        assert self._cage is not None
+        if self._cage.stdin:
+            self._cage.stdin.close()
+        self._cage = None
+
+    def _one(self, *words: str) -> psutil.Process:
+        """The process with these words in its command line; its guardian has them as well."""
+        for one in self.family():
+            with suppress(psutil.NoSuchProcess):
+                line = one.cmdline()
+                if all(word in line for word in words) and "drivecal.server.guardian" not in line:
+                    return one
+        raise AssertionError(f"no {' '.join(words)} runs")
+
+    @staticmethod
+    def _has_worker(told: StoredProcess) -> bool:
+        return any(worker["state"] != "starting" for worker in told.detail["workers"])
+
+
+@contextmanager
+def coordinator(
+    folder: Path,
+    database_url: str | None = None,
+    settings: Mapping[str, str] | None = None,
+    plugins: Path | None = None,
+) -> Iterator[Coordinator]:
+    """A server that is not started yet; whatever runs of it at the end is killed."""
+    folder.mkdir(parents=True, exist_ok=True)
+    one = Coordinator(folder, database_url, settings, plugins)
+    try:
+        yield one
+    finally:
+        one.close()
+
+
+def alive(process: psutil.Process) -> bool:
+    """Neither gone nor a zombie."""
+    try:
+        return process.is_running() and process.status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return False
+
+
+def suspended(family: list[psutil.Process], seconds: float) -> None:
+    """Stops processes with SIGSTOP for a while, as a laptop that sleeps."""
+    for one in family:
+        with suppress(psutil.NoSuchProcess):
+            os.kill(one.pid, signal.SIGSTOP)
+    time.sleep(seconds)
+    for one in family:
+        with suppress(psutil.NoSuchProcess, ProcessLookupError):
+            os.kill(one.pid, signal.SIGCONT)

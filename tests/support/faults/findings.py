@@ -1,0 +1,192 @@
+"""What campaigns found, without what may differ from one run to the next; and what has to hold however a server was treated."""
+
+from __future__ import annotations
+
+import csv
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import Connection, func, select
+from tests.support.faults.coordinator import Coordinator
+from tests.support.faults.workload import Accepted
+
+from drivecal.client.client import Client
+from drivecal.contracts.campaign import Campaign
+from drivecal.domain.campaigns import CampaignState
+from drivecal.execution.scheduler import ATTEMPTS
+from drivecal.storage import campaigns
+from drivecal.storage.tables import campaigns as campaigns_table
+from drivecal.storage.tables import evaluations, leases, parameter_sets, ratings, runs, setups
+
+OF_A_CAMPAIGN = (
+    "state",
+    "error",
+    "degraded",
+    "cells",
+    "sensitivity_cells",
+    "error_rate",
+    "best",
+    "baseline",
+    "narrowed",
+    "notes",
+)
+OF_ONE_RUN = {"milliseconds", "worker"}
+"""Columns of an evaluation that say who simulated it and how fast, not what came out."""
+PLACE = ("stage", "iteration", "individual", "scenario")
+MILLISECONDS = "milliseconds"
+
+
+@dataclass(frozen=True)
+class Found:
+    """One campaign's results: equal for equal campaigns, to the bit."""
+
+    campaign: dict[str, Any]
+    generations: list[dict[str, str]]
+    solutions: list[dict[str, str]]
+    influence: list[dict[str, str]]
+    evaluations: list[dict[str, str]]
+    """References by their place instead of by an id."""
+    runs: dict[tuple[str, str], tuple[object, ...]]
+    """The distinct simulations of its setups, by fingerprint and parameter set: metrics, failure, and each evaluator's rating."""
+
+
+def found(coordinator: Coordinator, campaign_id: str) -> Found:
+    """Reads a campaign's results over HTTP, and its simulations from the database."""
+    with Client(coordinator.url) as client:
+        campaign = client.campaign(campaign_id).model_dump(mode="json")
+        tables = {
+            name: list(csv.DictReader(b"".join(client.table(campaign_id, name, "csv")).decode().splitlines()))
+            for name in ("generations", "solutions", "influence", "evaluations")
+        }
+    with coordinator.database.read() as connection:
+        simulated = _runs(connection, campaigns.get(connection, campaign_id).sequence)
+    return Found(
+        campaign={name: campaign[name] for name in OF_A_CAMPAIGN},
+        generations=tables["generations"],
+        solutions=tables["solutions"],
+        influence=tables["influence"],
+        evaluations=_by_place(tables["evaluations"]),
+        runs=simulated,
+    )
+
+
+def _by_place(rows: list[dict[str, str]]) -> list[dict[str, str]]:
+    places = {row["id"]: " ".join(row[name] for name in PLACE) for row in rows}
+    kept = [
+        {name: value for name, value in row.items() if name not in OF_ONE_RUN and name != "id"}
+        | {"reference": places.get(row["reference"], row["reference"])}
+        for row in rows
+    ]
+    return sorted(kept, key=lambda row: (row["stage"], int(row["iteration"]), int(row["individual"]), row["scenario"]))
+
+
+def _runs(connection: Connection, sequence: int) -> dict[tuple[str, str], tuple[object, ...]]:
+    used = select(evaluations.c.setup_id).where(evaluations.c.campaign_sequence == sequence).distinct()
+    rated: dict[int, list[tuple[object, ...]]] = {}
+    for rating in connection.execute(select(ratings).order_by(ratings.c.run_id, ratings.c.evaluator)):
+        rated.setdefault(rating.run_id, []).append((rating.evaluator, rating.score, rating.rating))
+    query = (
+        select(runs.c.id, setups.c.fingerprint, parameter_sets.c.parameter_values, runs.c.metrics, runs.c.failure)
+        .join_from(runs, setups)
+        .join(parameter_sets)
+        .where(runs.c.setup_id.in_(used))
+    )
+    return {
+        (row.fingerprint, row.parameter_values): (sorted(row.metrics.items()), row.failure, rated.get(row.id))
+        for row in connection.execute(query)
+    }
+
+
+def assert_equal(name: str, ours: Found, expected: Found) -> None:
+    """AssertionError naming what differs, with an example of each."""
+    differences = [f"{part}: {ours.campaign[part]} instead of {expected.campaign[part]}" for part in OF_A_CAMPAIGN
+                   if ours.campaign[part] != expected.campaign[part]]  # fmt: skip
+    for table in ("generations", "solutions", "influence", "evaluations"):
+        mine, theirs = getattr(ours, table), getattr(expected, table)
+        if len(mine) != len(theirs):
+            differences.append(f"{table}: {len(mine)} rows instead of {len(theirs)}")
+        unlike = [(one, other) for one, other in zip(mine, theirs, strict=False) if one != other]
+        if unlike:
+            differences.append(f"{table}: {len(unlike)} rows differ, e.g. {unlike[0][0]} instead of {unlike[0][1]}")
+    if ours.runs != expected.runs:
+        missing, more = expected.runs.keys() - ours.runs.keys(), ours.runs.keys() - expected.runs.keys()
+        other = [key for key in ours.runs.keys() & expected.runs.keys() if ours.runs[key] != expected.runs[key]]
+        differences.append(
+            f"simulations: {len(missing)} missing, {len(more)} too many, {len(other)} others, e.g. {[*missing, *more, *other][0]}"
+        )
+    assert not differences, f"campaign {name} differs from its run without faults:\n" + "\n".join(differences)
+
+
+def assert_sound(coordinator: Coordinator, accepted: Accepted) -> None:
+    """What holds of every database whose campaigns have ended. AssertionError naming what does not."""
+    wrong: list[str] = []
+    with Client(coordinator.url) as client, coordinator.database.read() as connection:
+        for name, identifier in accepted.campaigns.items():
+            wrong += [f"{name}: {one}" for one in _contradictions(client.campaign(identifier))]
+        for key, answers in accepted.evaluations.items():
+            if len(set(answers)) > 1:
+                wrong.append(f"key {key} made evaluations {answers}")
+            single = client.evaluation(answers[0])
+            if single.state != CampaignState.SUCCEEDED or single.score is None:
+                wrong.append(
+                    f"the accepted evaluation {answers[0]} is {single.state} with score {single.score}: {single.error}"
+                )
+        kept = connection.execute(select(func.count()).select_from(campaigns_table)).scalar_one()
+        known = len(accepted.campaigns) + len({answers[0] for answers in accepted.evaluations.values()})
+        if kept < known:
+            wrong.append(f"{known} requests were accepted, {kept} are there")
+        for what, query in _NONE_OF.items():
+            number = connection.execute(query).scalar_one()
+            if number:
+                wrong.append(f"{number} {what}")
+        wrong += _miscounted(connection, accepted)
+    assert not wrong, "\n".join(wrong)
+
+
+def _contradictions(campaign: Campaign) -> list[str]:
+    cells, analysed = campaign.cells, campaign.sensitivity_cells
+    identities = {
+        "proposed = carried over + requested": cells.proposed == cells.carried_over + cells.requested,
+        "requested = repeated + reused + certified + simulated + failed": cells.requested
+        == cells.repeated + cells.reused + cells.certified + cells.simulated + cells.failed,
+        "nothing is pending": cells.pending == analysed.pending == 0,
+        "the analysis' proposed = requested = its outcomes": analysed.proposed
+        == analysed.requested
+        == analysed.repeated + analysed.certified + analysed.simulated + analysed.failed,
+        "every repetition gave the same bits": cells.unrepeatable == analysed.unrepeatable == 0,
+        "all of it is done": campaign.progress.done == campaign.progress.total,
+    }
+    return [f"not so: {words} ({cells}, {analysed})" for words, holds in identities.items() if not holds]
+
+
+def _miscounted(connection: Connection, accepted: Accepted) -> list[str]:
+    """Counters that say something else than the rows that they count."""
+    wrong = []
+    for name, identifier in accepted.campaigns.items():
+        stored = campaigns.get(connection, identifier)
+        rows = select(evaluations.c.stage, evaluations.c.outcome).where(evaluations.c.campaign_sequence == stored.sequence)
+        outcomes = Counter((row.stage.value, row.outcome) for row in connection.execute(rows))
+        for stage, counts in (("calibration", stored.cells), ("sensitivity", stored.sensitivity_cells)):
+            told: Mapping[str, int] = counts.model_dump()
+            wrong += [
+                f"{name}: {told.get(outcome, 0)} {outcome} in {stage}, {outcomes[stage, outcome]} rows"
+                for outcome in ("repeated", "reused", "certified", "simulated", "failed")
+                if told.get(outcome, 0) != outcomes[stage, outcome]
+            ]
+    return wrong
+
+
+_NONE_OF = {
+    "evaluations are pending": select(func.count()).where(evaluations.c.outcome.is_(None)),
+    "leases are left": select(func.count()).select_from(leases),
+    f"cells had more than {ATTEMPTS} attempts": select(func.count()).where(evaluations.c.attempts > ATTEMPTS),
+    "runs are there twice": select(func.count()).select_from(
+        select(runs.c.setup_id).group_by(runs.c.setup_id, runs.c.parameter_set_id).having(func.count() > 1).subquery()
+    ),
+    "runs have no rating": select(func.count()).where(runs.c.id.not_in(select(ratings.c.run_id))),
+    "simulated evaluations have no run": select(func.count()).where(
+        evaluations.c.outcome == "simulated", evaluations.c.run_id.is_(None)
+    ),
+}

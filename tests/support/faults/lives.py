@@ -1,0 +1,198 @@
+"""The life of a server under faults: at points of its work that a seed chooses, something is done to it; then it has to go on."""
+
+from __future__ import annotations
+
+import random
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import psutil
+from sqlalchemy import func, select
+from tests.support.faults.coordinator import ORPHAN_SECONDS, READY_SECONDS, Coordinator
+from tests.support.faults.findings import Found, assert_equal, assert_sound, found
+from tests.support.faults.workload import Accepted, single_evaluations, submit
+from tests.support.serve import gone, until
+
+from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.errors import DrivecalError
+from drivecal.storage import campaigns
+from drivecal.storage.tables import evaluations
+
+LOOK_SECONDS = 0.01
+PATIENCE_SECONDS = 240.0
+"""In which a server has to get on with its work; it needs ten, but may have a small part of a busy machine."""
+
+
+class Fault(Protocol):
+    """Does something to a server; what it ended on purpose it starts again."""
+
+    __name__: str
+
+    def __call__(self, coordinator: Coordinator, /) -> None: ...
+
+
+def kill_dispatcher(coordinator: Coordinator) -> None:
+    """SIGKILL; nothing of its Ray may stay behind, and the supervisor starts the next one."""
+    _kill_child(coordinator.dispatcher)
+
+
+def kill_api(coordinator: Coordinator) -> None:
+    """SIGKILL; the supervisor starts the next one."""
+    _kill_child(coordinator.api)
+
+
+def kill_raylet(coordinator: Coordinator) -> None:
+    """SIGKILL to the node's daemon of the local Ray, which takes the workers along."""
+    _kill_child(lambda: coordinator.ray_part("raylet"))
+
+
+def kill_gcs_server(coordinator: Coordinator) -> None:
+    """SIGKILL to the local Ray's store of cluster state."""
+    _kill_child(lambda: coordinator.ray_part("gcs_server"))
+
+
+def _kill_child(find: Callable[[], psutil.Process]) -> None:
+    """Kills a process, waited for where it is just being started again; what it had started must end as well."""
+    found: list[psutil.Process] = []
+
+    def is_there() -> bool:
+        with suppress(AssertionError, psutil.NoSuchProcess):
+            found[:] = [find()]
+        return bool(found)
+
+    until(is_there, "a process to kill", READY_SECONDS)
+    before = [*found, *found[0].children(recursive=True)]
+    found[0].kill()
+    until(lambda: gone(before), f"the end of {before}", ORPHAN_SECONDS)
+
+
+def kill_supervisor(coordinator: Coordinator) -> None:
+    """SIGKILL to the process that was started; nothing may stay behind. Then it is started again."""
+    coordinator.kill_supervisor()
+    coordinator.start()
+
+
+def kill_everything(coordinator: Coordinator) -> None:
+    """SIGKILL to all processes at once, as when the machine goes down. Then the server is started again."""
+    coordinator.kill_all()
+    coordinator.start()
+
+
+def terminate(coordinator: Coordinator) -> None:
+    """SIGTERM under load: ends in time, leaves nothing behind, and is started again."""
+    coordinator.terminate()
+    coordinator.start()
+
+
+def and_ready_again(fault: Fault) -> Fault:
+    """The fault, after which the server has to be ready in time, before the next one."""
+
+    def both(coordinator: Coordinator) -> None:
+        fault(coordinator)
+        print(f"         ready again {coordinator.wait_ready():.1f} s after {fault.__name__}", flush=True)
+
+    both.__name__ = fault.__name__
+    return both
+
+
+@dataclass(frozen=True)
+class Moment:
+    """When a fault happens: at a share of the campaigns' cells, or so many seconds after the last fault whatever was done by then."""
+
+    share: float | None
+    seconds: float
+
+
+@dataclass
+class Life:
+    """What happened: printed where a test fails, so that it can be repeated."""
+
+    coordinator: Coordinator
+    cells: int
+    """Evaluations of the campaigns, all told: of their run without faults."""
+    told: list[str] = field(default_factory=list)
+    begin: float = field(default_factory=time.monotonic)
+
+    def tell(self, words: str) -> None:
+        """Notes what was done, and when."""
+        line = f"{time.monotonic() - self.begin:6.1f} s: {words}"
+        self.told.append(line)
+        print(line, flush=True)
+
+    def answered(self, accepted: Accepted) -> int | None:
+        """Cells of the campaigns that have their answer; None while the database does not say."""
+        try:
+            with self.coordinator.database.read() as connection:
+                sequences = [campaigns.get(connection, one).sequence for one in accepted.campaigns.values()]
+                query = select(func.count()).where(
+                    evaluations.c.outcome.is_not(None), evaluations.c.campaign_sequence.in_(sequences)
+                )
+                return connection.execute(query).scalar_one()
+        except DrivecalError:
+            return None
+
+    def wait_for(self, moment: Moment, accepted: Accepted) -> int | None:
+        """Waits for a moment; gives the cells answered by then."""
+        since = time.monotonic()
+        if moment.share is not None:
+            while (self.answered(accepted) or 0) < moment.share * self.cells:
+                assert self.coordinator.running, f"the server ended by itself:\n{self.coordinator.told()}"
+                assert time.monotonic() - since < PATIENCE_SECONDS, f"no progress:\n{self.coordinator.told()}"
+                time.sleep(LOOK_SECONDS)
+            since = time.monotonic()
+        time.sleep(max(0.0, since + moment.seconds - time.monotonic()))
+        return self.answered(accepted)
+
+
+def moments(seed: int, number: int) -> list[Moment]:
+    """Random points of a life: most at a share of the work and up to a batch's time after it; every fourth at any second after the
+    fault before, so that starting and taking up are hit as well."""
+    chance = random.Random(seed)
+    shares = sorted(chance.uniform(0.0, 0.95) for _ in range(number))
+    return [
+        Moment(None, chance.uniform(0.0, 8.0)) if chance.random() < 0.25 else Moment(share, chance.uniform(0.0, 0.3))
+        for share in shares
+    ]
+
+
+def live(coordinator: Coordinator, plan: Sequence[tuple[Moment, Fault]], expected: dict[str, Found]) -> Life:
+    """Gives a server its work and does all of the plan to it; then the campaigns have to end as they do without faults, and the server
+    has to leave nothing behind."""
+    life = Life(coordinator, sum(len(one.evaluations) for one in expected.values()))
+    coordinator.start_ready()
+    life.tell("ready")
+    accepted = submit(coordinator.url)
+    with single_evaluations(coordinator.url, accepted):
+        for moment, fault in plan:
+            answered = life.wait_for(moment, accepted)
+            life.tell(f"{fault.__name__} at {answered} of {life.cells} cells")
+            fault(coordinator)
+    life.tell(f"ready again {coordinator.wait_ready(READY_SECONDS):.1f} s after the last fault")
+    wait_until_ended(coordinator, accepted)
+    life.tell(f"all has ended; {len(accepted.evaluations)} single evaluations were accepted")
+    assert_as_without_faults(coordinator, accepted, expected)
+    life.tell(f"SIGTERM ended it in {coordinator.terminate():.1f} s")
+    return life
+
+
+def wait_until_ended(coordinator: Coordinator, accepted: Accepted, seconds: float = PATIENCE_SECONDS) -> None:
+    """Waits for the end of everything that was accepted."""
+    left = [*accepted.campaigns.values(), *(answers[0] for answers in accepted.evaluations.values())]
+    deadline = time.monotonic() + seconds
+    while left:
+        with suppress(DrivecalError), coordinator.database.read() as connection:
+            left = [one for one in left if not campaigns.get(connection, one).state.ended]
+        assert time.monotonic() < deadline, f"{len(left)} of them do not end:\n{coordinator.told()}"
+        assert coordinator.running, f"the server ended by itself:\n{coordinator.told()}"
+        time.sleep(0.1)
+
+
+def assert_as_without_faults(coordinator: Coordinator, accepted: Accepted, expected: dict[str, Found]) -> None:
+    """AssertionError where a campaign found anything else than in its run without faults, or anything was lost or done twice."""
+    assert_sound(coordinator, accepted)
+    for name, identifier in accepted.campaigns.items():
+        assert_equal(name, found(coordinator, identifier), expected[name])
+        assert expected[name].campaign["state"] == CampaignState.SUCCEEDED

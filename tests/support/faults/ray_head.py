@@ -1,0 +1,87 @@
+"""A Ray cluster of one node on this machine that can be killed and started again at the same address."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import psutil
+from tests.support.faults import cage
+from tests.support.serve import environment, until
+from tests.support.server import free_port
+
+START_SECONDS = 60.0
+
+
+class RayHead:
+    """The head, in a cage: found and ended by parentage, never by `ray stop`, which would end every Ray of the machine."""
+
+    def __init__(self, folder: Path, cpus: int) -> None:
+        self._folder = folder
+        self._port = free_port()
+        self._cpus = cpus
+        self._cage: subprocess.Popen[bytes] | None = None
+        self.address = f"127.0.0.1:{self._port}"
+        self.environment = {
+            "RAY_AUTH_MODE": "disabled",
+            "RAY_USAGE_STATS_ENABLED": "0",
+            "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",
+        }
+
+    def start(self) -> None:
+        """Starts it and waits until it can be joined."""
+        command = [str(Path(sys.executable).with_name("ray")), "start", "--head", "--block", "--include-dashboard=false"]
+        command += ["--node-ip-address=127.0.0.1", f"--port={self._port}", f"--num-cpus={self._cpus}", "--disable-usage-stats"]
+        command += [f"--ray-client-server-port={free_port()}", f"--dashboard-agent-listen-port={free_port()}"]
+        command += [f"--temp-dir={tempfile.mkdtemp(dir=self._folder)}", f"--object-store-memory={80 * 2**20}"]
+        with (self._folder / "log").open("ab") as log:
+            self._cage = subprocess.Popen(
+                [sys.executable, cage.__file__, *command],
+                env=environment(self._folder) | self.environment,
+                stdin=subprocess.PIPE,
+                stdout=log,
+                stderr=log,
+                start_new_session=True,
+            )
+        until(self._listens, "a Ray head", START_SECONDS)
+
+    def kill(self) -> None:
+        """SIGKILL to all its processes, the workers on it included."""
+        assert self._cage is not None
+        for one in psutil.Process(self._cage.pid).children(recursive=True):
+            with suppress(psutil.NoSuchProcess):
+                os.kill(one.pid, signal.SIGKILL)
+        self.close()
+
+    def close(self) -> None:
+        """Ends what is left of it."""
+        if self._cage is not None:
+            assert self._cage.stdin is not None
+            self._cage.stdin.close()
+            self._cage.wait(60)
+            self._cage = None
+
+    def _listens(self) -> bool:
+        with socket.socket() as probe:
+            return probe.connect_ex(("127.0.0.1", self._port)) == 0
+
+
+@contextmanager
+def ray_head(cpus: int = 2) -> Iterator[RayHead]:
+    """A head that runs; its folder, near the root because Ray's sockets lie deep in it, is gone afterwards."""
+    folder = Path(tempfile.mkdtemp(prefix="ray-", dir="/tmp"))
+    head = RayHead(folder, cpus)
+    try:
+        head.start()
+        yield head
+    finally:
+        head.close()
+        shutil.rmtree(folder, ignore_errors=True)
