@@ -16,6 +16,7 @@ from drivecal.campaigns.problem import CalibrationProblem
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, InfluenceMapSpecification
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.dispatch.dispatcher import Dispatcher
+from drivecal.dispatch.leasing import StoredLeases
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import UnavailableError
 from drivecal.execution.pool import WorkPool
@@ -49,7 +50,7 @@ def _submit(database: Database, **changes: Any) -> StoredCampaign:
 
 def _dispatcher(database: Database, backend: ComputedBackend) -> Dispatcher:
     ticks = iter(range(10**9))
-    return Dispatcher(database, WorkPool(backend), clock=lambda: float(next(ticks)))
+    return Dispatcher(database, WorkPool(backend, StoredLeases(database)), clock=lambda: float(next(ticks)))
 
 
 def _get(database: Database, campaign: StoredCampaign) -> StoredCampaign:

@@ -10,6 +10,7 @@ from drivecal.campaigns.maps import resolve_map, store_posted_map
 from drivecal.contracts.specification import CampaignSpecification, InfluenceMapSpecification
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.dispatch.dispatcher import Dispatcher
+from drivecal.dispatch.leasing import StoredLeases
 from drivecal.execution.pool import WorkPool
 from drivecal.storage import campaigns
 from drivecal.storage.campaigns import StoredCampaign
@@ -76,7 +77,8 @@ def get(database: Database, campaign: StoredCampaign) -> StoredCampaign:
 def dispatcher(database: Database, backend: ComputedBackend | None = None) -> Dispatcher:
     """One that looks and reports in every step."""
     ticks = iter(range(10**9))
-    return Dispatcher(database, WorkPool(backend or ComputedBackend()), clock=lambda: float(next(ticks)))
+    pool = WorkPool(backend or ComputedBackend(), StoredLeases(database))
+    return Dispatcher(database, pool, clock=lambda: float(next(ticks)))
 
 
 def run(database: Database, campaign: StoredCampaign, backend: ComputedBackend | None = None) -> StoredCampaign:

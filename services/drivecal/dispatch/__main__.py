@@ -6,53 +6,109 @@ import logging
 import signal
 import sys
 import threading
+from collections.abc import Callable
+from contextlib import closing
+from typing import TypeVar
 
-from drivecal.configuration.settings import load_settings
+from drivecal.configuration import logs
+from drivecal.configuration.settings import Settings, load_settings
 from drivecal.dispatch.dispatcher import Dispatcher
+from drivecal.dispatch.leasing import StoredLeases
+from drivecal.dispatch.pulse import Pulse
+from drivecal.dispatch.tenure import Tenure
 from drivecal.dispatch.trial import trial
-from drivecal.domain.errors import DrivecalError, UnavailableError
+from drivecal.domain.errors import DatabaseError, DrivecalError, UnavailableError
+from drivecal.execution.backend import BackendLostError
 from drivecal.execution.pool import WorkPool
 from drivecal.execution.ray_backend import RayBackend, RayOptions
 from drivecal.storage import locks
-from drivecal.storage.database import Database
+from drivecal.storage.database import PROMPT, Database
 
+LONGEST_PAUSE = 10.0
+
+T = TypeVar("T")
 log = logging.getLogger(__name__)
 
 
 def main() -> int:
     """Serves campaigns until SIGTERM or SIGINT."""
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s dispatcher: %(message)s")
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
     try:
         settings = load_settings()
-        database = Database.open(settings.database_url)
-        database.check()
-        with locks.hold(settings.database_url) as lock:
-            backend = _backend(RayOptions(settings.ray_address, settings.workers), stop)
-            if backend is None:
-                return 0
-            try:
-                Dispatcher(database, WorkPool(backend), lock.renew).run(stop)
-            finally:
-                backend.close()
+        logs.configure("dispatcher", settings)
+        serve(settings, stop)
     except DrivecalError as error:
         log.error("%s", error)  # noqa: TRY400  # the sentence says it all; a traceback would bury it
         return 1
     return 0
 
 
-def _backend(options: RayOptions, stop: threading.Event) -> RayBackend | None:
-    """Ray, waited for; None where the process is to end first."""
+def serve(settings: Settings, stop: threading.Event) -> None:
+    """Is the database's dispatcher until `stop` is set. The database and Ray are waited for.
+
+    Raises DatabaseError where the database cannot be used, SupersededError where another dispatcher was elected, and BackendLostError
+    where Ray is gone: a new process does better.
+    """
+    database = Database.open(settings.database_url)
+    lock = _awaited("the database", lambda: _take_lock(database, settings), stop)
+    if lock is None:
+        return
+    with lock:
+        tenure = _awaited("the database", lambda: Tenure.begin(database), stop)
+        if tenure is None:
+            return
+        log.info("elected for term %d", tenure.term)
+        beating = Database.open(settings.database_url, PROMPT).fenced(tenure.fence)
+        with Pulse(beating, tenure, lock.renew) as pulse:
+            _dispatch(settings, database.fenced(tenure.fence), pulse, stop)
+
+
+def _dispatch(settings: Settings, database: Database, pulse: Pulse, stop: threading.Event) -> None:
+    pulse.tell((), "waiting for Ray: it is being started")
+    options = RayOptions(settings.ray_address, settings.workers)
+    backend = _awaited("Ray", lambda: RayBackend(options, trial()), stop, lambda words: pulse.tell((), words))
+    if backend is None:
+        return
+    with closing(backend):
+        dispatcher = Dispatcher(
+            database,
+            WorkPool(backend, StoredLeases(database)),
+            pulse.tell,
+            running_campaigns=settings.running_campaigns,
+            event_days=settings.event_days,
+        )
+        try:
+            dispatcher.run(stop)
+        except BackendLostError as error:
+            pulse.tell((), f"{error}; it is started again")
+            raise
+
+
+def _take_lock(database: Database, settings: Settings) -> locks.ServerLock:
+    try:
+        database.check()
+    except DatabaseError as error:
+        if isinstance(error.__cause__, UnavailableError):  # an outage, not a mistake: to be waited for
+            raise error.__cause__ from None
+        raise
+    return locks.hold(settings.database_url)
+
+
+def _awaited(
+    what: str, attempt: Callable[[], T], stop: threading.Event, tell: Callable[[str], None] = lambda _: None
+) -> T | None:
+    """What `attempt` gives once it does not raise UnavailableError any more; None where the process is to end first."""
     pause = 1.0
     while not stop.is_set():
         try:
-            return RayBackend(options, trial())
+            return attempt()
         except UnavailableError as error:
-            log.warning("waiting for Ray: %s", error)
+            log.warning("waiting for %s: %s", what, error)
+            tell(f"waiting for {what}: {error}")
             stop.wait(pause)
-            pause = min(2 * pause, 10.0)
+            pause = min(2 * pause, LONGEST_PAUSE)
     return None
 
 

@@ -1,87 +1,70 @@
 """The dispatcher: takes campaigns out of the database, has their cells simulated and writes down what comes back.
 
-One thread does everything, one dispatcher serves a database. What it holds in memory can be lost at any moment: after a crash, and
-after a transaction that failed, campaigns are taken up from their rows.
+One thread does everything but the pulse, one dispatcher serves a database. What it holds in memory can be lost at any moment: after a
+crash, and after a transaction that failed, campaigns are taken up from their rows.
 """
 
 from __future__ import annotations
 
 import logging
-import os
 import threading
 import time
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from dataclasses import replace
+from datetime import timedelta
 
-from drivecal.campaigns.evaluation import SingleEvaluation
 from drivecal.campaigns.ledger import Work
-from drivecal.campaigns.pinned import problem_of
-from drivecal.campaigns.planning import View
-from drivecal.campaigns.problem import EvaluationProblem
-from drivecal.campaigns.staged import StagedCampaign
+from drivecal.configuration import logs
+from drivecal.dispatch.jobs import Active, take_up
 from drivecal.domain.campaigns import CampaignState
-from drivecal.domain.errors import ConflictError, DrivecalError, UnavailableError
+from drivecal.domain.errors import DrivecalError, SupersededError, UnavailableError
+from drivecal.execution.backend import BackendLostError, WorkerInfo
+from drivecal.execution.measures import MEASURES
 from drivecal.execution.pool import WorkPool
-from drivecal.execution.scheduler import Completed
-from drivecal.storage import campaigns, processes
-from drivecal.storage.campaigns import CampaignHeading, StoredCampaign
+from drivecal.storage import campaigns, events
+from drivecal.storage.campaigns import CampaignHeading
 from drivecal.storage.database import Database
 from drivecal.storage.types import now
 
-log = logging.getLogger(__name__)
-
-NAME = "dispatcher"
-"""Under which it reports itself."""
 LOOK_SECONDS = 0.25
 """How often new campaigns and requests are looked for."""
-HEARTBEAT_SECONDS = 1.0
+TELL_SECONDS = 0.5
 POLL_SECONDS = 0.1
-EVALUATION_PRIORITY = 1000
-"""Somebody waits for a single evaluation; a campaign can wait a batch longer."""
+TIDY_SECONDS = 60.0
+RETRY_SECONDS = 5.0
+"""Until a campaign is taken up again whose cells somebody else seems to have."""
 
-Job = StagedCampaign | SingleEvaluation
-
-
-@dataclass(slots=True)
-class _Active:
-    """A campaign in work. `job` is None until it is taken up from its rows; `unwritten` survives a failed transaction."""
-
-    campaign: CampaignHeading
-    job: Job | None = None
-    unwritten: list[Completed] = field(default_factory=list)
-    stopping: CampaignState | None = None
-    """Where it goes once nothing of it is at a worker: cancelled or paused."""
-
-    @property
-    def tag(self) -> str:
-        return self.campaign.id
-
-    @property
-    def priority(self) -> int:
-        return EVALUATION_PRIORITY if self.campaign.kind == "evaluation" else self.campaign.priority
+log = logging.getLogger(__name__)
 
 
 class Dispatcher:
-    """See the module. `renew_lock` raises where the right to be this database's dispatcher was lost."""
+    """See the module. `tell` takes the workers and what is wrong, twice a second, and raises where the dispatcher has to end."""
 
     def __init__(
         self,
         database: Database,
         pool: WorkPool,
-        renew_lock: Callable[[], None] = lambda: None,
+        tell: Callable[[Sequence[WorkerInfo], str | None], None] = lambda _workers, _trouble: None,
+        *,
+        running_campaigns: int = 8,
+        event_days: int = 30,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
+        """`running_campaigns`: at most so many at a time, single evaluations not counted. `event_days`: how long events are kept."""
         self._database = database
         self._pool = pool
-        self._renew_lock = renew_lock
+        self._tell = tell
+        self._running_campaigns = running_campaigns
+        self._event_age = timedelta(days=event_days)
         self._clock = clock
-        self._started_at = now()
-        self._active: dict[int, _Active] = {}
-        self._next_look = self._next_beat = 0.0
+        self._active: dict[int, Active] = {}
+        self._next_look = self._next_tell = self._next_tidy = 0.0
 
     def run(self, stop: threading.Event) -> None:
-        """Works until `stop` is set. A database that does not answer is waited for; everything goes on when it is back."""
+        """Works until `stop` is set. A database that does not answer is waited for; everything goes on when it is back.
+
+        Raises SupersededError and BackendLostError: somebody else goes on, or this process has to begin anew.
+        """
         pause = 0.5
         while not stop.is_set():
             try:
@@ -90,74 +73,88 @@ class Dispatcher:
             except UnavailableError as error:
                 log.warning("waiting for the database: %s", error)
                 self._forget_jobs()
+                self._report()
                 stop.wait(pause)
                 pause = min(2 * pause, 10.0)
 
     def step(self) -> None:
         """One round: report, look for campaigns and requests, feed the workers, write down what came back."""
-        if self._clock() >= self._next_beat:
-            self._beat()
-            self._next_beat = self._clock() + HEARTBEAT_SECONDS
+        if self._clock() >= self._next_tell:
+            self._report()
+            self._next_tell = self._clock() + TELL_SECONDS
         if self._clock() >= self._next_look:
             self._look()
             self._next_look = self._clock() + LOOK_SECONDS
+        if self._clock() >= self._next_tidy:
+            self._tidy()
+            self._next_tidy = self._clock() + TIDY_SECONDS
         for active in list(self._active.values()):
-            self._advance(active)
+            with logs.about(campaign=active.campaign.id, campaign_name=active.campaign.name):
+                self._advance(active)
         by_tag = {active.tag: active for active in self._active.values()}
         for one in self._pool.poll(POLL_SECONDS):
             if one.tag in by_tag:
                 by_tag[one.tag].unwritten.append(one)
 
-    def _beat(self) -> None:
-        self._renew_lock()
-        detail = {"workers": [asdict(worker) for worker in self._pool.workers()], "degraded": self._pool.trouble()}
+    def _report(self) -> None:
+        self._tell(self._pool.workers(), self._pool.trouble())
+
+    def _tidy(self) -> None:
         with self._database.transaction() as connection:
-            processes.heartbeat(connection, NAME, os.getpid(), self._started_at, detail)
-            campaigns.degrade(connection, [active.campaign.sequence for active in self._active.values()], self._pool.trouble())
+            events.prune(connection, now() - self._event_age)
 
     def _look(self) -> None:
         """Starts what is queued, takes up what was running, does what was requested."""
         with self._database.read() as connection:
             found = campaigns.active(connection)
         for campaign in found:
-            active = self._active.get(campaign.sequence)
-            cancelled = campaign.requested_action == "cancel" or campaign.state is CampaignState.CANCELLING
-            if active is None:
-                self._welcome(campaign, cancelled=cancelled)
-            elif cancelled:
-                self._stop(active, CampaignState.CANCELLED)
-            elif campaign.requested_action == "pause":
-                self._stop(active, CampaignState.PAUSED)
-            elif active.stopping is CampaignState.PAUSED:  # and resumed again before it rested
-                active.stopping = active.job = None
+            with logs.about(campaign=campaign.id, campaign_name=campaign.name):
+                self._look_at(campaign)
+
+    def _look_at(self, campaign: CampaignHeading) -> None:
+        active = self._active.get(campaign.sequence)
+        cancelled = campaign.requested_action == "cancel" or campaign.state is CampaignState.CANCELLING
+        if active is None:
+            self._guarded(Active(campaign), lambda: self._welcome(campaign, cancelled=cancelled))
+        elif cancelled:
+            self._stop(active, CampaignState.CANCELLED)
+        elif campaign.requested_action == "pause":
+            self._stop(active, CampaignState.PAUSED)
+        elif active.stopping is CampaignState.PAUSED:  # and resumed again before it rested
+            active.stopping = active.job = None
 
     def _welcome(self, campaign: CampaignHeading, *, cancelled: bool) -> None:
-        """Begins to look after a campaign that it did not look after so far."""
+        """Begins to look after a campaign that it did not look after so far. Those that ran before a restart go on in any case."""
         match campaign.state:
-            case CampaignState.QUEUED:
+            case CampaignState.QUEUED if self._has_room(campaign):
                 self._start(campaign)
             case CampaignState.PAUSED if cancelled:
-                self._end(_Active(campaign), CampaignState.CANCELLED)
-            case CampaignState.PAUSED if campaign.requested_action == "resume":
+                self._end(Active(campaign), CampaignState.CANCELLED)
+            case CampaignState.PAUSED if campaign.requested_action == "resume" and self._has_room(campaign):
                 self._resume(campaign)
             case CampaignState.RUNNING | CampaignState.CANCELLING:
-                self._active[campaign.sequence] = _Active(campaign, stopping=CampaignState.CANCELLED if cancelled else None)
+                self._active[campaign.sequence] = Active(campaign, stopping=CampaignState.CANCELLED if cancelled else None)
+
+    def _has_room(self, campaign: CampaignHeading) -> bool:
+        """To be asked in the order in which campaigns are to be started."""
+        running = sum(active.campaign.kind != "evaluation" for active in self._active.values())
+        return campaign.kind == "evaluation" or running < self._running_campaigns
 
     def _start(self, campaign: CampaignHeading) -> None:
         with self._database.transaction() as connection:
             started = campaigns.start(connection, campaign.sequence)
         if started is not None:
-            log.info("campaign %s (%s) starts", campaign.id, campaign.name)
-            self._active[campaign.sequence] = _Active(started)
+            log.info("the campaign starts")
+            self._active[campaign.sequence] = Active(started)
 
     def _resume(self, campaign: CampaignHeading) -> None:
         with self._database.transaction() as connection:
             resumed = campaigns.change_state(connection, campaign.sequence, [CampaignState.PAUSED], CampaignState.RUNNING)
         if resumed:  # and not cancelled meanwhile
-            log.info("campaign %s goes on", campaign.id)
-            self._active[campaign.sequence] = _Active(campaign)
+            log.info("the campaign goes on")
+            self._active[campaign.sequence] = Active(campaign)
 
-    def _stop(self, active: _Active, state: CampaignState) -> None:
+    def _stop(self, active: Active, state: CampaignState) -> None:
         """Sends nothing more of a campaign to workers; what is there already is still written down. A cancel overrules a pause."""
         if active.stopping is state:
             return
@@ -168,66 +165,70 @@ class Dispatcher:
                 sequence = active.campaign.sequence
                 campaigns.change_state(connection, sequence, [CampaignState.RUNNING], CampaignState.CANCELLING)
 
-    def _advance(self, active: _Active) -> None:
-        """Moves one campaign on. What is wrong with one campaign fails that one, and no other."""
+    def _advance(self, active: Active) -> None:
+        """Moves one campaign on."""
+        self._guarded(active, lambda: self._move(active))
+
+    def _guarded(self, active: Active, act: Callable[[], None]) -> None:
+        """What is wrong with one campaign, its rows included, fails that one and no other."""
         try:
-            if active.job is None:
-                if self._pool.held(active.tag):
-                    return  # cells of a forgotten job; their results come first
-                if active.stopping is not None:  # nobody waits for them any more; a resumed campaign asks for them again
-                    active.unwritten.clear()
-                    self._finish_stopping(active)
-                    return
-                active.job = self._take_up(active)
-                self._submit(active, _without(active.job.work(), {one.result.id for one in active.unwritten}))
-            if active.unwritten:
-                work = active.job.record(active.unwritten)
-                active.unwritten.clear()
-                self._submit(active, work)
-            if active.stopping is not None:
-                self._finish_stopping(active)
-            elif not self._pool.held(active.tag):
-                self._submit(active, active.job.work())
-                if active.job.finished:
-                    self._end(active, CampaignState.SUCCEEDED)
-        except UnavailableError:
+            act()
+        except (UnavailableError, SupersededError, BackendLostError):
             raise
         except DrivecalError as error:
             self._end(active, CampaignState.FAILED, str(error))
         except Exception as error:  # a bug must cost one campaign, not the service
-            log.exception("campaign %s failed", active.campaign.id)
+            log.exception("the campaign failed")
             self._end(active, CampaignState.FAILED, f"internal error: {type(error).__name__}: {error}")
 
-    def _take_up(self, active: _Active) -> Job:
-        """A job that goes on from the campaign's rows. Raises ConflictError where it was begun with another version of anything."""
-        with self._database.read() as connection:
-            campaign = campaigns.by_sequence(connection, active.campaign.sequence)
-        problem = problem_of(campaign)
-        self._pin(campaign, problem.resolution())
-        if isinstance(problem, EvaluationProblem):
-            view = View(campaign.sequence, campaign.watermark or 0, problem.bench)
-            return SingleEvaluation(self._database, campaign, problem, view)
-        return StagedCampaign(self._database, campaign, problem)
-
-    def _pin(self, campaign: StoredCampaign, resolution: dict[str, Any]) -> None:
-        """Writes down what a campaign is begun with; later, makes sure that it goes on with the same."""
-        if campaign.resolution is None:
-            with self._database.transaction() as connection:
-                campaigns.set_resolution(connection, campaign.sequence, resolution)
+    def _move(self, active: Active) -> None:
+        if active.job is None and not self._takes_up(active):
             return
-        changed = [part for part in resolution if resolution[part] != campaign.resolution.get(part)]
-        if changed:
-            raise ConflictError(
-                f"the campaign was begun with another version of its {' and '.join(changed)}; submit it again: results of two versions"
-                " cannot be compared"
-            )
+        job = active.job
+        if job is None:
+            return
+        if active.unwritten:
+            with MEASURES.timed("record"):
+                work = job.record(active.unwritten)
+            active.unwritten.clear()
+            self._submit(active, work)
+        if active.stopping is not None:
+            self._finish_stopping(active)
+        elif not self._pool.held(active.tag):
+            work = job.work()
+            self._submit(active, work)
+            if job.finished:
+                self._end(active, CampaignState.SUCCEEDED)
+            elif not work:
+                log.warning("cells of the campaign are answered or simulated elsewhere; it is taken up again")
+                active.job, active.not_before = None, self._clock() + RETRY_SECONDS
 
-    def _submit(self, active: _Active, work: list[Work]) -> None:
+    def _takes_up(self, active: Active) -> bool:
+        """Takes a campaign up from its rows; False where there is something to wait for first, or nothing more to do."""
+        if self._pool.held(active.tag) or self._clock() < active.not_before:
+            return False  # cells of a forgotten job; their results come first
+        if active.stopping is not None:  # nobody waits for its results any more; a resumed campaign asks for them again
+            self._pool.give_back(active.unwritten)
+            active.unwritten.clear()
+            self._finish_stopping(active)
+            return False
+        active.job = take_up(self._database, active.campaign.sequence)
+        self._submit(active, _without(active.job.work(), {one.result.id for one in active.unwritten}))
+        return True
+
+    def _submit(self, active: Active, work: Sequence[Work]) -> None:
         if active.stopping is None:
             for one in work:
-                self._pool.submit(one.setup, one.cells, tag=active.tag, priority=active.priority)
+                self._pool.submit(
+                    one.setup,
+                    one.cells,
+                    tag=active.tag,
+                    priority=active.priority,
+                    exclusive=one.exclusive,
+                    breakdowns=one.breakdowns,
+                )
 
-    def _finish_stopping(self, active: _Active) -> None:
+    def _finish_stopping(self, active: Active) -> None:
         if self._pool.held(active.tag) or active.unwritten:
             return
         if active.stopping is CampaignState.CANCELLED:
@@ -236,16 +237,16 @@ class Dispatcher:
         with self._database.transaction() as connection:
             paused = campaigns.pause(connection, active.campaign.sequence)
         if paused:
-            log.info("campaign %s is paused", active.campaign.id)
+            log.info("the campaign is paused")
             del self._active[active.campaign.sequence]
         else:  # resumed or cancelled meanwhile: the next look sees which
             active.stopping = active.job = None
 
-    def _end(self, active: _Active, state: CampaignState, error: str | None = None) -> None:
+    def _end(self, active: Active, state: CampaignState, error: str | None = None) -> None:
         self._pool.withdraw(active.tag)
         with self._database.transaction() as connection:
             campaigns.end(connection, active.campaign.sequence, state, error)
-        log.info("campaign %s %s%s", active.campaign.id, state, f": {error}" if error else "")
+        log.info("the campaign %s%s", state, f": {error}" if error else "")
         self._active.pop(active.campaign.sequence, None)
 
     def _forget_jobs(self) -> None:
@@ -253,10 +254,10 @@ class Dispatcher:
         for active in self._active.values():
             active.job = None
             self._pool.withdraw(active.tag)
-        self._next_look = self._next_beat = 0.0
+        self._next_look = 0.0
 
 
 def _without(work: Sequence[Work], answered: Collection[int]) -> list[Work]:
     """Work less the cells whose results are there already."""
-    left = (Work(one.setup, tuple(cell for cell in one.cells if cell.id not in answered)) for one in work)
+    left = (replace(one, cells=tuple(cell for cell in one.cells if cell.id not in answered)) for one in work)
     return [one for one in left if one.cells]

@@ -9,12 +9,13 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Protocol, Self
 
-from sqlalchemy import URL, Connection, create_engine, text
+from sqlalchemy import URL, Connection, create_engine, event, text
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.pool import NullPool
 
 from drivecal.domain.errors import DatabaseError
 from drivecal.storage import urls
+from drivecal.storage.answering import Watch
 from drivecal.storage.failures import translated
 
 KEY = 0x64726331
@@ -113,6 +114,8 @@ class _PostgresLock(_Releasing):
         owner = f"{_OWNER}process {os.getpid()} on {socket.gethostname()}"
         arguments = {"connect_timeout": 5, "application_name": owner[:63], "keepalives_idle": 5, "keepalives_interval": 5}
         self._engine = create_engine(url, poolclass=NullPool, isolation_level="AUTOCOMMIT", connect_args=arguments)
+        watch = Watch(self._name)
+        event.listen(self._engine, "do_connect", lambda _dialect, _record, given, options: watch.connect(*given, **options))
         self._connection = self._acquire()
 
     def __enter__(self) -> Self:

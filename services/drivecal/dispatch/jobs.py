@@ -1,0 +1,72 @@
+"""Takes campaigns up from their rows: those that begin, and those that somebody began before."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from drivecal.campaigns.evaluation import SingleEvaluation
+from drivecal.campaigns.pinned import problem_of
+from drivecal.campaigns.planning import View
+from drivecal.campaigns.problem import EvaluationProblem
+from drivecal.campaigns.staged import StagedCampaign
+from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.errors import ConflictError
+from drivecal.execution.scheduler import Completed
+from drivecal.storage import campaigns
+from drivecal.storage.campaigns import CampaignHeading, StoredCampaign
+from drivecal.storage.database import Database
+
+EVALUATION_PRIORITY = 1000
+"""Somebody waits for a single evaluation; a campaign can wait a batch longer."""
+
+Job = StagedCampaign | SingleEvaluation
+
+
+@dataclass(slots=True)
+class Active:
+    """A campaign in work. `job` is None until it is taken up from its rows; `unwritten` survives a failed transaction."""
+
+    campaign: CampaignHeading
+    job: Job | None = None
+    unwritten: list[Completed] = field(default_factory=list)
+    stopping: CampaignState | None = None
+    """Where it goes once nothing of it is at a worker: cancelled or paused."""
+    not_before: float = 0.0
+    """When it may be taken up."""
+
+    @property
+    def tag(self) -> str:
+        """Under which the pool knows its cells."""
+        return self.campaign.id
+
+    @property
+    def priority(self) -> int:
+        """Of its cells."""
+        return EVALUATION_PRIORITY if self.campaign.kind == "evaluation" else self.campaign.priority
+
+
+def take_up(database: Database, sequence: int) -> Job:
+    """A job that goes on from the campaign's rows. Raises ConflictError where it was begun with another version of anything."""
+    with database.read() as connection:
+        campaign = campaigns.by_sequence(connection, sequence)
+    problem = problem_of(campaign)
+    _pin(database, campaign, problem.resolution())
+    if isinstance(problem, EvaluationProblem):
+        return SingleEvaluation(database, campaign, problem, View(sequence, campaign.watermark or 0, problem.bench))
+    return StagedCampaign(database, campaign, problem)
+
+
+def _pin(database: Database, campaign: StoredCampaign, resolution: Mapping[str, Any]) -> None:
+    """Writes down what a campaign is begun with; later, makes sure that it goes on with the same."""
+    if campaign.resolution is None:
+        with database.transaction() as connection:
+            campaigns.set_resolution(connection, campaign.sequence, resolution)
+        return
+    changed = [part for part in resolution if resolution[part] != campaign.resolution.get(part)]
+    if changed:
+        raise ConflictError(
+            f"the campaign was begun with another version of its {' and '.join(changed)}; submit it again: results of two versions"
+            " cannot be compared"
+        )
