@@ -119,7 +119,7 @@ def test_watching_ends_with_the_campaign_and_its_exit_code(run: Run, api: Runnin
     timer.join()
     assert result.exit_code == 0, result.output
     assert json.loads(result.stdout)["state"] == "succeeded"
-    assert result.stderr.splitlines()[0] == "queued"
+    assert result.stderr.splitlines()[0] == "queued  degraded: no dispatcher is running"
     assert result.stderr.splitlines()[-1].startswith("succeeded  10/10 cells  simulated 10")
 
 
@@ -147,7 +147,7 @@ def test_ctrl_c_detaches_and_cancels_nothing(api: RunningApi, submitted: str) ->
         [sys.executable, "-m", "drivecal.cli", "watch", submitted, "--url", api.url], stderr=subprocess.PIPE, text=True
     )
     assert process.stderr is not None
-    assert process.stderr.readline() == "queued\n"
+    assert process.stderr.readline() == "queued  degraded: no dispatcher is running\n"
     process.send_signal(2)
     said = process.stderr.read()
     assert process.wait(20) == 130

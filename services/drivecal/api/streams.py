@@ -133,7 +133,7 @@ class EventHub:
                         yield b"".join(chunks)
                     continue
                 chunks, position = feed.after(position)
-                if feed.trouble != trouble:
+                if feed.trouble != trouble and not feed.ended:
                     trouble = feed.trouble
                     chunks.append(_unstored(campaign, trouble or (feed.pulse.degraded if feed.pulse else None)))
                 if feed.progress != progress:

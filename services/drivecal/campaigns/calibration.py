@@ -262,7 +262,7 @@ class Calibration:
                 alternatives=alternatives,
             )
             if before is None or self._best.objective > before.objective + EQUAL:
-                told = self._best.model_dump(exclude={"alternatives"}) | {"iteration": solution.iteration}
+                told = self._best.model_dump() | {"iteration": solution.iteration}
                 events.add(connection, self._campaign.sequence, EventKind.BEST, told)
         unknown = self._baseline is None or self._baseline.objective is None
         self._remember_baseline(connection)

@@ -90,7 +90,7 @@ def watch(
 ) -> None:
     """Follow a campaign until it has ended. Ctrl-C detaches and cancels nothing."""
     with connect(url) as client:
-        campaign = follow(client, full_id(client, identifier), timeout)
+        campaign = follow(client, full_id(client, identifier), timeout, from_beginning=False)
         _print_whole(client, campaign, as_json)
     raise typer.Exit(code_of_state(campaign.state))
 

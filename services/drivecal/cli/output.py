@@ -10,6 +10,7 @@ from typing import Any
 import typer
 from pydantic import BaseModel
 
+from drivecal.cli.telling import ASKED
 from drivecal.contracts.campaign import Campaign, CellCounts, SensitivityCellCounts, Solution
 
 OUTCOMES = ("failed", "certified", "reused", "repeated", "simulated")
@@ -95,6 +96,8 @@ def state_text(campaign: Campaign) -> str:
         parts.append(f"{campaign.progress.done:,} of {campaign.progress.total:,} cells")
     if campaign.progress.eta_seconds is not None and campaign.state == "running":
         parts.append(f"about {duration(campaign.progress.eta_seconds)} left")
+    if campaign.requested_action in ASKED:
+        parts.append(ASKED[campaign.requested_action])
     if campaign.degraded:
         parts.append(f"degraded: {campaign.degraded}")
     return ", ".join(parts)

@@ -15,8 +15,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from drivecal.cli.commands import ExitCode, WaitTimedOutError, tell
 from drivecal.cli.output import by_outcome, duration
+from drivecal.cli.telling import event_text
 from drivecal.client.client import Client
 from drivecal.contracts.campaign import Campaign
+from drivecal.contracts.events import CampaignEvent
 
 SECONDS_BETWEEN_LINES = 5.0
 
@@ -26,6 +28,9 @@ class Reporter(AbstractContextManager["Reporter"], Protocol):
 
     def show(self, campaign: Campaign) -> None:
         """Shows it as it is now."""
+
+    def tell(self, text: str) -> None:
+        """Writes a line about something that happened."""
 
 
 class Bar:
@@ -59,6 +64,10 @@ class Bar:
             detail=_detail(campaign),
         )
 
+    def tell(self, text: str) -> None:
+        """Writes the line above the bar."""
+        self._progress.console.print(text, markup=False, highlight=False)
+
 
 class Lines:
     """One line every few seconds, and one for each change of state or stage."""
@@ -84,14 +93,19 @@ class Lines:
         done = f"  {progress.done:,}/{progress.total:,} cells" if progress.total else ""
         typer.echo(f"{_where(campaign)}{done}  {_detail(campaign)}".rstrip(), err=True)
 
+    def tell(self, text: str) -> None:
+        """Writes the line among the others."""
+        typer.echo(text, err=True)
+
 
 def reporter() -> Reporter:
     """What fits stderr."""
     return Bar(Console(stderr=True)) if sys.stderr.isatty() else Lines()
 
 
-def follow(client: Client, identifier: str, timeout: float | None = None) -> Campaign:
-    """Shows a campaign's progress until it ended, and returns it. Raises WaitTimedOutError after `timeout` seconds.
+def follow(client: Client, identifier: str, timeout: float | None = None, *, from_beginning: bool = True) -> Campaign:
+    """Shows a campaign's progress, and what happens to it, until it ended, and returns it. Raises WaitTimedOutError after `timeout`
+    seconds.
 
     Ctrl-C ends the command, not the campaign.
     """
@@ -99,7 +113,8 @@ def follow(client: Client, identifier: str, timeout: float | None = None) -> Cam
         f"the campaign goes on; come back with `drivecal watch {identifier}`, end it with `drivecal cancel {identifier}`"
     )
     try:
-        return show_until_ended(client, identifier, None if timeout is None else time.monotonic() + timeout)
+        deadline = None if timeout is None else time.monotonic() + timeout
+        return show_until_ended(client, identifier, deadline, from_beginning=from_beginning)
     except KeyboardInterrupt as error:
         tell(f"detached: {come_back}")
         raise typer.Exit(ExitCode.INTERRUPTED) from error
@@ -107,10 +122,19 @@ def follow(client: Client, identifier: str, timeout: float | None = None) -> Cam
         raise WaitTimedOutError(f"not ended after {duration(timeout or 0)}: {come_back}") from error
 
 
-def show_until_ended(client: Client, identifier: str, deadline: float | None = None) -> Campaign:
-    """Shows a campaign's progress until it ended, and returns it. Raises TimeoutError past `deadline`, of the monotonic clock."""
+def show_until_ended(
+    client: Client, identifier: str, deadline: float | None = None, *, from_beginning: bool = True
+) -> Campaign:
+    """Shows a campaign's progress until it ended, and returns it; what happened to it earlier is told too where `from_beginning` is
+    True. Raises TimeoutError past `deadline`, of the monotonic clock."""
     with reporter() as report:
-        for campaign in client.watch(identifier, deadline):
+
+        def told(event: CampaignEvent) -> None:
+            text = event_text(event)
+            if text is not None:
+                report.tell(text)
+
+        for campaign in client.watch(identifier, deadline, told, from_beginning=from_beginning):
             report.show(campaign)
     return campaign
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 import uuid
 from collections.abc import Iterator, Mapping
@@ -14,13 +15,15 @@ import httpx
 from pydantic import BaseModel, ValidationError
 
 from drivecal.client.answers import raise_for, unreachable
+from drivecal.client.event_stream import EventParser, ServerSentEvent
+from drivecal.client.following import READ_SECONDS, Following, Sent, Told
 from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns, SolutionPage
 from drivecal.contracts.evaluation import Evaluation
+from drivecal.contracts.events import PROGRESS, CampaignEvent, CampaignProgress
 from drivecal.contracts.explanation import Explanation
 from drivecal.contracts.inventory import InfluenceMapAnswer, InfluenceMapPage, InfluenceRow, ScenarioPage, WorkerPage
-from drivecal.domain.campaigns import CampaignState
-from drivecal.domain.errors import UnavailableError
+from drivecal.domain.errors import OverloadError, UnavailableError
 
 Action = Literal["pause", "resume", "cancel"]
 Table = Literal["evaluations", "generations", "solutions", "influence"]
@@ -29,8 +32,6 @@ Answer = TypeVar("Answer", bound=BaseModel)
 ATTEMPTS_TO_CONNECT = 3
 PATIENCE_SECONDS = 30.0
 """How long a call waits in all for a server that asks to try again later, where trying again can do no harm."""
-SILENCE_SECONDS = 60.0
-"""How long `watch` bears a server that does not answer: a restart takes less."""
 
 
 class Client:
@@ -72,35 +73,56 @@ class Client:
         """One campaign."""
         return self._get(_path("campaigns", identifier), Campaign, kind="campaign", identifier=identifier)
 
-    def watch(self, identifier: str, deadline: float | None = None) -> Iterator[Campaign]:
-        """Yields the campaign now and whenever it changed, until it ended. Bears a server that restarts meanwhile.
+    def watch(
+        self, identifier: str, deadline: float | None = None, told: Told | None = None, *, from_beginning: bool = True
+    ) -> Iterator[Campaign]:
+        """Yields the campaign now and whenever it changed, until it ended; `told` is called with each event, or, where `from_beginning`
+        is False, with those from now on. Bears a server that restarts meanwhile.
 
         Raises TimeoutError when the monotonic clock passes `deadline`.
         """
-        etag, silent_since = "", None
-        while True:
-            wait = 1.0
-            try:
-                headers = {"If-None-Match": etag} if etag else {}
-                response = self._once("GET", _path("campaigns", identifier), headers=headers)  # has a patience of its own
+        return iter(Following(self, identifier, deadline, told, from_beginning=from_beginning))
+
+    def campaign_unless(self, identifier: str, etag: str) -> tuple[Campaign | None, str, float | None]:
+        """The campaign, None where it is still the one of `etag`; its ETag; how many seconds the server asks to wait before the next
+        question."""
+        headers = {"If-None-Match": etag} if etag else {}
+        response = self._once("GET", _path("campaigns", identifier), headers=headers)  # who follows has a patience of its own
+        raise_for(response, "campaign", identifier)
+        wait = float(response.headers["retry-after"]) if "retry-after" in response.headers else None
+        if response.status_code == HTTPStatus.NOT_MODIFIED:
+            return None, etag, wait
+        return self._answer(response, Campaign), response.headers.get("etag", ""), wait
+
+    def events(self, identifier: str, last_id: int | None = None) -> Iterator[Sent]:
+        """What happened to a campaign, all of it or after the event `last_id`, and what happens until the stream ends; None is a sign of
+        life. The stream ends when the campaign has ended, and also when the server stops. Raises OverloadError where it has no place for
+        another stream."""
+        headers = {"Accept": "text/event-stream"} | ({} if last_id is None else {"Last-Event-ID": str(last_id)})
+        timeout = httpx.Timeout(self._http.timeout.connect, read=READ_SECONDS)
+        path = _path("campaigns", identifier, "events")
+        try:
+            with self._http.stream("GET", path, headers=headers, timeout=timeout) as response:
+                if not response.is_success:
+                    response.read()
+                if response.status_code == HTTPStatus.TOO_MANY_REQUESTS:
+                    raise OverloadError("the server has no place for another event stream", retry_seconds=10)
                 raise_for(response, "campaign", identifier)
-            except UnavailableError:
-                silent_since = silent_since or time.monotonic()
-                if not etag or time.monotonic() - silent_since > SILENCE_SECONDS:
-                    raise
-            else:
-                silent_since = None
-                wait = float(response.headers.get("retry-after", wait))
-                if response.status_code != HTTPStatus.NOT_MODIFIED:
-                    etag = response.headers.get("etag", "")
-                    campaign = self._answer(response, Campaign)
-                    yield campaign
-                    if CampaignState(campaign.state).ended:
-                        return
-            if deadline is not None and time.monotonic() + wait > deadline:
-                time.sleep(max(0.0, deadline - time.monotonic()))
-                raise TimeoutError
-            time.sleep(wait)
+                parser = EventParser()
+                for chunk in response.iter_bytes():
+                    found = [self._sent(one) for one in parser.feed(chunk)]
+                    yield from found or [None]
+        except httpx.TransportError as error:
+            raise unreachable(self.url, error) from error
+
+    def _sent(self, one: ServerSentEvent) -> Sent:
+        try:
+            if one.event == PROGRESS:
+                return CampaignProgress.model_validate_json(one.data)
+            document = json.loads(one.data)
+            return CampaignEvent.model_validate({**document, "id": one.id})
+        except (TypeError, ValueError) as error:
+            raise self._strange() from error
 
     def act(self, identifier: str, action: Action) -> Campaign:
         """Asks for a campaign to be paused, resumed or cancelled. Asking twice is no error."""

@@ -5,6 +5,8 @@ from __future__ import annotations
 from datetime import datetime
 from typing import Any
 
+from pydantic import Field
+
 from drivecal.contracts.campaign import Answer, CellCounts, Progress, Seconds, SensitivityCellCounts
 
 PROGRESS = "progress"
@@ -21,7 +23,7 @@ class CampaignEvent(Answer):
     kind: str
     campaign: str
     at: datetime
-    data: dict[str, Any] = {}
+    data: dict[str, Any] = Field(default_factory=dict)
 
 
 class CampaignProgress(Answer):

@@ -9,7 +9,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Header, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
-from fastapi.sse import EventSourceResponse
+from fastapi.responses import StreamingResponse
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.types import Send
 
@@ -42,8 +42,10 @@ class EventsOf(BaseModel):
     """The last event that was received, for tools that cannot send the header `Last-Event-ID`."""
 
 
-class EventStream(EventSourceResponse):
+class EventStream(StreamingResponse):
     """A stream that ends when its client does not read it."""
+
+    media_type = "text/event-stream"
 
     def __init__(self, content: AsyncGenerator[bytes]) -> None:
         # Buffering proxies would hold events back until there are many.
@@ -62,7 +64,7 @@ class EventStream(EventSourceResponse):
 
 @router.get(
     "/{campaign_id}/events",
-    response_class=EventSourceResponse,
+    response_class=EventStream,
     responses={
         200: {"description": STREAM, "model": CampaignEvent | CampaignProgress},
         204: {"description": "The campaign has ended, and the client has all of its events: there is no need to come back"},

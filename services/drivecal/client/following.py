@@ -1,0 +1,144 @@
+"""Follows a campaign: by its event stream, which is taken up where it broke off, or by asking again and again where there is none."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Generator, Iterator
+from typing import Protocol
+
+from drivecal.contracts.campaign import Best, Campaign
+from drivecal.contracts.events import CampaignEvent, CampaignProgress
+from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.errors import InvalidInputError, NotFoundError, OverloadError, UnavailableError
+from drivecal.domain.events import EventKind
+
+SILENCE_SECONDS = 60.0
+"""How long a server that does not answer is borne: a restart takes less."""
+READ_SECONDS = 20.0
+"""A stream that gives no sign of life for so long has broken; servers give one every 15 s."""
+WAIT_SECONDS = 1.0
+"""Before asking again, where the server does not say how long."""
+EMPTY_STREAMS = 2
+"""After so many streams in a row with nothing in them, though the server answers, something in between does not let them through."""
+
+Told = Callable[[CampaignEvent], None]
+Sent = CampaignEvent | CampaignProgress | None
+"""None: a sign of life."""
+
+
+class Source(Protocol):
+    """Where campaigns are read."""
+
+    def campaign_unless(self, identifier: str, etag: str) -> tuple[Campaign | None, str, float | None]:
+        """The campaign, None where it is still the one of `etag`; its ETag; the seconds to wait before asking again. Raises
+        NotFoundError, and UnavailableError where nothing answers."""
+
+    def events(self, identifier: str, last_id: int | None = None) -> Iterator[Sent]:
+        """What happened after an event, and what happens until the stream ends.
+
+        Raises OverloadError where there is no place for another stream, UnavailableError where nothing answers or the stream breaks
+        off, NotFoundError or InvalidInputError where the server has no such stream.
+        """
+
+
+class Following:
+    """One campaign that is followed until it has ended; `told` is called with each event.
+
+    Where `from_beginning` is False, only with what happens from now on. Iterating raises TimeoutError when the monotonic clock passes
+    `deadline`, and UnavailableError where the server was silent for SILENCE_SECONDS, or is from the start.
+    """
+
+    def __init__(
+        self, source: Source, identifier: str, deadline: float | None, told: Told | None, *, from_beginning: bool
+    ) -> None:
+        self._source = source
+        self._identifier = identifier
+        self._deadline = deadline
+        self._told = told
+        self._etag = ""
+        self._position: int | None = None
+        self._empty_streams = 0
+        self._silent_since: float | None = None
+        self._wait = WAIT_SECONDS
+        self._campaign: Campaign | None = None
+        """As it was last heard of."""
+        self._tells = from_beginning
+
+    def __iter__(self) -> Iterator[Campaign]:
+        """The campaign now, and whenever something changed."""
+        while True:
+            answered = yield from self._ask()
+            if answered and self._has_ended:
+                return
+            if answered and self._streams:
+                yield from self._stream()
+            if not (answered and self._has_ended):  # by what the stream said; what it does not say is asked for at once
+                self._pause()
+
+    @property
+    def _has_ended(self) -> bool:
+        return self._campaign is not None and CampaignState(self._campaign.state).ended
+
+    @property
+    def _streams(self) -> bool:
+        """A stream may be silent for READ_SECONDS, so the last ones before a deadline are spent asking."""
+        in_time = self._deadline is None or self._deadline - time.monotonic() > READ_SECONDS
+        return in_time and self._empty_streams < EMPTY_STREAMS
+
+    def _ask(self) -> Generator[Campaign, None, bool]:
+        """Whether there was an answer."""
+        try:
+            campaign, self._etag, wait = self._source.campaign_unless(self._identifier, self._etag)
+        except UnavailableError:
+            self._silent_since = self._silent_since or time.monotonic()
+            if self._campaign is None or time.monotonic() - self._silent_since > SILENCE_SECONDS:
+                raise
+            return False
+        self._silent_since = None
+        self._wait = WAIT_SECONDS if wait is None else wait
+        if campaign is not None:
+            self._campaign = campaign
+            yield campaign
+        return True
+
+    def _stream(self) -> Iterator[Campaign]:
+        received = False
+        try:
+            for sent in self._source.events(self._identifier, self._position):
+                received = received or sent is not None
+                campaign = self._take(sent)
+                if campaign is not None:
+                    yield campaign
+                if not self._streams:
+                    break
+        except (OverloadError, NotFoundError, InvalidInputError):
+            self._empty_streams = EMPTY_STREAMS  # no place for another one, or a server that has none
+        except UnavailableError:
+            pass  # the question that follows says whether the server is away
+        if received:
+            self._empty_streams = 0
+        else:
+            self._empty_streams += 1
+
+    def _take(self, sent: Sent) -> Campaign | None:
+        """The campaign as it is with what the stream sent; None where that changes nothing that a campaign holds."""
+        if self._campaign is None or sent is None:
+            return None
+        if isinstance(sent, CampaignEvent):
+            if sent.id is not None:
+                self._position = sent.id
+            if self._told is not None and self._tells:
+                self._told(sent)
+            if sent.kind == EventKind.BEST:
+                self._campaign = self._campaign.model_copy(update={"best": Best.model_validate(sent.data)})
+            return None
+        self._tells = True  # what had happened before comes before the first progress
+        moved = {name: getattr(sent, name) for name in CampaignProgress.model_fields if name in Campaign.model_fields}
+        self._campaign = self._campaign.model_copy(update=moved)
+        return self._campaign
+
+    def _pause(self) -> None:
+        if self._deadline is not None and time.monotonic() + self._wait > self._deadline:
+            time.sleep(max(0.0, self._deadline - time.monotonic()))
+            raise TimeoutError
+        time.sleep(self._wait)
