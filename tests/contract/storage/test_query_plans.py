@@ -20,10 +20,22 @@ from tests.support.storage import EVALUATOR, campaign, new_run, sample_set_ids, 
 from drivecal.domain.campaigns import Stage
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.events import EventKind
-from drivecal.storage import audits, campaigns, evaluations, events, parameter_sets, reference_keys, results, runs
+from drivecal.storage import (
+    audits,
+    campaigns,
+    evaluations,
+    events,
+    parameter_sets,
+    processes,
+    reference_keys,
+    results,
+    runs,
+    statistics,
+)
 from drivecal.storage.database import Database
 from drivecal.storage.evaluations import Answer, NewEvaluation
 from drivecal.storage.membership import LARGEST_IN
+from drivecal.storage.statistics import Tally
 from drivecal.storage.types import now
 
 ROWS = 4_000
@@ -209,3 +221,15 @@ def test_events_are_read_and_forgotten_by_their_indexes(database: Database) -> N
             assert scanned(plan) == set(), plan
             assert index in plan, plan
             assert "TEMP B-TREE" not in plan
+
+
+def test_the_statistics_read_open_and_new_campaigns_only(filled: Database) -> None:
+    with filled.transaction() as connection:
+        for number in range(1500):
+            campaign(connection, str(number))
+        connection.execute(text("UPDATE campaigns SET state = 'succeeded', ended_at = created_at WHERE sequence < 1490"))
+        processes.elect(connection, processes.DISPATCHER, 1, now())
+    gather_statistics(filled)
+    with filled.read() as connection:
+        plan = plans(connection, lambda one: statistics.read(one, Tally(settled=1495, open=tuple(range(1490, 1496)))))
+    assert scanned(plan) <= {"leases", "processes"}, plan
