@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from sqlalchemy import Connection, Row, Select, SmallInteger, select, type_coerce
+from sqlalchemy import Connection, Row, Select, SmallInteger, func, select, type_coerce
 
 from drivecal.domain.evaluations import Donor
 from drivecal.storage import parameter_sets
@@ -83,31 +83,68 @@ def sync(
             return total
 
 
+def indexes(connection: Connection) -> list[Row[Any]]:
+    """What keys there are: rows of id, influence_map_sequence, setup_id, evaluator and run_id, up to which they are there."""
+    return list(connection.execute(select(reference_indexes).order_by(reference_indexes.c.id)))
+
+
+def wrong_keys(connection: Connection, index: Row[Any], key_function: KeyFunction, every: int, chunk: int = CHUNK) -> int:
+    """How many of one index's rows would be other ones if they were made anew; looks at each `every`-th run only.
+
+    A run has to have its row where no run before it comes earlier in the order of origins under the same key, and none elsewhere.
+    """
+    wrong = found = after = 0
+    while rows := _rated(connection, index.setup_id, index.evaluator, after, index.run_id, chunk, every):
+        keys = _keys(rows, key_function)
+        stored = _stored(connection, index.id, sorted(set(keys)))
+        for key, row in zip(keys, rows, strict=True):
+            place, others = _place(row), stored.get(key, {})
+            first = all(other > row.id or place < earlier for other, earlier in others.items() if other != row.id)
+            wrong += first != (row.id in others)
+            found += row.id in others
+        after = rows[-1].id
+    there = select(func.count()).where(reference_keys.c.index_id == index.id, reference_keys.c.run_id % every == 0)
+    return wrong + abs(connection.execute(there).scalar_one() - found)
+
+
 def _sync_chunk(
     connection: Connection, index: int, setup_id: int, evaluator: str, upto: int, key_function: KeyFunction, chunk: int
 ) -> int:
     since = _since(connection, index)
-    rows = connection.execute(
-        select(runs.c.id, *_COPIED, *_ORIGIN, parameter_sets_table.c.parameter_values)
-        .join(parameter_sets_table)
-        .join(ratings, (ratings.c.run_id == runs.c.id) & (ratings.c.evaluator == evaluator))
-        .where(runs.c.setup_id == setup_id, runs.c.id > since, runs.c.id <= upto)
-        .order_by(runs.c.id)
-        .limit(chunk)
-    ).all()
+    rows = _rated(connection, setup_id, evaluator, since, upto, chunk)
     if rows:
         keys = _keys(rows, key_function)
         first = {} if since == 0 else _first(connection, index, sorted(set(keys)))
         records: list[tuple[Any, ...]] = []
-        for key, (run_id, *copied, campaign, stage, iteration, individual, _) in zip(keys, rows, strict=True):
-            place = campaign, stage, iteration, individual
+        for key, row in zip(keys, rows, strict=True):
+            place = _place(row)
             if key not in first or place < first[key]:
                 first[key] = place
-                records.append((index, key, run_id, *copied))
+                records.append((index, key, *row[: 1 + len(_COPIED)]))
         _insert(connection, sorted(records))  # no two have the same index, key and run
     reached = max(rows[-1].id if len(rows) == chunk else upto, since)
     connection.execute(reference_indexes.update().where(reference_indexes.c.id == index).values(run_id=reached))
     return len(rows)
+
+
+def _rated(
+    connection: Connection, setup_id: int, evaluator: str, after: int, upto: int, chunk: int, every: int = 1
+) -> Sequence[Row[Any]]:
+    """Of the next `chunk` runs that the evaluator rated: id, what their keys copy, origin, parameter set."""
+    query = (
+        select(runs.c.id, *_COPIED, *_ORIGIN, parameter_sets_table.c.parameter_values)
+        .join(parameter_sets_table)
+        .join(ratings, (ratings.c.run_id == runs.c.id) & (ratings.c.evaluator == evaluator))
+        .where(runs.c.setup_id == setup_id, runs.c.id > after, runs.c.id <= upto)
+        .order_by(runs.c.id)
+        .limit(chunk)
+    )
+    return connection.execute(query if every == 1 else query.where(runs.c.id % every == 0)).all()
+
+
+def _place(row: Row[Any]) -> tuple[int, ...]:
+    """The origin of a row of `_rated`."""
+    return tuple(row[1 + len(_COPIED) : -1])
 
 
 def _index(influence_map: int, setup_id: int, evaluator: str) -> Select[int]:
@@ -144,15 +181,20 @@ def _keys(rows: Sequence[Row[Any]], key_function: KeyFunction) -> list[bytes]:
 
 def _first(connection: Connection, index: int, keys: Sequence[bytes]) -> dict[bytes, tuple[int, ...]]:
     """The earliest origin of each key that is there already."""
-    found: dict[bytes, tuple[int, ...]] = {}
+    return {key: min(places.values()) for key, places in _stored(connection, index, keys).items()}
+
+
+def _stored(connection: Connection, index: int, keys: Sequence[bytes]) -> dict[bytes, dict[int, tuple[int, ...]]]:
+    """The origins of keys that are there already, by key and run."""
+    found: dict[bytes, dict[int, tuple[int, ...]]] = {}
     for condition in among(connection, reference_keys.c.key, keys):
         query = (
-            select(reference_keys.c.key, *_ORIGIN)
+            select(reference_keys.c.key, runs.c.id, *_ORIGIN)
             .join(runs, runs.c.id == reference_keys.c.run_id)
             .where(reference_keys.c.index_id == index, condition)
         )
-        for key, *origin in connection.execute(query):
-            found[key] = min(found.get(key, tuple(origin)), tuple(origin))
+        for key, run_id, *origin in connection.execute(query):
+            found.setdefault(key, {})[run_id] = tuple(origin)
     return found
 
 

@@ -56,7 +56,7 @@ def refuse_foreign(connection: Connection, database: str) -> None:
     if tables and REVISION_TABLE not in tables:
         listed = ", ".join(sorted(tables)[:3])
         raise DatabaseError(f"{database} holds another program's tables ({listed}); give drivecal a database of its own")
-    revision = _revision(connection)
+    revision = revision_of(connection)
     if revision is not None and revision not in _known_revisions():
         raise DatabaseError(
             f"{database} was made by a newer drivecal (revision {revision}); install that release or name another database"
@@ -65,7 +65,7 @@ def refuse_foreign(connection: Connection, database: str) -> None:
 
 def refuse_unmigrated(connection: Connection, database: str) -> None:
     """Raises DatabaseError where the database is not at this drivecal's revision."""
-    revision, head = _revision(connection), _known_revisions()[0]
+    revision, head = revision_of(connection), _known_revisions()[0]
     if revision != head:
         found = "is empty" if revision is None else f"is at revision {revision}, this drivecal needs {head}"
         raise DatabaseError(f"{database} {found}; run `drivecal db upgrade`")
@@ -79,18 +79,19 @@ def use_write_ahead_log(url: URL) -> None:
             connection.execute("PRAGMA journal_mode = WAL")
 
 
-def upgrade(connection: Connection, database: str) -> None:
-    """Runs the missing revisions inside the connection's transaction: all of them or none."""
+def upgrade(connection: Connection, database: str, to: str = "head") -> None:
+    """Runs the missing revisions up to `to` inside the connection's transaction: all of them or none."""
     if connection.dialect.name == "postgresql":
         connection.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": UPGRADE_LOCK})
     refuse_foreign(connection, database)  # once more, under the lock
     with as_file(files("drivecal.storage") / "migrations") as folder:
         config = Config(attributes={"connection": connection})
         config.set_main_option("script_location", str(folder).replace("%", "%%"))
-        command.upgrade(config, "head")
+        command.upgrade(config, to)
 
 
-def _revision(connection: Connection) -> str | None:
+def revision_of(connection: Connection) -> str | None:
+    """The database's revision; None where it has none of drivecal's tables."""
     if REVISION_TABLE not in inspect(connection).get_table_names():
         return None
     return connection.execute(text(f"SELECT version_num FROM {REVISION_TABLE}")).scalar()  # noqa: S608  # a constant

@@ -1,0 +1,169 @@
+"""Whether the rows of a database fit together: what every transaction promises to keep, checked afterwards. Only reads.
+
+Each check gives one sentence per thing that is broken. In one snapshot nothing is, at any moment of a running server.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from sqlalchemy import (
+    ColumnElement,
+    Connection,
+    FromClause,
+    SmallInteger,
+    and_,
+    case,
+    exists,
+    func,
+    or_,
+    select,
+    type_coerce,
+)
+
+from drivecal.domain.campaigns import CampaignState, Stage
+from drivecal.domain.evaluations import Outcome
+from drivecal.storage.consistency import Check
+from drivecal.storage.evaluations import COPIES, DONORS
+from drivecal.storage.tables import (
+    campaigns,
+    evaluations,
+    generations,
+    leases,
+    ratings,
+    reference_indexes,
+    reference_keys,
+    runs,
+)
+from drivecal.storage.types import ORDER
+
+ENDED = tuple(state for state in CampaignState if state.ended)
+
+
+def check_counters(connection: Connection) -> Iterator[str]:
+    """The counters of each campaign are those of its cells, and add up."""
+    counted: dict[tuple[int, int], dict[str, int]] = {}
+    stage, audited = type_coerce(evaluations.c.stage, SmallInteger), func.sum(case((evaluations.c.audited, 1), else_=0))
+    columns = evaluations.c.campaign_sequence, stage, evaluations.c.outcome
+    for sequence, number, outcome, count, audits in connection.execute(
+        select(*columns, func.count(), audited).group_by(*columns)
+    ):
+        cells = counted.setdefault((sequence, number), {})
+        cells[outcome or "pending"] = count
+        if outcome == Outcome.SIMULATED:
+            cells["audited"] = audits
+    carried = dict(
+        connection.execute(
+            select(generations.c.campaign_sequence, func.sum(generations.c.carried_over)).group_by(
+                generations.c.campaign_sequence
+            )
+        )
+        .tuples()
+        .all()
+    )
+    for one in connection.execute(
+        select(campaigns.c.sequence, campaigns.c.id, campaigns.c.cells, campaigns.c.sensitivity_cells).order_by(
+            campaigns.c.sequence
+        )
+    ):
+        calibration = counted.get((one.sequence, ORDER[Stage.CALIBRATION]), {}) | {"carried_over": carried.get(one.sequence, 0)}
+        sensitivity = counted.get((one.sequence, ORDER[Stage.SENSITIVITY]), {})
+        for name, kept, cells in (("cells", one.cells, calibration), ("sensitivity_cells", one.sensitivity_cells, sensitivity)):
+            cells["requested"] = sum(cells.get(outcome, 0) for outcome in Outcome)
+            cells["proposed"] = sum(cells.get(part, 0) for part in ("carried_over", "pending", "requested"))
+            for part, count in kept.items():
+                if part != "unrepeatable" and count != cells.get(part, 0):
+                    yield f"campaign {one.id} counts {count} {part} {name}, its rows {cells.get(part, 0)}"
+
+
+def check_ended(connection: Connection) -> Iterator[str]:
+    """Campaigns that have ended have no leases, and those that succeeded no cell without an answer; answered cells have no lease."""
+    ended = campaigns.c.state.in_(ENDED)
+    for one in connection.execute(select(campaigns.c.id, campaigns.c.state).where(ended != campaigns.c.ended_at.is_not(None))):
+        yield f"campaign {one.id} is {one.state}, and its end is {'not ' if one.state in ENDED else ''}written down"
+    cells = evaluations.join(campaigns)
+    pending = select(campaigns.c.id, func.count()).select_from(cells).where(evaluations.c.outcome.is_(None))
+    for name, count in connection.execute(pending.where(campaigns.c.state == CampaignState.SUCCEEDED).group_by(campaigns.c.id)):
+        yield f"campaign {name} has succeeded, and {count} of its cells have no answer"
+    leased = select(campaigns.c.id, func.count()).select_from(leases.join(cells)).group_by(campaigns.c.id)
+    for name, count in connection.execute(leased.where(ended)):
+        yield f"campaign {name} has ended, and {count} of its cells are leased"
+    for name, count in connection.execute(leased.where(evaluations.c.outcome.is_not(None))):
+        yield f"{count} cells of campaign {name} have their answers, and are leased"
+
+
+def check_answers(connection: Connection) -> Iterator[str]:
+    """Every answered cell has its run, of its own setup; every copy was answered by a cell or run that may answer others."""
+    cell, run, donor = evaluations.c, runs.alias("run"), evaluations.alias("donor")
+    joined = evaluations.outerjoin(run, run.c.id == cell.run_id).outerjoin(donor, donor.c.id == cell.reference)
+    same = and_(
+        run.c.setup_id == cell.setup_id, or_(cell.outcome == Outcome.REUSED, run.c.parameter_set_id == cell.parameter_set_id)
+    )
+    answered = cell.outcome.in_([*DONORS, *COPIES])
+    yield from _cells(connection, joined, answered & (run.c.id.is_(None) | ~same), "have no run of their own cell")
+    yield from _cells(connection, joined, answered & (cell.score.is_(None) | cell.rating.is_(None)), "have no score")
+    failed = (cell.outcome == Outcome.FAILED) & (cell.run_id.is_not(None) | cell.score.is_not(None))
+    yield from _cells(connection, joined, failed, "failed and have a result all the same")
+    orphaned = cell.outcome.in_(COPIES) & (donor.c.id.is_(None) | donor.c.outcome.not_in(DONORS) | donor.c.outcome.is_(None))
+    yield from _cells(connection, joined, orphaned, "are copies of cells that may not answer others")
+
+
+def _cells(connection: Connection, joined: FromClause, broken: ColumnElement[bool], sentence: str) -> Iterator[str]:
+    query = select(func.count(), func.min(evaluations.c.id)).select_from(joined).where(broken)
+    count, first = connection.execute(query).one()
+    if count:
+        yield f"{count:,} answered cells {sentence}, the first of them evaluation {first}"
+
+
+def check_references(connection: Connection) -> Iterator[str]:
+    """One run per setup and parameter set, rated, and simulated for a cell that is there."""
+    origin = evaluations.alias("origin")
+    several = select(runs.c.setup_id, runs.c.parameter_set_id).group_by(runs.c.setup_id, runs.c.parameter_set_id)
+    for setup, parameters in connection.execute(several.having(func.count() > 1).limit(5)):
+        yield f"parameter set {parameters} has several runs in setup {setup}"
+    for sentence, broken in (
+        ("have no rating", ~exists().where(ratings.c.run_id == runs.c.id)),
+        (
+            "were simulated for no cell that is there",
+            ~exists().where(origin.c.id == runs.c.evaluation_id, origin.c.campaign_sequence == runs.c.campaign_sequence),
+        ),
+    ):
+        count, first = connection.execute(select(func.count(), func.min(runs.c.id)).where(broken)).one()
+        if count:
+            yield f"{count:,} runs {sentence}, the first of them run {first}"
+    newest = connection.scalar(select(func.max(runs.c.id))) or 0
+    for name, watermark in connection.execute(
+        select(campaigns.c.id, campaigns.c.watermark).where(campaigns.c.watermark > newest).limit(5)
+    ):
+        yield f"campaign {name} may use runs up to {watermark}, and the newest is {newest}"
+
+
+def check_key_copies(connection: Connection) -> Iterator[str]:
+    """What reference keys say of their runs is what the runs say."""
+    key = reference_keys.c
+    joined = (
+        reference_keys.outerjoin(reference_indexes, reference_indexes.c.id == key.index_id)
+        .outerjoin(runs, (runs.c.id == key.run_id) & (runs.c.setup_id == reference_indexes.c.setup_id))
+        .outerjoin(ratings, (ratings.c.run_id == key.run_id) & (ratings.c.evaluator == reference_indexes.c.evaluator))
+    )
+    differs = or_(
+        ratings.c.run_id.is_(None),
+        runs.c.id.is_(None),
+        key.run_id > reference_indexes.c.run_id,
+        key.evaluation_id != runs.c.evaluation_id,
+        key.score != ratings.c.score,
+        key.rating != ratings.c.rating,
+        key.failure.is_distinct_from(runs.c.failure),
+    )
+    count = connection.execute(select(func.count()).select_from(joined).where(differs)).scalar_one()
+    if count:
+        yield f"{count:,} reference keys differ from the runs that they stand for"
+
+
+INVARIANTS: dict[str, Check] = {
+    "counters": check_counters,
+    "ended campaigns": check_ended,
+    "answered cells": check_answers,
+    "references": check_references,
+    "copies in reference keys": check_key_copies,
+}
