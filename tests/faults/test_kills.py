@@ -1,4 +1,4 @@
-"""SIGKILL to the server's own processes, anywhere in a campaign."""
+"""SIGKILL to the server's own processes and to its database, anywhere in a campaign."""
 
 from __future__ import annotations
 
@@ -9,42 +9,115 @@ import pytest
 from tests.support.faults.coordinator import Coordinator
 from tests.support.faults.findings import Found
 from tests.support.faults.lives import (
+    Fault,
     Moment,
+    and_ready_again,
+    asleep,
+    dispatcher_asleep,
     kill_api,
     kill_dispatcher,
     kill_everything,
+    kill_gcs_server,
+    kill_raylet,
     kill_supervisor,
     live,
     moments,
+    outage,
     terminate,
 )
+from tests.support.faults.postgres import KillablePostgres
 
-KILLS_IN_A_LIFE = 5
-KINDS = (kill_dispatcher, kill_dispatcher, kill_supervisor, kill_everything)
 DATABASES = ("sqlite", "postgresql")
-SHORT = {
-    "sqlite": [(Moment(0.15, 0.0), kill_api), (Moment(0.3, 0.1), kill_dispatcher), (Moment(0.7, 0.0), terminate)],
-    "postgresql": [(Moment(0.2, 0.1), kill_everything), (Moment(0.6, 0.0), kill_dispatcher)],
-}
+KILLS_IN_A_LIFE = 5
+KINDS: tuple[Fault, ...] = (kill_dispatcher, kill_dispatcher, kill_supervisor, kill_everything)
 
 MakeServer = Callable[[str], Coordinator]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", DATABASES)
-def test_campaigns_outlive_what_carries_them(kind: str, server_on: MakeServer, without_faults: dict[str, Found]) -> None:
-    live(server_on(kind), SHORT[kind], without_faults)
+def test_campaigns_on_sqlite_outlive_what_carries_them(server_on: MakeServer, without_faults: dict[str, Found]) -> None:
+    plan = [(Moment(0.15, 0.0), kill_api), (Moment(0.3, 0.1), kill_dispatcher), (Moment(0.7, 0.0), terminate)]
+    live(server_on("sqlite"), plan, without_faults)
+
+
+@pytest.mark.slow
+def test_campaigns_on_postgresql_outlive_what_carries_them(
+    server_on: MakeServer, without_faults: dict[str, Found], postgres: KillablePostgres
+) -> None:
+    faults: list[Fault] = [outage(postgres, 1.0), kill_everything, kill_dispatcher]
+    plan = list(zip((Moment(0.1, 0.0), Moment(0.3, 0.1), Moment(0.7, 0.0)), faults, strict=True))
+    live(server_on("postgresql"), plan, without_faults)
 
 
 @pytest.mark.faults
 @pytest.mark.timeout(1200)
 @pytest.mark.parametrize("life", range(10))
 @pytest.mark.parametrize("kind", DATABASES)
-def test_campaigns_outlive_fifty_kills_at_random_points(
+def test_fifty_kills_at_random_points(
     kind: str, life: int, server_on: MakeServer, without_faults: dict[str, Found], base_seed: int
 ) -> None:
     seed = base_seed + 100 * DATABASES.index(kind) + life
     print(f"seed {seed}")
     chance = random.Random(seed)
     plan = [(moment, chance.choice(KINDS)) for moment in moments(seed, KILLS_IN_A_LIFE)]
+    live(server_on(kind), plan, without_faults)
+
+
+@pytest.mark.faults
+@pytest.mark.timeout(1200)
+@pytest.mark.parametrize("life", range(2))
+def test_ten_kills_of_postgresql_in_the_middle_of_a_commit(
+    life: int, server_on: MakeServer, without_faults: dict[str, Found], base_seed: int, postgres: KillablePostgres
+) -> None:
+    seed = base_seed + 500 + life
+    print(f"seed {seed}")
+    chance = random.Random(seed)
+    shares = sorted(chance.uniform(0.0, 0.9) for _ in range(5))
+    plan = [(Moment(share, 0.0), outage(postgres, chance.uniform(0.0, 4.0))) for share in shares]
+    live(server_on("postgresql"), plan, without_faults)
+
+
+@pytest.mark.faults
+@pytest.mark.timeout(1200)
+def test_postgresql_is_away_for_a_minute(
+    server_on: MakeServer, without_faults: dict[str, Found], postgres: KillablePostgres
+) -> None:
+    live(server_on("postgresql"), [(Moment(0.4, 0.0), and_ready_again(outage(postgres, 60.0)))], without_faults)
+
+
+@pytest.mark.faults
+@pytest.mark.timeout(1200)
+@pytest.mark.parametrize("kind", DATABASES)
+def test_api_and_dispatcher_killed_alone_are_back_within_a_minute(
+    kind: str, server_on: MakeServer, without_faults: dict[str, Found]
+) -> None:
+    faults: list[Fault] = [kill_api, kill_dispatcher, kill_api, kill_dispatcher]
+    plan = [(Moment(0.2 * number, 0.1), and_ready_again(fault)) for number, fault in enumerate(faults, 1)]
+    live(server_on(kind), plan, without_faults)
+
+
+@pytest.mark.faults
+@pytest.mark.timeout(1200)
+@pytest.mark.parametrize("kind", DATABASES)
+def test_sigterm_under_load_ends_it_in_ten_seconds_and_it_goes_on(
+    kind: str, server_on: MakeServer, without_faults: dict[str, Found]
+) -> None:
+    live(server_on(kind), [(Moment(share, 0.05), terminate) for share in (0.1, 0.35, 0.6, 0.85)], without_faults)
+
+
+@pytest.mark.faults
+@pytest.mark.timeout(1200)
+def test_the_parts_of_a_local_ray_are_killed(server_on: MakeServer, without_faults: dict[str, Found]) -> None:
+    plan = [(Moment(0.2, 0.0), and_ready_again(kill_raylet)), (Moment(0.6, 0.0), and_ready_again(kill_gcs_server))]
+    live(server_on("sqlite"), plan, without_faults)
+
+
+@pytest.mark.faults
+@pytest.mark.timeout(1200)
+@pytest.mark.parametrize("fault", [dispatcher_asleep, asleep])
+@pytest.mark.parametrize("kind", DATABASES)
+def test_processes_sleep_and_wake_up_again(
+    kind: str, fault: Fault, server_on: MakeServer, without_faults: dict[str, Found]
+) -> None:
+    plan = [(Moment(0.2, 0.0), and_ready_again(fault)), (Moment(0.6, 0.1), and_ready_again(fault))]
     live(server_on(kind), plan, without_faults)

@@ -239,12 +239,15 @@ def alive(process: psutil.Process) -> bool:
         return False
 
 
-def suspended(family: list[psutil.Process], seconds: float) -> None:
-    """Stops processes with SIGSTOP for a while, as a laptop that sleeps."""
+@contextmanager
+def suspended(family: list[psutil.Process]) -> Iterator[None]:
+    """Processes stand still (SIGSTOP) until the block is left."""
     for one in family:
         with suppress(psutil.NoSuchProcess):
-            os.kill(one.pid, signal.SIGSTOP)
-    time.sleep(seconds)
-    for one in family:
-        with suppress(psutil.NoSuchProcess, ProcessLookupError):
-            os.kill(one.pid, signal.SIGCONT)
+            one.suspend()
+    try:
+        yield
+    finally:
+        for one in family:
+            with suppress(psutil.NoSuchProcess):
+                one.resume()

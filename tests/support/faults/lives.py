@@ -9,10 +9,12 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Protocol
 
+import httpx
 import psutil
 from sqlalchemy import func, select
-from tests.support.faults.coordinator import ORPHAN_SECONDS, READY_SECONDS, Coordinator
+from tests.support.faults.coordinator import ORPHAN_SECONDS, READY_SECONDS, Coordinator, suspended
 from tests.support.faults.findings import Found, assert_equal, assert_sound, found
+from tests.support.faults.postgres import KillablePostgres
 from tests.support.faults.workload import Accepted, single_evaluations, submit
 from tests.support.serve import gone, until
 
@@ -22,6 +24,9 @@ from drivecal.storage import campaigns
 from drivecal.storage.tables import evaluations
 
 LOOK_SECONDS = 0.01
+SAID_SECONDS = 5.0
+"""In which the server says what is wrong."""
+ASLEEP_SECONDS = 20.0
 PATIENCE_SECONDS = 240.0
 """In which a server has to get on with its work; it needs ten, but may have a small part of a busy machine."""
 
@@ -85,6 +90,57 @@ def terminate(coordinator: Coordinator) -> None:
     """SIGTERM under load: ends in time, leaves nothing behind, and is started again."""
     coordinator.terminate()
     coordinator.start()
+
+
+def outage(postgres: KillablePostgres, seconds: float) -> Fault:
+    """PostgreSQL is killed in the middle of a commit and comes back after so many seconds. Meanwhile the API lives, and says what is
+    wrong."""
+
+    def postgres_killed(coordinator: Coordinator) -> None:
+        in_a_commit = postgres.kill_in_a_commit()
+        begin = time.monotonic()
+        print(f"         {'in' if in_a_commit else 'OUTSIDE'} a commit; down for {seconds:.1f} s", flush=True)
+        if seconds >= SAID_SECONDS:
+            assert_said(coordinator, "database")
+            refused = httpx.post(f"{coordinator.url}/api/v1/campaigns", json={}, timeout=35.0)
+            assert (refused.status_code, "Retry-After" in refused.headers) == (503, True), refused.text
+            time.sleep(max(0.0, begin + seconds - time.monotonic()))
+            health = coordinator.answers("/healthz")
+            assert health is not None, "the API did not live through it"
+            assert health.status_code == httpx.codes.OK
+        time.sleep(max(0.0, begin + seconds - time.monotonic()))
+        postgres.start()
+
+    return postgres_killed
+
+
+def assert_said(coordinator: Coordinator, word: str) -> None:
+    """AssertionError where /readyz does not say within `SAID_SECONDS` that it is not ready, with `word` in the reason."""
+    begin = time.monotonic()
+    answer = None
+    while time.monotonic() - begin < SAID_SECONDS:
+        answer = coordinator.answers("/readyz")
+        if answer is not None and answer.status_code != httpx.codes.OK and word in answer.text:
+            print(f"         said after {time.monotonic() - begin:.1f} s: {answer.json()['problems']}", flush=True)
+            return
+        time.sleep(0.1)
+    raise AssertionError(f"/readyz did not name the {word} within {SAID_SECONDS} s: {answer and answer.text}")
+
+
+def asleep(coordinator: Coordinator) -> None:
+    """SIGSTOP to all its processes, and SIGCONT after a while: a laptop that sleeps."""
+    with suspended(coordinator.family()):
+        time.sleep(ASLEEP_SECONDS)
+
+
+def dispatcher_asleep(coordinator: Coordinator) -> None:
+    """SIGSTOP to the dispatcher alone, and SIGCONT after a while; the others see a dispatcher that says nothing."""
+    dispatcher = coordinator.dispatcher()
+    with suspended([dispatcher]):
+        time.sleep(ASLEEP_SECONDS)
+        answer = coordinator.answers("/readyz")
+        assert answer is not None
+        assert (answer.status_code, "silent" in answer.text) == (503, True), answer.text
 
 
 def and_ready_again(fault: Fault) -> Fault:

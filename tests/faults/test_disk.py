@@ -1,0 +1,74 @@
+"""The disk under the database is full for a while."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+import subprocess
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from tests.support.faults.coordinator import Coordinator, coordinator
+from tests.support.faults.findings import Found
+from tests.support.faults.lives import Moment, and_ready_again, live
+
+FULL_SECONDS = 20.0
+
+
+@contextmanager
+def _small_disk(folder: Path) -> Iterator[Path]:
+    """A file system of 64 MB in memory; only root may mount one."""
+    folder.mkdir()
+    mount = shutil.which("mount")
+    if os.geteuid() != 0 or mount is None:
+        pytest.skip("only root can mount a small disk")
+    done = subprocess.run(
+        [mount, "-t", "tmpfs", "-o", "size=64m", "tmpfs", str(folder)], capture_output=True, text=True, check=False
+    )
+    if done.returncode:
+        pytest.skip(f"a small disk cannot be mounted here: {done.stderr.strip()}")
+    try:
+        yield folder
+    finally:
+        subprocess.run(["umount", str(folder)], check=True)
+
+
+def _fill(folder: Path) -> Path:
+    """Takes the last byte."""
+    file = folder / "fills-the-disk"
+    with file.open("wb", buffering=0) as filler:
+        for size in (2**20, 2**12, 1):
+            while True:
+                try:
+                    filler.write(b"\0" * size)
+                except OSError as error:
+                    if error.errno != errno.ENOSPC:
+                        raise
+                    break
+    return file
+
+
+@pytest.mark.faults
+@pytest.mark.timeout(600)
+def test_a_full_disk_stops_campaigns_only_as_long_as_it_is_full(tmp_path: Path, without_faults: dict[str, Found]) -> None:
+    with (
+        _small_disk(tmp_path / "disk") as disk,
+        coordinator(tmp_path / "server", f"sqlite:///{disk / 'drivecal.db'}") as server,
+    ):
+
+        def disk_full(coordinator: Coordinator) -> None:
+            file = _fill(disk)
+            time.sleep(FULL_SECONDS)
+            health = coordinator.answers("/healthz")
+            assert health is not None, "the API did not live through it"
+            file.unlink()
+
+        live(
+            server,
+            [(Moment(0.2, 0.0), and_ready_again(disk_full)), (Moment(0.6, 0.0), and_ready_again(disk_full))],
+            without_faults,
+        )
