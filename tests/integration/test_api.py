@@ -362,14 +362,25 @@ def test_readiness_says_what_is_missing(tmp_path_factory: pytest.TempPathFactory
     with serving(f"sqlite:///{tmp_path_factory.mktemp('ready') / 'drivecal.db'}") as api:
         assert api.http.get("/healthz").json() == {"status": "alive"}
         response = api.http.get("/readyz")
-        assert (response.status_code, response.json()["problems"]) == (503, ["no dispatcher has started yet"])
+        assert (response.status_code, response.json()["problems"]) == (
+            503,
+            ["no dispatcher has started yet; `drivecal serve` starts one"],
+        )
         detail: dict[str, Any] = {"workers": [{"id": "worker 1", "node": "here", "pid": 5, "state": "idle", "cells": 3}]}
         with api.database.transaction() as connection:
             processes.heartbeat(connection, "dispatcher", 1, now(), detail)
         assert api.http.get("/readyz").json() == {"ready": True, "problems": []}
-        assert api.http.get("/api/v1/workers").json()["items"] == [
-            {"id": "worker 1", "node": "here", "state": "idle", "cells": 3}
+        doing = {"scenario": "S1", "since": "2026-01-01T00:00:00Z", "cells_per_second": 30.5}
+        detail["workers"].append({"id": "worker 2", "node": "there", "state": "busy", "cells": 7, **doing})
+        with api.database.transaction() as connection:
+            processes.heartbeat(connection, "dispatcher", 1, now(), detail)
+        page = api.http.get("/api/v1/workers").json()
+        assert page["items"] == [
+            {"id": "worker 1", "node": "here", "state": "idle", "cells": 3} | dict.fromkeys(doing),
+            {"id": "worker 2", "node": "there", "state": "busy", "cells": 7, **doing},
         ]
+        assert (page["fresh"], page["degraded"]) == (True, None)
+        del detail["workers"][1]
         with api.database.transaction() as connection:
             processes.heartbeat(connection, "dispatcher", 1, now(), detail | {"degraded": "Ray does not answer"})
         response = api.http.get("/readyz")

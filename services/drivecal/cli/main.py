@@ -7,7 +7,18 @@ from typing import Annotated
 
 import typer
 
-from drivecal.cli import campaigns, evaluations, explain, influence, influence_maps, maintenance, report, results, serve
+from drivecal.cli import (
+    campaigns,
+    evaluations,
+    explain,
+    influence,
+    influence_maps,
+    maintenance,
+    report,
+    results,
+    serve,
+    workers,
+)
 from drivecal.cli.commands import app
 from drivecal.cli.demo import command as demo
 
@@ -24,6 +35,7 @@ __all__ = [
     "report",
     "results",
     "serve",
+    "workers",
 ]
 
 

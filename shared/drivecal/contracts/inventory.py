@@ -120,20 +120,26 @@ class ReferencePage(Answer):
 
 
 class WorkerAnswer(Answer):
-    """A worker as the dispatcher last saw it; `cells` counts what it has finished."""
+    """A worker as the dispatcher last saw it; `cells` counts what it has finished. A busy one simulates `scenario`, this batch of it
+    `since` then; `cells_per_second` is its speed in the last batches, null before the first."""
 
     id: str
     node: str | None = None
     state: str
     cells: int = 0
+    scenario: str | None = None
+    since: datetime | None = None
+    cells_per_second: float | None = None
 
 
 class WorkerPage(Answer):
-    """The workers, and since when the dispatcher that drives them has been silent (null: it never spoke)."""
+    """The workers, and when the dispatcher that drives them was last heard of (null: never). `fresh` is false where it has been silent for
+    too long to believe what it said; `degraded` says what is wrong."""
 
     items: list[WorkerAnswer]
     next_cursor: str | None = None
     dispatcher_seen_at: datetime | None = None
+    fresh: bool = False
     degraded: str | None = None
 
 

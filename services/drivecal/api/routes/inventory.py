@@ -5,6 +5,7 @@ from __future__ import annotations
 from fastapi import APIRouter
 
 from drivecal.api.dependencies import DatabaseDependency
+from drivecal.api.readiness import judge
 from drivecal.contracts.inventory import (
     ParameterAnswer,
     ParameterSpaceAnswer,
@@ -21,6 +22,7 @@ from drivecal.domain.setups import Setup
 from drivecal.plugins import registry
 from drivecal.storage import processes, setups
 from drivecal.storage.setups import SetupCount
+from drivecal.storage.types import now
 
 router = APIRouter(tags=["inventory"])
 
@@ -68,15 +70,15 @@ def references(database: DatabaseDependency) -> ReferencePage:
 
 @router.get("/workers")
 def workers(database: DatabaseDependency) -> WorkerPage:
-    """The workers, as the dispatcher last reported them."""
+    """The workers and what each is doing, as the dispatcher last reported them."""
     with database.read() as connection:
-        dispatcher = processes.read(connection, "dispatcher")
-    if dispatcher is None:
-        return WorkerPage(items=[])
+        dispatcher = processes.read(connection, processes.DISPATCHER)
+    judgement = judge(dispatcher, now())
     return WorkerPage(
-        items=[WorkerAnswer.model_validate(one) for one in dispatcher.detail.get("workers", [])],
-        dispatcher_seen_at=dispatcher.heartbeat_at,
-        degraded=dispatcher.detail.get("degraded"),
+        items=[] if dispatcher is None else [WorkerAnswer.model_validate(one) for one in dispatcher.detail.get("workers", [])],
+        dispatcher_seen_at=None if dispatcher is None else dispatcher.heartbeat_at,
+        fresh=not judgement.silent,
+        degraded="; ".join(judgement.problems) or None,
     )
 
 
