@@ -14,6 +14,7 @@ import uvicorn
 from fastapi import FastAPI
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
+from drivecal.api.closing import ClosingGently
 from drivecal.api.problems import MEDIA_TYPE
 
 SECONDS_FOR_A_HEAD = 15.0
@@ -33,18 +34,23 @@ class Protocol(H11Protocol):
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as uvicorn's own
         """Answers 503 where there are too many already."""
-        super().connection_made(transport)
+        self._gently = ClosingGently(transport, self._expects_more)
+        super().connection_made(self._gently)
         if len(self.connections) > MOST_CONNECTIONS:
             self._refuse(503, f"{MOST_CONNECTIONS:,} connections are open already; try again later", "Retry-After: 2\r\n")
         self._expect_a_head()
 
     def data_received(self, data: bytes) -> None:
         """Hands on what came in, and watches how long a head takes."""
+        if self._gently.lingers:
+            self._gently.throw_away(data)
+            return
         super().data_received(data)
         self._expect_a_head()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Nothing is expected any more."""
+        self._gently.stop()
         super().connection_lost(exc)
         self._stop_waiting()
 
@@ -57,6 +63,11 @@ class Protocol(H11Protocol):
             self._refuse(hint, detail)
         else:
             self.transport.close()
+
+    def _expects_more(self) -> bool:
+        """Whether the client may be in the middle of something."""
+        done = {h11.DONE, h11.MUST_CLOSE, h11.CLOSED}
+        return not (self.conn.their_state in done or (self.cycle is not None and self.conn.their_state is h11.IDLE))
 
     def _expect_a_head(self) -> None:
         if self.conn.their_state is not h11.IDLE or self.transport.is_closing():

@@ -1,0 +1,73 @@
+"""Ends a connection so that its last answer arrives.
+
+A socket that is closed while bytes wait unread in it is reset, and with the reset the answer is lost on its way: the client that was told
+"413, and why" would see a connection that broke. So the answer is sent, then its end, and what still comes is thrown away for a moment.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import Any
+
+LINGER_SECONDS = 2.0
+LINGER_BYTES = 64 * 1_048_576
+
+
+class ClosingGently(asyncio.Transport):
+    """A transport whose `close` lingers where `expects_more` says that the client is still sending."""
+
+    def __init__(self, transport: asyncio.Transport, expects_more: Callable[[], bool]) -> None:
+        super().__init__()
+        self._transport = transport
+        self._expects_more = expects_more
+        self._thrown_away = 0
+        self._end: asyncio.TimerHandle | None = None
+
+    @property
+    def lingers(self) -> bool:
+        """True once everything was said, while what comes is thrown away."""
+        return self._end is not None
+
+    def close(self) -> None:
+        """Ends the connection once everything was sent. A second time: at once."""
+        if self.lingers or self._transport.is_closing() or not self._expects_more() or not self._transport.can_write_eof():
+            self.stop()
+            return
+        self._end = asyncio.get_running_loop().call_later(LINGER_SECONDS, self.stop)
+        self._transport.write_eof()
+        self._transport.resume_reading()
+
+    def throw_away(self, data: bytes) -> None:
+        """What comes after the last answer."""
+        self._thrown_away += len(data)
+        if self._thrown_away > LINGER_BYTES:
+            self.stop()
+
+    def stop(self) -> None:
+        """No more of it."""
+        if self._end is not None:
+            self._end.cancel()
+        self._transport.close()
+
+    def is_closing(self) -> bool:
+        """True as soon as nothing more is to be written."""
+        return self.lingers or self._transport.is_closing()
+
+    def write(self, data: bytes | bytearray | memoryview[Any]) -> None:
+        """Sends."""
+        if not self.lingers:
+            self._transport.write(data)
+
+    def pause_reading(self) -> None:
+        """Lets the client wait."""
+        if not self.lingers:
+            self._transport.pause_reading()
+
+    def resume_reading(self) -> None:
+        """Reads on."""
+        self._transport.resume_reading()
+
+    def get_extra_info(self, name: str, default: Any = None) -> Any:
+        """Of the socket."""
+        return self._transport.get_extra_info(name, default)

@@ -1,0 +1,244 @@
+"""Overload is refused, over real HTTP: a full queue, campaigns that are too large, clients that are slow or many."""
+
+from __future__ import annotations
+
+import json
+import socket
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, Self
+
+import httpx
+import pytest
+from sqlalchemy import func, select
+from tests.support.found import carry_out
+from tests.support.server import RunningApi, new_database, serving
+
+from drivecal.api import limits, protocol
+from drivecal.client.client import Client
+from drivecal.domain.errors import InvalidInputError, UnavailableError
+from drivecal.storage.tables import campaigns
+
+SMALL: dict[str, Any] = {"sensitivity": None, "optimizer": {"population": 10, "iterations": 3}}
+MIDDLE = [0, 1, 100, 1000, 750, 0.5, 100, 1000, 5, 10, 100]
+SINGLE = {"parameters": {f"P{number}": value for number, value in enumerate(MIDDLE, start=1)}}
+PLACES = 5
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def api(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
+    with serving(new_database(request, request.param, tmp_path_factory.mktemp("limits")), queued_campaigns=PLACES) as running:
+        yield running
+
+
+def post(api: RunningApi, body: dict[str, Any], key: str = "", path: str = "campaigns") -> httpx.Response:
+    return api.http.post(f"/api/v1/{path}", json=body, headers={"Idempotency-Key": key} if key else {})
+
+
+def problem(response: httpx.Response, status: int) -> dict[str, Any]:
+    assert response.status_code == status, response.text
+    assert response.headers["content-type"] == "application/problem+json"
+    document: dict[str, Any] = response.json()
+    return document
+
+
+def test_the_queue_is_never_longer_than_it_may_be_however_many_come_at_once(api: RunningApi) -> None:
+    def crowd(number: int) -> httpx.Response:
+        return post(api, SINGLE, path="evaluations") if number % 3 == 0 else post(api, SMALL, key=f"key-{number}")
+
+    with ThreadPoolExecutor(25) as pool:
+        responses = list(pool.map(crowd, range(50)))
+    assert sorted(response.status_code for response in responses) == [202] * PLACES + [429] * (50 - PLACES)
+    with api.database.read() as connection:
+        assert connection.scalar(select(func.count()).select_from(campaigns)) == PLACES
+    refused = next(response for response in responses if response.status_code == 429)
+    assert int(refused.headers["retry-after"]) > 0
+    assert "5 campaigns and evaluations wait already" in problem(refused, 429)["detail"]
+
+
+def test_a_full_queue_still_knows_what_it_took_and_what_contradicts_it(api: RunningApi) -> None:
+    first = post(api, SMALL, key="first").json()
+    for _ in range(PLACES - 1):
+        assert post(api, SMALL).status_code == 202
+    assert post(api, SMALL, key="second").status_code == 429
+    assert post(api, SMALL, key="first").json()["id"] == first["id"]
+    problem(post(api, SMALL | {"name": "other"}, key="first"), 409)
+    assert api.http.post("/api/v1/campaigns?validate_only=true", json=SMALL).status_code == 200
+
+
+def test_what_starts_or_is_cancelled_makes_room(api: RunningApi) -> None:
+    ids = [post(api, SMALL).json()["id"] for _ in range(PLACES)]
+    assert post(api, SMALL).status_code == 429
+    api.http.post(f"/api/v1/campaigns/{ids[0]}/cancel").raise_for_status()
+    carry_out(api.database, ids[1])
+    assert [post(api, SMALL).status_code for _ in range(3)] == [202, 202, 429]
+    assert problem(post(api, {"weights": {"S1": 2}}, path=f"campaigns/{ids[1]}/rerun"), 429)
+
+
+def test_the_client_waits_for_room_as_long_as_it_is_asked_to_and_then_gives_up(
+    api: RunningApi, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ids = [post(api, SMALL).json()["id"] for _ in range(PLACES)]
+    waits: list[float] = []
+
+    def pause(seconds: float) -> None:
+        waits.append(seconds)
+        if len(waits) == 1:
+            api.http.post(f"/api/v1/campaigns/{ids[0]}/cancel").raise_for_status()
+
+    monkeypatch.setattr(time, "sleep", pause)
+    with Client(api.url) as client:
+        assert client.submit(SMALL).state == "queued"
+        with pytest.raises(UnavailableError, match="wait already"):
+            client.submit(SMALL)
+    assert waits == [30.0, 30.0]
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
+    with serving(f"sqlite:///{tmp_path_factory.mktemp('small') / 'drivecal.db'}", largest_campaign=10_000) as running:
+        yield running
+
+
+@pytest.mark.parametrize(
+    ("specification", "fields", "said"),
+    [
+        (
+            {"sensitivity": None, "optimizer": {"population": 1000, "iterations": 10}},
+            ["optimizer"],
+            "1,000 individuals x 10 iterations x 6 scenarios are 60,000 cells",
+        ),
+        (
+            {"sensitivity": None, "optimizer": {"population": 100_000, "iterations": 10_000}},
+            ["optimizer"],
+            "6,000,000,000 cells",
+        ),
+        ({"optimizer": None}, ["sensitivity"], "the analysis of 6 scenarios may take"),
+        ({"optimizer": {"population": 10, "iterations": 3}}, ["sensitivity"], "the analysis of 6 scenarios may take"),
+        (
+            {"optimizer": {"population": 1500, "iterations": 1}, "sensitivity": {"samples": 4, "intervals": 2}},
+            ["optimizer", "sensitivity"],
+            "1,500 individuals x 1 iterations x 6 scenarios are 9,000 cells",
+        ),
+    ],
+)
+@pytest.mark.parametrize("query", ["", "?validate_only=true"])
+def test_a_campaign_that_is_too_large_is_refused_with_its_numbers(
+    small: RunningApi, specification: dict[str, Any], fields: list[str], said: str, query: str
+) -> None:
+    document = problem(small.http.post(f"/api/v1/campaigns{query}", json=specification), 413)
+    assert [error["field"] for error in document["errors"]] == fields
+    assert said in document["detail"]
+    assert "this server takes 10,000" in document["detail"]
+    with Client(small.url) as client, pytest.raises(InvalidInputError, match="reduce"):
+        client.submit(specification)
+
+
+def test_a_rerun_that_is_too_large_is_refused(small: RunningApi) -> None:
+    first = post(small, SMALL).json()
+    carry_out(small.database, first["id"])
+    changes = {"weights": {}, "optimizer": {"population": 2000}}
+    assert problem(post(small, changes, path=f"campaigns/{first['id']}/rerun"), 413)["errors"][0]["field"] == "optimizer"
+
+
+class Wire:
+    """A connection on which anything can be sent."""
+
+    def __init__(self, api: RunningApi) -> None:
+        url = httpx.URL(api.url)
+        self._socket = socket.create_connection((url.host, url.port or 80), timeout=20)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._socket.close()
+
+    def send(self, content: bytes) -> None:
+        self._socket.sendall(content)
+
+    def answer(self) -> tuple[int, dict[str, Any]]:
+        """Status and problem document of what comes until the server closes."""
+        content = b""
+        while piece := self._socket.recv(65536):
+            content += piece
+        head, _, body = content.partition(b"\r\n\r\n")
+        assert b"application/problem+json" in head, content
+        assert b"connection: close" in head.lower()
+        return int(head.split()[1]), json.loads(body)
+
+
+POST = b"POST /api/v1/campaigns HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"
+
+
+def test_a_body_that_trickles_in_is_given_up(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(limits.Requests.__init__, "__defaults__", (limits.LARGEST_BODY, 0.5))
+    with serving(f"sqlite:///{tmp_path_factory.mktemp('slow') / 'drivecal.db'}") as api, Wire(api) as wire:
+        wire.send(POST + b"Content-Length: 1000\r\n\r\n{")
+        for _ in range(6):
+            wire.send(b" ")
+            time.sleep(0.05)
+        status, document = wire.answer()
+    assert (status, "the body was not complete after 0.5 seconds" in document["detail"]) == (408, True)
+
+
+def test_a_head_that_does_not_come_is_given_up(small: RunningApi, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(protocol, "SECONDS_FOR_A_HEAD", 0.3)
+    for beginning in (b"", b"GET /", b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nX: "):
+        with Wire(small) as wire:
+            wire.send(beginning)
+            status, document = wire.answer()
+        assert (status, "was not complete after 0.3 seconds" in document["detail"]) == (408, True)
+
+
+def test_a_second_head_that_does_not_come_is_given_up(small: RunningApi, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(protocol, "SECONDS_FOR_A_HEAD", 0.3)
+    with Wire(small) as wire:
+        wire.send(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        time.sleep(0.2)
+        assert b'"alive"' in wire._socket.recv(65536)
+        wire.send(b"GET /hea")
+        assert wire.answer()[0] == 408
+
+
+@pytest.mark.parametrize(
+    ("content", "status"),
+    [
+        (b"hello\r\n\r\n", 400),
+        (b"\x16\x03\x01\x02\x00\x01\x00\r\n\r\n", 400),
+        (b"GET / HTTP/1.1\r\n\r\n", 400),
+        (b"GET / HTTP/1.1\r\nHost: localhost\r\nHost: localhost\r\n\r\n", 400),
+        (b"GET / HTTP/1.1\r\nHost: localhost\r\nContent-Length: -1\r\n\r\n", 400),
+        (b"GET / HTTP/1.1\r\nHost: localhost\r\nX: " + b"a" * 500_000 + b"\r\n\r\n", 431),
+        (b"GET /?" + b"&".join(b"a=%d" % number for number in range(100_000)) + b" HTTP/1.1\r\nHost: localhost\r\n\r\n", 431),
+    ],
+    ids=lambda value: str(value)[:30],
+)
+def test_what_is_no_http_is_refused_as_everything_else_is(small: RunningApi, content: bytes, status: int) -> None:
+    with Wire(small) as wire:
+        wire.send(content)
+        assert wire.answer()[0] == status
+
+
+def test_ten_thousand_query_parameters_are_too_many(small: RunningApi) -> None:
+    for count, status in ((4_000, 414), (10_000, 414), (100_000, 431)):
+        query = "&".join(f"p{number}={number}" for number in range(count))
+        with Wire(small) as wire:
+            wire.send(f"GET /api/v1/campaigns?{query} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n".encode())
+            assert wire.answer()[0] in {status, 431}
+    query = "&".join(f"p{number}={number}" for number in range(1_000))
+    errors = problem(small.http.get(f"/api/v1/campaigns?{query}"), 422)["errors"]
+    assert len(errors) == 101
+
+
+def test_connections_are_not_taken_without_number(small: RunningApi, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(protocol, "MOST_CONNECTIONS", 20)
+    wires = [Wire(small) for _ in range(30)]
+    wires[-1].send(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n")
+    status, document = wires[-1].answer()
+    assert (status, "connections are open already" in document["detail"]) == (503, True)
+    for wire in wires:
+        wire.__exit__()
+    time.sleep(0.2)
+    assert small.http.get("/healthz").status_code == 200

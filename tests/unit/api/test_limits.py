@@ -1,0 +1,240 @@
+"""What is too much, request by request."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
+from typing import Any
+
+import httpx
+import pytest
+from fastapi import FastAPI
+from fastapi.responses import StreamingResponse
+from starlette.exceptions import HTTPException
+from starlette.types import Message, Receive, Scope, Send
+
+from drivecal.api import problems
+from drivecal.api.dependencies import EventStreamPlace, Limits
+from drivecal.api.limits import LARGEST_HEAD, LONGEST_PATH, LONGEST_QUERY, Concurrency, Places, Requests
+from drivecal.configuration.settings import load_settings
+from drivecal.domain.errors import OverloadError
+
+Read = Callable[[Receive], Awaitable[None]]
+
+
+def answer(
+    messages: Sequence[Message],
+    headers: dict[bytes, bytes],
+    path: bytes = b"/",
+    query: bytes = b"",
+    seconds: float = 30.0,
+    reads: int = 99,
+) -> tuple[int, dict[str, str], bytes]:
+    """Status, headers and what was read of a body of at most ten bytes; after the last message nothing more comes."""
+    sent: list[Message] = []
+    content = b""
+    coming = list(messages)
+
+    async def app(scope: Scope, receive: Receive, send: Send) -> None:
+        nonlocal content
+        del scope
+        status = 200
+        try:
+            for _ in range(reads):
+                message = await receive()
+                content += message.get("body", b"")
+                if not message.get("more_body", False):
+                    break
+        except HTTPException as error:
+            status = error.status_code
+        await send({"type": "http.response.start", "status": status, "headers": []})
+
+    async def receive() -> Message:
+        if not coming:
+            await asyncio.sleep(60)
+        return coming.pop(0)
+
+    async def send(message: Message) -> None:
+        sent.append(message)
+
+    scope: Scope = {
+        "type": "http",
+        "method": "POST",
+        "path": path.decode(),
+        "raw_path": path,
+        "query_string": query,
+        "headers": list(headers.items()),
+    }
+    asyncio.run(Requests(app, largest=10, seconds=seconds)(scope, receive, send))
+    return sent[0]["status"], {name.decode(): value.decode() for name, value in sent[0]["headers"]}, content
+
+
+def part(content: bytes, *, more: bool = False) -> Message:
+    return {"type": "http.request", "body": content, "more_body": more}
+
+
+CHUNKED = {b"transfer-encoding": b"chunked"}
+
+
+def test_a_body_that_fits_is_passed_on() -> None:
+    assert answer([part(b"0123456789")], {b"content-length": b"10"}) == (200, {}, b"0123456789")
+    assert answer([part(b"01234", more=True), part(b"56789")], CHUNKED) == (200, {}, b"0123456789")
+
+
+@pytest.mark.parametrize("declared", [b"11", b"500000000", b"9" * 30, b"-1", b"1e1", b"\xb2", b""])
+def test_a_body_declared_too_large_is_not_read(declared: bytes) -> None:
+    status, headers, content = answer([part(b"0")], {b"content-length": declared})
+    assert (status, headers["connection"], content) == (413, "close", b"")
+
+
+def test_a_body_that_turns_out_too_large_is_read_no_further() -> None:
+    status, headers, content = answer([part(b"0" * 6, more=True)] * 3, CHUNKED)
+    assert (status, headers["connection"], content) == (413, "close", b"0" * 6)
+
+
+def test_a_body_that_does_not_come_is_not_waited_for() -> None:
+    for messages in ([], [part(b"0", more=True)]):
+        status, headers, _ = answer(messages, CHUNKED, seconds=0.05)
+        assert (status, headers["connection"]) == (408, "close")
+
+
+def test_a_connection_with_an_unread_body_is_closed() -> None:
+    assert answer([part(b"0", more=True)], CHUNKED, reads=0)[1] == {"connection": "close"}
+    assert answer([part(b"0", more=True)], CHUNKED, reads=1)[1] == {"connection": "close"}
+    assert answer([part(b"0")], {b"content-length": b"1"}, reads=0)[1] == {"connection": "close"}
+    assert answer([part(b"")], {b"content-length": b"0"}, reads=0)[1] == {}
+    assert answer([part(b"")], {}, reads=0)[1] == {}
+
+
+def test_an_address_or_a_head_that_is_too_long_is_refused() -> None:
+    assert answer([], {}, path=b"/" + b"a" * LONGEST_PATH)[0] == 414
+    assert answer([], {}, query=b"a" * (LONGEST_QUERY + 1))[0] == 414
+    assert answer([], {b"x": b"a" * LARGEST_HEAD})[0] == 431
+    assert answer([part(b"")], {b"x": b"a" * (LARGEST_HEAD - 1)})[0] == 200
+
+
+def test_there_are_no_more_places_than_there_are() -> None:
+    places = Places(2, "chairs are taken", retry_seconds=7)
+    first, _ = places.take(), places.take()
+    with pytest.raises(OverloadError, match="2 chairs are taken already; try again later") as caught:
+        places.take()
+    assert caught.value.retry_seconds == 7
+    first.give_back()
+    first.give_back()
+    places.take()
+    with pytest.raises(OverloadError):
+        places.take()
+
+
+def test_a_place_is_given_back_whatever_happens() -> None:
+    places = Places(1, "chairs are taken", retry_seconds=1)
+    with pytest.raises(ZeroDivisionError), places.take():
+        raise ZeroDivisionError
+    assert places.taken == 0
+
+
+def test_threads_take_no_place_twice() -> None:
+    places = Places(1000, "chairs are taken", retry_seconds=1)
+
+    def sit() -> None:
+        for _ in range(2000):
+            places.take().give_back()
+
+    threads = [threading.Thread(target=sit) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert places.taken == 0
+
+
+def test_too_many_requests_at_once_are_refused_and_health_is_not() -> None:
+    async def crowd() -> None:
+        go, entered = asyncio.Event(), asyncio.Semaphore(0)
+
+        async def app(scope: Scope, receive: Receive, send: Send) -> None:
+            del receive
+            if scope["path"] == "/slow":
+                entered.release()
+                await go.wait()
+            await send({"type": "http.response.start", "status": 200, "headers": []})
+            await send({"type": "http.response.body", "body": b""})
+
+        async def ask(path: str, token: object) -> tuple[int, dict[bytes, bytes]]:
+            sent: list[Message] = []
+
+            async def send(message: Message) -> None:
+                sent.append(message)
+
+            scope = {
+                "type": "http",
+                "method": "GET",
+                "path": path,
+                "headers": [],
+                "query_string": b"",
+                "state": {"token": token},
+            }
+            await limited(scope, receive, send)
+            return sent[0]["status"], dict(sent[0]["headers"])
+
+        async def receive() -> Message:
+            return part(b"")
+
+        limited = Concurrency(app, most=2, strangers=1)
+        slow = [asyncio.create_task(ask("/slow", "known")) for _ in range(2)]
+        for _ in slow:
+            await entered.acquire()
+        status, headers = await ask("/quick", "known")
+        assert (status, int(headers[b"retry-after"]) > 0) == (503, True)
+        assert headers[b"content-type"] == b"application/problem+json"
+        assert (await ask("/healthz", None))[0] == 200
+        assert (await ask("/readyz", None))[0] == 200, "strangers have places of their own"
+        stranger = asyncio.create_task(ask("/slow", None))
+        await entered.acquire()
+        assert limited.places_of_strangers.taken == 1
+        assert (await ask("/readyz", None))[0] == 503
+        go.set()
+        assert [(await one)[0] for one in [*slow, stranger]] == [200] * 3
+        assert (await ask("/quick", "known"))[0] == 200
+
+    asyncio.run(crowd())
+
+
+def test_event_streams_have_places_of_their_own_until_they_end() -> None:
+    app = FastAPI()
+    problems.install(app)
+    go, listens = asyncio.Event(), asyncio.Semaphore(0)
+
+    @app.get("/events")
+    async def stream(place: EventStreamPlace) -> StreamingResponse:
+        del place
+
+        async def events() -> AsyncIterator[bytes]:
+            listens.release()
+            yield b"data: 1\n\n"
+            await go.wait()
+
+        return StreamingResponse(events(), media_type="text/event-stream")
+
+    async def listen() -> None:
+        limits = app.state.limits = Limits.of(load_settings(event_streams=2))
+        limited = Concurrency(app, most=1)
+        transport = httpx.ASGITransport(limited)
+        async with httpx.AsyncClient(transport=transport, base_url="http://localhost") as client:
+            listening = [asyncio.create_task(client.get("/events")) for _ in range(2)]
+            for _ in listening:
+                await listens.acquire()
+            assert limits.event_streams.taken == 2
+            assert limited.places.taken == limited.places_of_strangers.taken == 0
+            refused = await client.get("/events")
+            assert refused.status_code == 429
+            assert int(refused.headers["retry-after"]) > 0
+            assert "2 event streams are open already" in refused.json()["detail"]
+            go.set()
+            answers: list[Any] = [await one for one in listening]
+            assert [one.status_code for one in answers] == [200, 200]
+            assert limits.event_streams.taken == 0
+            assert (await client.get("/events")).status_code == 200
+
+    asyncio.run(listen())
