@@ -17,6 +17,7 @@ from drivecal.contracts.specification import CampaignSpecification, EvaluationSp
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.leasing import StoredLeases
+from drivecal.dispatch.tenure import Tenure
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import UnavailableError
 from drivecal.execution.pool import WorkPool
@@ -49,6 +50,8 @@ def _submit(database: Database, **changes: Any) -> StoredCampaign:
 
 
 def _dispatcher(database: Database, backend: ComputedBackend) -> Dispatcher:
+    """A newly elected one."""
+    Tenure.begin(database)
     ticks = iter(range(10**9))
     return Dispatcher(database, WorkPool(backend, StoredLeases(database)), clock=lambda: float(next(ticks)))
 

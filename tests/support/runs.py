@@ -11,6 +11,7 @@ from drivecal.contracts.specification import CampaignSpecification, InfluenceMap
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.leasing import StoredLeases
+from drivecal.dispatch.tenure import Tenure
 from drivecal.execution.pool import WorkPool
 from drivecal.storage import campaigns
 from drivecal.storage.campaigns import StoredCampaign
@@ -75,10 +76,10 @@ def get(database: Database, campaign: StoredCampaign) -> StoredCampaign:
 
 
 def dispatcher(database: Database, backend: ComputedBackend | None = None) -> Dispatcher:
-    """One that looks and reports in every step."""
+    """A newly elected one, that looks and reports in every step. Those before write nothing any more."""
     ticks = iter(range(10**9))
-    pool = WorkPool(backend or ComputedBackend(), StoredLeases(database))
-    return Dispatcher(database, pool, clock=lambda: float(next(ticks)))
+    own = database.fenced(Tenure.begin(database).fence)
+    return Dispatcher(own, WorkPool(backend or ComputedBackend(), StoredLeases(own)), clock=lambda: float(next(ticks)))
 
 
 def run(database: Database, campaign: StoredCampaign, backend: ComputedBackend | None = None) -> StoredCampaign:
