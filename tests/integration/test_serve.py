@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 import signal
 import socket
 import time
@@ -8,15 +9,19 @@ from pathlib import Path
 
 import httpx
 import pytest
+from tests.support.logs import log_left_as_it_was
 from tests.support.serve import Server, environment, gone, serving, until
 from typer.testing import CliRunner
 
 from drivecal.cli.main import app
 
+MIDDLE = {"P1": 0, "P2": 1, "P3": 100, "P4": 1000, "P5": 750, "P6": 0.5, "P7": 100, "P8": 1000, "P9": 5, "P10": 10, "P11": 100}
+
 
 def refused(folder: Path, *arguments: str, **settings: str) -> tuple[int, str]:
     """Exit code and words of a `serve` that is expected not to start."""
-    done = CliRunner().invoke(app, ["serve", *arguments], env=environment(folder) | settings)
+    with log_left_as_it_was():
+        done = CliRunner().invoke(app, ["serve", *arguments], env=environment(folder) | settings)
     assert done.exception is None or isinstance(done.exception, SystemExit), done.exception
     return done.exit_code, done.stderr
 
@@ -61,6 +66,32 @@ def test_what_is_killed_comes_back_and_a_killed_server_leaves_nothing(server: Se
     family = server.family()
     server.process.kill()
     until(lambda: gone(family), "the end of every process", 5.0)
+
+
+def test_every_line_of_the_log_is_a_document_and_says_what_it_is_about(tmp_path: Path) -> None:
+    with serving(tmp_path, DRIVECAL_LOG_FORMAT="json", DRIVECAL_LOG_LEVEL="debug") as server:
+        headers = {"X-Request-ID": "from-the-test"}
+        evaluation = httpx.post(
+            f"{server.url}/api/v1/evaluations", json={"parameters": MIDDLE, "scenario": "S1"}, headers=headers
+        )
+        assert (evaluation.status_code, evaluation.headers["x-request-id"]) == (202, "from-the-test")
+        where = f"{server.url}/api/v1/evaluations/{evaluation.json()['id']}"
+        until(lambda: httpx.get(where).json()["state"] == "succeeded", "the end of the evaluation")
+        figures = httpx.get(f"{server.url}/metrics").text
+    lines = [json.loads(line) for line in server.log.read_text().splitlines()]
+    assert all({"time", "level", "process", "message"} <= set(line) for line in lines)
+    assert {line["process"] for line in lines} == {"server", "api", "dispatcher"}
+    assert [line["time"] for line in lines] == sorted(line["time"] for line in lines)
+    (posted,) = (line for line in lines if line.get("request") == "from-the-test" and "status" in line)
+    assert (posted["method"], posted["path"], posted["status"], posted["level"]) == ("POST", "/api/v1/evaluations", 202, "info")
+    told = [
+        line["message"] for line in lines if line.get("campaign") == evaluation.json()["id"] and line["process"] == "dispatcher"
+    ]
+    assert (told[0], told[-1]) == ("the campaign starts", "the campaign succeeded")
+    for measured in ("evaluation", "batch", "lease_transaction", "record_transaction", "lookup"):
+        assert f"drivecal_{measured}_seconds_count 0.0" not in figures
+        assert f"drivecal_{measured}_seconds_count" in figures
+    assert 'drivecal_cells_total{outcome="simulated",stage="evaluation"} 1.0' in figures
 
 
 def test_a_port_in_use_is_refused(tmp_path: Path) -> None:

@@ -37,14 +37,14 @@ def until(condition: Callable[[], bool], what: str, seconds: float = 60.0) -> No
 class Server:
     """`drivecal serve` on a free port, in a folder of its own; ready once made."""
 
-    def __init__(self, folder: Path, workers: int = 1) -> None:
+    def __init__(self, folder: Path, workers: int = 1, **settings: str) -> None:
         self.folder = folder
         self.log = folder / "log"
         with self.log.open("wb") as log:
             self.process = subprocess.Popen(
                 [sys.executable, "-m", "drivecal.cli", "serve", "--port", "0", "--json"],
                 cwd=folder,
-                env=environment(folder, workers),
+                env=environment(folder, workers) | settings,
                 stdout=subprocess.PIPE,
                 stderr=log,
                 text=True,
@@ -77,9 +77,9 @@ class Server:
 
 
 @contextmanager
-def serving(folder: Path, workers: int = 1) -> Iterator[Server]:
-    """A server until the block is left, where it is stopped as by a user, or killed if it does not."""
-    started = Server(folder, workers)
+def serving(folder: Path, workers: int = 1, **settings: str) -> Iterator[Server]:
+    """A server until the block is left, where it is stopped as by a user, or killed if it does not. `settings` go into its environment."""
+    started = Server(folder, workers, **settings)
     try:
         yield started
     finally:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import logging
 import socket
 import sys
 
@@ -12,6 +13,8 @@ from drivecal.configuration import logs
 from drivecal.configuration.access import check_exposure
 from drivecal.configuration.settings import load_settings
 from drivecal.domain.errors import DrivecalError
+
+log = logging.getLogger(__name__)
 
 
 def main() -> int:
@@ -30,7 +33,7 @@ def main() -> int:
         check_exposure(listener.getsockname()[0], settings)
         server = Server(configuration(create_app(settings)))
     except (DrivecalError, OSError) as error:
-        sys.stderr.write(f"{error}\n")
+        log.error("%s", error)  # noqa: TRY400  # the sentence says it all; a traceback would bury it
         return 1
     server.run(sockets=[listener])
     return 0 if server.started else 1

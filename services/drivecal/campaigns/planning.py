@@ -16,6 +16,7 @@ from drivecal.domain.campaigns import Stage
 from drivecal.domain.evaluations import Donor
 from drivecal.domain.influence import InfluenceMap
 from drivecal.domain.parameters import ParameterSet
+from drivecal.execution.measures import MEASURES
 from drivecal.reduction.assignment import Policy, RequestedCell, assign
 from drivecal.reduction.keys import ReferenceKeys, billionths_matrix
 from drivecal.storage import evaluations, parameter_sets, reference_keys, runs, setups
@@ -80,6 +81,7 @@ def _keys_of(view: View, scenario: str, names: tuple[str, ...], values: npt.NDAr
     return ReferenceKeys(view.influence_map or InfluenceMap({}), scenario, names).keys(values)
 
 
+@MEASURES.timed("lookup")
 def plan_cells(
     connection: Connection, view: View, policy: Policy, stage: Stage, iteration: int, wanted: Sequence[WantedCell]
 ) -> list[NewEvaluation]:

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 from typing import Annotated
 
 import typer
 
-from drivecal.cli.commands import JsonOption, app, tell
+from drivecal.cli.commands import JsonOption, app, exit_code
 from drivecal.configuration.access import check_exposure
-from drivecal.configuration.settings import load_settings
+from drivecal.configuration.settings import Settings, load_settings
 from drivecal.configuration.tokens import TokenFile
+from drivecal.domain.errors import DrivecalError
+
+log = logging.getLogger(__name__)
 
 
 @app.command()
@@ -37,22 +41,36 @@ def serve(
     as_json: JsonOption = False,
 ) -> None:
     """Run the server: the API and the dispatcher with its workers. Ctrl-C or SIGTERM stops it; campaigns go on at the next start."""
-    from drivecal.server import serving  # the database's half a second, for this command only
+    from drivecal.configuration import logs  # half a second, for this command only
 
     settings = load_settings(
         workers=workers, ray_address=ray_address, database_url=database_url, home=home, tokens_file=tokens_file
     )
+    logs.configure("server", settings)
+    try:
+        code = _serve(settings, host, port, as_json=as_json)
+    except DrivecalError as error:
+        if settings.log_format != "json":
+            raise
+        log.error("%s", error)  # noqa: TRY400  # the sentence says it all; a traceback would bury it
+        code = exit_code(error)
+    raise typer.Exit(code)
+
+
+def _serve(settings: Settings, host: str, port: int, *, as_json: bool) -> int:
+    from drivecal.server import serving  # and the database's half a second
+
     with serving.listen(host, port) as listener:
         url = serving.url_of(listener, host)
         check_exposure(listener.getsockname()[0], settings)
         if settings.tokens_file is None:
-            tell("no token is asked for: only this machine can connect")
+            log.info("no token is asked for: only this machine can connect")
         else:
             tokens = TokenFile(settings.tokens_file).tokens
             reading = sum(not token.may_write for token in tokens)
-            tell(f"a token is asked for: {len(tokens)} in {settings.tokens_file}, {reading} of them may only read")
+            log.info("a token is asked for: %d in %s, %d of them may only read", len(tokens), settings.tokens_file, reading)
         database = serving.prepare_database(settings)
-        tell(f"starting; the database is {database.name}")
+        log.info("starting; the database is %s", database.name)
 
         def ready() -> None:
             if as_json:
@@ -60,6 +78,6 @@ def serve(
             else:
                 typer.echo(f"drivecal is ready at {url} (Ctrl-C stops it)")
 
-        code = serving.run_server(settings, database, listener, url, ready, tell)
+        code = serving.run_server(settings, database, listener, url, ready)
         database.dispose()
-    raise typer.Exit(code)
+    return code

@@ -78,7 +78,6 @@ def run_server(
     listener: socket.socket,
     url: str,
     ready: Callable[[], None],
-    tell: Callable[[str], None],
     dispatcher: Sequence[str] = DISPATCHER,
 ) -> int:
     """Runs API and dispatcher until a signal; returns the exit code. `ready` is called once both work."""
@@ -104,7 +103,7 @@ def run_server(
         ChildProcess("API", api, settings.environment, (descriptor,)),
         ChildProcess("dispatcher", dispatcher, settings.environment),
     ]
-    return Supervisor(children, missing, ready, tell).run()
+    return Supervisor(children, missing, ready).run()
 
 
 def _answers(url: str) -> bool:

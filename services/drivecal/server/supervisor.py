@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
 import subprocess
@@ -19,6 +20,8 @@ LOOK_SECONDS = 0.1
 PATIENCE_SECONDS = 30.0
 KEPT_BACK = {"DRIVECAL_TOKEN"}
 """A user's own token is nothing that a server, its workers and their plug-ins need to know."""
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,18 +84,17 @@ class _Child:
 
 class Supervisor:
     """Runs `children` until SIGTERM, SIGINT or SIGHUP. `missing` says what is not ready yet; `announce` is called when nothing is
-    missing for the first time; `tell` takes a line for whoever watches."""
+    missing for the first time."""
 
     def __init__(
         self,
         children: Sequence[ChildProcess],
         missing: Callable[[], Sequence[str]],
         announce: Callable[[], None],
-        tell: Callable[[str], None],
     ) -> None:
         self._children = [_Child(child) for child in children]
-        self._missing, self._announce, self._tell = missing, announce, tell
-        self._signals = 0
+        self._missing, self._announce = missing, announce
+        self._signals: list[int] = []
         self._ready = False
 
     def run(self) -> int:
@@ -111,9 +113,7 @@ class Supervisor:
                 signal.signal(number, handler)
 
     def _on_signal(self, number: int, _frame: object) -> None:
-        self._signals += 1
-        if self._signals == 1:
-            self._tell(f"stopping ({signal.Signals(number).name})")
+        self._signals.append(number)
 
     def _watch(self) -> int:
         patience = time.monotonic() + PATIENCE_SECONDS
@@ -123,10 +123,10 @@ class Supervisor:
                 if code is not None and not self._signals:
                     name = child.specification.name
                     if not self._ready and child.pauses.deaths >= TRIES_TO_START:
-                        self._tell(f"the {name} does not start (exit code {code}); its messages are above")
+                        log.error("the %s does not start (exit code %d); its messages are above", name, code)
                         return 1
                     pause = max(0.0, child.start_at - time.monotonic())
-                    self._tell(f"the {name} ended unexpectedly (exit code {code}); it starts again in {pause:.1f} s")
+                    log.warning("the %s ended unexpectedly (exit code %d); it starts again in %.1f s", name, code, pause)
                 if child.process is None and time.monotonic() >= child.start_at:
                     child.start()
             if not self._ready:
@@ -135,9 +135,10 @@ class Supervisor:
                     self._ready = True
                     self._announce()
                 elif time.monotonic() >= patience:
-                    self._tell(f"still waiting for {', '.join(missing)}")
+                    log.warning("still waiting for %s", ", ".join(missing))
                     patience = time.monotonic() + PATIENCE_SECONDS
             time.sleep(LOOK_SECONDS)
+        log.info("stopping (%s)", signal.Signals(self._signals[0]).name)
         return 0
 
     def _stop(self) -> None:
@@ -146,7 +147,7 @@ class Supervisor:
         for process in running:
             process.terminate()
         deadline = time.monotonic() + GRACE_SECONDS + 1.0
-        while any(process.poll() is None for process in running) and time.monotonic() < deadline and self._signals < 2:
+        while any(process.poll() is None for process in running) and time.monotonic() < deadline and len(self._signals) < 2:
             time.sleep(0.02)
         for process in running:
             if process.poll() is None:

@@ -60,7 +60,7 @@ class Watch:
             self._next_try = self._clock() + TRY_AGAIN_SECONDS
         if news:
             log.warning(
-                "the database %s does not answer (%s); requests get 503 until it does: check that the server runs",
+                "the database %s does not answer (%s): check that its server runs; all goes on by itself when it does",
                 self._database,
                 reason,
             )

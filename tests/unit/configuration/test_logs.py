@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 import structlog
+from tests.support.logs import log_left_as_it_was
 
 from drivecal.configuration import logs
 from drivecal.configuration.settings import load_settings
@@ -24,17 +25,8 @@ Lines = Callable[[], list[dict[str, Any]]]
 @pytest.fixture(autouse=True)
 def _left_as_it_was() -> Iterator[None]:
     """What `configure` changes belongs to the process, and so to all other tests."""
-    root, hooks = logging.getLogger(), (sys.excepthook, threading.excepthook)
-    before = root.handlers, root.level
-    levels = {name: logging.getLogger(name).level for name in ("drivecal", "__main__")}
-    yield
-    root.handlers, root.level = before
-    for name, level in levels.items():
-        logging.getLogger(name).setLevel(level)
-    sys.excepthook, threading.excepthook = hooks
-    logging.captureWarnings(capture=False)
-    structlog.reset_defaults()
-    structlog.contextvars.clear_contextvars()
+    with log_left_as_it_was():
+        yield
 
 
 def configured(form: str = "json", level: str = "info") -> io.StringIO:

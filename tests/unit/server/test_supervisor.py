@@ -15,16 +15,15 @@ from drivecal.server.guardian import members
 from drivecal.server.supervisor import Pauses
 
 SCRIPT = """
-import os, sys, time
+import logging, sys
 from pathlib import Path
 from drivecal.server.supervisor import ChildProcess, Supervisor
+logging.basicConfig(level="INFO", format="%(message)s")
 folder = Path(sys.argv[1])
 def missing():
     return [name for name in ("one", "two") if not (folder / name).exists()]
-def tell(line):
-    print(line, file=sys.stderr, flush=True)
 children = [ChildProcess(name, [sys.executable, "-c", (folder / f"{name}.py").read_text(), str(folder), name]) for name in ("one", "two")]
-sys.exit(Supervisor(children, missing, lambda: tell("ready"), tell).run())
+sys.exit(Supervisor(children, missing, lambda: logging.info("ready")).run())
 """
 SLEEPER = """
 import os, sys, time
