@@ -1,0 +1,77 @@
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+from drivecal.execution.ray_watch import GIVEN_UP_AFTER, PATIENCE_SECONDS, StartedAnewError, Watch
+
+
+class Store:
+    """What is asked: it answers, does not, or has forgotten everything. Time stands where it is put."""
+
+    def __init__(self) -> None:
+        self.error: Exception | None = None
+        self.asked = threading.Semaphore(0)
+        self.now = 0.0
+
+    def ask(self) -> None:
+        self.asked.release()
+        if self.error is not None:
+            raise self.error
+
+
+def watched(use: Callable[[Store, Watch], None]) -> None:
+    store = Store()
+    watch = Watch("the Ray cluster at home", store.ask, clock=lambda: store.now)
+    try:
+        use(store, watch)
+    finally:
+        watch.stop()
+
+
+def asked_again(store: Store) -> None:
+    """Waits until it was asked once more, with whatever it answers now."""
+    while store.asked.acquire(blocking=False):
+        pass
+    for _ in range(2):  # the first of them may have begun before
+        assert store.asked.acquire(timeout=30)
+
+
+def test_silence_is_told_after_a_while_and_forgotten_with_an_answer() -> None:
+    def use(store: Store, watch: Watch) -> None:
+        asked_again(store)
+        assert watch.trouble() is None
+        store.error = TimeoutError("Deadline Exceeded")
+        asked_again(store)
+        store.now += PATIENCE_SECONDS + 0.1
+        assert (watch.trouble() or "").startswith("the Ray cluster at home has not answered since ")
+        assert watch.trouble() == watch.trouble(), "words that change every second would be told as news every second"
+        assert watch.lost() is None
+        store.error = None
+        asked_again(store)
+        assert watch.trouble() is None
+
+    watched(use)
+
+
+def test_who_is_silent_for_long_is_given_up() -> None:
+    def use(store: Store, watch: Watch) -> None:
+        store.error = TimeoutError()
+        asked_again(store)
+        store.now += GIVEN_UP_AFTER + 0.1
+        assert "has not answered since" in (watch.lost() or "")
+
+    watched(use)
+
+
+def test_a_store_that_began_anew_is_lost_at_once() -> None:
+    def use(store: Store, watch: Watch) -> None:
+        store.error = StartedAnewError("has started anew")
+        deadline = time.monotonic() + 30
+        while watch.lost() is None:
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        assert watch.lost() == "the Ray cluster at home has started anew"
+
+    watched(use)
