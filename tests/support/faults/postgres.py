@@ -51,12 +51,29 @@ class KillablePostgres:
 
     def kill(self) -> None:
         """SIGKILL to all its processes."""
-        postmaster = psutil.Process(self._server.get_pid())
-        family = [*postmaster.children(recursive=True), postmaster]
+        family = self._family()
         for one in family:
             with suppress(psutil.NoSuchProcess):
                 one.kill()
         psutil.wait_procs(family, 10)
+
+    @contextmanager
+    def frozen(self) -> Iterator[None]:
+        """Its processes stand still until the block is left: it accepts connections, closes none, and answers nothing."""
+        family = self._family()
+        for one in reversed(family):  # the one that would start others first
+            with suppress(psutil.NoSuchProcess):
+                one.suspend()
+        try:
+            yield
+        finally:
+            for one in family:
+                with suppress(psutil.NoSuchProcess):
+                    one.resume()
+
+    def _family(self) -> list[psutil.Process]:
+        postmaster = psutil.Process(self._server.get_pid())
+        return [*postmaster.children(recursive=True), postmaster]
 
     def kill_in_a_commit(self, seconds: float = 20.0) -> bool:
         """Kills it while a connection of drivecal's commits; gives whether one did. AssertionError where none does for `seconds`."""

@@ -1,0 +1,165 @@
+"""The API while its database does not answer, on a real PostgreSQL that is stopped, killed and started, and on a locked SQLite."""
+
+from __future__ import annotations
+
+import logging
+import sqlite3
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import httpx
+import pytest
+from sqlalchemy import update
+from tests.support.faults.postgres import KillablePostgres, killable_postgres
+from tests.support.server import RunningApi, serving
+
+from drivecal.storage import processes
+from drivecal.storage.tables import processes as process_table
+from drivecal.storage.types import now
+
+PROMISED_SECONDS = 5.0
+SPARE_SECONDS = 1.0
+"""For a busy machine."""
+SMALL = {"sensitivity": None, "optimizer": {"population": 10, "iterations": 3}}
+READING = ["/api/v1/campaigns", "/api/v1/campaigns/" + "0" * 32, "/api/v1/workers", "/api/v1/references"]
+
+
+@pytest.fixture(scope="module")
+def postgres() -> Iterator[KillablePostgres]:
+    with killable_postgres() as server:
+        yield server
+
+
+@pytest.fixture
+def api(postgres: KillablePostgres) -> Iterator[RunningApi]:
+    with serving(postgres.new_database()) as running:
+        working(running)
+        yield running
+
+
+def working(api: RunningApi) -> None:
+    """A dispatcher with a worker has spoken just now."""
+    with api.database.transaction() as connection:
+        processes.heartbeat(connection, processes.DISPATCHER, 1, now(), {"workers": [{"id": "worker-1", "state": "idle"}]})
+
+
+def ask(api: RunningApi, path: str) -> httpx.Response:
+    """Raises where the answer does not come in time."""
+    return httpx.get(api.url + path, timeout=PROMISED_SECONDS + SPARE_SECONDS)
+
+
+def refuses(response: httpx.Response) -> bool:
+    if response.status_code != 503:
+        return False
+    assert response.headers["content-type"] == "application/problem+json"
+    assert int(response.headers["retry-after"]) > 0
+    assert "database" in response.json()["detail"]
+    return True
+
+
+def recovers(api: RunningApi) -> None:
+    deadline = time.monotonic() + 30.0
+    while ask(api, "/api/v1/campaigns").status_code != 200:
+        assert time.monotonic() < deadline, "the API does not recover"
+        time.sleep(0.1)
+    working(api)
+    assert ask(api, "/readyz").json() == {"ready": True, "problems": []}
+    assert httpx.post(f"{api.url}/api/v1/campaigns", json=SMALL, timeout=30).status_code == 202
+    assert "drivecal_database_up 1.0" in ask(api, "/metrics").text
+
+
+def says_so_everywhere(api: RunningApi) -> None:
+    """Whatever is asked, at the same time and one after the other: no answer is late, and none pretends that all is well."""
+    answers: list[httpx.Response | Exception] = []
+
+    def one(path: str) -> None:
+        try:
+            answers.append(ask(api, path))
+        except httpx.HTTPError as error:
+            answers.append(error)
+
+    threads = [threading.Thread(target=one, args=(path,)) for path in READING * 12]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    late = [answer for answer in answers if isinstance(answer, Exception)]
+    assert not late, f"{len(late)} of {len(answers)} answers were late"
+    assert all(refuses(answer) for answer in answers if isinstance(answer, httpx.Response))
+    posted = httpx.post(f"{api.url}/api/v1/campaigns", json=SMALL, timeout=PROMISED_SECONDS + SPARE_SECONDS)
+    assert refuses(posted)
+    ready = ask(api, "/readyz")
+    assert (ready.status_code, ready.json()["ready"]) == (503, False)
+    assert "does not answer" in ready.json()["problems"][0]
+    assert "check the URL and that the server runs" in ready.json()["problems"][0]
+    figures = ask(api, "/metrics")
+    assert (figures.status_code, "drivecal_database_up 0.0" in figures.text) == (200, True)
+    assert "drivecal_cells_total" not in figures.text
+    assert ask(api, "/healthz").json() == {"status": "alive"}
+
+
+def test_a_server_that_accepts_connections_and_answers_nothing_is_noticed(
+    api: RunningApi, postgres: KillablePostgres, caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level(logging.INFO, "drivecal"):
+        with postgres.frozen():
+            says_so_everywhere(api)
+        recovers(api)
+    told = [record.getMessage() for record in caplog.records if record.name == "drivecal.storage.answering"]
+    assert ["does not answer" in told[0], "answers again" in told[-1], len(told)] == [True, True, 2], told
+
+
+@pytest.mark.slow
+def test_a_server_that_was_killed_and_started_again_is_found_again(api: RunningApi, postgres: KillablePostgres) -> None:
+    postgres.kill()
+    says_so_everywhere(api)
+    postgres.start()
+    recovers(api)
+
+
+def test_a_server_that_is_only_busy_is_waited_for(postgres: KillablePostgres) -> None:
+    with serving(postgres.new_database()) as api, api.database.transaction() as connection:
+        connection.exec_driver_sql("LOCK TABLE setups IN ACCESS EXCLUSIVE MODE")
+        waiting: list[httpx.Response] = []
+        thread = threading.Thread(target=lambda: waiting.append(ask(api, "/api/v1/references")))
+        thread.start()
+        assert ask(api, "/api/v1/campaigns").status_code == 200
+        thread.join(2.5)
+        connection.rollback()
+        thread.join()
+        assert waiting[0].status_code == 200
+
+
+def test_a_lock_that_somebody_keeps_is_not_waited_for_longer_than_promised(postgres: KillablePostgres) -> None:
+    with serving(postgres.new_database()) as api, api.database.transaction() as connection:
+        connection.exec_driver_sql("LOCK TABLE setups IN ACCESS EXCLUSIVE MODE")
+        answer = ask(api, "/api/v1/references")
+        assert (answer.status_code, "another transaction holds" in answer.json()["detail"]) == (503, True)
+
+
+@pytest.mark.slow
+def test_sqlite_locked_by_a_long_writer_is_read_and_said_to_be_locked(tmp_path: Path) -> None:
+    file = tmp_path / "drivecal.db"
+    with serving(f"sqlite:///{file}") as api:
+        working(api)
+        with closing(sqlite3.connect(file, isolation_level=None)) as other:
+            other.execute("BEGIN IMMEDIATE")
+            assert ask(api, "/api/v1/campaigns").status_code == 200
+            refused = httpx.post(f"{api.url}/api/v1/campaigns", json=SMALL, timeout=PROMISED_SECONDS + SPARE_SECONDS)
+            assert refuses(refused)
+            assert "is locked by another process" in refused.json()["detail"]
+            other.execute("ROLLBACK")
+            with api.database.transaction() as connection:
+                connection.execute(update(process_table).values(heartbeat_at=now().replace(year=2020)))
+            other.execute("BEGIN IMMEDIATE")
+            ready = ask(api, "/readyz")
+            assert ready.status_code == 503
+            locked, silent = ready.json()["problems"]
+            assert "is locked by another process" in locked
+            assert "silent" in silent
+            assert "drivecal_ready 0.0" in ask(api, "/metrics").text
+            other.execute("ROLLBACK")
+        recovers(api)
