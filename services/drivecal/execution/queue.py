@@ -77,8 +77,9 @@ class FairQueue:
                 self._enter(claim, front=True, level=claim is not leader)
 
     def join(self, claim: Claim) -> None:
-        """A claim begins to wait, at the end of its line."""
-        self._enter(claim, front=False, level=True)
+        """A claim begins to wait, at the end of its line, if it does not wait already."""
+        if claim not in self._groups:
+            self._enter(claim, front=False, level=True)
 
     def leave(self, claim: Claim) -> None:
         """A claim ceases to wait, if it does."""

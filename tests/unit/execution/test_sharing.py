@@ -195,6 +195,15 @@ def test_a_follower_with_earlier_breakdowns_makes_a_suspect_of_its_leader() -> N
     assert {done.result.id: done.attempts for done in finish(one, suspect)} == {2: 3, 11: 3}
 
 
+def test_suspects_that_come_together_share_as_well() -> None:
+    one = scheduler()
+    one.add(setup(), cells(3, 1, [1.0, 1.0, 1.0]), "a", 0, breakdowns={1: 1, 3: 2})
+    sent = send(one)
+    assert dict(sent.breakdowns) == {1: 2}
+    assert len(finish(one, sent)) == 3
+    assert one.next_batch(V, idle=True) is None
+
+
 def test_followers_are_not_lost_with_a_leader_that_is_dropped() -> None:
     one = scheduler()
     add(one, "a", 1, [1.0])
