@@ -39,7 +39,7 @@ PATIENCE_SECONDS = 3.0
 """What the database may take to answer before streams are told that it does not."""
 HELD = 500
 """Events that a feed holds."""
-PAGE = 500
+PAGE = 100
 """Events that are read at once."""
 
 log = logging.getLogger("drivecal.api")

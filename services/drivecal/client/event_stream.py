@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
-
-_LINE = re.compile(rb"([^\r\n]*)(\r\n|\n|\r(?!\n))")
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,17 +30,11 @@ class EventParser:
         self._rest += chunk
         if not self._begun and len(self._rest) >= 3:
             self._rest, self._begun = self._rest.removeprefix(b"\xef\xbb\xbf"), True
-        found: list[ServerSentEvent] = []
-        end = 0
-        for match in _LINE.finditer(self._rest):
-            if match.group(2) == b"\r" and match.end() == len(self._rest):
-                break  # perhaps the first half of \r\n
-            end = match.end()
-            event = self._take(match.group(1).decode("utf-8", errors="replace"))
-            if event is not None:
-                found.append(event)
-        self._rest = self._rest[end:]
-        return found
+        lines = self._rest.splitlines(keepends=True)  # of bytes: at \n, \r and \r\n, as the standard says
+        # What has no end yet waits for the rest, and so does a \r that may be the first half of a \r\n.
+        self._rest = lines.pop() if lines and not lines[-1].endswith(b"\n") else b""
+        taken = (self._take(line.rstrip(b"\r\n").decode("utf-8", errors="replace")) for line in lines)
+        return [one for one in taken if one is not None]
 
     def _take(self, line: str) -> ServerSentEvent | None:
         if not line:

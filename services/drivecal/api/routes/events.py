@@ -64,6 +64,7 @@ class EventStream(StreamingResponse):
 
 @router.get(
     "/{campaign_id}/events",
+    status_code=200,  # FastAPI would look for it in the signature of the class
     response_class=EventStream,
     responses={
         200: {"description": STREAM, "model": CampaignEvent | CampaignProgress},

@@ -1,0 +1,109 @@
+"""What a whole campaign tells, from its submission to its end."""
+
+from __future__ import annotations
+
+import random
+from pathlib import Path
+from typing import Any
+
+from tests.support.computed import ComputedBackend
+from tests.support.runs import WITH_ANALYSIS, dispatcher, get, influenced, nothing_matters, post_map, run, submit
+
+from drivecal.contracts.specification import CampaignSpecification
+from drivecal.storage import campaigns, events, generations
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.database import Database
+
+STATES = {"queued", "running", "succeeded"}
+
+
+def told(database: Database, campaign: StoredCampaign) -> list[tuple[str, dict[str, Any]]]:
+    with database.read() as connection:
+        return [(one.kind, dict(one.data)) for one in events.since(connection, campaign.sequence, 0, 1_000)]
+
+
+def analysed(database: Database) -> StoredCampaign:
+    """A campaign with a sensitivity stage and a baseline."""
+    document = WITH_ANALYSIS | {"baseline": {"P1": 0.5, "P2": 0.5, "P3": 0.5, "P4": 0.5}, "weights": {"S2": 0.5}}
+    specification = CampaignSpecification.model_validate(document)
+    with database.transaction() as connection:
+        return campaigns.insert(connection, name="analysed", spec=specification.model_dump(mode="json"))
+
+
+def test_a_campaign_tells_its_stages_its_generations_and_every_better_set(database: Database) -> None:
+    campaign = analysed(database)
+    ended = run(database, campaign, ComputedBackend(answer=influenced))
+    kinds = [kind for kind, _ in told(database, campaign)]
+    by_kind: dict[str, list[dict[str, Any]]] = {}
+    for kind, data in told(database, campaign):
+        by_kind.setdefault(kind, []).append(data)
+    assert kinds[:3] == ["queued", "running", "stage"]
+    assert kinds[-2:] == ["generation", "succeeded"]
+    assert [one["stage"] for one in by_kind["stage"]] == ["sensitivity", "calibration"]
+    assert kinds.index("phase") < kinds.index("influence_map") < len(kinds) - 1 - kinds[::-1].index("stage")
+    assert [one["phase"] for one in by_kind["phase"]] == list(range(len(by_kind["phase"])))
+    assert by_kind["phase"][-1]["requested"] == ended.sensitivity_cells.requested
+    assert by_kind["influence_map"][0]["id"] == ended.influence_map_id
+    assert "P4" not in by_kind["influence_map"][0]["influential"]["S1"]
+    with database.read() as connection:
+        figures, _ = generations.page(connection, ended.sequence)
+    assert [(one["iteration"], one["best"], one["simulated"]) for one in by_kind["generation"]] == [
+        (iteration, one.best, one.simulated) for iteration, one in figures
+    ]
+    objectives = [one["objective"] for one in by_kind["best"]]
+    assert objectives == sorted(set(objectives))
+    assert ended.best is not None
+    assert by_kind["best"][-1]["objective"] == ended.best.objective
+    assert ended.baseline is not None
+    assert by_kind["baseline"] == [ended.baseline.model_dump()]
+    assert len(kinds) <= 30
+
+
+def test_what_is_told_of_a_campaign_that_was_killed_again_and_again_is_told_once(tmp_path: Path) -> None:
+    found = []
+    for name in ("calm", "killed"):
+        database = Database.open(f"sqlite:///{tmp_path / name}.db")
+        database.upgrade()
+        campaign, draw, kills = analysed(database), random.Random(5), 0
+        while not get(database, campaign).state.ended:
+            working = dispatcher(database, ComputedBackend(draw.randrange(99), answer=influenced))
+            for _ in range(draw.randrange(1, 9) if name == "killed" else 5_000):
+                working.step()
+                if get(database, campaign).state.ended:
+                    break
+            kills += 1
+        assert kills > (8 if name == "killed" else 0)
+        found.append([(kind, {**data, "id": None}) for kind, data in told(database, campaign)])
+        database.dispose()
+    assert found[0] == found[1]
+
+
+def test_reuse_that_is_stopped_is_told_with_its_reason(database: Database) -> None:
+    campaign = submit(database, stored_map=post_map(database, nothing_matters()), reduction={"audit": 0.5})
+    ended = run(database, campaign)
+    stopped = [data for kind, data in told(database, campaign) if kind == "reuse_stopped"]
+    assert {one["scenario"] for one in stopped} == {name for name, rate in ended.error_rate.items() if rate.stopped}
+    assert len(stopped) == len({one["scenario"] for one in stopped}) > 0
+    assert all(0 < one["wrong"] <= one["audited"] for one in stopped)
+
+
+def test_notes_are_told_once(database: Database) -> None:
+    campaign = submit(database, weights={"S2": 0})
+    ended = run(database, campaign)
+    assert ended.notes
+    assert [data["text"] for kind, data in told(database, campaign) if kind == "note"] == list(ended.notes)
+
+
+def test_the_revision_changes_with_whatever_happens(database: Database) -> None:
+    campaign, working = analysed(database), dispatcher(database, ComputedBackend(answer=influenced))
+    before = get(database, campaign)
+    events_before = len(told(database, campaign))
+    for _ in range(5_000):
+        working.step()
+        after, events_after = get(database, campaign), len(told(database, campaign))
+        if (after, events_after) != (before, events_before):
+            assert after.revision > before.revision
+        before, events_before = after, events_after
+        if after.state.ended:
+            return
+    raise AssertionError("the campaign did not end")

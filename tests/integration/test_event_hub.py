@@ -1,0 +1,133 @@
+"""The feed of event streams under random writers and readers, with so little held that readers fall behind it all the time."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+
+import pytest
+from sqlalchemy import text
+from tests.support.storage import campaign
+
+from drivecal.api import streams
+from drivecal.api.streams import EventHub
+from drivecal.client.event_stream import EventParser
+from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.errors import UnavailableError
+from drivecal.domain.events import EventKind
+from drivecal.storage import campaigns, events
+from drivecal.storage.database import Database
+
+
+@pytest.fixture(autouse=True)
+def _little_is_held(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(streams, "LOOK_SECONDS", 0.01)
+    monkeypatch.setattr(streams, "HELD", 3)
+    monkeypatch.setattr(streams, "PAGE", 2)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_every_reader_gets_every_event_once_and_in_order_wherever_it_begins_and_breaks_off(
+    database: Database, seed: int
+) -> None:
+    draw = random.Random(seed)
+    with database.transaction() as connection:
+        sequence, identifier = (stored := campaign(connection)).sequence, stored.id
+    done = asyncio.Event()
+
+    def write(count: int) -> None:
+        with database.transaction() as connection:
+            for _ in range(count):
+                events.add(connection, sequence, EventKind.NOTE)
+            campaigns.set_resolution(connection, sequence, {})
+
+    async def writer() -> None:
+        for _ in range(30):
+            await asyncio.to_thread(write, draw.randrange(1, 9))
+            await asyncio.sleep(draw.random() * 0.02)
+        with database.transaction() as connection:
+            campaigns.end(connection, sequence, CampaignState.SUCCEEDED)
+        done.set()
+
+    async def reader(hub: EventHub) -> list[int]:
+        await asyncio.sleep(draw.random() * 0.3)
+        found: list[int] = []
+        while True:
+            patience, parser = draw.randrange(1, 20), EventParser()
+            stream = hub.stream(sequence, identifier, found[-1] if found else 0)
+            async for chunk in stream:
+                found += [int(one.id) for one in parser.feed(chunk) if one.id is not None]
+                await asyncio.sleep(draw.choice([0, 0, 0.005, 0.03]))
+                patience -= 1
+                if not patience and not done.is_set():
+                    break  # the connection is lost, and with it nothing
+            else:
+                return found
+            await stream.aclose()
+
+    async def all_of_them() -> list[list[int]]:
+        async with EventHub(database).running() as hub, asyncio.timeout(60):
+            writing = asyncio.create_task(writer())
+            read = await asyncio.gather(*(reader(hub) for _ in range(8)))
+            await writing
+            assert not hub._feeds, "nobody reads, nothing is held"
+            return read
+
+    read = asyncio.run(all_of_them())
+    with database.read() as connection:
+        written = [one.id for one in events.since(connection, sequence, 0, 10**6)]
+    assert len(written) > 60
+    assert read == [written] * 8
+
+
+def test_forgetting_old_events_skips_what_is_gone_and_loses_nothing_else(database: Database) -> None:
+    with database.transaction() as connection:
+        stored = campaign(connection)
+        for _ in range(10):
+            events.add(connection, stored.sequence, EventKind.NOTE)
+        campaigns.end(connection, stored.sequence, CampaignState.SUCCEEDED)
+        newest = events.newest_id(connection, stored.sequence)
+        connection.execute(text("DELETE FROM events WHERE id < :newest"), {"newest": newest})
+
+    async def read() -> list[str | None]:
+        parser = EventParser()
+        async with EventHub(database).running() as hub, asyncio.timeout(20):
+            return [one.id async for chunk in hub.stream(stored.sequence, stored.id, 3) for one in parser.feed(chunk)]
+
+    assert [one for one in asyncio.run(read()) if one is not None] == [str(newest)]
+
+
+def test_a_database_that_does_not_answer_is_told_and_so_is_its_return(
+    database: Database, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with database.transaction() as connection:
+        stored = campaign(connection)
+    reason = "the database does not answer"
+    away = False
+    really = EventHub._read
+
+    def read(hub: EventHub, known: object) -> object:
+        if away:
+            raise UnavailableError(reason)
+        return really(hub, known)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(EventHub, "_read", read)
+
+    async def told() -> list[str]:
+        nonlocal away
+        parser, found = EventParser(), list[str]()
+        async with EventHub(database).running() as hub, asyncio.timeout(20):
+            async for chunk in hub.stream(stored.sequence, stored.id, 0):
+                for one in parser.feed(chunk):
+                    found.append(f"{one.event} {reason in one.data}")
+                if found[-1:] == ["progress False"] and not away:
+                    away = True
+                elif found[-1:] == ["degraded True"]:
+                    away = False
+                    with database.transaction() as connection:
+                        campaigns.request_action(connection, stored.id, "cancel")
+        return found
+
+    found = asyncio.run(told())
+    assert found[-2:] == ["cancelled False", "progress False"]
+    assert "degraded True" in found

@@ -1,0 +1,387 @@
+"""Event streams over real HTTP; what the dispatcher would store is stored by hand."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from datetime import timedelta
+from pathlib import Path
+
+import httpx
+import pytest
+from sqlalchemy import text
+from tests.support.serve import until
+from tests.support.server import RunningApi, free_port, new_database, serving
+
+from drivecal.api import streams
+from drivecal.api.routes import events as route
+from drivecal.client.client import Client
+from drivecal.client.event_stream import EventParser, ServerSentEvent
+from drivecal.contracts.campaign import Campaign
+from drivecal.contracts.events import CampaignProgress
+from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.events import EventKind
+from drivecal.storage import campaigns, events, processes
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.database import Database
+from drivecal.storage.types import now
+
+
+@pytest.fixture(autouse=True)
+def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(streams, "LOOK_SECONDS", 0.05)
+
+
+@pytest.fixture
+def api(tmp_path: Path) -> Iterator[RunningApi]:
+    with serving(f"sqlite:///{tmp_path / 'drivecal.db'}") as running:
+        yield running
+
+
+def submit(database: Database, *, starts: bool = True) -> StoredCampaign:
+    """A campaign under a dispatcher that lives; it has the events `queued` and, where it `starts`, `running`."""
+    with database.transaction() as connection:
+        processes.heartbeat(connection, processes.DISPATCHER, 1, now(), {})
+        connection.execute(
+            text("UPDATE processes SET heartbeat_at = '2999-01-01 00:00:00'")
+        )  # no test is about its death unawares
+        stored = campaigns.insert(connection, name="mine", spec={"name": "mine"})
+        if starts:
+            campaigns.start(connection, stored.sequence)
+    return stored
+
+
+def note(database: Database, campaign: StoredCampaign, *texts: str) -> None:
+    """Events, as the dispatcher writes them: together with a change of the row."""
+    for one in texts:
+        with database.transaction() as connection:
+            campaigns.set_resolution(connection, campaign.sequence, {"note": one})
+            events.add(connection, campaign.sequence, EventKind.NOTE, {"text": one})
+
+
+def end(database: Database, campaign: StoredCampaign) -> None:
+    with database.transaction() as connection:
+        campaigns.end(connection, campaign.sequence, CampaignState.SUCCEEDED)
+
+
+@contextmanager
+def opened(
+    api: RunningApi, campaign: StoredCampaign, last: str | None = None, query: str = ""
+) -> Iterator[Iterator[ServerSentEvent]]:
+    """The events of a stream, as they come."""
+    headers = {} if last is None else {"Last-Event-ID": last}
+    path = f"/api/v1/campaigns/{campaign.id}/events{query}"
+    with httpx.stream("GET", api.url + path, headers=headers, timeout=20) as response:
+        assert response.status_code == 200
+        assert response.headers["content-type"].startswith("text/event-stream")
+        parser = EventParser()
+        yield (one for chunk in response.iter_bytes() for one in parser.feed(chunk))
+
+
+def stored_only(found: Iterator[ServerSentEvent]) -> list[str]:
+    """Kind of each event with an id, and the text of notes, in the order in which they came."""
+    told = [one for one in found if one.id is not None]
+    numbers = [int(one.id or 0) for one in told]
+    assert numbers == sorted(set(numbers)), "out of order, or twice"
+    return [json.loads(one.data)["data"].get("text", one.event) for one in told]
+
+
+@pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
+def test_a_stream_tells_what_happened_and_what_happens_and_closes_at_the_end(
+    request: pytest.FixtureRequest, tmp_path: Path, kind: str
+) -> None:
+    with serving(new_database(request, kind, tmp_path)) as api:
+        campaign = submit(api.database)
+        note(api.database, campaign, "before")
+        with opened(api, campaign) as stream:
+            assert [next(stream).event for _ in range(3)] == ["queued", "running", "note"]
+            progress = next(stream)
+            assert (progress.event, progress.id) == ("progress", None)
+            assert CampaignProgress.model_validate_json(progress.data).state == "running"
+            note(api.database, campaign, "meanwhile")
+            end(api.database, campaign)
+            rest = list(stream)
+        assert stored_only(iter(rest)) == ["meanwhile", "succeeded"]
+        assert (rest[-1].event, CampaignProgress.model_validate_json(rest[-1].data).state) == ("progress", "succeeded")
+        document = json.loads(next(one for one in rest if one.event == "succeeded").data)
+        assert (document["campaign"], document["data"]) == (campaign.id, {"state": "succeeded"})
+
+
+@pytest.mark.parametrize("by", ["header", "query"])
+def test_who_comes_back_gets_what_was_missed_once_and_in_order(api: RunningApi, by: str) -> None:
+    campaign, other = submit(api.database), submit(api.database)
+    with opened(api, campaign) as stream:
+        first = [next(stream) for _ in range(2)]
+    last = first[-1].id
+    for number in range(5):
+        note(api.database, campaign, f"missed {number}")
+        note(api.database, other, "of another campaign")
+    header, query = (last, "") if by == "header" else (None, f"?last_event_id={last}")
+    with opened(api, campaign, header, query) as stream:
+        assert stored_only(next(stream) for _ in range(5)) == [f"missed {number}" for number in range(5)]
+        note(api.database, campaign, "live")
+        end(api.database, campaign)
+        assert stored_only(stream) == ["live", "succeeded"]
+
+
+def test_the_header_of_a_browser_that_comes_back_counts_more_than_its_first_address(api: RunningApi) -> None:
+    campaign = submit(api.database)
+    note(api.database, campaign, "one", "two")
+    with opened(api, campaign) as stream:
+        queued, _, one = (next(stream) for _ in range(3))
+    end(api.database, campaign)
+    with opened(api, campaign, one.id, f"?last_event_id={queued.id}") as stream:
+        assert stored_only(stream) == ["two", "succeeded"]
+
+
+def test_after_the_last_event_of_an_ended_campaign_there_is_no_need_to_come_back(api: RunningApi) -> None:
+    campaign = submit(api.database)
+    end(api.database, campaign)
+    with opened(api, campaign) as stream:
+        last = [one.id for one in stream if one.id is not None][-1]
+    response = api.http.get(f"/api/v1/campaigns/{campaign.id}/events", headers={"Last-Event-ID": last})
+    assert (response.status_code, response.content) == (204, b"")
+
+
+def test_an_id_of_a_newer_database_than_this_one_hides_nothing(api: RunningApi) -> None:
+    campaign = submit(api.database)
+    end(api.database, campaign)
+    with opened(api, campaign, "999999") as stream:
+        assert stored_only(stream) == ["queued", "running", "succeeded"]
+
+
+@pytest.mark.parametrize(
+    ("path", "headers", "status", "said"),
+    [
+        (f"{'0' * 32}/events", {}, 404, "there is no campaign"),
+        ("%00/events", {}, 404, "there is no campaign"),
+        ("{id}/events", {"Last-Event-ID": "x"}, 422, "Last-Event-ID"),
+        ("{id}/events", {"Last-Event-ID": "-1"}, 422, "Last-Event-ID"),
+        ("{id}/events", {"Last-Event-ID": str(2**63)}, 422, "Last-Event-ID"),
+        ("{id}/events?last_event_id=1.5", {}, 422, "last_event_id"),
+        ("{id}/events?last=1", {}, 422, "last"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(api: RunningApi, path: str, headers: dict[str, str], status: int, said: str) -> None:
+    campaign = submit(api.database)
+    response = api.http.get(f"/api/v1/campaigns/{path.format(id=campaign.id)}", headers=headers)
+    assert (response.status_code, response.headers["content-type"]) == (status, "application/problem+json")
+    assert said in response.text
+
+
+def test_a_single_evaluation_has_a_stream_as_well(api: RunningApi) -> None:
+    with api.database.transaction() as connection:
+        stored = campaigns.insert(connection, name="one", spec={}, kind="evaluation")
+        campaigns.end(connection, stored.sequence, CampaignState.CANCELLED)
+    with opened(api, stored) as stream:
+        assert stored_only(stream) == ["queued", "cancelled"]
+
+
+def test_streams_of_many_clients_at_many_places_all_tell_the_same(api: RunningApi) -> None:
+    one, other = submit(api.database), submit(api.database)
+
+    def listen(number: int) -> list[str]:
+        with opened(api, other if number % 2 else one) as stream:
+            return stored_only(stream)
+
+    with ThreadPoolExecutor(6) as pool:
+        listening = [pool.submit(listen, number) for number in range(6)]
+        for number in range(30):
+            note(api.database, one, f"one {number}")
+            note(api.database, other, f"other {number}")
+        for campaign in (one, other):
+            end(api.database, campaign)
+        told = [future.result(timeout=60) for future in listening]
+    for number, found in enumerate(told):
+        name = "other" if number % 2 else "one"
+        assert found == ["queued", "running", *(f"{name} {index}" for index in range(30)), "succeeded"]
+
+
+def test_a_client_that_does_not_read_holds_nobody_up_and_gets_everything_later(api: RunningApi) -> None:
+    campaign = submit(api.database)
+    large = [f"{number} " + "x" * 50_000 for number in range(400)]  # more than sockets take in: 20 MB
+    with opened(api, campaign) as slow:
+        assert next(slow).event == "queued"
+        with api.database.transaction() as connection:
+            campaigns.set_resolution(connection, campaign.sequence, {})
+            for one in large:
+                events.add(connection, campaign.sequence, EventKind.NOTE, {"text": one})
+        with opened(api, campaign) as quick:
+            end(api.database, campaign)
+            assert stored_only(quick) == ["queued", "running", *large, "succeeded"]
+        assert stored_only(slow) == ["running", *large, "succeeded"]
+
+
+def test_a_client_that_never_reads_is_let_go_and_its_place_is_free_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(route, "STALLED_SECONDS", 0.2)
+    with serving(f"sqlite:///{tmp_path / 'drivecal.db'}", event_streams=1) as api:
+        campaign = submit(api.database)
+        with api.database.transaction() as connection:
+            for _ in range(400):
+                events.add(connection, campaign.sequence, EventKind.NOTE, {"text": "x" * 50_000})
+        end(api.database, campaign)
+        with opened(api, campaign) as stalled:
+            assert next(stalled).event == "queued"
+
+            def is_free() -> bool:
+                path = f"{api.url}/api/v1/campaigns/{campaign.id}/events"
+                with httpx.stream("GET", path, timeout=20) as response:
+                    return response.status_code == 200
+
+            until(is_free, "the stalled stream is ended", seconds=20)
+
+
+def test_no_more_streams_are_open_than_there_are_places(tmp_path: Path) -> None:
+    with serving(f"sqlite:///{tmp_path / 'drivecal.db'}", event_streams=2) as api:
+        campaign = submit(api.database)
+        path = f"/api/v1/campaigns/{campaign.id}/events"
+        with opened(api, campaign) as one:
+            next(one)
+            with opened(api, campaign) as other:
+                next(other)
+                refused = api.http.get(path)
+                assert (refused.status_code, refused.headers["content-type"]) == (429, "application/problem+json")
+                assert int(refused.headers["retry-after"]) > 0
+                assert api.http.get(f"/api/v1/campaigns/{campaign.id}").status_code == 200
+        end(api.database, campaign)
+        until(lambda: httpx.get(api.url + path, timeout=20).status_code == 200, "places are free again")
+
+
+def test_a_silent_dispatcher_is_told_by_answers_and_streams_and_so_is_its_return(api: RunningApi) -> None:
+    campaign = submit(api.database)
+
+    def spoke(seconds_ago: float) -> None:
+        with api.database.transaction() as connection:
+            moment = (now() - timedelta(seconds=seconds_ago)).replace(tzinfo=None)
+            connection.execute(text("UPDATE processes SET heartbeat_at = :moment"), {"moment": str(moment)})
+
+    def read() -> tuple[str | None, str]:
+        response = api.http.get(f"/api/v1/campaigns/{campaign.id}")
+        return response.json()["degraded"], response.headers["etag"]
+
+    with opened(api, campaign) as stream:
+        assert [next(stream).event for _ in range(3)] == ["queued", "running", "progress"]
+        said, well = read()
+        assert said is None
+        spoke(4.5)
+        degraded, progress = next(stream), next(stream)
+        assert (degraded.event, degraded.id) == ("degraded", None)
+        reason = "the dispatcher has been silent for more than 4 s"
+        assert json.loads(degraded.data)["data"] == {"reason": reason}
+        assert CampaignProgress.model_validate_json(progress.data).degraded == reason
+        silent = read()
+        assert silent[0] == reason
+        assert silent[1] != well
+        spoke(5.5)
+        assert read() == silent, "the same for a while"
+        with api.database.transaction() as connection:
+            campaigns.degrade(connection, [campaign.sequence], "no workers")
+        assert read()[0] == f"{reason}; it last said: no workers"
+        assert api.http.get("/api/v1/campaigns").json()["items"][0]["degraded"] == read()[0]
+        spoke(0)
+        assert read()[0] == "no workers"
+        with api.database.transaction() as connection:
+            campaigns.degrade(connection, [campaign.sequence], None)
+        assert read() == (None, read()[1])
+        end(api.database, campaign)
+        kinds = [one.event for one in stream if one.event != "progress"]
+    assert kinds[0] == "degraded"
+    assert kinds[-2:] == ["recovered", "succeeded"]
+
+
+def test_a_dispatcher_that_never_was_is_told_until_the_campaign_ends_or_rests(api: RunningApi) -> None:
+    with api.database.transaction() as connection:
+        stored = campaigns.insert(connection, name="mine", spec={})
+
+    def said() -> str | None:
+        value: str | None = api.http.get(f"/api/v1/campaigns/{stored.id}").json()["degraded"]
+        return value
+
+    assert said() == "no dispatcher is running"
+    assert api.http.post(f"/api/v1/campaigns/{stored.id}/pause").json()["degraded"] is None
+    assert said() is None
+    assert api.http.post(f"/api/v1/campaigns/{stored.id}/resume").json()["degraded"] == "no dispatcher is running"
+    api.http.post(f"/api/v1/campaigns/{stored.id}/cancel")
+    assert said() is None
+
+
+def test_a_stream_gives_signs_of_life_while_nothing_happens(api: RunningApi, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(streams, "KEEPALIVE_SECONDS", 0.05)
+    campaign = submit(api.database)
+    with httpx.stream("GET", f"{api.url}/api/v1/campaigns/{campaign.id}/events", timeout=20) as response:
+        received = b""
+        for chunk in response.iter_bytes():
+            received += chunk
+            if received.count(b": ping\n\n") == 3:
+                break
+    assert received.startswith(b"retry: 2000\n\n")
+
+
+def test_streams_end_in_peace_when_the_server_stops(tmp_path: Path) -> None:
+    with serving(f"sqlite:///{tmp_path / 'drivecal.db'}") as api:
+        campaign = submit(api.database)
+        reading = opened(api, campaign)
+        stream = reading.__enter__()
+        assert next(stream).event == "queued"
+        listener: list[list[ServerSentEvent]] = []
+        thread = threading.Thread(target=lambda: listener.append(list(stream)))
+        thread.start()
+    thread.join(20)
+    assert [one.event for one in listener[0]] == ["running", "progress"], "an end, not an error"
+    reading.__exit__(None, None, None)
+
+
+def test_a_client_that_follows_bears_a_restart_of_the_server_and_misses_nothing(tmp_path: Path) -> None:
+    port, url = free_port(), f"sqlite:///{tmp_path / 'drivecal.db'}"
+    told: list[str] = []
+    seen: list[Campaign] = []
+
+    def follow(campaign: StoredCampaign) -> None:
+        with Client(f"http://127.0.0.1:{port}") as client:
+            seen.extend(client.watch(campaign.id, told=lambda one: told.append(one.data.get("text", one.kind))))
+
+    with serving(url, port=port) as api:
+        campaign = submit(api.database)
+        thread = threading.Thread(target=follow, args=(campaign,))
+        thread.start()
+        until(lambda: "running" in told, "the client follows")
+        note(api.database, campaign, "before")
+        until(lambda: "before" in told, "it goes on")
+    database = Database.open(url)
+    note(database, campaign, "while nobody served")
+    database.dispose()
+    with serving(url, port=port) as api:
+        note(api.database, campaign, "after")
+        until(lambda: "after" in told, "the client came back")
+        end(api.database, campaign)
+        thread.join(30)
+        assert not thread.is_alive()
+    assert told == ["queued", "running", "before", "while nobody served", "after", "succeeded"]
+    assert seen[-1].state == "succeeded"
+    assert seen[-1].ended_at is not None, "the whole campaign, asked for at the end"
+
+
+def test_who_follows_from_now_on_is_not_told_what_was_before(api: RunningApi) -> None:
+    campaign = submit(api.database)
+    note(api.database, campaign, "before")
+    told: list[str] = []
+    with Client(api.url) as client:
+        for seen in client.watch(campaign.id, told=lambda one: told.append(one.kind), from_beginning=False):
+            if seen.state == "running" and not told:
+                thread = threading.Timer(0.5, end, (api.database, campaign))
+                thread.start()
+    assert told == ["succeeded"]
+
+
+def test_the_documentation_names_every_kind_of_event(api: RunningApi) -> None:
+    operation = api.http.get("/openapi.json").json()["paths"]["/api/v1/campaigns/{campaign_id}/events"]["get"]
+    described = operation["responses"]["200"]
+    assert list(described["content"]) == ["text/event-stream"]
+    for kind in EventKind:
+        assert f"`{kind}`" in described["description"]
+    assert {"404", "422", "429"} <= set(operation["responses"])
