@@ -52,28 +52,30 @@ def check_counters(connection: Connection) -> Iterator[str]:
         cells[outcome or "pending"] = count
         if outcome == Outcome.SIMULATED:
             cells["audited"] = audits
-    carried = dict(
-        connection.execute(
-            select(generations.c.campaign_sequence, func.sum(generations.c.carried_over)).group_by(
-                generations.c.campaign_sequence
-            )
-        )
-        .tuples()
-        .all()
+    carried_over = func.sum(generations.c.carried_over)
+    carried = connection.execute(
+        select(generations.c.campaign_sequence, carried_over).group_by(generations.c.campaign_sequence)
     )
-    for one in connection.execute(
-        select(campaigns.c.sequence, campaigns.c.id, campaigns.c.cells, campaigns.c.sensitivity_cells).order_by(
-            campaigns.c.sequence
-        )
-    ):
-        calibration = counted.get((one.sequence, ORDER[Stage.CALIBRATION]), {}) | {"carried_over": carried.get(one.sequence, 0)}
-        sensitivity = counted.get((one.sequence, ORDER[Stage.SENSITIVITY]), {})
-        for name, kept, cells in (("cells", one.cells, calibration), ("sensitivity_cells", one.sensitivity_cells, sensitivity)):
+    for sequence, count in carried:
+        counted.setdefault((sequence, ORDER[Stage.CALIBRATION]), {})["carried_over"] = count
+    kept = [campaigns.c[name] for name in _COUNTERS.values()]
+    for one in connection.execute(select(campaigns.c.sequence, campaigns.c.id, *kept).order_by(campaigns.c.sequence)):
+        for stage_of, name in _COUNTERS.items():
+            cells = counted.get((one.sequence, ORDER[stage_of]), {})
             cells["requested"] = sum(cells.get(outcome, 0) for outcome in Outcome)
             cells["proposed"] = sum(cells.get(part, 0) for part in ("carried_over", "pending", "requested"))
-            for part, count in kept.items():
-                if part != "unrepeatable" and count != cells.get(part, 0):
-                    yield f"campaign {one.id} counts {count} {part} {name}, its rows {cells.get(part, 0)}"
+            for part, count in (getattr(one, name) or {}).items():
+                if part not in _NOT_IN_ROWS and count != cells.get(part, 0):
+                    yield f"campaign {one.id} counts {count} {part} in its {name}, its rows {cells.get(part, 0)}"
+
+
+_COUNTERS = {
+    Stage.SENSITIVITY: "sensitivity_cells",
+    Stage.CALIBRATION: "cells",
+    Stage.ROBUSTNESS: "robustness_cells",
+    Stage.VALIDATION: "validation_cells",
+}
+_NOT_IN_ROWS = {"unrepeatable"}
 
 
 def check_ended(connection: Connection) -> Iterator[str]:

@@ -57,7 +57,7 @@ def refuse_foreign(connection: Connection, database: str) -> None:
         listed = ", ".join(sorted(tables)[:3])
         raise DatabaseError(f"{database} holds another program's tables ({listed}); give drivecal a database of its own")
     revision = revision_of(connection)
-    if revision is not None and revision not in _known_revisions():
+    if revision is not None and revision not in known_revisions():
         raise DatabaseError(
             f"{database} was made by a newer drivecal (revision {revision}); install that release or name another database"
         )
@@ -65,7 +65,7 @@ def refuse_foreign(connection: Connection, database: str) -> None:
 
 def refuse_unmigrated(connection: Connection, database: str) -> None:
     """Raises DatabaseError where the database is not at this drivecal's revision."""
-    revision, head = revision_of(connection), _known_revisions()[0]
+    revision, head = revision_of(connection), known_revisions()[0]
     if revision != head:
         found = "is empty" if revision is None else f"is at revision {revision}, this drivecal needs {head}"
         raise DatabaseError(f"{database} {found}; run `drivecal db upgrade`")
@@ -97,7 +97,7 @@ def revision_of(connection: Connection) -> str | None:
     return connection.execute(text(f"SELECT version_num FROM {REVISION_TABLE}")).scalar()  # noqa: S608  # a constant
 
 
-def _known_revisions() -> list[str]:
+def known_revisions() -> list[str]:
     """All revisions that this drivecal knows, newest first."""
     with as_file(files("drivecal.storage") / "migrations") as folder:
         return [script.revision for script in ScriptDirectory(str(folder)).walk_revisions()]

@@ -1,0 +1,257 @@
+"""Databases of earlier revisions, with data in them, become current: nothing is lost, everything works, and nothing lies in between."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from sqlalchemy import Connection, Engine, event, inspect, text
+from tests.support.computed import ComputedBackend
+from tests.support.revisions import load
+from tests.support.runs import MOST_STEPS, dispatcher, get, run, submit
+
+from drivecal.campaigns.verification import verify
+from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.errors import DatabaseError
+from drivecal.plugins import registry
+from drivecal.storage import campaigns, events, reference_keys, results, runs, schema, setups
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.database import Database
+
+REVISIONS = ("0001", "0002", "0003")
+
+
+def make(database: Database, revision: str) -> None:
+    """A database at a revision as somebody left it. Of revisions that no release had, as their upgrades and services filled them."""
+    load.create(database, "0001")
+    with database.transaction() as connection:
+        schema.upgrade(connection, database.name, revision)
+        if revision >= "0002":
+            running = connection.execute(text("SELECT sequence FROM campaigns WHERE state = 'running'")).scalar_one()
+            pending = connection.execute(text("SELECT min(id) FROM evaluations WHERE outcome IS NULL")).scalar_one()
+            connection.execute(text("INSERT INTO leases VALUES (:id, 2, 1, 0, '2026-01-01 00:00:00+00')"), {"id": pending})
+            row = "(campaign_sequence, kind, data, created_at) VALUES (:id, 'note', '{\"text\": \"old\"}', '2026-01-01 00:00:00+00')"
+            connection.execute(text(f"INSERT INTO events {row}"), {"id": running})
+
+
+@pytest.fixture(params=REVISIONS)
+def revision(request: pytest.FixtureRequest) -> str:
+    """The revision that the database has."""
+    return str(request.param)
+
+
+@pytest.fixture
+def old(empty_url: str, revision: str) -> Iterator[Database]:
+    """A database at that revision."""
+    opened = Database.open(empty_url)
+    make(opened, revision)
+    yield opened
+    opened.dispose()
+
+
+def stored(connection: Connection, columns: dict[str, list[str]]) -> dict[str, list[tuple[Any, ...]]]:
+    """Columns of all rows of tables, as the driver gives them."""
+    found = {}
+    for table, names in columns.items():
+        rows = connection.execute(text(f"SELECT {', '.join(names)} FROM {table}"))
+        found[table] = sorted((tuple(row) for row in rows), key=repr)
+    return found
+
+
+def columns_of(connection: Connection) -> dict[str, list[str]]:
+    """The columns of all tables but that of the revision."""
+    tables = inspect(connection).get_table_names()
+    return {
+        table: [one["name"] for one in inspect(connection).get_columns(table)]
+        for table in tables
+        if table != schema.REVISION_TABLE
+    }
+
+
+def test_every_revision_is_tried() -> None:
+    assert tuple(sorted(schema.known_revisions())) == REVISIONS, "make the rows of a release with support/revisions/make.py"
+
+
+def test_everything_that_was_there_is_there_and_the_whole_is_sound(old: Database) -> None:
+    with old.read() as connection:
+        columns = columns_of(connection)
+        before = stored(connection, columns)
+    old.upgrade()
+    old.check()
+    with old.read() as connection:
+        assert stored(connection, columns) == before
+    assert len(before["runs"]) > 200
+    assert [verdict for verdict in verify(old, full=True) if verdict.problems] == []
+
+
+def test_an_upgraded_database_has_the_tables_of_a_new_one(old: Database, migrated: Database) -> None:
+    old.upgrade()
+    shapes = []
+    for database in (old, migrated):
+        with database.read() as connection:
+            shapes.append(sorted(connection.execute(text(SHAPE[connection.dialect.name])), key=repr))
+    assert shapes[0] == shapes[1]
+    assert len(shapes[0]) > 30
+
+
+SHAPE = {
+    "sqlite": "SELECT type, name, tbl_name, sql FROM sqlite_master",
+    "postgresql": "SELECT table_name, column_name, data_type || coalesce(collation_name, ''), coalesce(column_default, '') || is_nullable"
+    " FROM information_schema.columns WHERE table_schema = 'public'"
+    " UNION ALL SELECT tablename, indexname, '', indexdef FROM pg_indexes WHERE schemaname = 'public'"
+    " UNION ALL SELECT conrelid::regclass::text, conname, '', pg_get_constraintdef(oid) FROM pg_constraint"
+    " WHERE connamespace = 'public'::regnamespace",
+}
+"""All that a schema consists of, in the backend's own words."""
+
+
+@pytest.fixture
+def migrated(request: pytest.FixtureRequest, backend: str) -> Iterator[Database]:
+    """A database that was new at this drivecal's revision."""
+    name = "migrated_sqlite" if backend == "sqlite" else "migrated_postgres"
+    found = request.getfixturevalue(name)
+    opened = Database.open(f"sqlite:///{found}" if backend == "sqlite" else str(found))
+    yield opened
+    opened.dispose()
+
+
+def test_old_references_answer_in_the_upgraded_database(old: Database) -> None:
+    old.upgrade()
+    with old.read() as connection:
+        asked = connection.execute(text("SELECT * FROM reference_keys")).mappings().all()
+        indexes = {index.id: index for index in reference_keys.indexes(connection)}
+        for row in asked:
+            index = indexes[row["index_id"]]
+            found = reference_keys.look_up(
+                connection, index.influence_map_sequence, index.setup_id, [bytes(row["key"])], index.evaluator, row["run_id"]
+            )
+            [donor] = found.values()
+            assert (donor.run, donor.evaluation) == (row["run_id"], row["evaluation_id"])
+        [(setup, parameter_set, evaluation)] = connection.execute(
+            text("SELECT setup_id, parameter_set_id, evaluation_id FROM runs WHERE id = 7")
+        )
+        exact = runs.look_up_exact(connection, setup, [parameter_set], indexes[1].evaluator, 10**6)
+        assert [one.evaluation for one in exact.values()] == [evaluation]
+    assert len(asked) > 250
+
+
+def test_campaigns_of_the_old_release_are_shown_carried_on_and_rerun(old: Database, monkeypatch: pytest.MonkeyPatch) -> None:
+    old.upgrade()
+    install_versions_of(old, monkeypatch)
+    with old.read() as connection:
+        listed, _ = campaigns.page(connection)
+        analysed, running = (next(one for one in listed if test(one)) for test in (_is_analysed, _is_running))
+        assert {one.name: len(list(results.stream(connection, one.sequence))) for one in listed} == {
+            "queued": 0,
+            "test": 32,
+            "rerun": 32,
+            "analysed": 224,
+        }
+        assert analysed.best is not None
+        assert (analysed.priority, analysed.degraded) == (0, None)
+        assert [one.data for one in events.since(connection, running.sequence, 0, 10)] in ([], [{"text": "old"}])
+    with old.transaction() as connection:
+        campaigns.request_action(connection, next(one.id for one in listed if one.name == "queued"), "cancel")
+    working = dispatcher(old, ComputedBackend(5))
+    for _ in range(MOST_STEPS):
+        if get(old, running).state.ended:
+            break
+        working.step()
+    assert (get(old, running).state, get(old, running).error) == (CampaignState.SUCCEEDED, None)
+    again = run(
+        old, submit(old, stored_map=running.influence_map_id, catalogue=["S1", "S2"], optimizer=running.spec["optimizer"])
+    )
+    assert again.cells.simulated == 0, "the same search on the same references"
+    assert again.best is not None
+    assert again.cells.repeated + again.cells.reused == again.cells.requested > 0
+    assert [verdict for verdict in verify(old, full=True) if verdict.problems] == []
+
+
+def install_versions_of(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The driving function of the release: another one would not go on with its campaigns, nor use its references."""
+    with database.read() as connection:
+        document = setups.counts(connection)[0].document
+    monkeypatch.setattr(type(registry.driving_function("frenet")), "version", document["driving_function_version"])
+
+
+def _is_analysed(campaign: StoredCampaign) -> bool:
+    return campaign.name == "analysed"
+
+
+def _is_running(campaign: StoredCampaign) -> bool:
+    return campaign.state is CampaignState.RUNNING
+
+
+@pytest.mark.parametrize("statement", [1, 7, 12, 16, None])
+def test_a_killed_upgrade_leaves_the_old_revision_or_the_new_one(empty_url: str, statement: int | None) -> None:
+    database = Database.open(empty_url)
+    load.create(database, "0001")
+    with database.read() as connection:
+        columns = columns_of(connection)
+        before = stored(connection, columns)
+    database.dispose()
+    process = multiprocessing.get_context("spawn").Process(target=_upgrade_and_die, args=(empty_url, statement))
+    process.start()
+    process.join()
+    assert process.exitcode == -signal.SIGKILL
+    with database.read() as connection:
+        assert schema.revision_of(connection) == "0001"
+        assert columns_of(connection) == columns
+        assert stored(connection, columns) == before
+    database.upgrade()
+    assert [verdict for verdict in verify(database, full=True) if verdict.problems] == []
+    database.dispose()
+
+
+def _upgrade_and_die(url: str, at: int | None) -> None:
+    """Ends without another word after so many statements of the upgrade that change something; None: when it is about to commit."""
+    changes = 0
+
+    def count(_: Any, __: Any, statement: str, *___: Any) -> None:
+        nonlocal changes
+        changes += statement.lstrip().startswith(("CREATE", "ALTER", "INSERT", "UPDATE", "DROP"))
+        if changes == at:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    def commit(_: Any) -> None:
+        if changes:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    event.listen(Engine, "after_cursor_execute", count)
+    event.listen(Engine, "commit", commit)
+    Database.open(url).upgrade()
+
+
+def test_two_processes_may_upgrade_an_old_database_at_once(empty_url: str) -> None:
+    database = Database.open(empty_url)
+    load.create(database, "0001")
+    with multiprocessing.get_context("spawn").Pool(2) as pool:
+        pool.map(_upgrade, [empty_url] * 2)
+    assert [verdict for verdict in verify(database, full=True) if verdict.problems] == []
+    database.dispose()
+
+
+def _upgrade(url: str) -> None:
+    database = Database.open(url)
+    database.upgrade()
+    database.dispose()
+
+
+def test_an_upgrade_that_fails_leaves_the_old_revision(empty_url: str) -> None:
+    database = Database.open(empty_url)
+    load.create(database, "0001")
+    with database.transaction() as connection:
+        connection.execute(text("CREATE TABLE events (somebody TEXT)"))  # in the way of the next revision
+    with pytest.raises(Exception, match=r"(?i)events.*already exists"):
+        database.upgrade()
+    with database.read() as connection:
+        assert schema.revision_of(connection) == "0001"
+        assert "leases" not in columns_of(connection)
+        assert "priority" not in columns_of(connection)["campaigns"]
+    with pytest.raises(DatabaseError, match="is at revision 0001, this drivecal needs"):
+        database.check()
+    database.dispose()
