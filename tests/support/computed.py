@@ -6,7 +6,7 @@ import random
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult
+from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult, SetupRequest
 from drivecal.execution.backend import Finished, Lost, Slot, WorkerInfo
 
 IGNORED = {"S1": "P9", "S2": "P10"}
@@ -38,6 +38,8 @@ class ComputedBackend:
 
     seed: int = 0
     answer: Callable[[str, Cell], CellResult] = computed
+    driven: Callable[[SetupRequest, Cell], CellResult] | None = None
+    """In its place where the answer depends on the vehicle."""
     sent: list[tuple[str, tuple[float, ...]]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -56,11 +58,12 @@ class ComputedBackend:
         share = self._random.randint(0, len(self._outstanding))
         done, self._outstanding = self._outstanding[:share], self._outstanding[share:]
         return [
-            Finished(
-                batch_id, BatchResult(self._name, tuple(self.answer(batch.setup.scenario, cell) for cell in batch.cells), 0.01)
-            )
+            Finished(batch_id, BatchResult(self._name, tuple(self._answer(batch.setup, cell) for cell in batch.cells), 0.01))
             for batch_id, batch in done
         ]
+
+    def _answer(self, setup: SetupRequest, cell: Cell) -> CellResult:
+        return self.driven(setup, cell) if self.driven else self.answer(setup.scenario, cell)
 
     def slots(self) -> list[Slot]:
         return [Slot(self._name, idle=True)] * max(0, 8 - len(self._outstanding))

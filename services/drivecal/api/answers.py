@@ -39,6 +39,8 @@ def campaign_answer(stored: StoredCampaign, now: datetime, silent: str | None) -
         progress=stored.progress,
         cells=stored.cells,
         sensitivity_cells=stored.sensitivity_cells,
+        robustness_cells=stored.robustness_cells,
+        validation_cells=stored.validation_cells,
         error_rate=dict(stored.error_rate),
         best=stored.best,
         baseline=stored.baseline,

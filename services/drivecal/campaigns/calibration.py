@@ -38,6 +38,8 @@ class Calibration:
     All state is in the database after every call, so that a new object on the same campaign goes on exactly as this one would.
     """
 
+    stage = Stage.CALIBRATION
+
     def __init__(
         self,
         database: Database,

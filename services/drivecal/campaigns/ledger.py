@@ -13,7 +13,8 @@ from dataclasses import dataclass, field, replace
 
 from sqlalchemy import Connection
 
-from drivecal.campaigns.planning import View
+from drivecal.campaigns.planning import View, ensure_setups
+from drivecal.campaigns.problem import Bench
 from drivecal.contracts.work import Cell, SetupRequest
 from drivecal.domain.evaluations import Donor, Outcome
 from drivecal.execution.measures import MEASURES
@@ -53,6 +54,7 @@ class Ledger:
         self._pending: dict[int, PendingEvaluation] = {}
         self._copies: dict[int, list[PendingEvaluation]] = {}
         self._breakdowns: Mapping[int, int] = {}
+        self._requests: Mapping[int, SetupRequest] = {}
         self._exclusive = False
         self.simulating_seconds = simulating_seconds
 
@@ -77,12 +79,18 @@ class Ledger:
             else:
                 self._counts["pending"] += 1
 
-    def load(self, connection: Connection, *, share_runs: bool) -> list[Work]:
+    def load(self, connection: Connection, *, share_runs: bool, benches: Sequence[Bench] = ()) -> list[Work]:
         """Reads what waits for an answer; gives what is to be simulated.
 
         With `share_runs`, a cell that another campaign has simulated meanwhile takes that run: it counts as simulated all the same, for
-        the campaign did not see it when it planned. Without it, every cell is simulated for this campaign alone.
+        the campaign did not see it when it planned. Without it, every cell is simulated for this campaign alone. `benches`: on which
+        cells are driven besides the campaign's own.
         """
+        self._requests = {
+            setup_id: bench.requests[scenario]
+            for bench in (self._view.bench, *benches)
+            for scenario, setup_id in ensure_setups(connection, bench).items()
+        }
         self._exclusive = not share_runs
         self._pending = {one.id: one for one in evaluations.pending(connection, self._view.campaign)}
         self._copies = {}
@@ -134,17 +142,17 @@ class Ledger:
         return late
 
     def _work(self, cells: Sequence[PendingEvaluation]) -> list[Work]:
-        by_scenario: dict[str, list[Cell]] = {}
+        by_setup: dict[int, list[Cell]] = {}
         for one in cells:
-            by_scenario.setdefault(one.scenario, []).append(Cell(one.id, one.parameters.floats))
+            by_setup.setdefault(one.setup_id, []).append(Cell(one.id, one.parameters.floats))
         return [
             Work(
-                self._view.bench.requests[scenario],
+                self._requests[setup_id],
                 tuple(listed),
                 self._exclusive,
                 {one.id: self._breakdowns[one.id] for one in listed if one.id in self._breakdowns},
             )
-            for scenario, listed in by_scenario.items()
+            for setup_id, listed in by_setup.items()
         ]
 
     def _share_runs(self, connection: Connection) -> None:

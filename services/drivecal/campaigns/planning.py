@@ -133,12 +133,12 @@ def plan_cells(
 
 def _exact(connection: Connection, view: View, scenario: str, setup_id: int, set_ids: Sequence[int]) -> dict[int, Donor]:
     """Results of earlier campaigns come first in the order of references, then the campaign's own."""
-    own = evaluations.own_exact(connection, view.campaign, scenario, set_ids)
+    own = evaluations.own_exact(connection, view.campaign, scenario, setup_id, set_ids)
     return own | runs.look_up_exact(connection, setup_id, set_ids, view.bench.evaluator_id, view.watermark)
 
 
 def _references(connection: Connection, view: View, scenario: str, setup_id: int, keys: Sequence[bytes]) -> dict[bytes, Donor]:
-    own = evaluations.own_references(connection, view.campaign, scenario, keys)
+    own = evaluations.own_references(connection, view.campaign, scenario, setup_id, keys)
     if view.influence_map_sequence is None:
         return own
     return own | reference_keys.look_up(

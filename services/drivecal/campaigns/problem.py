@@ -13,6 +13,7 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
+from drivecal.analysis.robustness import check_nominal
 from drivecal.campaigns.findings import Findings
 from drivecal.campaigns.spaces import free_values, given_set, search_space, space_to_document
 from drivecal.contracts.campaign import ExpectedRuns
@@ -108,6 +109,8 @@ class CalibrationProblem:
     baseline: ParameterSet | None
     start_sets: tuple[ParameterSet, ...]
     """What must be in the start population, each once: the baseline, then the sets from expert knowledge."""
+    robust_sets: tuple[ParameterSet, ...]
+    """What the robustness stage examines in any case."""
     notes: tuple[str, ...]
 
     def analysis(self) -> SensitivityAnalysis | None:
@@ -136,11 +139,23 @@ class CalibrationProblem:
             sensitivity_at_most=sum(phases.values()) * len(self.scenarios),
             calibration_proposed=proposed,
             calibration_at_most=requested,
-            robustness=0,
-            validation=0,
+            robustness=self._robustness_runs(),
+            validation=self._validation_runs(),
             break_even_share=intervals / requested if intervals and requested else None,
             notes=list(self.notes),
         )
+
+    def _robustness_runs(self) -> int:
+        wanted = self.specification.robustness
+        if wanted is None:
+            return 0
+        solutions = len(self.robust_sets) + (wanted.solutions if self.optimization is not None else 0)
+        boxes = wanted.steps + wanted.refinements
+        return solutions * len(self.scenarios) * (1 + boxes * wanted.samples)
+
+    def _validation_runs(self) -> int:
+        wanted = self.specification.validation
+        return 0 if wanted is None else wanted.samples * (1 + wanted.references) * len(self.scenarios)
 
     def resolution(self) -> dict[str, Any]:
         """What decides how the campaign goes on, and must not change before it ends: setups, evaluator, space; JSON-ready.
@@ -183,6 +198,8 @@ def resolve(specification: CampaignSpecification) -> CalibrationProblem:
     space = None if function is None else search_space(specification, function, findings)
     baseline = given_set(specification.baseline, space, "baseline", findings)
     start_sets = _start_sets(specification, baseline, space, findings)
+    robust_sets = _robustness(specification, vehicle, vehicle_parameters, list(weights), space, findings)
+    _validation(specification, findings)
     if specification.reduction.narrow and specification.sensitivity is None:
         remedy = "ask for a sensitivity analysis, name a map, or leave `narrow` out"
         findings.add("reduction.narrow", "there is no influence map by which the search space could be narrowed", remedy)
@@ -195,7 +212,7 @@ def resolve(specification: CampaignSpecification) -> CalibrationProblem:
     if function is None or vehicle is None or evaluator is None or space is None:
         raise AssertionError("a part is missing without a finding")
     bench = Bench({name: scenarios[name] for name in weights}, function, vehicle, vehicle_parameters, evaluator)
-    return CalibrationProblem(specification, bench, space, weights, optimization, baseline, start_sets, notes)
+    return CalibrationProblem(specification, bench, space, weights, optimization, baseline, start_sets, robust_sets, notes)
 
 
 def resolve_evaluation(specification: EvaluationSpecification) -> EvaluationProblem:
@@ -255,8 +272,13 @@ def _vehicle(specification: VehicleSpecification, findings: Findings) -> tuple[V
 def _optimization(specification: CampaignSpecification, findings: Findings) -> Optimization | None:
     wanted = specification.optimizer
     if wanted is None:
-        if not isinstance(specification.sensitivity, SensitivitySpecification):
-            findings.add("optimizer", "there is nothing to do", "choose an optimizer, or a sensitivity analysis, or both")
+        others = (
+            isinstance(specification.sensitivity, SensitivitySpecification),
+            specification.robustness,
+            specification.validation,
+        )
+        if not any(others):
+            findings.add("optimizer", "there is nothing to do", "choose an optimizer, a sensitivity analysis or another stage")
         return None
     plugin = findings.attempt(lambda: registry.optimizer(wanted.kind))
     if plugin is None:
@@ -286,6 +308,40 @@ def _start_sets(
         message = f"{len(together)} sets, the baseline included, do not fit into a population of {wanted.population}"
         findings.add("optimizer.start_sets", message, "give fewer, or a larger population")
     return together
+
+
+def _robustness(
+    specification: CampaignSpecification,
+    vehicle: Vehicle | None,
+    nominal: Mapping[str, float],
+    scenarios: Sequence[str],
+    space: ParameterSpace | None,
+    findings: Findings,
+) -> tuple[ParameterSet, ...]:
+    """The sets that are examined in any case; finds what is wrong with the stage."""
+    wanted = specification.robustness
+    if wanted is None:
+        return ()
+    if specification.optimizer is None and not wanted.sets:
+        findings.add("robustness", "there are no solutions to examine", "choose an optimizer, or name them in robustness.sets")
+    if isinstance(wanted.eta, list) and len(wanted.eta) != len(scenarios):
+        message = f"{len(wanted.eta)} numbers for {len(scenarios)} scenarios"
+        findings.add("robustness.eta", message, f"one number, or one for each of {', '.join(scenarios)}")
+    if vehicle is not None:
+        findings.attempt(lambda: check_nominal(vehicle.parameters, nominal))
+    found = [given_set(one, space, f"robustness.sets[{index}]", findings) for index, one in enumerate(wanted.sets)]
+    return tuple(dict.fromkeys(one for one in found if one is not None))
+
+
+def _validation(specification: CampaignSpecification, findings: Findings) -> None:
+    wanted = specification.validation
+    if wanted is None:
+        return
+    if specification.sensitivity is None:
+        findings.add("validation", "there is no influence map to validate", "ask for a sensitivity analysis, or name a map")
+    if wanted.largest < wanted.samples:
+        message = f"{wanted.largest:,} is less than the first {wanted.samples:,} samples"
+        findings.add("validation.largest", message, "give at least as many")
 
 
 def _analysis(wanted: SensitivitySpecification, space: ParameterSpace, scenarios: Sequence[str]) -> SensitivityAnalysis:

@@ -40,6 +40,8 @@ class Sensitivity:
     object on the same campaign tells the analysis all finished phases again and goes on exactly as this one would.
     """
 
+    stage = Stage.SENSITIVITY
+
     def __init__(
         self,
         database: Database,

@@ -11,22 +11,30 @@ from drivecal.campaigns.maps import check_basis, stored_map
 from drivecal.campaigns.planning import View
 from drivecal.campaigns.problem import CalibrationProblem
 from drivecal.campaigns.rerating import rate_stored_runs
+from drivecal.campaigns.robustness import RobustnessStage
 from drivecal.campaigns.sensitivity import Sensitivity
+from drivecal.campaigns.validation import ValidationStage
+from drivecal.domain.campaigns import Stage
 from drivecal.execution.scheduler import Completed
 from drivecal.storage import campaigns, influence_maps
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.database import Database
 
+AnyStage = Sensitivity | Calibration | RobustnessStage | ValidationStage
+
 
 class StagedCampaign:
-    """Gives and takes work as its stages do. The sensitivity stage is over when the campaign has an influence map."""
+    """Gives and takes work as its stages do, in their order. The sensitivity stage is over when the campaign has an influence map."""
 
     def __init__(self, database: Database, campaign: StoredCampaign, problem: CalibrationProblem) -> None:
         self._database = database
         self._problem = problem
         self._view = View(campaign.sequence, campaign.watermark or 0, problem.bench)
         self._rated = False
-        self._stage: Sensitivity | Calibration | None = self._next(campaign)
+        self._sequence = campaign.sequence
+        every = list(Stage)
+        self._ahead = every if campaign.stage is None else every[every.index(campaign.stage) :]
+        self._stage = self._next(campaign)
 
     @property
     def finished(self) -> bool:
@@ -42,29 +50,46 @@ class StagedCampaign:
             work = self._stage.work()
             if work or not self._stage.finished:
                 return work
-            if isinstance(self._stage, Calibration):
-                self._stage = None
-            else:
-                with self._database.read() as connection:
-                    campaign = campaigns.by_sequence(connection, self._sequence)
-                self._stage = self._next(campaign)
+            with self._database.read() as connection:
+                campaign = campaigns.by_sequence(connection, self._sequence)
+            self._stage = self._next(campaign)
         return []
 
     def record(self, completed: Sequence[Completed]) -> list[Work]:
         """Writes results down; gives what is to be simulated instead."""
         return [] if self._stage is None else self._stage.record(completed)
 
-    def _next(self, campaign: StoredCampaign) -> Sensitivity | Calibration | None:
-        self._sequence = campaign.sequence
-        if campaign.influence_map_id is None and self._problem.analysis() is not None:
+    def _next(self, campaign: StoredCampaign) -> AnyStage | None:
+        """The first wanted stage of those that are ahead; None where all are over."""
+        while self._ahead:
+            stage, *self._ahead = self._ahead
+            if self._wants(campaign, stage):
+                return self._make(campaign, stage)
+        return None
+
+    def _wants(self, campaign: StoredCampaign, stage: Stage) -> bool:
+        match stage:
+            case Stage.SENSITIVITY:
+                return campaign.influence_map_id is None and self._problem.analysis() is not None
+            case Stage.CALIBRATION:
+                return self._problem.optimization is not None
+            case Stage.ROBUSTNESS:
+                return self._problem.specification.robustness is not None
+            case Stage.VALIDATION:
+                return self._problem.specification.validation is not None
+
+    def _make(self, campaign: StoredCampaign, stage: Stage) -> AnyStage:
+        if stage is Stage.SENSITIVITY:
             return Sensitivity(self._database, campaign, self._problem, self._view)
-        if self._problem.optimization is None:
-            return None
-        view = self._view
-        if campaign.influence_map_id is not None:
-            with self._database.read() as connection:
-                stored = influence_maps.get(connection, campaign.influence_map_id)
-            check_basis(stored, self._problem)
-            found = stored_map(stored)
-            view = replace(view, influence_map=found, influence_map_sequence=stored.sequence)
-        return Calibration(self._database, campaign, self._problem, view)
+        if stage is Stage.ROBUSTNESS:
+            return RobustnessStage(self._database, campaign, self._problem, self._view)
+        view = self._with_map(campaign)
+        return (Calibration if stage is Stage.CALIBRATION else ValidationStage)(self._database, campaign, self._problem, view)
+
+    def _with_map(self, campaign: StoredCampaign) -> View:
+        if campaign.influence_map_id is None:
+            return self._view
+        with self._database.read() as connection:
+            stored = influence_maps.get(connection, campaign.influence_map_id)
+        check_basis(stored, self._problem)
+        return replace(self._view, influence_map=stored_map(stored), influence_map_sequence=stored.sequence)

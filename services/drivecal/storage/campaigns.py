@@ -10,7 +10,16 @@ from typing import Any, Literal
 
 from sqlalchemy import ColumnElement, Connection, Row, Select, Text, Update, case, cast, func, select, update
 
-from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, Narrowed, Progress, SensitivityCellCounts
+from drivecal.contracts.campaign import (
+    Baseline,
+    Best,
+    CellCounts,
+    ErrorRate,
+    Narrowed,
+    Progress,
+    SensitivityCellCounts,
+    StageCellCounts,
+)
 from drivecal.domain.campaigns import CampaignState, Stage
 from drivecal.domain.errors import ConflictError, NotFoundError
 from drivecal.domain.events import EventKind
@@ -61,6 +70,8 @@ class StoredCampaign(CampaignHeading):
     notes: tuple[str, ...]
     cells: CellCounts
     sensitivity_cells: SensitivityCellCounts
+    robustness_cells: StageCellCounts
+    validation_cells: StageCellCounts
     progress: Progress
     error_rate: Mapping[str, ErrorRate]
     best: Best | None
@@ -258,6 +269,30 @@ def start(connection: Connection, sequence: int) -> StoredCampaign | None:
     return _campaign(row)
 
 
+def save_study(
+    connection: Connection,
+    sequence: int,
+    stage: Stage,
+    *,
+    iteration: int | None,
+    cells: StageCellCounts,
+    progress: Progress,
+    simulating_seconds: float,
+) -> None:
+    """Writes how far a campaign is in one of the stages after the calibration, whose results stay as they are."""
+    column = {Stage.ROBUSTNESS: "robustness_cells", Stage.VALIDATION: "validation_cells"}[stage]
+    values: dict[str, Any] = {column: cells.model_dump(mode="json")}
+    connection.execute(
+        _of(sequence).values(
+            stage=stage,
+            iteration=iteration,
+            progress=progress.model_dump(mode="json"),
+            simulating_seconds=simulating_seconds,
+            **values,
+        )
+    )
+
+
 def save_progress(connection: Connection, sequence: int, snapshot: Snapshot) -> None:
     """Writes how far a campaign is."""
     statement = _of(sequence).values(
@@ -361,6 +396,8 @@ def _campaign(row: Row[Any]) -> StoredCampaign:
         notes=tuple(row.notes),
         cells=CellCounts(**row.cells),
         sensitivity_cells=SensitivityCellCounts(**row.sensitivity_cells),
+        robustness_cells=StageCellCounts(**(row.robustness_cells or {})),
+        validation_cells=StageCellCounts(**(row.validation_cells or {})),
         progress=Progress(**row.progress),
         error_rate={scenario: ErrorRate(**rate) for scenario, rate in row.error_rate.items()},
         best=None if row.best is None else Best(**row.best),

@@ -151,33 +151,37 @@ def set_reference_keys(connection: Connection, keys: Mapping[int, bytes]) -> Non
         connection.execute(statement, [{"evaluation": one, "key": key} for one, key in keys.items()])
 
 
-def own_references(connection: Connection, campaign_sequence: int, scenario: str, keys: Sequence[bytes]) -> dict[bytes, Donor]:
-    """The campaign's own first answers by reference key: simulated or certified, first by stage, iteration, individual."""
-    found = _own(connection, campaign_sequence, scenario, evaluations.c.reference_key, list(keys))
+def own_references(
+    connection: Connection, campaign_sequence: int, scenario: str, setup_id: int, keys: Sequence[bytes]
+) -> dict[bytes, Donor]:
+    """The campaign's own first answers in one setup by reference key: simulated or certified, first by stage, iteration, individual."""
+    found = _own(connection, campaign_sequence, scenario, setup_id, evaluations.c.reference_key, list(keys))
     return dict(found)
 
 
 def own_exact(
-    connection: Connection, campaign_sequence: int, scenario: str, parameter_set_ids: Sequence[int]
+    connection: Connection, campaign_sequence: int, scenario: str, setup_id: int, parameter_set_ids: Sequence[int]
 ) -> dict[int, Donor]:
     """The campaign's own first answers by parameter set, as `own_references`."""
     ids = [int(one) for one in parameter_set_ids]
-    return dict(_own(connection, campaign_sequence, scenario, evaluations.c.parameter_set_id, ids))
+    return dict(_own(connection, campaign_sequence, scenario, setup_id, evaluations.c.parameter_set_id, ids))
 
 
 def _own(
-    connection: Connection, campaign_sequence: int, scenario: str, column: Column[Any], values: Sequence[Any]
+    connection: Connection, campaign_sequence: int, scenario: str, setup_id: int, column: Column[Any], values: Sequence[Any]
 ) -> Iterable[tuple[Any, Donor]]:
     first: dict[Any, tuple[tuple[int, ...], Donor]] = {}
     for condition in among(connection, column, values):
-        for row in connection.execute(_own_query(campaign_sequence, scenario, column, condition)):
+        for row in connection.execute(_own_query(campaign_sequence, scenario, setup_id, column, condition)):
             value, *place, evaluation, run, score, rating, failure = row
             if value not in first or tuple(place) < first[value][0]:
                 first[value] = tuple(place), Donor(evaluation, run, score, rating, failure)
     return ((value, donor) for value, (_, donor) in first.items())
 
 
-def _own_query(campaign_sequence: int, scenario: str, column: Column[Any], condition: ColumnElement[bool]) -> Select[Any]:
+def _own_query(
+    campaign_sequence: int, scenario: str, setup_id: int, column: Column[Any], condition: ColumnElement[bool]
+) -> Select[Any]:
     table = evaluations.c
     return select(
         column,
@@ -192,6 +196,7 @@ def _own_query(campaign_sequence: int, scenario: str, column: Column[Any], condi
     ).where(
         table.campaign_sequence == campaign_sequence,
         table.scenario == scenario,
+        table.setup_id == setup_id,  # studies drive the same sets in other vehicles
         condition,
         table.plan.in_(DONORS),
         table.outcome.in_(DONORS),

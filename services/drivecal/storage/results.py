@@ -135,6 +135,17 @@ def has_iteration(connection: Connection, campaign_sequence: int, stage: Stage, 
     return connection.execute(query.limit(1)).first() is not None
 
 
+def is_pending(connection: Connection, campaign_sequence: int, stage: Stage, iteration: int) -> bool:
+    """Whether a cell of an iteration waits for its answer."""
+    query = select(evaluations.c.id).where(
+        evaluations.c.campaign_sequence == campaign_sequence,
+        evaluations.c.outcome.is_(None),
+        evaluations.c.stage == stage,
+        evaluations.c.iteration == iteration,
+    )
+    return connection.execute(query.limit(1)).first() is not None
+
+
 def donors(connection: Connection, campaign_sequence: int, stage: Stage) -> Iterator[tuple[int, str, ParameterSet]]:
     """The simulated or certified cells of a stage that can answer others: id, scenario, parameter set."""
     query = (

@@ -70,6 +70,8 @@ campaigns = Table(
     Column("notes", Document, nullable=False),
     Column("cells", Document, nullable=False),
     Column("sensitivity_cells", Document, nullable=False),
+    Column("robustness_cells", Document),
+    Column("validation_cells", Document),
     Column("progress", Document, nullable=False),
     Column("error_rate", Document, nullable=False),
     Column("best", Document),
@@ -253,6 +255,14 @@ leases = Table(  # cells at workers, and those that broke down there before; a c
     Column("attempts", Integer, nullable=False),
     Column("term", Integer, nullable=False),
     Column("expires_at", UtcDateTime, nullable=False),
+)
+
+studies = Table(  # what the stages after the calibration found
+    "studies",
+    metadata,
+    Column("campaign_sequence", Identity, ForeignKey("campaigns.sequence"), primary_key=True, autoincrement=False),
+    Column("stage", StageNumber, primary_key=True, autoincrement=False),
+    Column("document", Document, nullable=False),
 )
 
 events = Table(

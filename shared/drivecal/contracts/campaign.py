@@ -40,8 +40,8 @@ class CellCounts(Answer):
     """Simulations that gave other bits than the stored run of the same cell: the setup does not name all that decides a run."""
 
 
-class SensitivityCellCounts(Answer):
-    """The sensitivity stage's cells; proposed = pending + requested, requested = repeated + certified + simulated + failed."""
+class StageCellCounts(Answer):
+    """The cells of a stage that reuses nothing; proposed = pending + requested, requested = repeated + certified + simulated + failed."""
 
     requested: int = 0
     repeated: int = 0
@@ -51,6 +51,9 @@ class SensitivityCellCounts(Answer):
     proposed: int = 0
     pending: int = 0
     unrepeatable: int = 0
+
+
+SensitivityCellCounts = StageCellCounts
 
 
 class ErrorRate(Answer):
@@ -121,6 +124,8 @@ class Campaign(Answer):
     progress: Progress = Progress()
     cells: CellCounts = CellCounts()
     sensitivity_cells: SensitivityCellCounts = SensitivityCellCounts()
+    robustness_cells: StageCellCounts = StageCellCounts()
+    validation_cells: StageCellCounts = StageCellCounts()
     error_rate: dict[str, ErrorRate] = {}
     best: Best | None = None
     baseline: Baseline | None = None

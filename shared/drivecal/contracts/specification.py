@@ -105,6 +105,43 @@ class ReductionSpecification(Model):
         return value
 
 
+class RobustnessSpecification(Model):
+    """How far the vehicle may differ before the best sets lose what makes them good (Sections II-C and IV-D).
+
+    Boxes of half width k `delta`, k = 1 .. `steps`, in shares of the vehicle parameters' ranges (Table 8), `samples` vehicles in each.
+    `condition`: `max` allows a change of at most `eta` points in every scenario and vehicle (the paper's study); `mean` over the vehicles
+    and `per_factor` for each are relative and strict. `eta` may be a list with one number for each scenario that is simulated.
+    """
+
+    delta: Annotated[float, Field(gt=0, le=1)] = 0.01
+    steps: Annotated[int, Field(ge=1, le=100)] = 10
+    samples: Annotated[int, Field(ge=1, le=10_000)] = 30
+    eta: Annotated[float, Field(gt=0, le=7)] | Annotated[list[Annotated[float, Field(gt=0, le=7)]], Field(min_length=1)] = 1.0
+    condition: Literal["max", "mean", "per_factor"] = "max"
+    refinements: Annotated[int, Field(ge=0, le=30)] = 0
+    """How often the last step, in which the condition failed, is halved to find delta_max."""
+    solutions: Annotated[int, Field(ge=1, le=1000)] = 20
+    """The most sets that are examined, of those that share the best objective: one from every region of the space first."""
+    within: Annotated[float, Field(ge=0, le=7)] = 0.0
+    """Sets whose objective is lower by no more than this count as the best, too."""
+    sets: Annotated[list[Annotated[dict[Identifier, Number], Field(max_length=200)]], Field(max_length=1000)] = []
+    """Sets to be examined in any case; without an optimizer they are all there is."""
+    seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 1
+
+
+class ValidationSpecification(Model):
+    """Whether reuse is right where the influence map allows it (Section V).
+
+    Latin hypercubes of `samples`, twice as many, ... at most `largest` sets are drawn until those that qualify for a reduction cover all
+    effects of the reducible parameters; each is compared with `references` variants.
+    """
+
+    samples: Annotated[int, Field(ge=1, le=1_000_000)] = 200
+    references: Annotated[int, Field(ge=1, le=1000)] = 30
+    largest: Annotated[int, Field(ge=1, le=1_000_000)] = 20_000
+    seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 1
+
+
 def _names_a_map(given: object) -> bool:
     return isinstance(given, MapReference) or (isinstance(given, dict) and "map" in given)
 
@@ -131,12 +168,10 @@ class CampaignSpecification(Model):
         | None
     ) = SensitivitySpecification()
     optimizer: OptimizerSpecification | None = OptimizerSpecification()
-    """Null where only the sensitivity analysis is wanted."""
+    """Null where only other stages are wanted."""
     reduction: ReductionSpecification = ReductionSpecification()
-    robustness: None = None
-    """The robustness stage is not there yet, so only null is accepted."""
-    validation: None = None
-    """The validation stage is not there yet, so only null is accepted."""
+    robustness: RobustnessSpecification | None = None
+    validation: ValidationSpecification | None = None
 
     @field_validator("catalogue")
     @classmethod

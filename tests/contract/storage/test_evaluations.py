@@ -135,10 +135,10 @@ def test_own_references_are_the_first_simulated_answers_in_the_order_of_the_camp
         simulate(connection, sequence, [cell(9, setup, sets[5], scenario="S2", reference_key=other)])
         simulate(connection, campaign(connection).sequence, [cell(0, setup, sets[5], reference_key=other)])
 
-        found = evaluations.own_references(connection, sequence, "S1", [key, other, b"x" * 16])
+        found = evaluations.own_references(connection, sequence, "S1", setup, [key, other, b"x" * 16])
         assert {name: one.evaluation for name, one in found.items()} == {key: ids[1]}
         assert (found[key].score, found[key].rating, found[key].failure) == (4, 4.5, None)
-        exact = evaluations.own_exact(connection, sequence, "S1", sets)
+        exact = evaluations.own_exact(connection, sequence, "S1", setup, sets)
         assert {one: donor.evaluation for one, donor in exact.items()} == {sets[0]: ids[0], sets[1]: ids[1]}
 
 
@@ -150,7 +150,7 @@ def test_the_sensitivity_stage_comes_before_calibration(database: Database) -> N
         calibration = cell(0, setup, sets[0], iteration=0, reference_key=key)
         sensitivity = cell(5, setup, sets[1], iteration=7, stage=Stage.SENSITIVITY, reference_key=key)
         ids = simulate(connection, sequence, [calibration, sensitivity])
-        assert evaluations.own_references(connection, sequence, "S1", [key])[key].evaluation == ids[1]
+        assert evaluations.own_references(connection, sequence, "S1", setup, [key])[key].evaluation == ids[1]
         assert [one.id for one in results.stream(connection, sequence)] == ids[::-1]
 
 

@@ -118,11 +118,11 @@ LOOK_UPS: dict[str, tuple[Callable[[Connection], Any], str]] = {
         "uq_runs_setup_id_parameter_set_id|sqlite_autoindex_runs_1",
     ),
     "own reference keys": (
-        lambda connection: evaluations.own_references(connection, 1, "S1", KEYS[: some(connection)]),
+        lambda connection: evaluations.own_references(connection, 1, "S1", 1, KEYS[: some(connection)]),
         "ix_evaluations_campaign_sequence_scenario_reference_key_plan",
     ),
     "own parameter sets": (
-        lambda connection: evaluations.own_exact(connection, 1, "S1", list(range(1, some(connection)))),
+        lambda connection: evaluations.own_exact(connection, 1, "S1", 1, list(range(1, some(connection)))),
         "ix_evaluations_campaign_sequence_scenario_parameter_set_id_plan",
     ),
     "parameter sets by key": (
@@ -169,7 +169,7 @@ def test_look_ups_use_their_indexes(filled: Database, subtests: pytest.Subtests)
 def test_the_self_check_reads_the_campaigns_own_cells_only(filled: Database, subtests: pytest.Subtests) -> None:
     with filled.transaction() as connection:
         sequence = campaign(connection).sequence
-        donor = evaluations.own_references(connection, 1, "S1", KEYS[1:2])[KEYS[1]]
+        donor = evaluations.own_references(connection, 1, "S1", 1, KEYS[1:2])[KEYS[1]]
         cells = [
             NewEvaluation(Stage.CALIBRATION, 0, n, "S1", 1, 1 + n, Outcome.SIMULATED, KEYS[n], donor, audited=True)
             for n in range(30)

@@ -70,7 +70,7 @@ def test_answers_say_whether_they_are_the_sets_own(database: Database) -> None:
         sets = sample_set_ids(connection, 3)
         first = NewEvaluation(CALIBRATION, 0, 5, "S1", setup, sets[0], Outcome.SIMULATED)
         simulate(connection, sequence, [first], score=5)
-        donor = evaluations.own_exact(connection, sequence, "S1", sets)[sets[0]]
+        donor = evaluations.own_exact(connection, sequence, "S1", setup, sets)[sets[0]]
         copies = [
             NewEvaluation(CALIBRATION, 0, 6, "S1", setup, sets[1], Outcome.REUSED, donor=donor),
             NewEvaluation(CALIBRATION, 1, 0, "S1", setup, sets[0], Outcome.REPEATED, donor=donor),
@@ -113,7 +113,7 @@ def test_cells_get_their_keys_once_a_map_is_known(database: Database) -> None:
         sequence, setup = campaign(connection).sequence, setup_id(connection)
         (one,) = sample_set_ids(connection, 1)
         (simulated,) = simulate(connection, sequence, [NewEvaluation(CALIBRATION, 0, 0, "S1", setup, one, Outcome.SIMULATED)])
-        assert evaluations.own_references(connection, sequence, "S1", [key]) == {}
+        assert evaluations.own_references(connection, sequence, "S1", setup, [key]) == {}
         evaluations.set_reference_keys(connection, {})
         evaluations.set_reference_keys(connection, {simulated: key})
-        assert evaluations.own_references(connection, sequence, "S1", [key])[key].evaluation == simulated
+        assert evaluations.own_references(connection, sequence, "S1", setup, [key])[key].evaluation == simulated

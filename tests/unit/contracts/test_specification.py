@@ -134,6 +134,12 @@ NAN, INFINITE = float("nan"), float("inf")
         ("reduction.mode", "on"), ("reduction.mode", False), ("reduction.audit", -0.1), ("reduction.audit", 1.1),
         ("reduction.audit", NAN), ("reduction.max_error", 0), ("reduction.certified", "false"), ("reduction.certified", 0),
         ("reduction.threshold", 1),
+        ("robustness", {"delta": 0}), ("robustness", {"delta": 1.1}), ("robustness", {"steps": 0}), ("robustness", {"samples": 0}),
+        ("robustness", {"eta": 0}), ("robustness", {"eta": []}), ("robustness", {"eta": [1, 0]}), ("robustness", {"eta": "1"}),
+        ("robustness", {"condition": "median"}), ("robustness", {"solutions": 0}), ("robustness", {"refinements": -1}),
+        ("robustness", {"within": -0.1}), ("robustness", {"sets": [{"P1": NAN}]}), ("robustness", {"seed": -1}), ("robustness", True),
+        ("validation", {"samples": 0}), ("validation", {"references": 0}), ("validation", {"largest": 10**9}),
+        ("validation", {"bases": 3}), ("validation", "yes"),
     ],
 )  # fmt: skip
 def test_what_must_not_get_in_is_refused_at_its_field(path: str, value: object) -> None:
@@ -144,8 +150,6 @@ def test_what_must_not_get_in_is_refused_at_its_field(path: str, value: object) 
     ("path", "value"),
     [
         ("reduction.certified", True),
-        ("robustness", {"delta": 0.01}),
-        ("validation", {"samples": 100}),
     ],
 )
 def test_what_is_not_there_yet_is_refused_and_not_ignored(path: str, value: object) -> None:

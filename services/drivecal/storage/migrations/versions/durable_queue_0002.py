@@ -1,4 +1,4 @@
-"""Leases, events, priorities, and what a service needs to be trusted."""
+"""Leases, events, priorities, studies: what a service needs to be trusted, and the stages after the calibration."""
 
 from __future__ import annotations
 
@@ -19,6 +19,8 @@ def upgrade() -> None:
     """Adds; nothing that is stored changes."""
     op.add_column("campaigns", sa.Column("priority", sa.Integer(), nullable=False, server_default="0"))
     op.add_column("campaigns", sa.Column("revision", sa.Integer(), nullable=False, server_default="0"))
+    op.add_column("campaigns", sa.Column("robustness_cells", sa.JSON(), nullable=True))
+    op.add_column("campaigns", sa.Column("validation_cells", sa.JSON(), nullable=True))
     op.add_column("evaluations", sa.Column("detail", sa.Text(), nullable=True))
     op.add_column("processes", sa.Column("term", sa.Integer(), nullable=False, server_default="0"))
     op.create_table(
@@ -30,6 +32,14 @@ def upgrade() -> None:
         sa.Column("expires_at", MOMENT, nullable=False),
         sa.ForeignKeyConstraint(["evaluation_id"], ["evaluations.id"], name=op.f("fk_leases_evaluation_id")),
         sa.PrimaryKeyConstraint("evaluation_id", name=op.f("pk_leases")),
+    )
+    op.create_table(
+        "studies",
+        sa.Column("campaign_sequence", IDENTITY, nullable=False, autoincrement=False),
+        sa.Column("stage", sa.SmallInteger(), nullable=False, autoincrement=False),
+        sa.Column("document", sa.JSON(), nullable=False),
+        sa.ForeignKeyConstraint(["campaign_sequence"], ["campaigns.sequence"], name=op.f("fk_studies_campaign_sequence")),
+        sa.PrimaryKeyConstraint("campaign_sequence", "stage", name=op.f("pk_studies")),
     )
     op.create_table(
         "events",

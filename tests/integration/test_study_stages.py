@@ -1,0 +1,215 @@
+"""The robustness and the validation stage through database and dispatcher, with formulas in the place of the simulation."""
+
+from __future__ import annotations
+
+import random
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.support.computed import ComputedBackend
+from tests.support.runs import SMALL, dispatcher, get, influenced, nothing_matters, post_map, run, submit
+
+from drivecal.campaigns.problem import resolve
+from drivecal.contracts.specification import CampaignSpecification
+from drivecal.contracts.work import Cell, CellResult, SetupRequest
+from drivecal.domain.campaigns import CampaignState, Stage
+from drivecal.domain.errors import InvalidInputError
+from drivecal.domain.evaluations import Outcome
+from drivecal.storage import results, setups, studies
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.database import Database
+
+ROBUST: dict[str, Any] = {"delta": 0.05, "steps": 6, "samples": 8, "solutions": 5}
+NOMINAL_MASS, MASS_RANGE = 2060.0, 1400.0
+
+
+def heavy(setup: SetupRequest, cell: Cell) -> CellResult:
+    """A score of 6, which falls by 2 where the mass is off by more than P1 (0, 0.5 or 1) / 5 of its range."""
+    away = abs(setup.vehicle_parameters["mass"] - NOMINAL_MASS) / MASS_RANGE
+    rating = 6.0 if away <= cell.parameters["P1"] / 5 else 4.0
+    return CellResult(cell.id, rating, int(rating), {"rating": rating}, None, 5.0)
+
+
+def study(database: Database, campaign: StoredCampaign, stage: Stage = Stage.ROBUSTNESS) -> dict[str, Any]:
+    with database.read() as connection:
+        found = studies.get(connection, campaign.sequence, stage)
+    assert found is not None
+    return found
+
+
+def test_sets_are_ranked_by_what_vehicles_they_bear(database: Database) -> None:
+    named = [{f"P{i}": (share if i == 1 else 0.5) for i in range(1, 12)} for share in (0.0, 0.5, 1.0)]
+    campaign = submit(database, optimizer=None, robustness={**ROBUST, "sets": named})
+    ended = run(database, campaign, ComputedBackend(driven=heavy))
+    found = study(database, ended)
+    assert found["complete"]
+    assert [row["parameters"]["P1"] for row in found["items"]] == [1.0, 0.5, 0.0]
+    assert [row["degree"] for row in found["items"]] == [4, 2, 0]
+    assert [row["rank"] for row in found["items"]] == [1, 2, 3]
+    assert [row["recommended"] for row in found["items"]] == [True, False, False]
+    assert "the largest degree of robustness (4)" in found["items"][0]["reason"]
+    assert found["items"][0]["scores"] == {"S1": 6, "S2": 6, "S3": 6}
+    failing = found["items"][0]["trials"][-1]
+    assert not failing["holds"]
+    assert failing["deviations"] == {"S1": 2.0, "S2": 2.0, "S3": 2.0}
+    # nominal runs, then 5, 3 and 1 boxes
+    assert ended.robustness_cells.requested == 3 * 3 + (5 + 3 + 1) * 8 * 3
+    assert ended.cells.requested == 0
+
+
+def test_every_vehicle_has_a_setup_of_its_own_in_the_reference_table(database: Database) -> None:
+    campaign = submit(
+        database,
+        optimizer=None,
+        robustness={**ROBUST, "steps": 2, "sets": [dict.fromkeys((f"P{i}" for i in range(1, 12)), 1.0)]},
+    )
+    ended = run(database, campaign, ComputedBackend(driven=heavy))
+    with database.read() as connection:
+        counted = setups.counts(connection)
+        rows = list(results.stream(connection, ended.sequence))
+    assert len(counted) == 3 * (1 + 2 * 8)
+    assert sum(one.runs for one in counted) == len(rows) == ended.robustness_cells.simulated
+    assert {row.stage for row in rows} == {Stage.ROBUSTNESS}
+    again = run(
+        database, submit(database, optimizer=None, robustness=campaign.spec["robustness"]), ComputedBackend(driven=heavy)
+    )
+    assert again.robustness_cells.repeated == again.robustness_cells.requested
+    assert study(database, again)["items"] == study(database, ended)["items"]
+
+
+def test_the_best_sets_of_a_calibration_are_examined_one_of_each_region_first(database: Database) -> None:
+    campaign = submit(database, robustness=ROBUST)
+    ended = run(database, campaign, ComputedBackend(driven=heavy))
+    found = study(database, ended)["items"]
+    assert ended.best is not None
+    assert len(found) == 5
+    assert {row["objective"] for row in found} == {ended.best.objective}
+    assert max(row["region"] for row in found) >= 1
+    assert ended.stage is Stage.ROBUSTNESS
+
+
+def test_scores_that_were_references_are_simulated_in_the_nominal_vehicle_first(database: Database) -> None:
+    stored_map = post_map(database, nothing_matters())
+    campaign = submit(database, stored_map=stored_map, robustness={**ROBUST, "steps": 1}, reduction={"audit": 0.0})
+    ended = run(database, campaign, ComputedBackend(driven=heavy))
+    with database.read() as connection:
+        first = [
+            row for row in results.stream(connection, ended.sequence) if row.stage is Stage.ROBUSTNESS and row.iteration == 0
+        ]
+    assert {row.outcome for row in first} == {Outcome.SIMULATED, Outcome.REPEATED}
+
+
+def test_a_vehicle_without_a_result_ends_the_growing_of_boxes(database: Database) -> None:
+    def fragile(setup: SetupRequest, cell: Cell) -> CellResult:
+        if setup.vehicle_parameters["mass"] > NOMINAL_MASS + 0.12 * MASS_RANGE:
+            return CellResult(cell.id, None, None, {}, None, 5.0, "error", "it tipped over")
+        return CellResult(cell.id, 5.0, 5, {}, None, 5.0)
+
+    named = [dict.fromkeys((f"P{i}" for i in range(1, 12)), 0.5)]
+    campaign = submit(database, optimizer=None, catalogue=["S1"], robustness={**ROBUST, "sets": named})
+    ended = run(database, campaign, ComputedBackend(driven=fragile))
+    row = study(database, ended)["items"][0]
+    assert row["degree"] == 2
+    assert row["trials"][-1]["deviations"] == {"S1": None}
+    assert ended.robustness_cells.failed > 0
+
+
+def test_a_campaign_whose_calibration_found_nothing_has_nothing_to_examine(database: Database) -> None:
+    ended = run(database, submit(database, robustness=ROBUST), ComputedBackend())
+    assert ended.state is CampaignState.SUCCEEDED
+    assert study(database, ended)["complete"]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_campaign_killed_in_its_studies_ends_like_one_that_was_not(tmp_path: Path, seed: int) -> None:
+    draw, found = random.Random(seed), []
+    for name in ("calm", "killed"):
+        opened = Database.open(f"sqlite:///{tmp_path / name}.db")
+        opened.upgrade()
+        stored_map = post_map(opened, nothing_matters())
+        campaign = submit(
+            opened, stored_map=stored_map, robustness={**ROBUST, "refinements": 2}, validation={"samples": 10, "references": 3}
+        )
+        while not get(opened, campaign).state.ended:
+            working = dispatcher(opened, ComputedBackend(draw.randrange(99), driven=heavy))
+            for _ in range(draw.randrange(1, 10) if name == "killed" else 9_999):
+                working.step()
+                if get(opened, campaign).state.ended:
+                    break
+        ended = get(opened, campaign)
+        assert ended.error is None
+        with opened.read() as connection:
+            cells = [
+                (row.stage, row.iteration, row.individual, row.scenario, row.outcome, row.score)
+                for row in results.stream(connection, campaign.sequence)
+            ]
+        both = [study(opened, ended, stage) for stage in (Stage.ROBUSTNESS, Stage.VALIDATION)]
+        found.append((cells, ended.cells, ended.robustness_cells, ended.validation_cells, ended.best, both))
+        opened.dispose()
+    assert found[0] == found[1]
+
+
+def test_validation_counts_variants_that_differ_where_the_map_says_that_they_cannot(database: Database) -> None:
+    """The formula of S1 depends on P1 and P2, that of S2 on P3: a map that denies P2 and P3 is wrong, and is shown to be."""
+    scenarios = nothing_matters()
+    scenarios["S1"]["P1"] = scenarios["S2"]["P3"] = {"influential": True}
+    campaign = submit(
+        database,
+        stored_map=post_map(database, scenarios),
+        catalogue=["S1", "S2"],
+        optimizer=None,
+        validation={"samples": 20, "references": 5},
+    )
+    ended = run(database, campaign, ComputedBackend(answer=influenced))
+    one, two = study(database, ended, Stage.VALIDATION)["items"]
+    assert (one["scenario"], two["scenario"]) == ("S1", "S2")
+    assert one["reducible"] == 10
+    assert one["covered"] == one["effects"] == 2**10 - 1
+    assert one["compared"] == one["bases"] * 5 == sum(one["histogram"].values())
+    assert one["different"] > 0
+    assert two["different"] == two["wrong"] == 0
+    assert two["error_rate"] == 0.0
+    assert two["histogram"] == {"0": two["compared"]}
+    assert 0 < two["upper_95"] < 0.1
+    assert ended.validation_cells.requested == sum(row["bases"] * 6 for row in (one, two))
+
+
+def test_where_everything_matters_there_is_nothing_to_validate(database: Database) -> None:
+    stored_map = post_map(database, {"S1": {"P1": {"influential": True}}})
+    campaign = submit(database, stored_map=stored_map, optimizer=None, validation={"samples": 20})
+    ended = run(database, campaign)
+    found = study(database, ended, Stage.VALIDATION)
+    assert ended.state is CampaignState.SUCCEEDED
+    assert all("nothing to validate" in note for note in found["notes"])
+    assert len(found["notes"]) == 3
+    assert all(row["compared"] == 0 and row["error_rate"] is None for row in found["items"])
+
+
+@pytest.mark.parametrize(
+    ("changes", "field", "words"),
+    [
+        ({"optimizer": None, "robustness": ROBUST}, "robustness", "there are no solutions to examine"),
+        ({"robustness": {**ROBUST, "eta": [1, 1]}}, "robustness.eta", "2 numbers for 3 scenarios"),
+        ({"robustness": ROBUST, "vehicle": {"parameters": {"mass": 5000}}}, "vehicle.parameters.mass", "outside the bounds"),
+        ({"robustness": {**ROBUST, "sets": [{"P1": 0.5}]}}, "robustness.sets[0].P2", "missing"),
+        ({"validation": {"samples": 10}}, "validation", "there is no influence map to validate"),
+        (
+            {"sensitivity": {"map": "a"}, "validation": {"samples": 10, "largest": 5}},
+            "validation.largest",
+            "less than the first",
+        ),
+    ],
+)
+def test_studies_that_cannot_be_made_are_refused_at_their_field(changes: dict[str, Any], field: str, words: str) -> None:
+    with pytest.raises(InvalidInputError) as refused:
+        resolve(CampaignSpecification.model_validate(SMALL | changes))
+    assert refused.value.problems[0].field == field
+    assert words in str(refused.value.problems[0])
+
+
+def test_the_expected_runs_hold_the_studies() -> None:
+    document = SMALL | {"robustness": ROBUST, "sensitivity": {"map": "a"}, "validation": {"samples": 10, "references": 4}}
+    expected = resolve(CampaignSpecification.model_validate(document)).expected_runs()
+    assert expected.robustness == 5 * 3 * (1 + 6 * 8)
+    assert expected.validation == 10 * 5 * 3
