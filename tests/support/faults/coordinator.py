@@ -15,7 +15,7 @@ from pathlib import Path
 import httpx
 import psutil
 from tests.support.faults import cage
-from tests.support.serve import environment, until
+from tests.support.serve import environment
 from tests.support.server import free_port
 
 from drivecal.domain.errors import DrivecalError
@@ -144,8 +144,12 @@ class Coordinator:
     def wait_ready(self, seconds: float = READY_SECONDS) -> float:
         """Waits until the server can work; gives the seconds that it took."""
         begin = time.monotonic()
-        until(lambda: self.ready or not self.running, "a server that is ready", seconds)
-        assert self.running, f"the server has ended:\n{self.told()}"
+        while not self.ready:
+            assert self.running, f"the server has ended:\n{self.told()}"
+            if time.monotonic() - begin > seconds:
+                answer = self.answers("/readyz")
+                raise AssertionError(f"not ready after {seconds:.0f} s: {answer and answer.text}\n{self.told()}")
+            time.sleep(0.05)
         return time.monotonic() - begin
 
     def kill_all(self) -> None:
