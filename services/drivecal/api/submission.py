@@ -11,6 +11,7 @@ from sqlalchemy import Connection
 from drivecal.api.dependencies import Limits
 from drivecal.campaigns.maps import check_basis
 from drivecal.campaigns.problem import CalibrationProblem, evaluator_id, resolve, resolve_evaluation
+from drivecal.campaigns.robustness import check_source
 from drivecal.contracts.campaign import ExpectedRuns
 from drivecal.contracts.specification import (
     CampaignSpecification,
@@ -43,29 +44,31 @@ def expected(database: Database, limits: Limits, specification: CampaignSpecific
     check_size(problem, limits.largest_campaign)
     with database.read() as connection:
         _influence_map(connection, problem)
+        check_source(connection, problem)
     return problem.expected_runs()
 
 
 def check_size(problem: CalibrationProblem, largest: int) -> None:
-    """Raises TooLargeError where a campaign proposes more than `largest` cells."""
+    """Raises TooLargeError where the stages of a campaign propose more than `largest` cells."""
     runs = problem.expected_runs()
-    analysis, search = runs.sensitivity_at_most, runs.calibration_proposed
-    if analysis + search <= largest:
+    stages = {
+        "optimizer": runs.calibration_proposed,
+        "sensitivity": runs.sensitivity_at_most,
+        "robustness": runs.robustness,
+        "validation": runs.validation,
+    }
+    total = sum(stages.values())
+    if total <= largest:
         return
-    scenarios, wanted = len(problem.scenarios), problem.optimization
-    problems = []
-    if wanted is not None and search >= analysis:
-        message = (
-            f"{wanted.population:,} individuals x {wanted.iterations:,} iterations x {scenarios} scenarios are {search:,} cells"
+    stage = max(stages, key=lambda one: stages[one])
+    message = f"the campaign may propose {total:,} cells, {stages[stage]:,} of them here"
+    wanted = problem.optimization
+    if stage == "optimizer" and wanted is not None:
+        message += (
+            f": {wanted.population:,} individuals x {wanted.iterations:,} iterations x {len(problem.scenarios)} scenarios"
         )
-        problems.append(
-            Problem("optimizer", message, f"this server takes {largest:,}; reduce population, iterations or scenarios")
-        )
-    if analysis and (search < analysis or analysis + search > largest >= search):
-        message = f"the analysis of {scenarios} scenarios may take {analysis:,} cells"
-        remedy = f"this server takes {largest:,} with the search ({search:,}); reduce samples, intervals or scenarios"
-        problems.append(Problem("sensitivity", message, remedy))
-    raise TooLargeError(*problems)
+    what = "population, iterations" if stage == "optimizer" else "samples"
+    raise TooLargeError(Problem(stage, message, f"this server takes {largest:,}; reduce {what} or scenarios"))
 
 
 def rerun(database: Database, limits: Limits, first_id: str, changes: RerunSpecification, key: str | None) -> StoredCampaign:
@@ -108,6 +111,7 @@ def _queue(
     rerun_of: str | None = None,
 ) -> StoredCampaign:
     specification = problem.specification
+    check_source(connection, problem)
     admission.admit(connection, limits.queued_campaigns, key)
     return campaigns.insert(
         connection,

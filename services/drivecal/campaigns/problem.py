@@ -149,7 +149,8 @@ class CalibrationProblem:
         wanted = self.specification.robustness
         if wanted is None:
             return 0
-        solutions = len(self.robust_sets) + (wanted.solutions if self.optimization is not None else 0)
+        searched = self.optimization is not None or wanted.of is not None
+        solutions = len(self.robust_sets) + (wanted.solutions if searched else 0)
         boxes = wanted.steps + wanted.refinements
         return solutions * len(self.scenarios) * (1 + boxes * wanted.samples)
 
@@ -322,8 +323,11 @@ def _robustness(
     wanted = specification.robustness
     if wanted is None:
         return ()
-    if specification.optimizer is None and not wanted.sets:
-        findings.add("robustness", "there are no solutions to examine", "choose an optimizer, or name them in robustness.sets")
+    if specification.optimizer is None and not wanted.sets and wanted.of is None:
+        remedy = "choose an optimizer, or name sets in robustness.sets or a campaign in robustness.of"
+        findings.add("robustness", "there are no solutions to examine", remedy)
+    if specification.optimizer is not None and wanted.of is not None:
+        findings.add("robustness.of", "this campaign searches its own solutions", "leave it out, or give optimizer: null")
     if isinstance(wanted.eta, list) and len(wanted.eta) != len(scenarios):
         message = f"{len(wanted.eta)} numbers for {len(scenarios)} scenarios"
         findings.add("robustness.eta", message, f"one number, or one for each of {', '.join(scenarios)}")

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from sqlalchemy import Connection
 
 from drivecal.analysis.optima import one_per_region_first, optima
 from drivecal.analysis.robustness import Robustness, RobustnessSettings, RobustnessStudy
@@ -16,9 +17,10 @@ from drivecal.campaigns.solutions import EQUAL, Standing
 from drivecal.campaigns.study import Round, StudyStage
 from drivecal.contracts.specification import RobustnessSpecification
 from drivecal.domain.campaigns import Stage
+from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
 from drivecal.domain.parameters import ParameterSet, ParameterSpace
 from drivecal.plugins.ports import Floats
-from drivecal.storage import parameter_sets, results
+from drivecal.storage import campaigns, parameter_sets, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.database import Database
 from drivecal.storage.results import CellAnswer
@@ -58,6 +60,25 @@ def unit_cube(space: ParameterSpace, sets: Sequence[ParameterSet]) -> Floats:
     return (values.reshape(len(rows), len(lower)) - lower) / (upper - lower)
 
 
+def check_source(connection: Connection, problem: CalibrationProblem) -> None:
+    """Raises InvalidInputError where the campaign whose best sets are to be examined is not there, has not ended or is of another kind."""
+    wanted, function = problem.specification.robustness, problem.specification.driving_function
+    if wanted is None or wanted.of is None:
+        return
+    field = "robustness.of"
+    try:
+        source = campaigns.get(connection, wanted.of)
+    except NotFoundError as error:
+        raise InvalidInputError(Problem(field, str(error), "GET /api/v1/campaigns lists what there is")) from error
+    if source.kind != "calibration" or source.cells.requested == 0:
+        raise InvalidInputError(Problem(field, f"{wanted.of} has no solutions", "name a campaign with an optimizer"))
+    if not source.state.ended:
+        raise InvalidInputError(Problem(field, f"campaign {wanted.of} is {source.state}", "name one that has ended"))
+    if source.spec["driving_function"] != function:
+        message = f"its solutions are of the driving function {source.spec['driving_function']!r}"
+        raise InvalidInputError(Problem(field, message, f"name a campaign of {function!r}"))
+
+
 class RobustnessStage(StudyStage):
     """Round 0 drives the sets in the nominal vehicle, where their scores are references' or not known; round k the k-th box."""
 
@@ -76,9 +97,10 @@ class RobustnessStage(StudyStage):
 
     def _choose(self) -> list[Examined]:
         """The sets that were named, then the best ones that the calibration found, one of each region first."""
-        standing = Standing(self._problem.weights)
+        standing, of = Standing(self._problem.weights), self._wanted.of
         with self._database.read() as connection:
-            standing.add(results.answers(connection, self._campaign.sequence, Stage.CALIBRATION))
+            source = self._campaign if of is None else campaigns.get(connection, of)
+            standing.add(results.answers(connection, source.sequence, Stage.CALIBRATION))
             ranking = standing.ranking()
             least = ranking[0].objective - self._wanted.within - EQUAL if ranking else 0.0
             best = [one for one in ranking if one.objective >= least]

@@ -17,6 +17,7 @@ from drivecal.cli import (
     report,
     results,
     serve,
+    studies,
     workers,
 )
 from drivecal.cli.commands import app
@@ -35,6 +36,7 @@ __all__ = [
     "report",
     "results",
     "serve",
+    "studies",
     "workers",
 ]
 

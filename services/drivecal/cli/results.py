@@ -27,6 +27,8 @@ class TableName(StrEnum):
     GENERATIONS = "generations"
     SOLUTIONS = "solutions"
     INFLUENCE = "influence"
+    ROBUSTNESS = "robustness"
+    VALIDATION = "validation"
 
 
 class Format(StrEnum):

@@ -23,10 +23,11 @@ from drivecal.contracts.evaluation import Evaluation
 from drivecal.contracts.events import PROGRESS, CampaignEvent, CampaignProgress
 from drivecal.contracts.explanation import Explanation
 from drivecal.contracts.inventory import InfluenceMapAnswer, InfluenceMapPage, InfluenceRow, ScenarioPage, WorkerPage
+from drivecal.contracts.studies import RobustnessRow, ValidationRow
 from drivecal.domain.errors import OverloadError, UnavailableError
 
 Action = Literal["pause", "resume", "cancel"]
-Table = Literal["evaluations", "generations", "solutions", "influence"]
+Table = Literal["evaluations", "generations", "solutions", "influence", "robustness", "validation"]
 Answer = TypeVar("Answer", bound=BaseModel)
 
 ATTEMPTS_TO_CONNECT = 3
@@ -167,8 +168,19 @@ class Client:
 
     def influence(self, identifier: str) -> list[InfluenceRow]:
         """The rows of the influence map that a campaign uses; none where it has no map (yet)."""
+        return self._rows_of(identifier, "influence", InfluenceRow)
+
+    def robustness(self, identifier: str) -> list[RobustnessRow]:
+        """The examined sets of a campaign, most robust first; none where it has no robustness stage (yet)."""
+        return self._rows_of(identifier, "robustness", RobustnessRow)
+
+    def validation(self, identifier: str) -> list[ValidationRow]:
+        """What the validation of a campaign's map found by scenario; nothing where it has no such stage (yet)."""
+        return self._rows_of(identifier, "validation", ValidationRow)
+
+    def _rows_of(self, identifier: str, table: Table, model: type[Answer]) -> list[Answer]:
         try:
-            return [InfluenceRow.model_validate(row) for row in self.rows(identifier, "influence")]
+            return [model.model_validate(row) for row in self.rows(identifier, table)]
         except ValidationError as error:
             raise self._strange() from error
 

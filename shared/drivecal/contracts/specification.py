@@ -125,7 +125,9 @@ class RobustnessSpecification(Model):
     within: Annotated[float, Field(ge=0, le=7)] = 0.0
     """Sets whose objective is lower by no more than this count as the best, too."""
     sets: Annotated[list[Annotated[dict[Identifier, Number], Field(max_length=200)]], Field(max_length=1000)] = []
-    """Sets to be examined in any case; without an optimizer they are all there is."""
+    """Sets to be examined in any case."""
+    of: Annotated[str, StringConstraints(min_length=1, max_length=64)] | None = None
+    """The id of an ended campaign whose best sets are examined, where this one has no optimizer."""
     seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 1
 
 

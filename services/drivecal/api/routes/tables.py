@@ -9,7 +9,7 @@ from typing import Any
 from fastapi import APIRouter, Response
 from fastapi.responses import JSONResponse
 
-from drivecal.api import influence
+from drivecal.api import influence, studies
 from drivecal.api.answers import evaluation_row, parameter_column
 from drivecal.api.bodies import StrictRoute
 from drivecal.api.dependencies import Accept, DatabaseDependency
@@ -18,8 +18,10 @@ from drivecal.api.ranking import ranking
 from drivecal.api.tables import TABLE_ANSWERS, Column, Row, download
 from drivecal.campaigns.pinned import Pinned, pinned
 from drivecal.contracts.campaign import Solution
+from drivecal.domain.campaigns import Stage
 from drivecal.domain.errors import ConflictError
 from drivecal.storage import campaigns, cursors, generations, influence_maps, results
+from drivecal.storage import studies as stored_studies
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.database import Database
 
@@ -117,6 +119,43 @@ def list_influence(campaign_id: str, query: TableQuery, database: DatabaseDepend
     rows = _influence_rows(database, campaign)
     pages = _slices(lambda start, stop: rows[start:stop], len(rows))
     return _answer(f"influence-{campaign.id}", query, accept, lambda: influence.COLUMNS, pages)
+
+
+@router.get("/robustness", responses=TABLE_ANSWERS)
+def list_robustness(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
+    """The best sets by how far the vehicle may differ before they lose what makes them good: most robust first, the recommended one
+    marked with the reason. None before the robustness stage."""
+    campaign = _campaign(database, campaign_id)
+    found, flat = _study(database, campaign, Stage.ROBUSTNESS), form_of(query, accept) != "json"
+    begun_with = _pinned(campaign)
+
+    def rows(start: int, stop: int) -> list[Row]:
+        return [studies.robustness_row(one, flat=flat) for one in found[start:stop]]
+
+    def columns() -> list[Column]:
+        return studies.robustness_columns(list(begun_with.weights), begun_with.space.names)
+
+    return _answer(f"robustness-{campaign.id}", query, accept, columns, _slices(rows, len(found)))
+
+
+@router.get("/validation", responses=TABLE_ANSWERS)
+def list_validation(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
+    """How often answers differ where the influence map says that they cannot, by scenario (Tables 1 and 2, Figure 14). None before the
+    validation stage."""
+    campaign = _campaign(database, campaign_id)
+    found, flat = _study(database, campaign, Stage.VALIDATION), form_of(query, accept) != "json"
+
+    def rows(start: int, stop: int) -> list[Row]:
+        return [studies.validation_row(one, flat=flat) for one in found[start:stop]]
+
+    return _answer(f"validation-{campaign.id}", query, accept, studies.validation_columns, _slices(rows, len(found)))
+
+
+def _study(database: Database, campaign: StoredCampaign, stage: Stage) -> list[dict[str, Any]]:
+    with database.read() as connection:
+        found = stored_studies.get(connection, campaign.sequence, stage)
+    items: list[dict[str, Any]] = [] if found is None else found["items"]
+    return items
 
 
 def _slices(rows: Callable[[int, int], Sequence[Row]], length: int) -> Pages:
