@@ -1,0 +1,118 @@
+"""`drivecal robustness` and `drivecal validate` against a real server whose dispatcher drives on formulas."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from tests.support.command import Run
+from tests.support.computed import ComputedBackend
+from tests.support.runs import SMALL, dispatcher, influenced, nothing_matters, post_map
+from tests.support.server import RunningApi, serving
+
+from drivecal.contracts.work import Cell, CellResult, SetupRequest
+
+
+def fragile(setup: SetupRequest, cell: Cell) -> CellResult:
+    """As `influenced`, in vehicles of up to a twentieth of the mass's range more."""
+    found = influenced(setup.scenario, cell)
+    if setup.vehicle_parameters["mass"] > 2060 + 0.05 * 1400:
+        return CellResult(cell.id, 0.0, 0, found.metrics, "collision", 5.0)
+    return found
+
+
+@pytest.fixture(scope="module")
+def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
+    with serving(f"sqlite:///{tmp_path_factory.mktemp('studies') / 'drivecal.db'}") as running:
+        over = threading.Event()
+        working = dispatcher(running.database, ComputedBackend(driven=fragile))
+
+        def work() -> None:
+            while not over.wait(0.01):
+                working.step()
+
+        thread = threading.Thread(target=work)
+        thread.start()
+        yield running
+        over.set()
+        thread.join()
+
+
+@pytest.fixture(scope="module")
+def ended(api: RunningApi) -> str:
+    """A calibration on a map that denies every influence."""
+    from drivecal.client.client import Client
+
+    stored = post_map(api.database, nothing_matters())
+    document: dict[str, Any] = SMALL | {"sensitivity": {"map": stored}, "catalogue": ["S1", "S2"], "name": "searched"}
+    with Client(api.url) as client:
+        campaign = client.submit(document)
+        for found in client.watch(campaign.id):
+            assert found.error is None
+    return campaign.id
+
+
+def test_robustness_makes_the_study_of_an_ended_campaign_and_shows_it(run: Run, api: RunningApi, ended: str) -> None:
+    result = run("robustness", ended[:12], "--steps", "4", "--samples", "5", "--delta", "0.02", "--solutions", "3")
+    assert result.exit_code == 0, result.output
+    lines = result.stdout.splitlines()
+    assert lines[0].split()[:5] == ["rank", "degree", "delta_max", "objective", "scores"]
+    assert lines[1].split()[0] == "1"
+    assert lines[-1].startswith("recommended: rank ")
+    assert "because it has the best objective" in lines[-1]
+    assert "makes the study" in result.stderr
+    assert api.http.get(f"/api/v1/campaigns/{ended}/robustness").json() == {"items": [], "next_cursor": None}
+    newest = api.http.get("/api/v1/campaigns?limit=1").json()["items"][0]
+    assert newest["name"] == "searched (robustness)"
+    again = run("robustness", newest["id"], "--json")
+    assert "makes the study" not in again.stderr
+    rows = json.loads(again.stdout)
+    assert len(rows) <= 3
+    assert sum(row["recommended"] for row in rows) == 1
+    assert set(rows[0]["scores"]) == {"S1", "S2"}
+    table = list(csv.DictReader(io.StringIO(run("export", newest["id"], "--table", "robustness").stdout)))
+    assert [row["rank"] for row in table] == [str(row["rank"]) for row in rows]
+    assert table[0]["degree"] == str(rows[0]["degree"])
+    assert float(table[0]["P1"]) == rows[0]["parameters"]["P1"]
+
+
+def test_validate_shows_tables_1_and_2(run: Run, api: RunningApi, ended: str) -> None:
+    result = run("validate", ended, "--samples", "10", "--references", "4")
+    assert result.exit_code == 0, result.output
+    lines = result.stdout.splitlines()
+    assert lines[0].split()[:5] == ["scenario", "n", "n*_LHS", "n_ref", "compared"]
+    assert [line.split()[0] for line in lines[1:3]] == ["S1", "S2"]
+    newest = api.http.get("/api/v1/campaigns?limit=1").json()["items"][0]["id"]
+    rows = json.loads(run("validate", newest, "--json").stdout)
+    assert rows[0]["different"] > 0  # the map is wrong, and is shown to be
+    assert rows[0]["compared"] == rows[0]["bases"] * 4
+    table = list(csv.DictReader(io.StringIO(run("export", newest, "--table", "validation").stdout)))
+    assert sum(json.loads(table[0]["histogram"])) == rows[0]["compared"]
+
+
+def test_where_nothing_can_be_reduced_there_is_nothing_to_validate_and_that_is_no_error(run: Run, api: RunningApi) -> None:
+    stored = post_map(api.database, {"S1": {"P1": {"influential": True}}})
+    posted = api.http.post("/api/v1/campaigns", json=SMALL | {"sensitivity": {"map": stored}, "catalogue": ["S1"]}).json()["id"]
+    assert run("watch", posted).exit_code == 0
+    result = run("validate", posted)
+    assert result.exit_code == 0
+    assert "nothing to validate in S1" in result.stdout
+
+
+def test_a_campaign_without_a_map_has_nothing_to_validate(run: Run, api: RunningApi) -> None:
+    posted = api.http.post("/api/v1/campaigns", json=SMALL | {"catalogue": ["S1"]}).json()["id"]
+    result = run("validate", posted)
+    assert result.exit_code == 1
+    assert "has no influence map to validate" in result.stderr
+
+
+@pytest.mark.parametrize("of", ["0" * 32, "nobody"])
+def test_the_solutions_of_a_campaign_that_is_not_there_are_refused_by_name(api: RunningApi, of: str) -> None:
+    answer = api.http.post("/api/v1/campaigns", json=SMALL | {"optimizer": None, "robustness": {"of": of}})
+    assert answer.status_code == 422
+    assert [one["field"] for one in answer.json()["errors"]] == ["robustness.of"]
