@@ -6,7 +6,6 @@ from __future__ import annotations
 import asyncio
 import json
 import socket
-import socket
 import sys
 from http import HTTPStatus
 
