@@ -12,14 +12,14 @@ the process that replaces the only one. A worker that refuses a setup says nothi
 from __future__ import annotations
 
 import itertools
-from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult, SetupRequest
 from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.batching import BatchPolicy, CellCosts, batch_size
-from drivecal.execution.outstanding import WITNESSES, Claim, Outstanding, SetupKey
+from drivecal.execution.loading import LoadedSetups
+from drivecal.execution.outstanding import WITNESSES, Claim, Outstanding
 from drivecal.execution.queue import FairQueue, Group, Line
 from drivecal.execution.standing import Standings
 
@@ -89,14 +89,12 @@ class Scheduler:
         self._outstanding = Outstanding()
         self._queue = FairQueue()
         self._standings = Standings()
-        self._last: dict[str, SetupKey] = {}
-        """The setup that was last sent to each worker."""
-        self._workers_on: Counter[SetupKey] = Counter()
-        """To how many workers it was."""
+        self._loaded = LoadedSetups()
         self._passed_over = 0
         """Batches that a worker got while a suspect waited that only its replacement can take."""
         self._sent: dict[int, _Sent] = {}
         self._changed: dict[int, int] = {}
+        """Breakdowns that were not told yet."""
         self._batch_ids = itertools.count(1)
 
     def add(
@@ -115,7 +113,7 @@ class Scheduler:
         earlier = breakdowns or {}
         for claim in self._outstanding.add(setup, cells, tag, priority, exclusive=exclusive):
             simulation = claim.simulation
-            count = max(simulation.breakdowns, min(earlier.get(claim.cell.id, 0), ATTEMPTS - 1))
+            count = min(earlier.get(claim.cell.id, 0), ATTEMPTS - 1)
             if count > simulation.breakdowns:  # a suspect from now on
                 self._queue.withdraw(simulation)
                 simulation.breakdowns = count
@@ -127,8 +125,7 @@ class Scheduler:
     def meet(self, ready: Sequence[str]) -> None:
         """Tells which workers have started and live."""
         self._standings.meet(ready)
-        for gone in self._last.keys() - set(ready):
-            self._move(gone, None)
+        self._loaded.meet(ready)
 
     def next_batch(self, worker: str, *, idle: bool) -> Dispatch | None:
         """What to send to a free slot of a worker, None for nothing. Where it is the turn of a suspect, it gets that alone, and
@@ -260,14 +257,9 @@ class Scheduler:
         )
 
     def _group_for(self, worker: str, line: Line) -> Group | None:
-        """The setup that the worker ran last, or the one with most to do for each worker that is at it. Where nobody is at a setup, one
-        of several who are at the same moves there, so that none is left to the end and then to a single worker."""
-        able = {setup: one for setup, one in line.groups.items() if not self._standings.refuses(worker, setup)}
-        last = self._last.get(worker)
-        on = self._workers_on
-        if last in able and (on[last] == 1 or all(on[setup] for setup in able)):
-            return able[last]
-        return max(able.values(), key=lambda one: self._to_do(one) / (on[one.setup] or 1e-9), default=None)
+        able = (one for setup, one in line.groups.items() if not self._standings.refuses(worker, setup))
+        chosen = self._loaded.choose(worker, {group.setup: self._to_do(group) for group in able})
+        return None if chosen is None else line.groups[chosen]
 
     def _to_do(self, group: Group) -> float:
         cost = self._costs.seconds_per_cell(group.setup)
@@ -284,21 +276,10 @@ class Scheduler:
         sent = _Sent(worker, group.line, self._queue.take(group, cells), alone=group.avoid is not None)
         for leader in sent.leaders:
             leader.simulation.leader = leader
-        self._move(worker, group.setup)
+        self._loaded.load(worker, group.setup)
         batch_id = next(self._batch_ids)
         self._sent[batch_id] = sent
         return self._as_dispatch(batch_id, sent)
-
-    def _move(self, worker: str, setup: SetupKey | None) -> None:
-        """Notes what a worker is sent, None where it is gone."""
-        last = self._last.pop(worker, None)
-        if last is not None:
-            self._workers_on[last] -= 1
-            if not self._workers_on[last]:
-                del self._workers_on[last]
-        if setup is not None:
-            self._last[worker] = setup
-            self._workers_on[setup] += 1
 
     def _as_dispatch(self, batch_id: int, sent: _Sent) -> Dispatch:
         first = sent.leaders[0].simulation

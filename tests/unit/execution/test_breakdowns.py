@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 from tests.support.plant import TARGET, answers, cells, ids, setup
 
-from drivecal.contracts.work import BatchResult
+from drivecal.contracts.work import BatchResult, CellResult
 from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.batching import BatchPolicy
-from drivecal.execution.scheduler import ATTEMPTS, Completed, Dispatch, Scheduler
+from drivecal.execution.scheduler import ATTEMPTS, MOST_PASSED_OVER, Completed, Dispatch, Scheduler
 
 W, V = "worker 1", "worker 2"
 
@@ -33,6 +33,11 @@ def send(of: Scheduler, worker: str = W) -> Dispatch:
     sent = of.next_batch(worker, idle=True)
     assert sent is not None
     return sent
+
+
+def erroneous(sent: Dispatch) -> BatchResult:
+    results = (CellResult(number, None, None, {}, None, 1.0, "error", "ValueError") for number in ids(sent))
+    return BatchResult(sent.worker, tuple(results), 0.1)
 
 
 def crash(of: Scheduler, sent: Dispatch) -> None:
@@ -71,6 +76,15 @@ def test_breakdowns_before_a_restart_count(earlier: int) -> None:
     assert tries == max(ATTEMPTS - earlier, 1)
 
 
+@pytest.mark.parametrize("earlier", range(ATTEMPTS + 2))
+def test_however_often_a_cell_broke_down_it_never_had_more_attempts_than_there_are(earlier: int) -> None:
+    one = scheduler()
+    one.add(setup(), cells(1), "a", 0, breakdowns={1: earlier})
+    sent = send(one)
+    [done] = one.finished(sent.batch_id, answers(sent))
+    assert done.attempts == min(earlier + 1, ATTEMPTS)
+
+
 def test_attempts_count_the_breakdowns_and_the_try_that_succeeds() -> None:
     one = scheduler()
     one.add(setup(), cells(1), "a", 0, breakdowns={1: 1})
@@ -100,6 +114,28 @@ def test_breakdowns_are_told_once_to_whoever_writes_them_down() -> None:
         else:
             one.finished(last.batch_id, answers(last))
     assert one.take_breakdowns() == {}  # nothing is outstanding
+
+
+def test_the_only_worker_is_replaced_for_a_suspect_after_others_were_let_past_it_for_a_while() -> None:
+    one = Scheduler(BatchPolicy())
+    one.meet([W])
+    one.add(setup(), cells(20 * MOST_PASSED_OVER), "many", 0)
+    first = MOST_PASSED_OVER * 20 + 1
+    for number, worker in enumerate((W, V)):
+        one.meet([worker])
+        one.add(setup(), cells(1, first + number), "few", 1, breakdowns={first + number: 1})
+        sent = send(one, worker)
+        assert one.finished(sent.batch_id, erroneous(sent)) == []
+        passed = 0
+        while (sent_past := one.next_batch(worker, idle=True)) is not None:
+            passed += 1
+            one.finished(sent_past.batch_id, answers(sent_past, 1.0))
+        assert passed == MOST_PASSED_OVER
+        assert one.replacement(worker) is not None
+        one.meet([f"the next {worker}"])
+        again = send(one, f"the next {worker}")
+        assert ids(again) == [first + number]
+        assert len(one.finished(again.batch_id, answers(again))) == 1
 
 
 def test_a_refusal_is_no_breakdown() -> None:
