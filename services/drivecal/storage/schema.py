@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sqlite3
 from contextlib import closing
+from functools import cache
 from importlib.resources import as_file, files
 
 from alembic import command
@@ -97,7 +98,8 @@ def revision_of(connection: Connection) -> str | None:
     return connection.execute(text(f"SELECT version_num FROM {REVISION_TABLE}")).scalar()  # noqa: S608  # a constant
 
 
-def known_revisions() -> list[str]:
-    """All revisions that this drivecal knows, newest first."""
+@cache
+def known_revisions() -> tuple[str, ...]:
+    """All revisions that this drivecal knows, newest first. Read once: readiness asks for them every few seconds."""
     with as_file(files("drivecal.storage") / "migrations") as folder:
-        return [script.revision for script in ScriptDirectory(str(folder)).walk_revisions()]
+        return tuple(script.revision for script in ScriptDirectory(str(folder)).walk_revisions())
