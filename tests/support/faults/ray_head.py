@@ -9,13 +9,14 @@ import socket
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import psutil
 from tests.support.faults import cage
-from tests.support.serve import environment, until
+from tests.support.serve import environment
 from tests.support.server import free_port
 
 START_SECONDS = 60.0
@@ -40,9 +41,10 @@ class RayHead:
         """Starts it and waits until it can be joined."""
         command = [str(Path(sys.executable).with_name("ray")), "start", "--head", "--block", "--include-dashboard=false"]
         command += ["--node-ip-address=127.0.0.1", f"--port={self._port}", f"--num-cpus={self._cpus}", "--disable-usage-stats"]
-        command += [f"--ray-client-server-port={free_port()}", f"--dashboard-agent-listen-port={free_port()}"]
+        command += [f"--dashboard-agent-listen-port={free_port()}"]
         command += [f"--temp-dir={tempfile.mkdtemp(dir=self._folder)}", f"--object-store-memory={80 * 2**20}"]
-        with (self._folder / "log").open("ab") as log:
+        log_file = self._folder / "log"
+        with log_file.open("ab") as log:
             self._cage = subprocess.Popen(
                 [sys.executable, cage.__file__, *command],
                 env=environment(self._folder) | self.environment,
@@ -51,7 +53,10 @@ class RayHead:
                 stderr=log,
                 start_new_session=True,
             )
-        until(self._listens, "a Ray head", START_SECONDS)
+        deadline = time.monotonic() + START_SECONDS
+        while not self._listens():
+            assert time.monotonic() < deadline, f"no Ray head:\n{log_file.read_text()[-3000:]}"
+            time.sleep(0.1)
 
     def kill(self) -> None:
         """SIGKILL to all its processes, the workers on it included."""
