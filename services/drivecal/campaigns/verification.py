@@ -126,12 +126,15 @@ def _check_reference_keys(connection: Connection, every: int) -> Iterator[str]:
         if sequence not in maps or index.setup_id not in scenarios:
             yield f"reference keys {index.id} are of a map or setup that is not there"
             continue
-        found = stored_map(influence_maps.get(connection, maps[sequence]))
         scenario = scenarios[index.setup_id]
-
-        wrong = reference_keys.wrong_keys(connection, index, partial(_keys_of, found, scenario), every)
-        if wrong:
-            yield f"{wrong:,} reference keys of {scenario} under map {maps[sequence]} are not those of their runs"
+        try:
+            found = stored_map(influence_maps.get(connection, maps[sequence]))
+            wrong = reference_keys.wrong_keys(connection, index, partial(_keys_of, found, scenario), every)
+        except _UNREADABLE as error:
+            yield f"reference keys of {scenario} under map {maps[sequence]} cannot be made anew: {_first_line(error)}"
+        else:
+            if wrong:
+                yield f"{wrong:,} reference keys of {scenario} under map {maps[sequence]} are not those of their runs"
 
 
 def _keys_of(influence_map: InfluenceMap, scenario: str, names: tuple[str, ...], values: npt.NDArray[np.int64]) -> list[bytes]:

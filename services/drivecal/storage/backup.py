@@ -43,6 +43,7 @@ def write(database: Database, file: Path, progress: Progress, *, force: bool = F
     """Backs the database up into `file`, while others use it. Raises DatabaseError, where `file` exists unless `force`d too, and
     UnavailableError; `file` is then as it was."""
     _refuse_target(database, file, force=force)
+    schema.refuse_missing(database.url)
     with database.read() as connection:
         schema.refuse_foreign(connection, database.name)
         revision = schema.revision_of(connection)

@@ -6,13 +6,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import Column, ColumnElement, Connection, Select, SmallInteger, bindparam, select, type_coerce, update
+from sqlalchemy import Column, ColumnElement, Connection, Select, SmallInteger, bindparam, delete, select, type_coerce, update
 
 from drivecal.domain.campaigns import Stage
 from drivecal.domain.evaluations import Donor, Outcome
 from drivecal.domain.parameters import ParameterSet
 from drivecal.storage.membership import among
-from drivecal.storage.tables import evaluations, parameter_sets
+from drivecal.storage.tables import evaluations, leases, parameter_sets
 
 COPIES = (Outcome.REPEATED, Outcome.REUSED)
 DONORS = (Outcome.SIMULATED, Outcome.CERTIFIED)
@@ -121,7 +121,8 @@ def pending(connection: Connection, campaign_sequence: int) -> list[PendingEvalu
 
 
 def answer(connection: Connection, answers: Sequence[Answer]) -> int:
-    """Stores answers; says how many. A cell that has its answer keeps it: a late result of an earlier attempt changes nothing."""
+    """Stores answers; says how many. A cell that has its answer keeps it: a late result of an earlier attempt changes nothing. An answered
+    cell has no lease any more."""
     if not answers:
         return 0
     statement = (
@@ -130,7 +131,10 @@ def answer(connection: Connection, answers: Sequence[Answer]) -> int:
         .values({name: bindparam(f"new_{name}") for name in _ANSWER})
     )
     rows = [{"evaluation": one.id} | {f"new_{name}": getattr(one, name) for name in _ANSWER} for one in answers]
-    return connection.execute(statement, rows).rowcount
+    answered = connection.execute(statement, rows).rowcount
+    for condition in among(connection, leases.c.evaluation_id, [one.id for one in answers]):
+        connection.execute(delete(leases).where(condition))  # of an earlier attempt, where another cell's run is the answer
+    return answered
 
 
 _ANSWER = ("outcome", "score", "rating", "run_id", "failure", "milliseconds", "worker", "attempts", "agrees", "detail")

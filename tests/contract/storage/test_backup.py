@@ -1,0 +1,353 @@
+"""Backups of a database in use, and back: one moment, complete or not there at all, whichever backend it came from and goes to."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import sqlite3
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+from sqlalchemy import text
+from tests.support.computed import ComputedBackend
+from tests.support.revisions import load
+from tests.support.runs import MOST_STEPS, dispatcher, get, post_map, submit
+from tests.support.storage import campaign
+
+from drivecal.campaigns.verification import verify
+from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.errors import DatabaseError, UnavailableError
+from drivecal.domain.events import EventKind
+from drivecal.storage import backup, campaigns, events, generations, results, schema
+from drivecal.storage.database import Database
+from drivecal.storage.transfer import copy_rows, tables_of
+
+INFLUENCES = {"S1": {"P1": {"influential": False}, "P2": {"influential": True, "lower": 0.5}}}
+
+
+def silent(table: str, done: int, total: int) -> None:
+    """Tells nobody how far a copy is."""
+
+
+@pytest.fixture
+def target_url(backend: str, request: pytest.FixtureRequest, tmp_path: Path) -> Callable[[str], str]:
+    """Gives the URL of a second, empty database of a backend; on PostgreSQL once."""
+    del backend
+    return lambda kind: (
+        f"sqlite:///{tmp_path / 'restored.db'}" if kind == "sqlite" else str(request.getfixturevalue("postgres_url"))
+    )
+
+
+@pytest.fixture
+def used(database: Database) -> Database:
+    """A database with everything in it: an earlier release's rows, campaigns of this one, events, leases, one that runs."""
+    with database.transaction() as connection:
+        load.fill(connection, {name: rows for name, rows in load.rows_of("0001").items() if name != "reference_keys"})
+        connection.execute(text("UPDATE campaigns SET state = 'cancelled', ended_at = created_at WHERE state = 'queued'"))
+        connection.execute(text("DELETE FROM reference_indexes"))
+    running = submit(database, stored_map=post_map(database, INFLUENCES), name="running", reduction={"audit": 0.2})
+    working = dispatcher(database, ComputedBackend(1))
+    while (get(database, running).iteration or 0) < 2 or not get(database, running).cells.pending:
+        working.step()
+    with database.transaction() as connection:  # those with the largest numbers are gone, and their numbers must not come again
+        connection.execute(text("DELETE FROM events WHERE id > 3"))
+    return database
+
+
+def everything(database: Database) -> dict[str, Any]:
+    """All rows, in the neutral form, by way of a new SQLite file in memory."""
+    with closing(sqlite3.connect(":memory:")) as plain, database.read() as connection:
+        if connection.dialect.name == "sqlite":
+            connection.connection.driver_connection.backup(plain)  # type: ignore[union-attr]
+            tables = [table.name for table in tables_of(connection)]
+            return {name: sorted(plain.execute(f"SELECT * FROM {name}"), key=repr) for name in [*tables, "sqlite_sequence"]}
+    raise AssertionError("only SQLite can be read so")
+
+
+def as_file(database: Database, tmp_path: Path) -> Database:
+    """The database as an SQLite file: itself or a backup of it."""
+    if database.url.get_backend_name() == "sqlite":
+        return database
+    file = tmp_path / f"{len(list(tmp_path.iterdir()))}.db"
+    backup.write(database, file, silent)
+    return Database.open(f"sqlite:///{file}")
+
+
+@pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
+def test_what_is_restored_is_what_was_backed_up(
+    used: Database, target_url: Callable[[str], str], kind: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "backup.db"
+    written = backup.write(used, file, silent)
+    assert written.rows["runs"] > 300
+    assert written.rows["events"] == 3
+    target = Database.open(target_url(kind))
+    assert backup.restore(file, target, silent) == written
+    assert [verdict for verdict in verify(target, full=True) if verdict.problems] == []
+    before, after = everything(as_file(used, tmp_path)), everything(as_file(target, tmp_path))
+    assert {name: after[name] for name in before} == before
+    assert before["sqlite_sequence"]
+    with target.transaction() as connection:
+        events.add(connection, 1, EventKind.NOTE, {"text": "new"})
+        [new] = connection.execute(text("SELECT max(id) FROM events")).scalars()
+        campaign(connection)
+    assert new > dict(before["sqlite_sequence"])["events"] > 3
+    target.dispose()
+
+
+def test_a_campaign_that_ran_when_it_was_backed_up_ends_alike_in_the_restored_database(
+    used: Database, target_url: Callable[[str], str], tmp_path: Path, backend: str
+) -> None:
+    backup.write(used, tmp_path / "backup.db", silent)
+    target = Database.open(target_url(backend))
+    backup.restore(tmp_path / "backup.db", target, silent)
+    found = []
+    for database in (used, target):
+        with database.read() as connection:
+            [running] = [one for one in campaigns.page(connection)[0] if one.name == "test" and one.priority == 0][:1]
+        working = dispatcher(database, ComputedBackend(9))
+        for _ in range(MOST_STEPS):
+            if get(database, running).state.ended:
+                break
+            working.step()
+        ended = get(database, running)
+        with database.read() as connection:
+            rows = [
+                (row.id, row.iteration, row.individual, row.scenario, row.outcome, row.score, row.rating, row.reference)
+                for row in results.stream(connection, running.sequence)
+            ]
+            figures, _ = generations.page(connection, running.sequence)
+        found.append((ended.state, ended.cells, ended.best, [row[1:7] for row in rows], figures))
+    assert found[0] == found[1]
+    assert found[0][0] is CampaignState.SUCCEEDED
+    target.dispose()
+
+
+def test_a_backup_holds_one_moment_however_much_is_written_meanwhile(
+    used: Database, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("drivecal.storage.backup.PAGES", 8)
+    monkeypatch.setattr("drivecal.storage.transfer.CHUNK", 50)
+    written = []
+
+    def write_meanwhile(*_: object) -> None:
+        with used.transaction() as connection:
+            written.append(campaign(connection, "meanwhile").sequence)
+            connection.execute(text("DELETE FROM leases"))
+            connection.execute(text("UPDATE parameter_sets SET parameter_values = '{}'"))
+
+    before = everything(as_file(used, tmp_path))
+    copied = backup.write(used, tmp_path / "backup.db", write_meanwhile)
+    assert len(written) > 5
+    assert everything(Database.open(f"sqlite:///{tmp_path / 'backup.db'}")) | {"sqlite_sequence": 0} == before | {
+        "sqlite_sequence": 0
+    }
+    assert copied.rows["campaigns"] == len(before["campaigns"])
+    with used.read() as connection:
+        assert connection.scalar(text("SELECT count(*) FROM campaigns WHERE name = 'meanwhile'")) == len(written)
+
+
+def test_a_backup_of_an_older_revision_is_restored_and_upgraded(
+    empty_url: str, target_url: Callable[[str], str], tmp_path: Path
+) -> None:
+    old = Database.open(empty_url)
+    load.create(old, "0001")
+    file = tmp_path / "backup.db"
+    assert backup.write(old, file, silent).revision == "0001"
+    target = Database.open(target_url("sqlite") if "postgresql" in empty_url else target_url("postgresql"))
+    assert backup.restore(file, target, silent).revision == "0001"
+    target.check()
+    assert [verdict for verdict in verify(target, full=True) if verdict.problems] == []
+    target.dispose()
+    old.dispose()
+
+
+def test_an_existing_file_is_replaced_only_by_force(database: Database, tmp_path: Path) -> None:
+    file = tmp_path / "backup.db"
+    file.write_text("precious")
+    with pytest.raises(DatabaseError, match=r"backup\.db exists already; name another file, or replace it by --force"):
+        backup.write(database, file, silent)
+    assert file.read_text() == "precious"
+    backup.write(database, file, silent, force=True)
+    Database.open(f"sqlite:///{file}").check()
+    assert not list(tmp_path.glob("*.partial*"))
+
+
+def test_a_backup_that_fails_leaves_nothing_behind(used: Database, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise UnavailableError("the disk is gone")
+
+    there = sorted(tmp_path.iterdir())
+    with pytest.raises(UnavailableError, match="the disk is gone"):
+        backup.write(used, tmp_path / "backup.db", fail)
+    assert sorted(tmp_path.iterdir()) == there
+    monkeypatch.setattr("drivecal.storage.backup._compare", fail)
+    with pytest.raises(UnavailableError, match="the disk is gone"):
+        backup.write(used, tmp_path / "backup.db", silent)
+    assert sorted(tmp_path.iterdir()) == there
+
+
+def test_places_where_no_backup_can_be_are_named(database: Database, tmp_path: Path) -> None:
+    with pytest.raises(DatabaseError, match="is a folder; name a file in it"):
+        backup.write(database, tmp_path, silent)
+    with pytest.raises(DatabaseError, match="cannot be written: No such file or directory; name a file in another folder"):
+        backup.write(database, tmp_path / "missing" / "backup.db", silent)
+
+
+def test_a_database_is_never_backed_up_into_itself(empty_url: str, tmp_path: Path) -> None:
+    database = Database.open(empty_url)
+    database.upgrade()
+    if database.url.get_backend_name() == "sqlite":
+        with pytest.raises(DatabaseError, match="is the database itself"):
+            backup.write(database, tmp_path / "drivecal.db", silent, force=True)
+        with pytest.raises(DatabaseError, match="is the database itself"):
+            backup.restore(tmp_path / "drivecal.db", database, silent)
+    database.check()
+    database.dispose()
+
+
+def test_an_empty_database_is_not_backed_up(empty_url: str, tmp_path: Path) -> None:
+    database = Database.open(empty_url)
+    with pytest.raises(DatabaseError, match=r"there is nothing to back up|there is no database"):
+        backup.write(database, tmp_path / "backup.db", silent)
+    assert not (tmp_path / "backup.db").exists()
+    assert not (tmp_path / "drivecal.db").exists(), "looking for it does not make it"
+    database.dispose()
+
+
+def test_a_database_with_rows_is_not_restored_into(used: Database, tmp_path: Path) -> None:
+    file = tmp_path / "backup.db"
+    backup.write(used, file, silent)
+    with pytest.raises(DatabaseError, match=r"has rows already \(.*\d in campaigns.*\); name an empty database"):
+        backup.restore(file, used, silent)
+    with used.read() as connection:
+        assert connection.scalar(text("SELECT count(*) FROM runs")) > 300
+
+
+def test_another_programs_database_is_not_restored_into(
+    used: Database, target_url: Callable[[str], str], tmp_path: Path
+) -> None:
+    backup.write(used, tmp_path / "backup.db", silent)
+    target = Database.open(target_url("postgresql"))
+    with target.transaction() as connection:
+        connection.execute(text("CREATE TABLE moz_places (id INTEGER)"))
+    with pytest.raises(DatabaseError, match=r"another program's tables \(moz_places\)"):
+        backup.restore(tmp_path / "backup.db", target, silent)
+    target.dispose()
+
+
+def test_a_database_that_a_server_has_made_and_nobody_used_counts_as_empty(
+    used: Database, target_url: Callable[[str], str], tmp_path: Path, backend: str
+) -> None:
+    target = Database.open(target_url(backend))
+    target.upgrade()
+    with target.transaction() as connection:
+        connection.execute(
+            text("INSERT INTO processes SELECT 'dispatcher', 1, now, now, '{}', 7 FROM (SELECT CURRENT_TIMESTAMP AS now) t")
+        )
+    written = backup.write(used, tmp_path / "backup.db", silent)
+    assert backup.restore(tmp_path / "backup.db", target, silent) == written
+    target.dispose()
+
+
+@pytest.mark.parametrize("content", [b"This is no database." * 100, b"", b"\x00" * 4096])
+def test_what_is_no_backup_is_not_restored(empty_url: str, tmp_path: Path, content: bytes) -> None:
+    file = tmp_path / "notes.txt"
+    file.write_bytes(content)
+    database = Database.open(empty_url)
+    with pytest.raises(DatabaseError, match=r"notes\.txt (is no SQLite database|holds no database of drivecal)"):
+        backup.restore(file, database, silent)
+    with pytest.raises(DatabaseError, match="there is no file"):
+        backup.restore(tmp_path / "missing", database, silent)
+    assert file.read_bytes() == content
+    database.dispose()
+
+
+def test_a_damaged_backup_is_not_restored(
+    used: Database, target_url: Callable[[str], str], tmp_path: Path, backend: str
+) -> None:
+    file = tmp_path / "backup.db"
+    backup.write(used, file, silent)
+    with closing(sqlite3.connect(file)) as plain:
+        size = plain.execute("PRAGMA page_size").fetchone()[0]
+        root = plain.execute("SELECT rootpage FROM sqlite_master WHERE name = 'ix_runs_setup_id_id'").fetchone()[0]
+    content = bytearray(file.read_bytes())
+    content[(root - 1) * size + 8 : root * size] = os.urandom(size - 8)
+    file.write_bytes(content)
+    target = Database.open(target_url(backend))
+    with pytest.raises(DatabaseError, match="damaged"):
+        backup.restore(file, target, silent)
+    with pytest.raises(DatabaseError, match=r"is empty|there is no database"):
+        target.check()
+    target.dispose()
+
+
+def test_a_backup_of_a_newer_release_is_not_restored(
+    database: Database, target_url: Callable[[str], str], tmp_path: Path
+) -> None:
+    file = tmp_path / "backup.db"
+    backup.write(database, file, silent)
+    with closing(sqlite3.connect(file)) as plain, plain:
+        plain.execute(f"UPDATE {schema.REVISION_TABLE} SET version_num = '9999'")
+    target = Database.open(target_url("sqlite"))
+    with pytest.raises(DatabaseError, match=r"backup\.db was made by a newer drivecal \(revision 9999\)"):
+        backup.restore(file, target, silent)
+    target.dispose()
+
+
+def test_a_killed_restore_leaves_the_database_empty(
+    used: Database, target_url: Callable[[str], str], tmp_path: Path, backend: str
+) -> None:
+    file = tmp_path / "backup.db"
+    written = backup.write(used, file, silent)
+    url = target_url(backend)
+    process = multiprocessing.get_context("spawn").Process(target=_restore_and_die, args=(file, url))
+    process.start()
+    process.join()
+    assert process.exitcode == -signal.SIGKILL
+    target = Database.open(url)
+    assert backup.restore(file, target, silent) == written
+    assert [verdict for verdict in verify(target, full=True) if verdict.problems] == []
+    target.dispose()
+
+
+def _restore_and_die(file: Path, url: str) -> None:
+    backup.PAGES = 16
+
+    def die(table: str, done: int, total: int) -> None:
+        if table in {"pages", "runs"} and done > 0 and (done < total or table == "runs"):
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    backup.restore(file, Database.open(url), die)
+
+
+def test_a_backup_is_one_file_that_can_be_read_where_nothing_can_be_written(used: Database, tmp_path: Path) -> None:
+    folder = tmp_path / "shelf"
+    folder.mkdir()
+    backup.write(used, folder / "backup.db", silent)
+    assert [one.name for one in folder.iterdir()] == ["backup.db"]
+    with closing(sqlite3.connect(f"file:{folder / 'backup.db'}?mode=ro&immutable=1", uri=True)) as plain:
+        assert plain.execute("PRAGMA journal_mode").fetchone() == ("delete",)
+        assert plain.execute("SELECT count(*) FROM runs").fetchone()[0] > 300
+
+
+def test_rows_are_copied_in_portions(used: Database, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("drivecal.storage.transfer.CHUNK", 100)
+    told: list[tuple[str, int, int]] = []
+    target = Database.open(f"sqlite:///{tmp_path / 'copy.db'}")
+    target.upgrade()
+    with used.read() as source, target.transaction() as connection:
+        rows = copy_rows(source, connection, lambda *one: told.append(one))
+    assert max(done for table, done, _ in told if table == "runs") == rows["runs"]
+    assert len([one for one in told if one[0] == "runs"]) == -(-rows["runs"] // 100)
+    target.dispose()
+
+
+@pytest.fixture(autouse=True)
+def _no_copies_left(tmp_path: Path) -> Iterator[None]:
+    yield
+    assert not list(tmp_path.glob("*.partial*"))

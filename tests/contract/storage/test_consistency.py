@@ -1,0 +1,264 @@
+"""What `drivecal db check` asks: nothing is broken at any moment of a campaign, and each thing that can be broken is found and named."""
+
+from __future__ import annotations
+
+import re
+from functools import partial
+from typing import Any
+
+import pytest
+from sqlalchemy import Connection, text
+from tests.support.computed import ComputedBackend
+from tests.support.revisions import load
+from tests.support.runs import WITH_ANALYSIS, dispatcher, get, influenced, submit
+
+from drivecal.campaigns import verification
+from drivecal.campaigns.maps import stored_map
+from drivecal.campaigns.verification import verify
+from drivecal.contracts.work import Cell, CellResult
+from drivecal.domain.evaluations import Breakdown
+from drivecal.storage import campaigns, influence_maps, reference_keys, setups
+from drivecal.storage.database import Database
+
+SMALL: dict[str, Any] = WITH_ANALYSIS | {
+    "sensitivity": {"intervals": 2, "samples": 3, "threshold": 0.02},
+    "optimizer": {"kind": "genetic", "population": 10, "iterations": 3, "seed": 2},
+}
+
+
+def problems(database: Database, *, full: bool = True) -> list[str]:
+    """What is broken, each with the name of its check."""
+    return [f"{one.name}: {problem}" for one in verify(database, full=full) for problem in one.problems]
+
+
+def failing(scenario: str, cell: Cell) -> CellResult:
+    """Some cells have no result."""
+    if cell.parameters["P1"] > 0.8:
+        return CellResult(cell.id, None, None, {}, None, 1.0, Breakdown.MEMORY.value, "as asked for")
+    return influenced(scenario, cell)
+
+
+def test_nothing_is_broken_at_any_moment_of_campaigns(database: Database) -> None:
+    listed = [submit(database, **SMALL), submit(database, **SMALL | {"weights": {"S1": 1}}), submit(database, **SMALL)]
+    working = dispatcher(database, ComputedBackend(4, failing))
+    steps = 0
+    while not all(get(database, one).state.ended for one in listed):
+        working.step()
+        steps += 1
+        if steps % 3 == 0:
+            assert problems(database) == []
+        if get(database, listed[2]).cells.simulated and not get(database, listed[2]).requested_action:
+            with database.transaction() as connection:
+                if not get(database, listed[2]).state.ended:
+                    campaigns.request_action(connection, listed[2].id, "cancel")
+        if steps == 40:
+            working = dispatcher(database, ComputedBackend(5, failing))
+    assert steps > 30
+    again = submit(database, stored_map=get(database, listed[0]).influence_map_id, **SMALL | {"weights": {"S2": 1}})
+    while not get(database, again).state.ended:
+        working.step()
+        assert problems(database) == []
+    with database.read() as connection:
+        assert connection.scalar(text("SELECT count(*) FROM evaluations WHERE outcome = 'failed'")) > 0
+        assert connection.scalar(text("SELECT count(*) FROM reference_keys")) > 0
+
+
+BROKEN: dict[str, tuple[str, str]] = {
+    "a counter": (
+        """UPDATE campaigns SET cells = '{"proposed": 60, "carried_over": 28, "requested": 32, "reused": 19}' WHERE sequence = 1""",
+        "counters: campaign [0-9a-f]{32} counts 19 reused in its cells, its rows 20",
+    ),
+    "a counter of the sensitivity stage": (
+        """UPDATE campaigns SET sensitivity_cells = '{"requested": 1}' WHERE sequence = 1""",
+        "counters: campaign [0-9a-f]{32} counts 1 requested in its sensitivity_cells, its rows 192",
+    ),
+    "an answer is gone": (
+        "UPDATE evaluations SET outcome = NULL WHERE id = 7",
+        "ended campaigns: campaign [0-9a-f]{32} has succeeded, and 1 of its cells have no answer",
+    ),
+    "a lease of an ended campaign": (
+        "INSERT INTO leases VALUES (7, 1, 0, 1, '2026-01-01 00:00:00+00')",
+        "ended campaigns: campaign [0-9a-f]{32} has ended, and 1 of its cells are leased",
+    ),
+    "an end without its moment": (
+        "UPDATE campaigns SET ended_at = NULL WHERE sequence = 1",
+        "ended campaigns: campaign [0-9a-f]{32} is succeeded, and its end is not written down",
+    ),
+    "an answer without its run": (
+        "UPDATE evaluations SET run_id = NULL WHERE id = 7",
+        "answered cells: 1 answered cells have no run of their own cell, the first of them evaluation 7",
+    ),
+    "an answer with the run of another cell": (
+        "UPDATE evaluations SET run_id = run_id + 1 WHERE id = 7",
+        "answered cells: 1 answered cells have no run of their own cell, the first of them evaluation 7",
+    ),
+    "an answer without its score": (
+        "UPDATE evaluations SET score = NULL WHERE id = 7",
+        "answered cells: 1 answered cells have no score",
+    ),
+    "a copy of nothing": (
+        "UPDATE evaluations SET reference = 99999 WHERE outcome = 'reused'",
+        r"answered cells: \d+ answered cells are copies of cells that may not answer others",
+    ),
+    "a run without a rating": (
+        "DELETE FROM ratings WHERE run_id = 7",
+        "references: 1 runs have no rating, the first of them run 7",
+    ),
+    "a run of no cell": (
+        "UPDATE runs SET evaluation_id = 99999 WHERE id = 7",
+        "references: 1 runs were simulated for no cell that is there, the first of them run 7",
+    ),
+    "a watermark beyond all runs": (
+        "UPDATE campaigns SET watermark = 99999 WHERE sequence = 1",
+        "references: campaign [0-9a-f]{32} may use runs up to 99999, and the newest is 227",
+    ),
+    "a score in a key": (
+        "UPDATE reference_keys SET score = 6 - score WHERE run_id = 7",
+        r"copies in reference keys: \d reference keys differ from the runs",
+    ),
+    "a missing key": ("DELETE FROM reference_keys WHERE run_id = 7", "reference keys: 1 reference keys of S"),
+    "a key of another value": (
+        "UPDATE reference_keys SET run_id = 6 WHERE run_id = 7",
+        "copies in reference keys: |reference keys: ",
+    ),
+    "a parameter set under another's key": (
+        """UPDATE parameter_sets SET parameter_values = '{"P1": 0.123}' WHERE id = 9""",
+        "parameter sets: 1 parameter sets cannot be read or are not stored under their key, the first of them number 9",
+    ),
+    "a parameter set that is none": (
+        "UPDATE parameter_sets SET parameter_values = '[' WHERE id = 9",
+        "parameter sets: 1 parameter sets cannot be read",
+    ),
+    "a specification of nothing": (
+        "UPDATE campaigns SET spec = '{\"optimizer\": 7}' WHERE sequence = 1",
+        "campaigns, setups and maps: campaign [0-9a-f]{32} cannot be read",
+    ),
+    "a setup under another's fingerprint": (
+        "UPDATE setups SET fingerprint = 'mine' WHERE id = 1",
+        "campaigns, setups and maps: setup 1 is not stored under its fingerprint",
+    ),
+    "a map of nothing": (
+        "UPDATE influence_maps SET scenarios = '{\"S1\": 7}' WHERE sequence = 1",
+        "campaigns, setups and maps: influence map [0-9a-f]{32} cannot be read",
+    ),
+}
+"""What was done to the rows, and what the check says then."""
+
+
+@pytest.fixture
+def filled(database: Database) -> Database:
+    """A whole database, as an earlier release left it, upgraded."""
+    with database.transaction() as connection:
+        rows = load.rows_of("0001")
+        del rows["reference_keys"], rows["reference_indexes"]
+        load.fill(connection, rows)
+    _make_keys(database)
+    assert problems(database) == []
+    return database
+
+
+def _make_keys(database: Database) -> None:
+    """The keys of the map that the first campaign found, of all runs."""
+    with database.read() as connection:
+        first, *_ = [one for one in influence_maps.page(connection)[0] if one.source != "expert"]
+        counted = setups.counts(connection)
+        evaluator = connection.scalar(text("SELECT min(evaluator) FROM ratings"))
+    for one in counted:
+        keys_of = partial(verification._keys_of, stored_map(first), one.scenario)
+        reference_keys.sync(database, first.sequence, one.id, str(evaluator), 227, keys_of)
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_what_is_broken_is_found_and_named(filled: Database, name: str) -> None:
+    statement, sentence = BROKEN[name]
+    with filled.transaction() as connection:
+        _without_foreign_keys(connection)
+        if name == "a key of another value":
+            statement = "UPDATE reference_keys SET key = CAST('0123456789abcdef' AS {}) WHERE run_id = 7".format(
+                "BLOB" if connection.dialect.name == "sqlite" else "BYTEA"
+            )
+        connection.execute(text(statement.replace(":", r"\:")))
+    found = problems(filled)
+    assert any(re.match(sentence, one) for one in found), found
+
+
+def _without_foreign_keys(connection: Connection) -> None:
+    """The damage is that of a disk or a person, whom nothing stops."""
+    if connection.dialect.name == "postgresql":
+        connection.execute(text("SET LOCAL session_replication_role = replica"))
+
+
+@pytest.mark.parametrize(
+    ("statement", "words"),
+    [
+        ("DROP INDEX ix_evaluations_pending", "ix_evaluations_pending"),
+        ("ALTER TABLE events DROP COLUMN data", "data"),
+        ("DROP TABLE leases", "leases"),
+    ],
+)
+def test_what_a_schema_misses_is_found(empty_url: str, statement: str, words: str) -> None:
+    database = Database.open(empty_url)
+    database.upgrade()
+    assert problems(database) == []
+    with database.transaction() as connection:
+        connection.execute(text("CREATE TABLE somebody (id INTEGER PRIMARY KEY)"))
+        connection.execute(text("CREATE INDEX ix_somebody ON somebody (id)"))
+    assert problems(database) == [], "others' tables are their own business"
+    with database.transaction() as connection:
+        connection.execute(text(statement))
+    found = problems(database)
+    assert found
+    assert all(one.startswith("tables: ") for one in found)
+    assert any(words in one for one in found)
+    database.dispose()
+
+
+def test_numbers_that_are_taken_are_found(filled: Database) -> None:
+    with filled.transaction() as connection:
+        if connection.dialect.name == "postgresql":
+            connection.execute(text("SELECT setval(pg_get_serial_sequence('runs', 'id'), 5)"))
+        else:
+            connection.execute(text("UPDATE sqlite_sequence SET seq = 5 WHERE name = 'runs'"))
+    [found] = problems(filled)
+    assert found == "numbers of new rows: the next row of runs would get number 6, but 227 is taken"
+
+
+def test_rows_that_point_nowhere_are_found(filled: Database) -> None:
+    with filled.transaction() as connection:
+        connection.execute(text("UPDATE evaluations SET run_id = 1 WHERE run_id = 7"))
+    with filled._engine.connect() as connection:  # a connection that checks nothing
+        if connection.dialect.name == "postgresql":
+            connection.execute(text("SET session_replication_role = replica"))
+        else:
+            connection.exec_driver_sql("PRAGMA query_only = OFF")
+            connection.exec_driver_sql("COMMIT")
+            connection.exec_driver_sql("PRAGMA foreign_keys = OFF")
+        connection.execute(text("DELETE FROM setups WHERE id = 1"))
+        connection.commit()
+    assert any("storage" in one and "setups" in one for one in problems(filled))
+
+
+def test_documents_that_are_none_are_found(filled: Database) -> None:
+    with filled.transaction() as connection:
+        if connection.dialect.name == "postgresql":
+            pytest.skip("PostgreSQL takes no such document")
+        connection.execute(text("UPDATE runs SET metrics = '{' WHERE id < 4"))
+    assert "documents: 3 documents in runs.metrics are no JSON" in problems(filled)
+
+
+def test_a_sample_leaves_out_what_a_full_check_finds(filled: Database, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(verification, "SAMPLED", 50)
+    assert problems(filled, full=False) == []
+    with filled.transaction() as connection:
+        connection.execute(text("UPDATE parameter_sets SET parameter_values = '{}' WHERE id IN (6, 7)"))
+    sampled = [one for one in problems(filled, full=False) if one.startswith("parameter sets")]
+    assert sampled == []  # it looks at every fifth
+    assert any(one.startswith("parameter sets: 2 ") for one in problems(filled))
+
+
+def test_many_problems_of_a_kind_are_told_in_a_few_sentences(filled: Database) -> None:
+    with filled.transaction() as connection:
+        connection.execute(text('UPDATE campaigns SET cells = \'{"requested": 999, "simulated": 999}\''))
+    found = [one for one in problems(filled) if one.startswith("counters")]
+    assert len(found) == verification.TOLD + 1
+    assert found[-1].startswith("counters: and ")
