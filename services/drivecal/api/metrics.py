@@ -19,7 +19,7 @@ from prometheus_client.utils import floatToGoString
 from sqlalchemy.exc import SQLAlchemyError
 
 from drivecal.api.readiness import judge, silent_seconds
-from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.campaigns import CampaignState, Stage
 from drivecal.domain.errors import DrivecalError
 from drivecal.domain.evaluations import Outcome
 from drivecal.execution.measures import BOUNDS, DURATIONS, KINDS, Duration, Happening
@@ -94,13 +94,13 @@ _UP = "1 where the database answers, else 0, and what is known from it is left o
 def _of_database(found: Statistics) -> Iterator[Any]:
     sums = found.sums
     campaigns = GaugeMetricFamily("drivecal_campaigns", "Campaigns and single evaluations by state", labels=["kind", "state"])
-    for kind in sorted({"calibration", "evaluation"} | {key.kind for key in sums.campaigns}):
+    for kind in ("calibration", "evaluation"):
         for state in CampaignState:
             campaigns.add_metric([kind, state.value], sums.campaigns[CampaignKey(kind, state)])
     yield campaigns
     cells = CounterMetricFamily("drivecal_cells", "Answered cells of all campaigns", labels=["stage", "outcome"])
     pending = GaugeMetricFamily("drivecal_cells_pending", "Cells of open campaigns without an answer", labels=["stage"])
-    for stage in sorted({"sensitivity", "calibration", "evaluation"} | {key.stage for key in sums.cells}):
+    for stage in (*Stage, "evaluation"):
         for outcome in Outcome:
             cells.add_metric([stage, outcome.value], sums.cells[CellKey(stage, outcome)])
         pending.add_metric([stage], sums.pending[stage])

@@ -34,6 +34,8 @@ class StagedCampaign:
         self._sequence = campaign.sequence
         every = list(Stage)
         self._ahead = every if campaign.stage is None else every[every.index(campaign.stage) :]
+        self.stage = campaign.stage
+        """In which it is, None before the first."""
         self._stage = self._next(campaign)
 
     @property
@@ -64,6 +66,7 @@ class StagedCampaign:
         while self._ahead:
             stage, *self._ahead = self._ahead
             if self._wants(campaign, stage):
+                self.stage = stage
                 return self._make(campaign, stage)
         return None
 

@@ -89,7 +89,7 @@ class Dispatcher:
             self._tidy()
             self._next_tidy = self._clock() + TIDY_SECONDS
         for active in list(self._active.values()):
-            with logs.about(campaign=active.campaign.id, campaign_name=active.campaign.name):
+            with logs.about(campaign=active.campaign.id, campaign_name=active.campaign.name, stage=active.stage):
                 self._advance(active)
         by_tag = {active.tag: active for active in self._active.values()}
         for one in self._pool.poll(POLL_SECONDS):

@@ -11,7 +11,7 @@ from drivecal.campaigns.pinned import problem_of
 from drivecal.campaigns.planning import View
 from drivecal.campaigns.problem import EvaluationProblem
 from drivecal.campaigns.staged import StagedCampaign
-from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.campaigns import CampaignState, Stage
 from drivecal.domain.errors import ConflictError
 from drivecal.execution.scheduler import Completed
 from drivecal.storage import campaigns
@@ -40,6 +40,11 @@ class Active:
     def tag(self) -> str:
         """Under which the pool knows its cells."""
         return self.campaign.id
+
+    @property
+    def stage(self) -> Stage | None:
+        """In which it is, for the log; None where that is not known yet, and of a single evaluation."""
+        return self.job.stage if isinstance(self.job, StagedCampaign) else None
 
     @property
     def priority(self) -> int:

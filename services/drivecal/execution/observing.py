@@ -64,8 +64,9 @@ class Observer:
         count = self._failures[one.tag]
         if count <= FAILURES_TOLD or count.bit_count() == 1:
             log.warning(
-                "cell %d of %s has no result after %d attempts (%s, at last on %s; failure %d of this campaign): %s",
-                *(one.result.id, one.tag, one.attempts, one.result.breakdown, one.worker, count, one.result.detail),
+                "cell %d has no result after %d attempts (%s, at last on %s; failure %d of this campaign): %s",
+                *(one.result.id, one.attempts, one.result.breakdown, one.worker, count, one.result.detail),
+                extra={"campaign": one.tag},
             )
 
 

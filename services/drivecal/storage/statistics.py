@@ -7,13 +7,14 @@ open, or new, are read.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from datetime import timedelta
 from typing import Any, NamedTuple
 
 from sqlalchemy import Connection, func, select
 
+from drivecal.domain.campaigns import Stage
 from drivecal.domain.evaluations import Outcome
 from drivecal.storage import processes, runs
 from drivecal.storage.membership import among
@@ -56,12 +57,11 @@ class Sums:
         for row in rows:
             found.campaigns[CampaignKey(row.kind, row.state)] += 1
             seconds += row.simulating_seconds
-            stage = "calibration" if row.kind == "calibration" else row.kind
-            for name, counts in ((stage, row.cells), ("sensitivity", row.sensitivity_cells)):
+            for stage, counts in _counts(row):
                 for outcome in Outcome:
-                    found.cells[CellKey(name, outcome)] += counts.get(outcome, 0)
+                    found.cells[CellKey(stage, outcome)] += counts.get(outcome, 0)
                 if row.ended_at is None:
-                    found.pending[name] += counts.get("pending", 0)
+                    found.pending[stage] += counts.get("pending", 0)
         return Sums(found.campaigns, found.cells, found.pending, seconds)
 
 
@@ -122,12 +122,26 @@ def _advance(connection: Connection, tally: Tally) -> tuple[Sums, Tally]:
     return ended.plus([*still_open, *recent]), Tally(settled, tuple(row.sequence for row in still_open), ended)
 
 
+def _counts(row: Any) -> Iterable[tuple[str, Mapping[str, int]]]:
+    """The counts of a campaign's cells by stage."""
+    if row.kind != "calibration":
+        return [(row.kind, row.cells)]
+    return [
+        (Stage.SENSITIVITY, row.sensitivity_cells),
+        (Stage.CALIBRATION, row.cells),
+        (Stage.ROBUSTNESS, row.robustness_cells or {}),
+        (Stage.VALIDATION, row.validation_cells or {}),
+    ]
+
+
 _QUERY = select(
     campaigns.c.sequence,
     campaigns.c.kind,
     campaigns.c.state,
     campaigns.c.cells,
     campaigns.c.sensitivity_cells,
+    campaigns.c.robustness_cells,
+    campaigns.c.validation_cells,
     campaigns.c.simulating_seconds,
     campaigns.c.created_at,
     campaigns.c.ended_at,

@@ -43,11 +43,14 @@ def test_sums_are_right_from_the_beginning_and_from_look_to_look(database: Datab
         for simulated, sequence in enumerate(sequences[:5]):
             ended(connection, sequence, simulated)
         change(connection, sequences[5], cells={"simulated": 3, "pending": 4, "reused": 1}, sensitivity_cells={"pending": 2})
+        change(connection, sequences[6], robustness_cells={"certified": 8}, validation_cells={"failed": 1, "pending": 6})
     found, tally = look(database, tally)
     assert found.sums.campaigns == {CampaignKey("calibration", "succeeded"): 5, CampaignKey("calibration", "queued"): 3}
     assert found.sums.cells[CellKey("calibration", "simulated")] == 10 + 3
     assert found.sums.cells[CellKey("calibration", "reused")] == 1
-    assert found.sums.pending == Counter(calibration=4, sensitivity=2)
+    assert found.sums.cells[CellKey("robustness", "certified")] == 8
+    assert found.sums.cells[CellKey("validation", "failed")] == 1
+    assert found.sums.pending == Counter(calibration=4, sensitivity=2, validation=6)
     assert found.sums.simulating_seconds == 5.0
     assert tally.settled == sequences[4]
     with database.transaction() as connection:

@@ -78,8 +78,9 @@ def test_an_exception_is_tried_once_more_alone_on_another_worker(caplog: pytest.
     assert (failed.result.id, failed.result.breakdown, failed.attempts) == (2, "error", WITNESSES)
     assert failed.result.detail == "ValueError: as asked for"
     assert backend.replaced == []
-    [line] = [record.getMessage() for record in caplog.records]
-    assert line.startswith("cell 2 of campaign-7 has no result after 2 attempts (error, at last on worker-")
+    [(line, campaign)] = [(record.getMessage(), record.__dict__["campaign"]) for record in caplog.records]
+    assert campaign == "campaign-7"
+    assert line.startswith("cell 2 has no result after 2 attempts (error, at last on worker-")
     assert line.endswith("; failure 1 of this campaign): ValueError: as asked for")
 
 
