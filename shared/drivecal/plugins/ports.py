@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -57,8 +57,8 @@ class CertifiablePlanner(Planner, Protocol):
     `drivecal.certification` can prove from stored decisions what another parameter set would drive."""
 
     @property
-    def n_features(self) -> int:
-        """Numbers that describe a planning state for its decision."""
+    def n_values(self) -> int:
+        """Numbers that a candidate's cost is computed from."""
 
     @property
     def n_candidates(self) -> int:
@@ -66,15 +66,20 @@ class CertifiablePlanner(Planner, Protocol):
 
     @property
     def grid(self) -> float:
-        """A power of two that most features are non-negative multiples of: those are stored in two bytes, others in twelve."""
+        """A power of two that most of these numbers are non-negative multiples of: those are stored in two bytes, others in twelve."""
 
     @property
     def most_plans(self) -> int:
         """Plans of one run, at most."""
 
     @property
-    def decision_features(self) -> Floats:
-        """Of the last plan, shape (n_features,), no negative zeros. All that the decision depends on but weights and feasibility."""
+    def state_digest(self) -> int:
+        """Of all features of the last plan, 64 bits: two plans with the same digest are in the same state."""
+
+    def contenders(self, infeasible: npt.NDArray[np.bool_]) -> tuple[npt.NDArray[np.int64], Floats]:
+        """Of the last plan: the candidates that could be chosen with some parameters, shape (n,), ascending, and what their costs are
+        computed from, shape (n, n_values), no negative zeros. `infeasible`, shape (n_candidates,), are known to be, so that they keep no
+        other candidate from being chosen. `drivecal.certification.nodes.contenders` finds them for linear costs."""
 
     @property
     def infeasible(self) -> npt.NDArray[np.bool_]:
@@ -87,7 +92,8 @@ class CertifiablePlanner(Planner, Protocol):
     def walk(self, nodes: Any, parameters: Sequence[float]) -> int:
         """Decides again from node to node of `drivecal.certification.nodes.Nodes`, from node 0 on, as `plan` would with these parameters:
         the cheapest candidate that is not known to be infeasible; where all are, the cheapest of all. Gives the node where the way
-        ends: one with a leaf, one that is not described, or one whose choice was never driven."""
+        ends: one with a leaf, one that is not described, or one whose choice was never driven. Node 0 for parameters beyond those that
+        `contenders` allows for."""
 
 
 class DrivingFunction(Protocol):
@@ -135,6 +141,15 @@ class VehicleModel(Protocol):
         """
 
 
+@runtime_checkable
+class SelfMeasuring(Protocol):
+    """What a vehicle model offers besides where it knows something of a run that its dynamics do not show."""
+
+    @property
+    def metrics(self) -> Mapping[str, float]:
+        """Of the run since `start`, stored with the run's metrics; names carry units."""
+
+
 class Vehicle(Protocol):
     """A vehicle model that can be chosen in a campaign."""
 
@@ -167,6 +182,31 @@ class Evaluator(Protocol):
 
     def rate(self, manoeuvre: Manoeuvre, metrics: Mapping[str, float]) -> Rating:
         """The rating of a run that did not fail."""
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """How a run went, step by step.
+
+    `dynamics`: one row per 0.01 s: speed, longitudinal acceleration, lateral acceleration, yaw rate, steering angle of the front wheels
+    (SI), shape (n, 5). `offset`: signed distance (m) from the centre of the target lane every scenario step, shape (m,); the last
+    values of both are of the same moment.
+    """
+
+    dynamics: Floats
+    offset: Floats
+
+
+@runtime_checkable
+class SeriesEvaluator(Protocol):
+    """What an evaluator offers besides where it needs the time series of a run: then `rate_series` rates, in workers, instead of `rate`.
+
+    Its `rate` serves stored runs, of which there are metrics only, and raises ValueError where these do not suffice: such runs keep
+    what others rated and are simulated again when this evaluator's opinion is needed.
+    """
+
+    def rate_series(self, manoeuvre: Manoeuvre, series: Series) -> Rating:
+        """The rating of a run that did not fail. `series` is only lent: its arrays are overwritten by the next run."""
 
 
 class Catalogue(Protocol):

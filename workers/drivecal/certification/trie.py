@@ -42,7 +42,7 @@ class Trie(Generic[Result]):
     def __init__(self, planner: CertifiablePlanner, room: int) -> None:
         """`room`: nodes, at least the number of plans in two runs."""
         self._planner = planner
-        self._nodes = Nodes(planner.n_features, planner.n_candidates, planner.grid, room)
+        self._nodes = Nodes(planner.n_values, planner.n_candidates, planner.grid, room)
         self._results: list[Proof[Result]] = []
         self._used = np.zeros(room, dtype=np.int64)
         self._clock = 0
@@ -50,7 +50,7 @@ class Trie(Generic[Result]):
     @property
     def bytes(self) -> int:
         """Memory of the nodes in use."""
-        return self._nodes.count * self._nodes.bytes_per_node
+        return self._nodes.bytes
 
     @property
     def nodes(self) -> int:
@@ -71,7 +71,7 @@ class Trie(Generic[Result]):
 
     def record(self) -> Recording[Result]:
         """Takes part in a run, as its planner, and learns from it."""
-        if self._nodes.room - self._nodes.count < self._planner.most_plans or self._beside_is_short():
+        if not self._nodes.has_room(self._planner.most_plans):
             self._evict()
         return Recording(self._planner, self._nodes, self)
 
@@ -87,9 +87,6 @@ class Trie(Generic[Result]):
         while node != NONE:
             self._used[node] = self._clock
             node = int(self._nodes.parent[node])
-
-    def _beside_is_short(self) -> bool:
-        return self._nodes.beside > 0.9 * len(self._nodes.places)
 
     def _evict(self) -> None:
         """Forgets the states that were not visited for longest. A state was visited whenever one below it was, so what stays is a trie."""
@@ -125,17 +122,19 @@ class Recording(Generic[Result]):
         nodes, node, planner = self._nodes, self._node, self._planner
         if node == NONE:
             return trajectory
-        if nodes.described[node]:
-            if not np.array_equal(nodes.features(node), planner.decision_features):
-                raise NotDeterministicError(
-                    f"the same decisions led to another state at {observation.time} s: certified reuse is not possible with this setup"
-                )
-        elif not nodes.describe(node, planner.decision_features):
-            self._node = NONE  # no room: this run proves nothing
-            return trajectory
-        nodes.infeasible[node] |= planner.infeasible
+        known, digest = nodes.infeasible[node], planner.state_digest
+        described = bool(nodes.row_count[node])
+        if described and nodes.digest[node] != digest:
+            raise NotDeterministicError(
+                f"the same decisions led to another state at {observation.time} s: certified reuse is not possible with this setup"
+            )
+        if not described or (planner.infeasible & ~known).any():  # who cannot be driven keeps nobody else out
+            known |= planner.infeasible
+            if not nodes.describe(node, *planner.contenders(known), digest):
+                self._node = NONE  # no room: this run proves nothing
+                return trajectory
         child = nodes.child(node, planner.chosen)
-        self._node = child if child != NONE else NONE if nodes.full else nodes.add(node, planner.chosen)
+        self._node = child if child != NONE else NONE if nodes.count == nodes.room else nodes.add(node, planner.chosen)
         return trajectory
 
     def finish(self, result: Result, run: int) -> None:

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from drivecal.certification.nodes import Nodes, contenders
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.roads import reference_line
 from drivecal.domain.scenarios import Scenario
 from drivecal.planner import kernel
 from drivecal.planner.candidates import desired_speeds, lateral_ends, longitudinal_ends
 from drivecal.planner.cost import scales, weights
+from drivecal.planner.spaces import HIGHWAY
 from drivecal.plugins.ports import Observation
 
 Floats = npt.NDArray[np.float64]
@@ -25,6 +26,13 @@ TRAJECTORY = 2.4
 """s of trajectory handed to the vehicle: the period and what its controller looks ahead."""
 CURB = 0.1
 """m that every candidate stays away from the road's edges."""
+LOWEST = weights([float(parameter.lower) for parameter in HIGHWAY])
+HIGHEST = weights([float(parameter.upper) for parameter in HIGHWAY])
+"""The weights that a certificate holds for, shape (12,): those of the parameters of Table 6."""
+LEADERS = 16
+"""Good candidates that every other one is compared with, to find out whether it could ever win."""
+MARGIN = 1e-6
+"""Of costs: rounding errors are a thousand times smaller."""
 
 _COMBINED = {kernel.LATERAL_ACCELERATION: 2, kernel.HEADING: 4, kernel.CLEARANCE: 7, kernel.LEADER: 8, kernel.CLOSING: 10}
 _COMBINED |= {kernel.FOLLOWER: 11, kernel.COLLISION: 0}
@@ -42,6 +50,7 @@ class FrenetPlanner:
 
     period = PERIOD
     grid = 1.0 / kernel.FEATURE_GRID
+    n_values = len(kernel.TERM)
 
     def __init__(self, scenario: Scenario) -> None:
         """Raises InvalidInputError where the scenario's step does not divide the planning period."""
@@ -69,13 +78,10 @@ class FrenetPlanner:
 
         n_lateral, n_longitudinal = self._lateral_ends[0].shape[1], self._longitudinal_ends.shape[1]
         self.n_lateral, self.n_candidates = n_lateral, n_lateral * n_longitudinal
-        self.n_features = 6 * n_lateral + 2 * n_longitudinal + 7 * self.n_candidates
-        self.decision_features = np.zeros(self.n_features)
-        """All features of the last plan, shape (n_features,): lateral, longitudinal, combined, as the kernel names them."""
-        ends = 6 * n_lateral, 6 * n_lateral + 2 * n_longitudinal
-        self._lateral = self.decision_features[: ends[0]].reshape(6, n_lateral)
-        self._longitudinal = self.decision_features[ends[0] : ends[1]].reshape(2, n_longitudinal)
-        self._combined = self.decision_features[ends[1] :].reshape(7, n_longitudinal, n_lateral)
+        self._lateral = np.zeros((6, n_lateral))
+        self._longitudinal = np.zeros((2, n_longitudinal))
+        self._combined = np.zeros((7, n_longitudinal, n_lateral))
+        self._by_term = np.zeros((self.n_candidates, 12))
         self.most_plans = math.ceil(scenario.duration / PERIOD)
         self.infeasible: npt.NDArray[np.bool_] = np.zeros(self.n_candidates, dtype=np.bool_)
         """The candidates of the last plan that were cheaper than the chosen one but cannot be driven, shape (n_candidates,)."""
@@ -155,19 +161,35 @@ class FrenetPlanner:
             features[:, :, column] += self._combined[row]
         return features.reshape(-1, 12)
 
-    def walk(self, nodes: Any, parameters: Sequence[float]) -> int:
+    @property
+    def state_digest(self) -> int:
         """See `drivecal.plugins.ports.CertifiablePlanner`."""
+        return kernel.digest_of(self._lateral, self._longitudinal, self._combined)
+
+    def contenders(self, infeasible: npt.NDArray[np.bool_]) -> tuple[npt.NDArray[np.int64], Floats]:
+        """See `drivecal.plugins.ports.CertifiablePlanner`; with the parameters of the built-in spaces."""
+        kernel.by_term(self._lateral, self._longitudinal, self._combined, self._by_term)
+        found = contenders(self._by_term, LOWEST, HIGHEST, infeasible, self.chosen, LEADERS, MARGIN)
+        values = np.empty((len(found), self.n_values))
+        kernel.values_of(self._lateral, self._longitudinal, self._combined, found, values)
+        return found, values
+
+    def walk(self, nodes: Nodes, parameters: Sequence[float]) -> int:
+        """See `drivecal.plugins.ports.CertifiablePlanner`."""
+        chosen = weights(parameters)
+        if not ((chosen >= LOWEST) & (chosen <= HIGHEST)).all():
+            return 0
         return kernel.walk(
-            self._combined.shape[1],
-            self.n_lateral,
-            weights(parameters),
+            chosen,
             nodes.grid,
             nodes.packed,
+            nodes.candidate,
+            nodes.row_start,
+            nodes.row_count,
             nodes.beside_start,
             nodes.beside_count,
             nodes.places,
             nodes.values,
-            nodes.described,
             nodes.infeasible,
             nodes.first_child,
             nodes.next_sibling,
