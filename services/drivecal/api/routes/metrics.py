@@ -18,7 +18,7 @@ def metrics(request: Request) -> Response:
     """What goes on, in Prometheus' text format, or in OpenMetrics where it is asked for."""
     meters: Meters = request.app.state.meters
     if OPEN_METRICS in request.headers.get("accept", ""):
-        content: bytes = openmetrics.generate_latest(meters.registry)  # type: ignore[no-untyped-call]
+        content: bytes = openmetrics.generate_latest(meters.registry)  # type: ignore[no-untyped-call]  # it has no types
         return _answer(content, openmetrics.CONTENT_TYPE_LATEST)
     return _answer(exposition.generate_latest(meters.registry), exposition.CONTENT_TYPE_PLAIN_0_0_4)
 
