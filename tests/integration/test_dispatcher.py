@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import random
 from pathlib import Path
-from typing import Any
 
 import pytest
 from sqlalchemy import select
 from tests.support.computed import IGNORED, ComputedBackend, computed
-from tests.support.runs import dispatcher, nothing_matters, post_map, submit
+from tests.support.runs import dispatcher, everything, nothing_matters, post_map, submit
 
 from drivecal.contracts.specification import EvaluationSpecification
 from drivecal.contracts.work import Cell, CellResult
@@ -44,24 +43,6 @@ def _run(database: Database, campaign: StoredCampaign, backend: ComputedBackend 
     raise AssertionError("the campaign did not end")
 
 
-def _everything(database: Database, campaign: StoredCampaign) -> tuple[Any, ...]:
-    """All that a campaign found, without what may differ between machines and runs: ids, times, workers."""
-    with database.read() as connection:
-        rows = list(results.stream(connection, campaign.sequence))
-        figures, _ = generations.page(connection, campaign.sequence, limit=1_000)
-        numbered = {row.id: (row.iteration, row.individual, row.scenario) for row in rows}
-        cells = [
-            (
-                *(row.iteration, row.individual, row.scenario, tuple(row.parameters.values()), row.outcome, row.score),
-                *(row.rating, row.failure, row.audited, row.agrees),
-                None if row.reference is None else numbered.get(row.reference, "earlier"),
-            )
-            for row in rows
-        ]
-    ended = _get(database, campaign)
-    return cells, figures, ended.cells, ended.best, ended.error_rate, ended.notes
-
-
 def test_a_campaign_runs_to_its_end_and_every_cell_has_its_answer(database: Database) -> None:
     ended = _run(database, submit(database))
     assert ended.state is CampaignState.SUCCEEDED
@@ -87,7 +68,7 @@ def test_the_order_in_which_workers_answer_changes_nothing(tmp_path: Path, audit
         opened.upgrade()
         campaign = submit(opened, stored_map=post_map(opened, TRUE_MAP), reduction={"audit": audit})
         _run(opened, campaign, ComputedBackend(seed))
-        found.append(_everything(opened, campaign))
+        found.append(everything(opened, campaign))
         opened.dispose()
     assert found[0] == found[1] == found[2]
     assert found[0][2].reused > 0
@@ -115,7 +96,7 @@ def test_a_campaign_that_was_killed_again_and_again_ends_like_one_that_was_not(t
                     break
             kills += 1
         assert kills > (8 if database is killed else 0)
-        found.append((_everything(database, campaign), _get(database, campaign).baseline))
+        found.append((everything(database, campaign), _get(database, campaign).baseline))
         database.dispose()
     assert found[0] == found[1]
 
@@ -127,7 +108,7 @@ def test_reuse_by_a_true_map_answers_as_the_simulation_would(tmp_path: Path) -> 
         opened.upgrade()
         campaign = submit(opened, stored_map=post_map(opened, TRUE_MAP), reduction={"mode": mode, "audit": 0.0})
         ended = _run(opened, campaign)
-        cells, *_ = _everything(opened, campaign)
+        cells, *_ = everything(opened, campaign)
         scores[mode] = [(cell[:4], cell[5]) for cell in cells]
         counts = ended.cells
         assert (counts.repeated > 0, counts.reused > 0) == {
@@ -215,7 +196,7 @@ def test_two_campaigns_at_the_same_time_share_the_runs_of_equal_cells(database: 
     other = submit(database)
     while not (_get(database, one).state.ended and _get(database, other).state.ended):
         working.step()
-    alone, beside = _everything(database, one), _everything(database, other)
+    alone, beside = everything(database, one), everything(database, other)
     assert alone[3] == beside[3]
     with database.read() as connection:
         stored = len(connection.execute(select(runs.c.id)).all())
@@ -247,7 +228,7 @@ def test_pause_stops_the_work_and_resume_goes_on_to_the_same_result(tmp_path: Pa
                 campaigns.request_action(connection, campaign.id, "resume")
         while not _get(database, campaign).state.ended:
             working.step()
-        found.append(_everything(database, campaign))
+        found.append(everything(database, campaign))
         database.dispose()
     assert found[0] == found[1]
 

@@ -13,7 +13,7 @@ from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.leasing import StoredLeases
 from drivecal.dispatch.tenure import Tenure
 from drivecal.execution.pool import WorkPool
-from drivecal.storage import campaigns
+from drivecal.storage import campaigns, generations, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.database import Database
 
@@ -73,6 +73,24 @@ def get(database: Database, campaign: StoredCampaign) -> StoredCampaign:
     """A campaign as it is now."""
     with database.read() as connection:
         return campaigns.get(connection, campaign.id)
+
+
+def everything(database: Database, campaign: StoredCampaign) -> tuple[Any, ...]:
+    """All that a campaign found, without what may differ between machines and runs: ids, times, workers, attempts."""
+    with database.read() as connection:
+        rows = list(results.stream(connection, campaign.sequence))
+        figures, _ = generations.page(connection, campaign.sequence, limit=1_000)
+    numbered = {row.id: (row.iteration, row.individual, row.scenario) for row in rows}
+    cells = [
+        (
+            *(row.iteration, row.individual, row.scenario, tuple(row.parameters.values()), row.outcome, row.score),
+            *(row.rating, row.failure, row.audited, row.agrees),
+            None if row.reference is None else numbered.get(row.reference, "earlier"),
+        )
+        for row in rows
+    ]
+    ended = get(database, campaign)
+    return cells, figures, ended.cells, ended.best, ended.error_rate, ended.notes
 
 
 def dispatcher(database: Database, backend: ComputedBackend | None = None) -> Dispatcher:

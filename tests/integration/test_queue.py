@@ -1,0 +1,386 @@
+"""The durable queue: whoever dies when, every cell has one answer, and campaigns end as if nobody had died."""
+
+from __future__ import annotations
+
+import random
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from sqlalchemy import Connection, func, select, text
+from tests.support.computed import ComputedBackend, computed
+from tests.support.runs import dispatcher, everything, get, post_map, submit
+from tests.support.server import new_database
+
+from drivecal.contracts.work import Batch, Cell, CellResult
+from drivecal.dispatch.dispatcher import Dispatcher
+from drivecal.dispatch.leasing import StoredLeases
+from drivecal.dispatch.tenure import Tenure
+from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.errors import SupersededError
+from drivecal.domain.evaluations import Outcome
+from drivecal.execution.backend import Finished, Lost
+from drivecal.execution.measures import MEASURES
+from drivecal.execution.pool import WorkPool
+from drivecal.execution.scheduler import ATTEMPTS
+from drivecal.storage import campaigns, leases
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.database import Database
+from drivecal.storage.tables import evaluations as evaluations_table
+from drivecal.storage.tables import leases as leases_table
+from drivecal.storage.tables import runs
+
+TINY: dict[str, Any] = {
+    "optimizer": {"kind": "genetic", "population": 16, "iterations": 4, "seed": 3},
+    "catalogue": ["S1", "S2"],
+}
+BOLD_MAP = {scenario: {f"P{i}": {"influential": False} for i in range(3, 12)} for scenario in ("S1", "S2")}
+"""It claims so much that even a small campaign reuses, and its audits find something."""
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def databases(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Callable[[], Database]]:
+    """Makes new databases of a kind."""
+    opened: list[Database] = []
+
+    def make() -> Database:
+        folder = tmp_path / str(len(opened))
+        folder.mkdir()
+        database = Database.open(new_database(request, request.param, folder))
+        database.upgrade()
+        opened.append(database)
+        return database
+
+    yield make
+    for database in opened:
+        database.dispose()
+
+
+class Killed(BaseException):
+    """The dispatcher's process is gone."""
+
+
+class Fate:
+    """Kills at one of the next moments that matter."""
+
+    def __init__(self, draw: random.Random) -> None:
+        self._left = draw.randrange(1, draw.choice([40, 90]))
+        self.died_at = ""
+
+    def moment(self, name: str) -> None:
+        self._left -= 1
+        if self._left == 0:
+            self.died_at = name
+            raise Killed(name)
+
+
+class MortalDatabase:
+    """Dies before a transaction begins, before it is committed, and right after."""
+
+    def __init__(self, database: Database, fate: Fate) -> None:
+        self._database = database
+        self._fate = fate
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._database, name)
+
+    @contextmanager
+    def transaction(self) -> Iterator[Connection]:
+        self._fate.moment("before a transaction")
+        with self._database.transaction() as connection:
+            yield connection
+            self._fate.moment("before a commit")
+        self._fate.moment("after a commit")
+
+
+class MortalBackend(ComputedBackend):
+    """Dies between leasing and sending, and between a result and its record."""
+
+    fate: Fate
+
+    def submit(self, worker: str, batch_id: int, batch: Batch, expected_seconds: float | None, *, alone: bool = False) -> None:
+        self.fate.moment("between lease and send")
+        super().submit(worker, batch_id, batch, expected_seconds, alone=alone)
+
+    def wait(self, timeout: float) -> list[Finished | Lost]:
+        events = super().wait(timeout)
+        if events:
+            self.fate.moment("between result and record")
+        return events
+
+
+def mortal(database: Database, seed: int, fate: Fate) -> Dispatcher:
+    own: Any = MortalDatabase(database.fenced(Tenure.begin(database).fence), fate)
+    backend = MortalBackend(seed)
+    backend.fate = fate
+    ticks = iter(range(10**9))
+    return Dispatcher(own, WorkPool(backend, StoredLeases(own)), clock=lambda: float(next(ticks)))
+
+
+def finish(database: Database, campaign: StoredCampaign, working: Dispatcher, steps: int = 3_000) -> StoredCampaign:
+    for _ in range(steps):
+        if (found := get(database, campaign)).state.ended:
+            return found
+        working.step()
+    raise AssertionError("the campaign did not end")
+
+
+def leased(database: Database) -> int:
+    with database.read() as connection:
+        return connection.scalar(select(func.count()).select_from(leases_table)) or 0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_dispatcher_killed_at_any_moment_changes_no_result_and_answers_nothing_twice(
+    databases: Callable[[], Database], seed: int
+) -> None:
+    draw = random.Random(seed)
+    found, deaths = [], Counter[str]()
+    for kills in (False, True):
+        database = databases()
+        campaign = submit(database, stored_map=post_map(database, BOLD_MAP), reduction={"audit": 0.2}, **TINY)
+        if not kills:
+            finish(database, campaign, dispatcher(database))
+        while not get(database, campaign).state.ended:
+            fate = Fate(draw)
+            try:
+                finish(database, campaign, mortal(database, draw.randrange(99), fate))
+            except Killed:
+                deaths[fate.died_at] += 1
+        assert leased(database) == 0
+        with database.read() as connection:
+            simulated = connection.scalar(
+                select(func.count()).where(evaluations_table.c.worker.is_not(None), evaluations_table.c.outcome == "simulated")
+            )
+            stored = connection.scalar(select(func.count()).select_from(runs))
+        assert simulated == stored == get(database, campaign).cells.simulated
+        found.append(everything(database, campaign))
+    assert found[0] == found[1]
+    assert sum(deaths.values()) > 3
+    assert len(deaths) > 1
+    assert found[0][2].reused > 0
+
+
+def test_a_dispatcher_that_comes_back_after_another_was_elected_writes_nothing(databases: Callable[[], Database]) -> None:
+    database = databases()
+    campaign = submit(database, **TINY)
+    asleep = dispatcher(database)
+    for _ in range(5):
+        asleep.step()
+    awake = dispatcher(database)
+    awake.step()
+    before = get(database, campaign)
+    for _ in range(3):  # its look, its progress, its results, its leases: whatever it comes to first
+        with pytest.raises(SupersededError):
+            asleep.step()
+        with pytest.raises(SupersededError):
+            asleep._advance(next(iter(asleep._active.values())))
+    assert get(database, campaign) == before
+    assert finish(database, campaign, awake).state is CampaignState.SUCCEEDED
+
+
+class Poisoned:
+    """One cell that no worker survives; counts how often it was tried."""
+
+    def __init__(self) -> None:
+        self.tried = 0
+
+    def __call__(self, scenario: str, cell: Cell) -> CellResult:
+        if scenario == "S2" and cell.parameters["P1"] == 1.0:
+            self.tried += cell.id == self.first(cell.id)
+            return CellResult(cell.id, None, None, {}, None, 1.0, "crash", "segmentation fault\0\ud800")
+        return computed(scenario, cell)
+
+    _first: int | None = None
+
+    def first(self, cell: int) -> int:
+        self._first = cell if self._first is None else self._first
+        return self._first
+
+
+def test_a_poison_cell_has_three_attempts_however_many_dispatchers_it_sees(databases: Callable[[], Database]) -> None:
+    database = databases()
+    campaign = submit(database, **TINY)
+    poison = Poisoned()
+    for life in range(ATTEMPTS - 1):
+        working = dispatcher(database, ComputedBackend(life, poison))
+        while poison.tried == life:
+            working.step()
+    ended = finish(database, campaign, dispatcher(database, ComputedBackend(answer=poison)))
+    assert ended.state is CampaignState.SUCCEEDED
+    assert poison.tried == ATTEMPTS
+    with database.read() as connection:
+        [row] = connection.execute(select(evaluations_table).where(evaluations_table.c.id == poison.first(0)))
+    assert (row.outcome, row.failure, row.attempts, row.score) == (Outcome.FAILED, "crash", ATTEMPTS, None)
+    assert row.detail == "segmentation fault\ufffd?"
+
+
+class Silent(ComputedBackend):
+    """Its workers never answer."""
+
+    def wait(self, timeout: float) -> list[Finished | Lost]:
+        del timeout
+        return []
+
+
+def test_the_death_of_a_dispatcher_is_no_attempt_of_the_cells_at_its_workers(database: Database) -> None:
+    campaign = submit(database, **TINY)
+    for _ in range(5):
+        backend = Silent()
+        working = dispatcher(database, backend)
+        for _ in range(4):
+            working.step()
+        assert backend.sent
+    ended = finish(database, campaign, dispatcher(database))
+    assert ended.cells.failed == 0
+    with database.read() as connection:
+        attempts = connection.scalars(select(evaluations_table.c.attempts).where(evaluations_table.c.outcome == "simulated"))
+        assert set(attempts) == {1}
+
+
+def test_a_result_whose_lease_was_lost_changes_nothing_and_the_cell_is_simulated_again(database: Database) -> None:
+    campaign = submit(database, **TINY)
+    working = dispatcher(database)
+    while not leased(database):
+        working.step()
+    with database.transaction() as connection:  # as another holder would
+        ids = list(connection.scalars(select(leases_table.c.evaluation_id)))
+        leases.give_back(connection, dict.fromkeys(ids, 0))
+        taken = leases.take(connection, dict.fromkeys(ids, 0), 0.0)
+    assert set(taken.values()) == {2}
+    late = MEASURES.snapshot()["counts"]["late_results"][""]
+    ended = finish(database, campaign, working)
+    assert MEASURES.snapshot()["counts"]["late_results"][""] - late == len(ids)
+    assert ended.state is CampaignState.SUCCEEDED
+    assert leased(database) == 0
+
+
+def test_a_cell_that_somebody_else_answered_is_taken_from_the_rows(database: Database) -> None:
+    campaign = submit(database, **TINY)
+    held = Silent()
+    working = dispatcher(database, held)
+    for _ in range(4):
+        working.step()
+    with database.transaction() as connection:
+        waiting = text(
+            "UPDATE evaluations SET outcome = 'failed', failure = 'crash' WHERE id = (SELECT max(id) FROM evaluations)"
+        )
+        connection.execute(waiting)
+    type(held).wait = ComputedBackend.wait  # type: ignore[method-assign]
+    try:
+        ended = finish(database, campaign, working)
+    finally:
+        del type(held).wait
+    assert ended.state is CampaignState.SUCCEEDED
+
+
+def _states(database: Database, submitted: Sequence[StoredCampaign]) -> list[str]:
+    return [get(database, one).state.value for one in submitted]
+
+
+def test_campaigns_start_by_priority_then_age_and_only_so_many_run(database: Database) -> None:
+    submitted = []
+    for priority in (0, 0, 5, 9):
+        specification = submit(database, **TINY).spec
+        with database.transaction() as connection:
+            submitted.append(campaigns.insert(connection, name="test", spec=specification, priority=priority))
+    with database.transaction() as connection:
+        connection.execute(
+            text(
+                "UPDATE campaigns SET state = 'cancelled', ended_at = created_at WHERE priority = 0 AND id <> :a AND id <> :b"
+            ),
+            {"a": submitted[0].id, "b": submitted[1].id},
+        )
+    own = database.fenced(Tenure.begin(database).fence)
+    ticks = iter(range(10**9))
+
+    def limited(most: int) -> Dispatcher:
+        pool = WorkPool(Silent(), StoredLeases(own))
+        return Dispatcher(own, pool, running_campaigns=most, clock=lambda: float(next(ticks)))
+
+    working = limited(2)
+    for _ in range(3):
+        working.step()
+    assert _states(database, submitted) == ["queued", "queued", "running", "running"]
+    with database.transaction() as connection:
+        campaigns.request_action(connection, submitted[3].id, "pause")
+        connection.execute(
+            text("UPDATE campaigns SET state = 'succeeded', ended_at = created_at WHERE id = :id"), {"id": submitted[2].id}
+        )
+    fresh = limited(2)
+    for _ in range(5):
+        fresh.step()
+    assert _states(database, submitted) == ["running", "running", "succeeded", "paused"]
+    with database.transaction() as connection:
+        campaigns.request_action(connection, submitted[3].id, "resume")
+    for _ in range(3):
+        fresh.step()
+    assert _states(database, submitted)[3] == "paused", "there is no room for it yet"
+    more = limited(1)
+    for _ in range(3):
+        more.step()
+    assert _states(database, submitted)[:2] == ["running", "running"], "they ran before the restart"
+
+
+def test_a_campaign_whose_rows_are_damaged_fails_alone(databases: Callable[[], Database]) -> None:
+    database = databases()
+    before, during, sound = (submit(database, **TINY) for _ in range(3))
+    with database.transaction() as connection:
+        campaigns.start(connection, during.sequence)
+        damage = text('UPDATE campaigns SET cells = \'{"proposed": "many"}\' WHERE sequence < :sequence')
+        connection.execute(damage, {"sequence": sound.sequence})
+    assert finish(database, sound, dispatcher(database)).state is CampaignState.SUCCEEDED
+    with database.read() as connection:
+        rows = connection.execute(
+            text("SELECT state, error FROM campaigns WHERE sequence < :sequence"), {"sequence": sound.sequence}
+        )
+        found = {(row.state, (row.error or "").partition(":")[0]) for row in rows}
+    assert found == {("failed", "internal error")}
+    assert before.sequence < sound.sequence
+
+
+def _both(database: Database, **changes: Any) -> tuple[ComputedBackend, list[StoredCampaign]]:
+    both = [submit(database, **TINY, **changes) for _ in range(2)]
+    backend = ComputedBackend()
+    working = dispatcher(database, backend)
+    return backend, [finish(database, one, working) for one in both]
+
+
+def test_identical_cells_of_parallel_campaigns_are_simulated_once_and_counted_once(tmp_path: Path) -> None:
+    found: Mapping[str, Any] = {}
+    for name in ("alone", "both"):
+        database = Database.open(f"sqlite:///{tmp_path / name}.db")
+        database.upgrade()
+        if name == "alone":
+            campaign = submit(database, **TINY)
+            finish(database, campaign, dispatcher(database))
+            found = {"cells": everything(database, campaign)[0], "seconds": get(database, campaign).simulating_seconds}
+            continue
+        backend, ended = _both(database)
+        assert len(backend.sent) == len(set(backend.sent))
+        for one in ended:
+            assert everything(database, one)[0] == found["cells"]
+        assert sum(one.simulating_seconds for one in ended) == pytest.approx(found["seconds"])
+        with database.read() as connection:
+            row = evaluations_table.c
+            shared = select(func.count()).where(row.outcome == "simulated", row.worker.is_(None), row.milliseconds.is_(None))
+            assert connection.scalar(shared) == sum(one.cells.simulated for one in ended) - len(backend.sent)
+        database.dispose()
+
+
+def test_without_reduction_every_campaign_simulates_its_own_cells(database: Database) -> None:
+    backend, ended = _both(database, reduction={"mode": "off"})
+    assert len(backend.sent) == sum(one.cells.simulated for one in ended) == 2 * ended[0].cells.simulated
+    assert all(one.cells.unrepeatable == 0 for one in ended)
+
+
+def test_old_events_are_forgotten_while_the_dispatcher_works(database: Database) -> None:
+    campaign = submit(database, **TINY)
+    with database.transaction() as connection:
+        connection.execute(text("UPDATE events SET created_at = '2001-01-01 00:00:00.000000'"))
+    finish(database, campaign, dispatcher(database))
+    with database.read() as connection:
+        assert connection.scalar(text("SELECT min(created_at) FROM events")) > "2002"
