@@ -24,18 +24,21 @@ class SetupRequest:
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """One parameter set to simulate: `parameters` by name; `id` is the dispatcher's own."""
+    """One parameter set to simulate: `parameters` by name; `id` is the dispatcher's own. `check`: simulate it even where a certificate
+    answers it, and say whether both agree."""
 
     id: int
     parameters: Mapping[str, float]
+    check: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """Cells of one setup, sized so that they take 50 to 500 ms."""
+    """Cells of one setup, sized so that they take 50 to 500 ms. `certify`: a cell may be answered by a run that it provably repeats."""
 
     setup: SetupRequest
     cells: tuple[Cell, ...]
+    certify: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +54,11 @@ class CellResult:
     """CPU time of the worker."""
     breakdown: str | None = None
     detail: str | None = None
+    proven_by: int | None = None
+    """The cell whose run it would repeat, bit for bit; its result stands here without a simulation, unless `agrees` says otherwise."""
+    agrees: bool | None = None
+    """Of a cell that was certified and simulated all the same: whether both are the same. False without `proven_by`: the simulation of
+    this setup turned out not to be deterministic."""
 
 
 @dataclass(frozen=True, slots=True)

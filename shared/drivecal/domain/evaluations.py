@@ -62,6 +62,17 @@ class RunResult:
 
 
 @dataclass(frozen=True, slots=True)
+class Answered:
+    """A result. `proven_by`: the number of the run that it provably repeats, where there is one; it was not simulated then, unless
+    `agrees` says whether the simulation gave the same. `agrees` is False without `proven_by` where the simulation turned out not to be
+    deterministic."""
+
+    result: RunResult
+    proven_by: int | None = None
+    agrees: bool | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Donor:
     """A stored, simulated result: the evaluation that simulated it and what it gave."""
 

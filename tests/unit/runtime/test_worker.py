@@ -3,7 +3,7 @@ from __future__ import annotations
 import os
 import pickle
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +11,11 @@ import pytest
 
 from drivecal.contracts.work import Batch, Cell, CellResult, SetupRequest
 from drivecal.domain.errors import ConflictError, UnavailableError
-from drivecal.domain.evaluations import Failure, Rating, RunResult
+from drivecal.domain.evaluations import Answered, Failure, Rating, RunResult
 from drivecal.plugins import registry
 from drivecal.plugins.setups import setup_of, simulator
 from drivecal.runtime import compilation
-from drivecal.runtime.worker import LONGEST_DETAIL, MOST_RUNNERS, Worker
+from drivecal.runtime.worker import LONGEST_DETAIL, MOST_REMEMBERING, MOST_RUNNERS, Worker
 
 SETUP = SetupRequest("highway", "S1", "frenet", "single_track", {}, "reference", "a fingerprint")
 
@@ -29,8 +29,31 @@ class ForeignError(Exception):
 
 @dataclass
 class ScriptedRunner:
+    """Certifies what has the same `b` as a run before; disagrees with itself for a = 7, and is not deterministic for a = 8."""
+
     parameters: Sequence[str] = ("a", "b")
     runs: int = 0
+    known: dict[float, tuple[int, RunResult]] = field(default_factory=dict)
+
+    def answer(self, parameters: Sequence[float], number: int, *, check: bool) -> Answered:
+        first, second = parameters
+        if second in self.known and not check:
+            by, result = self.known[second]
+            return Answered(result, by)
+        result = self.run(parameters)
+        if first == 8.0:
+            return Answered(result, agrees=False)
+        if second in self.known:
+            return Answered(result, self.known[second][0], first != 7.0)
+        self.known[second] = number, result
+        return Answered(result)
+
+    def forget(self) -> None:
+        self.known.clear()
+
+    @property
+    def remembers(self) -> bool:
+        return bool(self.known)
 
     def trace(self, parameters: Sequence[float]) -> dict[str, Any]:
         raise NotImplementedError
@@ -225,3 +248,49 @@ def test_numba_gets_a_folder_of_its_own_only_where_it_would_find_none(tmp_path: 
     made = Path(os.environ["NUMBA_CACHE_DIR"])
     assert made.is_dir()
     made.rmdir()
+
+
+def certified(worker: Worker, *cells: Cell, setup: SetupRequest = SETUP) -> tuple[CellResult, ...]:
+    return worker.run(Batch(setup, cells, certify=True)).results
+
+
+def test_a_certified_cell_names_the_cell_whose_run_it_repeats() -> None:
+    worker = Worker("w", lambda _: ScriptedRunner())
+    first, again, other = certified(
+        worker, Cell(7, {"a": 0.0, "b": 3.0}), Cell(8, {"a": 0.5, "b": 3.0}), Cell(9, {"a": 0.0, "b": 4.0})
+    )
+    assert [(one.proven_by, one.agrees) for one in (first, again, other)] == [(None, None), (7, None), (None, None)]
+    assert (again.rating, again.score, again.metrics) == (first.rating, first.score, first.metrics)
+    assert again.breakdown is None
+
+
+def test_a_certified_cell_that_is_checked_is_simulated_and_says_whether_both_agree() -> None:
+    worker = Worker("w", lambda _: ScriptedRunner())
+    certified(worker, Cell(1, {"a": 0.0, "b": 3.0}))
+    good, bad, chaotic = certified(
+        worker,
+        Cell(2, {"a": 0.0, "b": 3.0}, check=True),
+        Cell(3, {"a": 7.0, "b": 3.0}, check=True),
+        Cell(4, {"a": 8.0, "b": 5.0}),
+    )
+    assert [(one.proven_by, one.agrees) for one in (good, bad, chaotic)] == [(1, True), (1, False), (None, False)]
+    assert good.metrics["runs"] == 2
+
+
+def test_without_leave_nothing_is_certified() -> None:
+    worker = Worker("w", lambda _: ScriptedRunner())
+    assert [one.metrics["runs"] for one in run(worker, (0.0, 3.0), (0.0, 3.0))] == [1, 2]
+
+
+def test_only_so_many_setups_keep_what_certificates_need() -> None:
+    runners: dict[str, ScriptedRunner] = {}
+
+    def make(setup: SetupRequest) -> ScriptedRunner:
+        return runners.setdefault(setup.run_fingerprint, ScriptedRunner())
+
+    worker = Worker("w", make)
+    for number in range(MOST_REMEMBERING + 3):
+        certified(worker, Cell(number, {"a": 0.0, "b": 1.0}), setup=replace(SETUP, run_fingerprint=f"setup {number}"))
+    assert [runner.remembers for runner in runners.values()] == [False] * 3 + [True] * MOST_REMEMBERING
+    again = certified(worker, Cell(99, {"a": 0.0, "b": 1.0}), setup=replace(SETUP, run_fingerprint="setup 3"))
+    assert again[0].proven_by == 3

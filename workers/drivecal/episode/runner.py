@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from drivecal.comfort.metrics import comfort_metrics
-from drivecal.domain.evaluations import FAILED_RATING, Failure, RunResult
+from drivecal.domain.evaluations import FAILED_RATING, Failure, Rating, RunResult
 from drivecal.domain.scenarios import Scenario
 from drivecal.episode.loop import ClosedLoop, Drive
 from drivecal.episode.task import fulfilled, speed_errors, target_offsets
 from drivecal.episode.trace import Recorder, Trace
-from drivecal.plugins.ports import DrivingFunction, Evaluator, VehicleModel
+from drivecal.plugins.ports import DrivingFunction, Evaluator, Planner, SelfMeasuring, Series, SeriesEvaluator, VehicleModel
 from drivecal.traffic.simulation import simulation
 
 
@@ -26,15 +26,16 @@ class Runner:
     ) -> None:
         """`vehicle`: as from `Vehicle.create`; runners must not share one."""
         self._scenario = scenario
-        self._evaluator = evaluator
-        self._loop = ClosedLoop(scenario, driving_function.create(scenario), vehicle, simulation())
+        self._evaluator, self._vehicle = evaluator, vehicle
+        self.planner = driving_function.create(scenario)
+        self._loop = ClosedLoop(scenario, self.planner, vehicle, simulation())
 
-    def run(self, parameters: Sequence[float]) -> RunResult:
-        """One run with these parameter values, in the order of the driving function's parameters.
+    def run(self, parameters: Sequence[float], planner: Planner | None = None) -> RunResult:
+        """One run with these parameter values, in the order of the driving function's parameters; `planner` plans in place of its own.
 
         Raises SimulationError where SUMO fails: that is no result, unlike a `failure` of the driving function.
         """
-        return self._result(self._loop.drive(parameters))
+        return self._result(self._loop.drive(parameters, planner=planner))
 
     def trace(self, parameters: Sequence[float]) -> Trace:
         """The same run with its time series."""
@@ -44,13 +45,20 @@ class Runner:
 
     def _result(self, drive: Drive) -> RunResult:
         offsets = target_offsets(drive.motion, self._scenario)
-        metrics = comfort_metrics(drive.dynamics, offsets[1:]) | {
+        series = Series(drive.dynamics, offsets[1:])
+        metrics = comfort_metrics(series.dynamics, series.offset) | {
             "driven_s": (len(drive.motion) - 1) * self._scenario.step,
             "final_offset_m": offsets.item(-1),
             "final_speed_error_mps": speed_errors(drive.motion[-1:], self._scenario).item(),
         }
+        if isinstance(self._vehicle, SelfMeasuring):
+            metrics |= self._vehicle.metrics
         failure = drive.failure
         if failure is None and not fulfilled(drive.motion, self._scenario):
             failure = Failure.TASK_MISSED
-        rating = FAILED_RATING if failure else self._evaluator.rate(self._scenario.manoeuvre, metrics)
-        return RunResult(rating, metrics, failure)
+        return RunResult(FAILED_RATING if failure else self._rating(metrics, series), metrics, failure)
+
+    def _rating(self, metrics: Mapping[str, float], series: Series) -> Rating:
+        if isinstance(self._evaluator, SeriesEvaluator):
+            return self._evaluator.rate_series(self._scenario.manoeuvre, series)
+        return self._evaluator.rate(self._scenario.manoeuvre, metrics)

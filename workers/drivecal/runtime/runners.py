@@ -8,8 +8,8 @@ from importlib import import_module
 from typing import Any, Protocol
 
 from drivecal.contracts.work import SetupRequest
-from drivecal.domain.errors import ConflictError, DrivecalError, InvalidInputError, Problem
-from drivecal.domain.evaluations import RunResult
+from drivecal.domain.errors import ConflictError, DrivecalError, InvalidInputError, Problem, UnavailableError
+from drivecal.domain.evaluations import Answered, RunResult
 from drivecal.domain.scenarios import Scenario
 from drivecal.domain.setups import Setup
 from drivecal.plugins import registry
@@ -31,6 +31,17 @@ class Runner(Protocol):
     def run(self, parameters: Sequence[float]) -> RunResult:
         """One run."""
 
+    def answer(self, parameters: Sequence[float], number: int, *, check: bool) -> Answered:
+        """As `run`, or without one where it would provably repeat an earlier one; `number`: under which it is known to later ones;
+        `check`: simulated in any case."""
+
+    def forget(self) -> None:
+        """Gives the memory back that it keeps for certificates."""
+
+    @property
+    def remembers(self) -> bool:
+        """Whether it keeps any."""
+
     def trace(self, parameters: Sequence[float]) -> dict[str, Any]:
         """The same run with its time series, as plain data."""
 
@@ -45,7 +56,7 @@ class _Installed:
 
 class _EpisodeRunner:
     def __init__(self, request: SetupRequest, installed: _Installed) -> None:
-        from drivecal.episode.runner import Runner as Episode  # libsumo and numba, in workers only
+        from drivecal.episode.certified import CertifiedRunner as Episode  # libsumo and numba, in workers only
 
         self.parameters = tuple(parameter.name for parameter in next(iter(installed.function.spaces.values())))
         model = installed.vehicle.create(request.vehicle_parameters)
@@ -53,6 +64,16 @@ class _EpisodeRunner:
 
     def run(self, parameters: Sequence[float]) -> RunResult:
         return self._episode.run(parameters)
+
+    def answer(self, parameters: Sequence[float], number: int, *, check: bool) -> Answered:
+        return self._episode.answer(parameters, number, check=check)
+
+    def forget(self) -> None:
+        self._episode.forget()
+
+    @property
+    def remembers(self) -> bool:
+        return self._episode.remembers
 
     def trace(self, parameters: Sequence[float]) -> dict[str, Any]:
         return self._episode.trace(parameters).to_json()
@@ -62,7 +83,8 @@ def make_runner(request: SetupRequest) -> Runner:
     """The runner of a setup.
 
     Raises RefusedError where a plug-in or the simulator is not usable here, or is another version than the coordinator's (results of
-    both must not mix). What the plug-ins raise while they are put together goes through: another worker's would raise it, too.
+    both must not mix), or lacks what it was shipped with. What else the plug-ins raise while they are put together goes through: another
+    worker's would raise it, too.
     """
     try:
         installed = _find(request)
@@ -70,7 +92,10 @@ def make_runner(request: SetupRequest) -> Runner:
         raise RefusedError(str(error)) from error
     except Exception as error:  # what a package may raise that is installed badly
         raise RefusedError(f"a plug-in cannot be loaded: {type(error).__name__}: {error}") from error
-    return _EpisodeRunner(request, installed)
+    try:
+        return _EpisodeRunner(request, installed)
+    except UnavailableError as error:
+        raise RefusedError(str(error)) from error
 
 
 def _find(request: SetupRequest) -> _Installed:

@@ -15,12 +15,14 @@ from typing import Any
 
 from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult, SetupRequest
 from drivecal.domain.errors import ConflictError, DrivecalError, UnavailableError
-from drivecal.domain.evaluations import Breakdown
+from drivecal.domain.evaluations import Answered, Breakdown
 from drivecal.runtime.compilation import prepare_cache
 from drivecal.runtime.runners import RefusedError, Runner, make_runner
 
 MOST_RUNNERS = 32
 """Runners kept at a time; the least recently used goes first. Studies of vehicle parameters go through hundreds of setups."""
+MOST_REMEMBERING = 6
+"""Of these, how many keep what certificates need, the most recently used: half a gigabyte or less."""
 LONGEST_DETAIL = 500
 """Characters."""
 
@@ -60,7 +62,7 @@ class Worker:
         results: tuple[CellResult, ...] = ()
         refusal = None
         try:
-            results = tuple(self._run_cell(batch.setup, cell) for cell in batch.cells)
+            results = tuple(self._run_cell(batch.setup, cell, certify=batch.certify) for cell in batch.cells)
         except RefusedError as error:
             refusal = describe(error)
         return BatchResult(self._name, results, time.perf_counter() - start, refusal)
@@ -74,15 +76,25 @@ class Worker:
             self._runners.pop(_key(setup), None)
             raise ConflictError(describe(error)) from None
 
-    def _run_cell(self, setup: SetupRequest, cell: Cell) -> CellResult:
+    def _run_cell(self, setup: SetupRequest, cell: Cell, *, certify: bool) -> CellResult:
         start = time.thread_time_ns()
         try:
             runner = self._runner(setup)
-            result = runner.run([cell.parameters[name] for name in runner.parameters])
-            rating = _finite("the rating", result.rating.rating)
-            metrics = {name: _finite(name, value) for name, value in result.metrics.items()}
-            failure = result.failure.value if result.failure else None
-            return CellResult(cell.id, rating, int(result.rating.score), metrics, failure, _milliseconds(start))
+            parameters = [cell.parameters[name] for name in runner.parameters]
+            done = runner.answer(parameters, cell.id, check=cell.check) if certify else Answered(runner.run(parameters))
+            rating = _finite("the rating", done.result.rating.rating)
+            metrics = {name: _finite(name, value) for name, value in done.result.metrics.items()}
+            failure = done.result.failure.value if done.result.failure else None
+            return CellResult(
+                id=cell.id,
+                rating=rating,
+                score=int(done.result.rating.score),
+                metrics=metrics,
+                failure=failure,
+                milliseconds=_milliseconds(start),
+                proven_by=done.proven_by,
+                agrees=done.agrees,
+            )
         except RefusedError:
             raise
         except MemoryError as error:
@@ -97,6 +109,9 @@ class Worker:
             if len(self._runners) > MOST_RUNNERS:
                 self._runners.popitem(last=False)
         self._runners.move_to_end(key)
+        remembering = [runner for runner in self._runners.values() if runner.remembers]
+        for runner in remembering[: -MOST_REMEMBERING if self._runners[key].remembers else 1 - MOST_REMEMBERING]:
+            runner.forget()
         return self._runners[key]
 
     def _broken(self, setup: SetupRequest, cell: Cell, cause: Breakdown, error: BaseException, start: int) -> CellResult:

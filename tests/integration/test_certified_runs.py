@@ -1,0 +1,79 @@
+"""Certificates of the built-in planner in real SUMO runs: what is proved is what a simulation gives, bit for bit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from drivecal.comfort.plugin import REFERENCE
+from drivecal.domain.evaluations import RunResult
+from drivecal.episode.certified import CertifiedRunner
+from drivecal.episode.runner import Runner
+from drivecal.planner.plugin import FRENET
+from drivecal.planner.spaces import HIGHWAY as SPACE
+from drivecal.scenarios.plugin import HIGHWAY
+from drivecal.vehicle.plugin import SINGLE_TRACK
+
+NOMINAL = {one.name: one.nominal for one in SINGLE_TRACK.parameters}
+GRIDS = [[float(parameter.value(index)) for index in range(parameter.n_values)] for parameter in SPACE]
+
+
+def sets(seed: int, families: int, members: int) -> list[list[float]]:
+    """Families as a genetic algorithm breeds them: members share most values with the first."""
+    generator = np.random.default_rng(seed)
+    found = []
+    for _ in range(families):
+        parent = [float(generator.choice(grid)) for grid in GRIDS]
+        for _ in range(members):
+            child = list(parent)
+            for place in generator.choice(len(GRIDS), size=2, replace=False).tolist():
+                child[place] = float(generator.choice(GRIDS[place]))
+            found.append(child)
+    return found
+
+
+def runner(name: str, room: int = 20_000) -> CertifiedRunner:
+    return CertifiedRunner(HIGHWAY.scenarios[name], FRENET, SINGLE_TRACK.create(NOMINAL), REFERENCE, room)
+
+
+@pytest.mark.parametrize("name", list(HIGHWAY.scenarios))
+def test_what_is_certified_is_what_a_simulation_gives_bit_for_bit(name: str) -> None:
+    certifying = runner(name)
+    judge = Runner(HIGHWAY.scenarios[name], FRENET, SINGLE_TRACK.create(NOMINAL), REFERENCE)
+    simulated: dict[int, RunResult] = {}
+    proved = 0
+    for number, parameters in enumerate(sets(seed=4, families=4, members=30)):
+        answered = certifying.answer(parameters, number, check=False)
+        truth = judge.run(parameters)
+        assert answered.result == truth
+        if answered.proven_by is None:
+            simulated[number] = truth
+        else:
+            proved += 1
+            assert simulated[answered.proven_by] == truth
+    assert proved >= 5
+
+
+def test_a_check_simulates_and_compares() -> None:
+    certifying = runner("S5")
+    parameters = sets(seed=1, families=1, members=1)[0]
+    assert certifying.answer(parameters, 1, check=True).proven_by is None
+    checked = certifying.answer(parameters, 2, check=True)
+    assert (checked.proven_by, checked.agrees) == (1, True)
+
+
+def test_what_is_forgotten_is_simulated_again() -> None:
+    certifying = runner("S5")
+    parameters = sets(seed=1, families=1, members=1)[0]
+    certifying.answer(parameters, 1, check=False)
+    before = certifying.remembers
+    certifying.forget()
+    assert (before, certifying.remembers) == (True, False)
+    assert certifying.answer(parameters, 2, check=False).proven_by is None
+
+
+def test_a_small_memory_forgets_and_stays_right() -> None:
+    certifying = runner("S3", room=450)
+    judge = Runner(HIGHWAY.scenarios["S3"], FRENET, SINGLE_TRACK.create(NOMINAL), REFERENCE)
+    for number, parameters in enumerate(sets(seed=9, families=3, members=12)):
+        assert certifying.answer(parameters, number, check=False).result == judge.run(parameters)

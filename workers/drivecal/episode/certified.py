@@ -1,0 +1,62 @@
+"""Runs that are answered by a certificate where there is one, and simulated where there is none."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from drivecal.certification.trie import NotDeterministicError, Trie
+from drivecal.domain.evaluations import Answered, RunResult
+from drivecal.domain.scenarios import Scenario
+from drivecal.episode.runner import Runner
+from drivecal.plugins.ports import DrivingFunction, Evaluator, VehicleModel
+
+ROOM = 60_000
+"""Planning states that are kept of one scenario: 60 to 180 MB where all of it is used."""
+
+
+class CertifiedRunner(Runner):
+    """A runner that remembers decisions where its driving function can be certified."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        driving_function: DrivingFunction,
+        vehicle: VehicleModel,
+        evaluator: Evaluator,
+        room: int = ROOM,
+    ) -> None:
+        """See `Runner`; `room`: planning states."""
+        super().__init__(scenario, driving_function, vehicle, evaluator)
+        self._certifiable = driving_function.certifiable
+        self._room = room
+        self._trie: Trie[RunResult] | None = None
+
+    def answer(self, parameters: Sequence[float], number: int, *, check: bool) -> Answered:
+        """The result for these parameter values, by a certificate where there is one. A run that is simulated may certify others, as
+        number `number`. `check`: simulated in any case. Raises as `run`."""
+        if not self._certifiable:
+            return Answered(self.run(parameters))
+        if self._trie is None:
+            planner: Any = self.planner  # a driving function that is `certifiable` makes `CertifiablePlanner`s
+            self._trie = Trie(planner, self._room)
+        proof = self._trie.prove(parameters)
+        if proof is not None and not check:
+            return Answered(proof.result, proof.proven_by)
+        recording = self._trie.record()
+        try:
+            result = self.run(parameters, recording)
+        except NotDeterministicError:
+            self.forget()
+            return Answered(self.run(parameters), agrees=False)
+        recording.finish(result, number)
+        return Answered(result) if proof is None else Answered(result, proof.proven_by, result == proof.result)
+
+    def forget(self) -> None:
+        """Gives the memory back; what comes is simulated again."""
+        self._trie = None
+
+    @property
+    def remembers(self) -> bool:
+        """Whether it holds decisions."""
+        return self._trie is not None
