@@ -10,6 +10,9 @@ from tests.support.fake_backend import FakeBackend
 
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.dispatch.dispatcher import Dispatcher
+from drivecal.dispatch.leasing import StoredLeases
+from drivecal.dispatch.pulse import Pulse
+from drivecal.dispatch.tenure import Tenure
 from drivecal.domain.campaigns import CampaignState
 from drivecal.execution.pool import WorkPool
 from drivecal.storage import campaigns, processes
@@ -34,9 +37,19 @@ def _submit(database: Database) -> StoredCampaign:
         return campaigns.insert(connection, name="test", spec=specification.model_dump(mode="json"), influence_map_id=None)
 
 
-def _dispatcher(database: Database, backend: FakeBackend) -> Dispatcher:
-    ticks = iter(range(10**9))
-    return Dispatcher(database, WorkPool(backend, clock=lambda: backend.now), clock=lambda: float(next(ticks)))
+class _Beating(Dispatcher):
+    """Its pulse beats with every step."""
+
+    def __init__(self, database: Database, backend: FakeBackend) -> None:
+        tenure = Tenure.begin(database)
+        own, ticks = database.fenced(tenure.fence), iter(range(10**9))
+        self.pulse = Pulse(own, tenure)
+        pool = WorkPool(backend, StoredLeases(own), clock=lambda: backend.now)
+        super().__init__(own, pool, self.pulse.tell, clock=lambda: float(next(ticks)))
+
+    def step(self) -> None:
+        super().step()
+        self.pulse.beat()
 
 
 def _get(database: Database, campaign: StoredCampaign) -> StoredCampaign:
@@ -55,7 +68,7 @@ def _finish(database: Database, campaign: StoredCampaign, dispatcher: Dispatcher
 def test_a_campaign_waits_and_says_why_while_every_worker_has_another_version(database: Database) -> None:
     campaign = _submit(database)
     backend = FakeBackend(2, refusing={1: REASON, 2: REASON})
-    dispatcher = _dispatcher(database, backend)
+    dispatcher = _Beating(database, backend)
     for _ in range(400):  # tenths of a second: longer than it takes until refusing workers are replaced
         dispatcher.step()
     assert backend.replaced
@@ -76,7 +89,7 @@ def test_a_campaign_waits_and_says_why_while_every_worker_has_another_version(da
 def test_a_bad_worker_among_good_ones_costs_a_campaign_no_cell(database: Database) -> None:
     campaign = _submit(database)
     backend = FakeBackend(4, bad={1})
-    ended = _finish(database, campaign, _dispatcher(database, backend))
+    ended = _finish(database, campaign, _Beating(database, backend))
     assert (ended.state, ended.cells.failed) == (CampaignState.SUCCEEDED, 0)
     assert ended.cells.simulated > 50
     assert backend.replaced
