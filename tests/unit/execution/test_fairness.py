@@ -92,6 +92,31 @@ def test_who_comes_when_nothing_waits_is_level_with_those_who_come_back() -> Non
     assert plant.given["old"] - before["old"] == pytest.approx(20.0, abs=3 * TARGET)
 
 
+def test_a_follower_that_has_to_wait_for_itself_starts_level_too() -> None:
+    scheduler = Scheduler(BatchPolicy())
+    scheduler.meet(["w", "v"])
+    scheduler.add(setup(), cells(100), "old", 0)
+    for _ in range(50):
+        sent = scheduler.next_batch("w", idle=True)
+        assert sent is not None
+        scheduler.finished(sent.batch_id, answers(sent, 1.0))
+    scheduler.add(setup("S2"), cells(1, first=1001), "leads", 0)
+    while ids(sent := scheduler.next_batch("w", idle=True)) != [1001]:
+        assert sent is not None
+        scheduler.finished(sent.batch_id, answers(sent, 1.0))
+    assert sent is not None
+    scheduler.add(setup("S2"), cells(1, 2001, [1001.0]), "follows", 0)
+    assert scheduler.drop(sent.batch_id, {1001}) is None
+    scheduler.add(setup("S2"), cells(100, first=2002), "follows", 0)
+    order = []
+    for _ in range(10):
+        sent = scheduler.next_batch("w", idle=True)
+        assert sent is not None
+        order.append(sent.batch.setup.scenario)
+        scheduler.finished(sent.batch_id, answers(sent, 1.0))
+    assert Counter(order) == {"S1": 5, "S2": 5}
+
+
 def test_a_campaign_whose_cells_hang_pays_for_the_time_that_they_take() -> None:
     scheduler = Scheduler(BatchPolicy())
     scheduler.meet(["w"])
