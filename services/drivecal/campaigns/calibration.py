@@ -106,6 +106,7 @@ class Calibration:
         with self._database.transaction() as connection:
             work = self._ledger.record(connection, completed)
             self._save(connection)
+        self._ledger.raise_if_refuted()
         return work
 
     def _resume(self) -> list[Work]:

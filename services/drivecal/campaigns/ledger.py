@@ -16,9 +16,11 @@ from sqlalchemy import Connection
 from drivecal.campaigns.planning import View, ensure_setups
 from drivecal.campaigns.problem import Bench
 from drivecal.contracts.work import Cell, SetupRequest
+from drivecal.domain.errors import RefutedError
 from drivecal.domain.evaluations import Donor, Outcome
 from drivecal.execution.measures import MEASURES
 from drivecal.execution.scheduler import Completed
+from drivecal.reduction.assignment import is_checked
 from drivecal.storage import evaluations, leases, runs
 from drivecal.storage.evaluations import COPIES, Answer, NewEvaluation, PendingEvaluation
 from drivecal.storage.runs import NewRun, StoredRun
@@ -55,6 +57,7 @@ class Ledger:
         self._copies: dict[int, list[PendingEvaluation]] = {}
         self._breakdowns: Mapping[int, int] = {}
         self._requests: Mapping[int, SetupRequest] = {}
+        self._refuted: str | None = None
         self._exclusive = False
         self.simulating_seconds = simulating_seconds
 
@@ -144,7 +147,7 @@ class Ledger:
     def _work(self, cells: Sequence[PendingEvaluation]) -> list[Work]:
         by_setup: dict[int, list[Cell]] = {}
         for one in cells:
-            by_setup.setdefault(one.setup_id, []).append(Cell(one.id, one.parameters.floats))
+            by_setup.setdefault(one.setup_id, []).append(self._cell(one))
         return [
             Work(
                 self._requests[setup_id],
@@ -154,6 +157,20 @@ class Ledger:
             )
             for setup_id, listed in by_setup.items()
         ]
+
+    def _cell(self, one: PendingEvaluation) -> Cell:
+        """An audited cell is simulated in any case, and checks a certificate on the way."""
+        share = self._view.checked_certificates
+        if share is None:
+            return Cell(one.id, one.parameters.floats)
+        check = one.audited or is_checked(self._view.campaign, one.scenario, one.parameters.key, share)
+        return Cell(one.id, one.parameters.floats, certify=True, check=check)
+
+    def raise_if_refuted(self) -> None:
+        """Raises RefutedError where a simulation gave something else than its certificate said: what that proves is a bug. To be called
+        when all that came back is committed."""
+        if self._refuted is not None:
+            raise RefutedError(self._refuted)
 
     def _share_runs(self, connection: Connection) -> None:
         wanted: dict[int, list[PendingEvaluation]] = {}
@@ -173,6 +190,8 @@ class Ledger:
         if one.result.score is None or one.result.rating is None:
             raise ValueError(f"the worker gave no score for evaluation {cell.id}")
         self._counts["unrepeatable"] += not run.agrees
+        if one.result.agrees is False:
+            self._refuted = _refutation(cell, one)
         donor = Donor(cell.id, run.id, one.result.score, one.result.rating, one.result.failure)
         if one.shared:  # counted where it was simulated
             self._answer(cell, donor, answers)
@@ -186,10 +205,13 @@ class Ledger:
         """Answers a cell by its own result, and the copies that waited for it."""
         for one in (cell, *self._copies.pop(cell.id, ())):
             own = simulation if one is cell else None
+            certified = own is not None and own.result.proven_by is not None and own.result.agrees is None
+            outcome = Outcome.CERTIFIED if certified else one.plan
+            self._counts["checked"] += own is not None and own.result.agrees is not None
             answers.append(
                 Answer(
                     id=one.id,
-                    outcome=one.plan,
+                    outcome=outcome,
                     score=result.score,
                     rating=result.rating,
                     run_id=result.run,
@@ -197,9 +219,11 @@ class Ledger:
                     milliseconds=None if own is None else own.result.milliseconds,
                     worker=None if own is None else own.worker,
                     attempts=0 if own is None else own.attempts,
+                    proven_by=None if own is None else own.result.proven_by,
+                    proof_agrees=None if own is None else own.result.agrees,
                 )
             )
-            self._close(one, one.plan)
+            self._close(one, outcome)
 
     def _break_down(self, cell: PendingEvaluation, one: Completed, answers: list[Answer]) -> list[PendingEvaluation]:
         """The cell has no result after all attempts. Copies of the same parameter set share its fate; the others are orphans."""
@@ -259,6 +283,16 @@ class Ledger:
             iteration=cell.iteration,
             individual=cell.individual,
         )
+
+
+def _refutation(cell: PendingEvaluation, one: Completed) -> str:
+    where = f"evaluation {cell.id} in {cell.scenario}"
+    if one.result.proven_by is None:
+        return f"{where} was not deterministic on {one.worker}: the same decisions led to another state. Nothing can be certified there"
+    return (
+        f"{where} was to repeat evaluation {one.result.proven_by} bit for bit, but its simulation on {one.worker} gave something else: a"
+        " mistake of the driving function's certificates. Run it with reduction.certified: false, and report it"
+    )
 
 
 def _storable(words: str) -> str:

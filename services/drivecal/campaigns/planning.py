@@ -43,6 +43,8 @@ class View:
     bench: Bench
     influence_map: InfluenceMap | None = None
     influence_map_sequence: int | None = None
+    checked_certificates: float | None = None
+    """The share of certified cells that are simulated all the same; None: nothing is certified."""
 
     @cached_property
     def names(self) -> tuple[str, ...]:

@@ -37,6 +37,10 @@ from drivecal.sensitivity.analysis import SensitivityAnalysis
 from drivecal.sensitivity.settings import SensitivitySettings
 
 
+MOST_WRONG_SETS = 200
+"""Findings after which further start sets are not looked at."""
+
+
 def evaluator_id(evaluator: Evaluator) -> str:
     """Name and version of an evaluator, under which ratings are stored."""
     return f"{evaluator.name} {evaluator.version}"
@@ -119,6 +123,12 @@ class CalibrationProblem:
         if not isinstance(wanted, SensitivitySpecification):
             return None
         return _analysis(wanted, self.space, self.scenarios)
+
+    @property
+    def checked_certificates(self) -> float | None:
+        """The share of certified cells that are simulated all the same, to check the certificates; None where none are used."""
+        wanted = self.specification.reduction
+        return wanted.audit if wanted.certified and self.bench.driving_function.certifiable else None
 
     @property
     def scenarios(self) -> tuple[str, ...]:
@@ -303,7 +313,11 @@ def _start_sets(
 ) -> tuple[ParameterSet, ...]:
     wanted = specification.optimizer
     listed = [] if wanted is None else wanted.start_sets
-    found = [given_set(one, space, f"optimizer.start_sets[{index}]", findings) for index, one in enumerate(listed)]
+    found: list[ParameterSet | None] = []
+    for index, one in enumerate(listed):
+        if len(findings.problems) > MOST_WRONG_SETS:
+            break  # who has so many to mend begins with them
+        found.append(given_set(one, space, f"optimizer.start_sets[{index}]", findings))
     together = tuple(dict.fromkeys(one for one in (baseline, *found) if one is not None))
     if wanted is not None and len(together) > wanted.population:
         message = f"{len(together)} sets, the baseline included, do not fit into a population of {wanted.population}"

@@ -86,6 +86,7 @@ class Sensitivity:
         with self._database.transaction() as connection:
             work = self._ledger.record(connection, completed)
             self._save(connection)
+        self._ledger.raise_if_refuted()
         return work
 
     def _request(self, phase: Phase) -> list[Work]:

@@ -29,7 +29,9 @@ class StagedCampaign:
     def __init__(self, database: Database, campaign: StoredCampaign, problem: CalibrationProblem) -> None:
         self._database = database
         self._problem = problem
-        self._view = View(campaign.sequence, campaign.watermark or 0, problem.bench)
+        self._view = View(
+            campaign.sequence, campaign.watermark or 0, problem.bench, checked_certificates=problem.checked_certificates
+        )
         self._rated = False
         self._sequence = campaign.sequence
         every = list(Stage)

@@ -95,6 +95,7 @@ class StudyStage(ABC):
         with self._database.transaction() as connection:
             work = self._ledger.record(connection, completed)
             self._save(connection)
+        self._ledger.raise_if_refuted()
         return work
 
     def _take(self, number: int) -> None:

@@ -91,6 +91,14 @@ def assign(cells: Sequence[RequestedCell], policy: Policy, exact: Donors, refere
 
 def is_audited(cell: RequestedCell, policy: Policy) -> bool:
     """Whether this cell is simulated although it could be reused: by a hash of seed, scenario and parameter set."""
-    content = f"{policy.seed}:{cell.scenario}:".encode() + cell.parameter_key
+    return _drawn(f"{policy.seed}:{cell.scenario}:".encode() + cell.parameter_key, policy.audit)
+
+
+def is_checked(campaign: int, scenario: str, parameter_key: bytes, share: float) -> bool:
+    """Whether a cell is simulated although a certificate answers it: by a hash of the campaign's number, scenario and parameter set."""
+    return _drawn(f"certificate:{campaign}:{scenario}:".encode() + parameter_key, share)
+
+
+def _drawn(content: bytes, share: float) -> bool:
     draw = int.from_bytes(hashlib.blake2b(content, digest_size=8).digest(), "big")
-    return draw < policy.audit * 2**64
+    return draw < share * 2**64

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 from sqlalchemy import Column, ColumnElement, Connection, Select, SmallInteger, bindparam, delete, select, type_coerce, update
@@ -74,6 +74,10 @@ class Answer:
     attempts: int = 0
     agrees: bool | None = None
     detail: str | None = None
+    proven_by: int | None = None
+    """The evaluation whose run this cell provably repeats."""
+    proof_agrees: bool | None = None
+    """Of a cell that was simulated all the same: whether it did."""
 
 
 def insert(connection: Connection, campaign_sequence: int, cells: Sequence[NewEvaluation]) -> list[int]:
@@ -137,7 +141,7 @@ def answer(connection: Connection, answers: Sequence[Answer]) -> int:
     return answered
 
 
-_ANSWER = ("outcome", "score", "rating", "run_id", "failure", "milliseconds", "worker", "attempts", "agrees", "detail")
+_ANSWER = tuple(one.name for one in fields(Answer) if one.name != "id")
 
 
 def simulate_instead(connection: Connection, evaluation_ids: Sequence[int]) -> None:

@@ -187,7 +187,7 @@ def _evaluation(row: Row[Any]) -> StoredEvaluation:
         score=row.score,
         rating=row.rating,
         run_id=row.run_id,
-        reference=row.reference,
+        reference=row.proven_by if row.outcome == Outcome.CERTIFIED else row.reference,
         audited=row.audited,
         agrees=row.agrees,
         failure=row.failure,

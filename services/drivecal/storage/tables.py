@@ -222,6 +222,8 @@ evaluations = Table(
     Column("worker", Text),
     Column("attempts", Integer, nullable=False),
     Column("detail", Text),
+    Column("proven_by", Identity),
+    Column("proof_agrees", Boolean),
     UniqueConstraint("campaign_sequence", "stage", "iteration", "individual", "scenario"),
     # The plan is in the two look-up indexes, or a class that answered thousands of cells would be read in full to find its donor.
     Index(None, "campaign_sequence", "scenario", "reference_key", "plan"),

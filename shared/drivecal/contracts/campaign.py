@@ -36,6 +36,8 @@ class CellCounts(Answer):
     simulated: int = 0
     failed: int = 0
     audited: int = 0
+    checked: int = 0
+    """Certified cells that were simulated all the same, to check the certificate; among `simulated`. One that differs ends the campaign."""
     unrepeatable: int = 0
     """Simulations that gave other bits than the stored run of the same cell: the setup does not name all that decides a run."""
 
@@ -50,6 +52,7 @@ class StageCellCounts(Answer):
     failed: int = 0
     proposed: int = 0
     pending: int = 0
+    checked: int = 0
     unrepeatable: int = 0
 
 

@@ -24,21 +24,21 @@ class SetupRequest:
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """One parameter set to simulate: `parameters` by name; `id` is the dispatcher's own. `check`: simulate it even where a certificate
-    answers it, and say whether both agree."""
+    """One parameter set to simulate: `parameters` by name; `id` is the dispatcher's own. `certify`: it may be answered by a run that it
+    provably repeats, and its own run may answer others; `check`: it is simulated even so, to see whether both agree."""
 
     id: int
     parameters: Mapping[str, float]
+    certify: bool = False
     check: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """Cells of one setup, sized so that they take 50 to 500 ms. `certify`: a cell may be answered by a run that it provably repeats."""
+    """Cells of one setup, sized so that they take 50 to 500 ms."""
 
     setup: SetupRequest
     cells: tuple[Cell, ...]
-    certify: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -92,3 +92,7 @@ class OverloadError(UnavailableError):
 
 class TooLargeError(InvalidInputError):
     """The input is well-formed and asks for more than this server takes on."""
+
+
+class RefutedError(DrivecalError):
+    """A simulation contradicts what was proved about it."""

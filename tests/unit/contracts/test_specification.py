@@ -147,16 +147,6 @@ def test_what_must_not_get_in_is_refused_at_its_field(path: str, value: object) 
 
 
 @pytest.mark.parametrize(
-    ("path", "value"),
-    [
-        ("reduction.certified", True),
-    ],
-)
-def test_what_is_not_there_yet_is_refused_and_not_ignored(path: str, value: object) -> None:
-    assert refused_at(CampaignSpecification, with_value(path, value))
-
-
-@pytest.mark.parametrize(
     ("field", "value"),
     [
         ("name", "1P"), ("name", "P;1"), ("name", 1), ("lower", "0"), ("lower", NAN), ("upper", 1e7), ("upper", True),

@@ -251,7 +251,7 @@ def test_numba_gets_a_folder_of_its_own_only_where_it_would_find_none(tmp_path: 
 
 
 def certified(worker: Worker, *cells: Cell, setup: SetupRequest = SETUP) -> tuple[CellResult, ...]:
-    return worker.run(Batch(setup, cells, certify=True)).results
+    return worker.run(Batch(setup, tuple(replace(cell, certify=True) for cell in cells))).results
 
 
 def test_a_certified_cell_names_the_cell_whose_run_it_repeats() -> None:

@@ -62,7 +62,7 @@ class Worker:
         results: tuple[CellResult, ...] = ()
         refusal = None
         try:
-            results = tuple(self._run_cell(batch.setup, cell, certify=batch.certify) for cell in batch.cells)
+            results = tuple(self._run_cell(batch.setup, cell) for cell in batch.cells)
         except RefusedError as error:
             refusal = describe(error)
         return BatchResult(self._name, results, time.perf_counter() - start, refusal)
@@ -76,12 +76,12 @@ class Worker:
             self._runners.pop(_key(setup), None)
             raise ConflictError(describe(error)) from None
 
-    def _run_cell(self, setup: SetupRequest, cell: Cell, *, certify: bool) -> CellResult:
+    def _run_cell(self, setup: SetupRequest, cell: Cell) -> CellResult:
         start = time.thread_time_ns()
         try:
             runner = self._runner(setup)
             parameters = [cell.parameters[name] for name in runner.parameters]
-            done = runner.answer(parameters, cell.id, check=cell.check) if certify else Answered(runner.run(parameters))
+            done = runner.answer(parameters, cell.id, check=cell.check) if cell.certify else Answered(runner.run(parameters))
             rating = _finite("the rating", done.result.rating.rating)
             metrics = {name: _finite(name, value) for name, value in done.result.metrics.items()}
             failure = done.result.failure.value if done.result.failure else None

@@ -22,6 +22,8 @@ def upgrade() -> None:
     op.add_column("campaigns", sa.Column("robustness_cells", sa.JSON(), nullable=True))
     op.add_column("campaigns", sa.Column("validation_cells", sa.JSON(), nullable=True))
     op.add_column("evaluations", sa.Column("detail", sa.Text(), nullable=True))
+    op.add_column("evaluations", sa.Column("proven_by", IDENTITY, nullable=True))
+    op.add_column("evaluations", sa.Column("proof_agrees", sa.Boolean(), nullable=True))
     op.add_column("processes", sa.Column("term", sa.Integer(), nullable=False, server_default="0"))
     op.create_table(
         "leases",

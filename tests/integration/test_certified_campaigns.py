@@ -1,0 +1,137 @@
+"""Certificates in whole campaigns: counted apart, checked, and without any influence on what is found."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.support.computed import ComputedBackend
+from tests.support.runs import SMALL, WITH_ANALYSIS, get, influenced, nothing_matters, post_map, run, submit
+from tests.support.runs import dispatcher as dispatching
+
+from drivecal.contracts.work import Cell
+from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.evaluations import Outcome
+from drivecal.storage import generations, results, runs
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.database import Database
+
+
+def alike(scenario: str, cell: Cell) -> object:
+    """What `influenced` looks at."""
+    p = cell.parameters
+    return (p["P1"], min(p["P2"], 0.5)) if scenario == "S1" else max(p["P3"] - 0.4, 0)
+
+
+def certifying(**fields: Any) -> ComputedBackend:
+    return ComputedBackend(answer=influenced, class_of=alike, **fields)
+
+
+def found(database: Database, campaign: StoredCampaign) -> list[tuple[object, ...]]:
+    with database.read() as connection:
+        rows = list(results.stream(connection, campaign.sequence))
+    return [
+        (row.stage, row.iteration, row.individual, row.scenario, row.score, row.rating, row.failure, row.audited)
+        for row in rows
+    ]
+
+
+def simple(**changes: Any) -> dict[str, Any]:
+    return {"catalogue": ["S1", "S2"], "reduction": {"mode": "exact", "audit": 0.0}} | changes
+
+
+def test_cells_that_provably_repeat_a_run_are_certified_and_name_it(database: Database) -> None:
+    ended = run(database, submit(database, **simple()), certifying())
+    assert ended.cells.certified > ended.cells.simulated > 0
+    assert ended.cells.requested == ended.cells.repeated + ended.cells.certified + ended.cells.simulated
+    assert ended.cells.checked == 0
+    with database.read() as connection:
+        rows = {row.id: row for row in results.stream(connection, ended.sequence)}
+        figures, _ = generations.page(connection, ended.sequence, limit=100)
+    certified = [row for row in rows.values() if row.outcome is Outcome.CERTIFIED]
+    assert len(certified) == ended.cells.certified == sum(one.certified for _, one in figures)
+    for row in certified:
+        proof = rows[row.reference or 0]
+        assert proof.outcome is Outcome.SIMULATED
+        assert (proof.scenario, proof.setup_id, proof.score, proof.rating) == (
+            row.scenario,
+            row.setup_id,
+            row.score,
+            row.rating,
+        )
+        assert row.parameter_set_id != proof.parameter_set_id
+
+
+def test_certified_results_are_references_like_simulated_ones(database: Database) -> None:
+    first = run(database, submit(database, **simple()), certifying())
+    with database.read() as connection:
+        assert runs.largest_id(connection) >= first.cells.simulated + first.cells.certified
+    second = run(database, submit(database, **simple()), certifying())
+    assert second.cells.repeated == second.cells.requested
+    assert [row[:-1] for row in found(database, second)] == [row[:-1] for row in found(database, first)]
+
+
+@pytest.mark.parametrize("mode", ["off", "exact", "influence"])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_no_result_changes_by_a_bit_when_certification_is_switched_on_or_off(tmp_path: Path, mode: str, seed: int) -> None:
+    seen, certified_cells = [], []
+    for certified in (True, False):
+        database = Database.open(f"sqlite:///{tmp_path / str(certified)}.db")
+        database.upgrade()
+        scenarios = nothing_matters()
+        scenarios["S1"]["P1"] = scenarios["S2"]["P3"] = {"influential": True}
+        campaign = submit(
+            database,
+            stored_map=post_map(database, scenarios),
+            catalogue=["S1", "S2"],
+            optimizer=SMALL["optimizer"] | {"seed": seed},
+            reduction={"mode": mode, "audit": 0.3, "certified": certified},
+        )
+        ended = run(database, campaign, certifying(seed=seed))
+        with database.read() as connection:
+            told = [
+                (row.iteration, row.individual, row.scenario, row.score, row.rating, row.failure, row.audited, row.agrees)
+                for row in results.stream(connection, ended.sequence)
+            ]
+        answered = ended.cells.repeated, ended.cells.reused, ended.cells.simulated + ended.cells.certified, ended.cells.audited
+        seen.append((told, answered, ended.best, ended.error_rate))
+        certified_cells.append(ended.cells.certified)
+        database.dispose()
+    assert seen[0] == seen[1]
+    assert certified_cells[0] > 0
+    assert certified_cells[1] == 0
+
+
+def test_in_the_sensitivity_stage_most_runs_are_certified(database: Database) -> None:
+    ended = run(database, submit(database, **WITH_ANALYSIS), certifying())
+    cells = ended.sensitivity_cells
+    assert cells.requested == cells.repeated + cells.certified + cells.simulated
+    assert cells.certified > cells.simulated
+    assert ended.influence_map_id is not None
+
+
+def test_a_share_of_certified_cells_is_simulated_all_the_same_and_counted(database: Database) -> None:
+    ended = run(database, submit(database, **simple(reduction={"mode": "exact", "audit": 0.3})), certifying())
+    assert ended.cells.checked > 0
+    assert 0.15 < ended.cells.checked / (ended.cells.checked + ended.cells.certified) < 0.45
+    assert ended.state is CampaignState.SUCCEEDED
+
+
+def test_one_certificate_that_a_simulation_contradicts_ends_the_campaign(database: Database) -> None:
+    campaign = submit(database, **simple(reduction={"mode": "exact", "audit": 0.3}))
+    working = dispatching(database, certifying(proofs_hold=False))
+    for _ in range(200):
+        working.step()
+        if get(database, campaign).state.ended:
+            break
+    ended = get(database, campaign)
+    assert ended.state is CampaignState.FAILED
+    assert "was to repeat evaluation" in (ended.error or "")
+    assert "bit for bit" in (ended.error or "")
+
+
+def test_who_does_not_want_certificates_gets_none(database: Database) -> None:
+    ended = run(database, submit(database, **simple(reduction={"mode": "exact", "certified": False})), certifying())
+    assert ended.cells.certified == ended.cells.checked == 0
+    assert ended.cells.simulated > 0
