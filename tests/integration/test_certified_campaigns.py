@@ -10,6 +10,7 @@ from tests.support.computed import ComputedBackend
 from tests.support.runs import SMALL, WITH_ANALYSIS, get, influenced, nothing_matters, post_map, run, submit
 from tests.support.runs import dispatcher as dispatching
 
+from drivecal.campaigns.explaining import explain
 from drivecal.contracts.work import Cell
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.evaluations import Outcome
@@ -61,6 +62,19 @@ def test_cells_that_provably_repeat_a_run_are_certified_and_name_it(database: Da
             row.rating,
         )
         assert row.parameter_set_id != proof.parameter_set_id
+
+
+def test_a_certified_cell_is_explained_by_the_run_that_it_repeats(database: Database) -> None:
+    ended = run(database, submit(database, **simple()), certifying())
+    with database.read() as connection:
+        rows = list(results.stream(connection, ended.sequence))
+        certified = next(row for row in rows if row.outcome is Outcome.CERTIFIED)
+        explained = explain(connection, certified.id)
+    assert explained.reason == "certified"
+    assert explained.reference is not None
+    assert explained.reference.evaluation == certified.reference
+    assert {one.parameter for one in explained.differences} <= {f"P{i}" for i in range(1, 12)}
+    assert f"every decision is that of evaluation {certified.reference}" in explained.sentence
 
 
 def test_certified_results_are_references_like_simulated_ones(database: Database) -> None:

@@ -76,9 +76,9 @@ def explain(connection: Connection, evaluation_id: int) -> Explanation:
     """Why an evaluation was answered as it was. Raises NotFoundError."""
     cell = results.by_id(connection, evaluation_id)
     case = _Case(connection, cell, campaigns.by_sequence(connection, cell.campaign_sequence))
-    if cell.plan is Outcome.SIMULATED and not cell.audited:
+    if cell.plan is Outcome.SIMULATED and not cell.audited and cell.outcome is not Outcome.CERTIFIED:
         return _not_reused(case)
-    reason: Reason = "audited" if cell.audited else _REASONS[cell.plan]
+    reason: Reason = "audited" if cell.audited else _REASONS[cell.outcome or cell.plan]
     if cell.reference is None:
         raise AssertionError(f"evaluation {cell.id} names no reference")
     reference, differences = _reference(case, cell.reference)
@@ -121,6 +121,8 @@ def _forbidden(case: _Case) -> tuple[Reason | None, tuple[int, AuditCount] | Non
         return "off", None
     if cell.stage is Stage.SENSITIVITY:
         return "analysis", None
+    if cell.stage is not Stage.CALIBRATION:
+        return "study", None
     if specification.reduction.mode == "exact":
         return "exact_only", None
     if case.influence_map is None:

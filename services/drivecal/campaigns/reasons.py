@@ -15,9 +15,12 @@ def sentence(one: Explanation, stop: tuple[int, AuditCount] | None = None) -> st
     match one.reason:
         case "repeated":
             return f"{_copied('Repeated', one)}: {where} has the same parameter set in the same setup."
-        case "reused" | "certified":
+        case "reused":
             listed = _listed(one.differences)
-            return f"{_copied(one.reason.capitalize(), one)}: {where} differs only where {one.scenario} is not influenced: {listed}."
+            return f"{_copied('Reused', one)}: {where} differs only where {one.scenario} is not influenced: {listed}."
+        case "certified":
+            names = ", ".join(difference.parameter for difference in one.differences) or "nothing"
+            return f"Certified: with these values every decision is that of {where}, so both runs are the same. They differ in {names}."
         case "audited":
             return f"{beginning} to check the reduction, which would have reused {where}: {_listed(one.differences)}. {_verdict(one)}"
         case "blocked":
@@ -39,6 +42,8 @@ def sentence(one: Explanation, stop: tuple[int, AuditCount] | None = None) -> st
             )
         case "off":
             return f"{beginning}: reuse is off in this campaign (reduction.mode: off)."
+        case "study":
+            return f"{beginning}: the study is about what simulations give, so it takes equal parameter sets only."
         case "analysis":
             return f"{beginning}: the sensitivity analysis makes the map that reuse rests on, so it takes equal parameter sets only."
 

@@ -25,6 +25,7 @@ Reason = Literal[
     "exact_only",
     "off",
     "analysis",
+    "study",
 ]
 """`blocked`: something is stored, but every set differs where it matters. `unanswered`: the cell that was to answer it has no result.
 `stopped`: the self-check stopped reuse in this scenario. `no_map`, `exact_only`, `off`: the campaign allows no reuse. `analysis`: a cell
