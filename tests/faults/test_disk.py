@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import httpx
 import pytest
 from tests.support.faults.coordinator import Coordinator, coordinator
 from tests.support.faults.findings import Found
@@ -63,8 +64,10 @@ def test_a_full_disk_stops_campaigns_only_as_long_as_it_is_full(tmp_path: Path, 
         def disk_full(coordinator: Coordinator) -> None:
             file = _fill(disk)
             time.sleep(FULL_SECONDS)
-            health = coordinator.answers("/healthz")
-            assert health is not None, "the API did not live through it"
+            state = coordinator.answers("/readyz")
+            assert state is not None, "the API did not live through it"
+            assert state.status_code == httpx.codes.SERVICE_UNAVAILABLE
+            print(f"         {state.json()['problems']}", flush=True)
             file.unlink()
 
         live(

@@ -104,7 +104,7 @@ def test_poison_in_a_campaign_is_failed_with_its_cause_and_nothing_else_is(tmp_p
             details = dict(connection.execute(select(evaluations.c.id, evaluations.c.detail)).tuples().all())
         server.terminate()
     assert (campaign.json()["state"], campaign.json()["cells"]["failed"]) == ("succeeded", len(CAUSES))
-    found = {int(row["parameters"]["dose"]): row for row in rows.json()["items"]}
+    found = {int(row["dose"]): row for row in rows.json()["items"]}
     assert len(found) == POISON.DOSES
     assert {dose: row["failure"] for dose, row in found.items() if row["outcome"] == "failed"} == CAUSES
     assert {row["outcome"] for dose, row in found.items() if dose not in CAUSES} <= {"simulated", "reused", "repeated"}

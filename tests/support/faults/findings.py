@@ -121,7 +121,7 @@ def assert_equal(name: str, ours: Found, expected: Found) -> None:
 
 def assert_sound(coordinator: Coordinator, accepted: Accepted) -> None:
     """What holds of every database whose campaigns have ended. AssertionError naming what does not."""
-    wrong: list[str] = []
+    wrong = [f"a request was answered {answer}" for answer in accepted.refused]
     with Client(coordinator.url) as client, coordinator.database.read() as connection:
         for name, identifier in accepted.campaigns.items():
             wrong += [f"{name}: {one}" for one in _contradictions(client.campaign(identifier))]

@@ -15,7 +15,7 @@ from sqlalchemy import func, select
 from tests.support.faults.coordinator import ORPHAN_SECONDS, READY_SECONDS, Coordinator, suspended
 from tests.support.faults.findings import Found, assert_equal, assert_sound, found
 from tests.support.faults.postgres import KillablePostgres
-from tests.support.faults.workload import Accepted, single_evaluations, submit
+from tests.support.faults.workload import ANALYSING, Accepted, single_evaluations, submit
 from tests.support.serve import gone, until
 
 from drivecal.domain.campaigns import CampaignState
@@ -102,7 +102,7 @@ def outage(postgres: KillablePostgres, seconds: float) -> Fault:
         print(f"         {'in' if in_a_commit else 'OUTSIDE'} a commit; down for {seconds:.1f} s", flush=True)
         if seconds >= SAID_SECONDS:
             assert_said(coordinator, "database")
-            refused = httpx.post(f"{coordinator.url}/api/v1/campaigns", json={}, timeout=35.0)
+            refused = httpx.post(f"{coordinator.url}/api/v1/campaigns", json=ANALYSING, timeout=35.0)
             assert (refused.status_code, "Retry-After" in refused.headers) == (503, True), refused.text
             time.sleep(max(0.0, begin + seconds - time.monotonic()))
             health = coordinator.answers("/healthz")

@@ -73,6 +73,8 @@ class Accepted:
     """By name."""
     evaluations: dict[str, list[str]] = field(default_factory=dict)
     """By key: every answer to it."""
+    refused: list[str] = field(default_factory=list)
+    """Answers that no request may get, whatever is broken: anything but 429 and 503 with a Retry-After."""
 
 
 def submit(url: str, documents: Mapping[str, Mapping[str, Any]] | None = None) -> Accepted:
@@ -103,6 +105,8 @@ def single_evaluations(url: str, accepted: Accepted, pause: float = 1.0) -> Iter
                     continue
                 if answer.is_success:
                     accepted.evaluations.setdefault(key, []).append(answer.json()["id"])
+                elif answer.status_code not in {429, 503} or "Retry-After" not in answer.headers:
+                    accepted.refused.append(f"{answer.status_code} {answer.text}")
             stop.wait(pause)
 
     thread = threading.Thread(target=work)
