@@ -12,7 +12,7 @@ from drivecal.certification.nodes import Nodes, contenders
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.roads import reference_line
 from drivecal.domain.scenarios import Scenario
-from drivecal.planner import kernel
+from drivecal.planner import deciding, kernel
 from drivecal.planner.candidates import desired_speeds, lateral_ends, longitudinal_ends
 from drivecal.planner.cost import scales, weights
 from drivecal.planner.spaces import HIGHWAY
@@ -50,7 +50,7 @@ class FrenetPlanner:
 
     period = PERIOD
     grid = 1.0 / kernel.FEATURE_GRID
-    n_values = len(kernel.TERM)
+    n_values = len(deciding.TERM)
 
     def __init__(self, scenario: Scenario) -> None:
         """Raises InvalidInputError where the scenario's step does not divide the planning period."""
@@ -164,14 +164,14 @@ class FrenetPlanner:
     @property
     def state_digest(self) -> int:
         """See `drivecal.plugins.ports.CertifiablePlanner`."""
-        return kernel.digest_of(self._lateral, self._longitudinal, self._combined)
+        return deciding.digest_of(self._lateral, self._longitudinal, self._combined, kernel.FEATURE_GRID)
 
     def contenders(self, infeasible: npt.NDArray[np.bool_]) -> tuple[npt.NDArray[np.int64], Floats]:
         """See `drivecal.plugins.ports.CertifiablePlanner`; with the parameters of the built-in spaces."""
-        kernel.by_term(self._lateral, self._longitudinal, self._combined, self._by_term)
+        deciding.by_term(self._lateral, self._longitudinal, self._combined, self._by_term)
         found = contenders(self._by_term, LOWEST, HIGHEST, infeasible, self.chosen, LEADERS, MARGIN)
         values = np.empty((len(found), self.n_values))
-        kernel.values_of(self._lateral, self._longitudinal, self._combined, found, values)
+        deciding.values_of(self._lateral, self._longitudinal, self._combined, found, values)
         return found, values
 
     def walk(self, nodes: Nodes, parameters: Sequence[float]) -> int:
@@ -179,7 +179,7 @@ class FrenetPlanner:
         chosen = weights(parameters)
         if not ((chosen >= LOWEST) & (chosen <= HIGHEST)).all():
             return 0
-        return kernel.walk(
+        return deciding.walk(
             chosen,
             nodes.grid,
             nodes.packed,
