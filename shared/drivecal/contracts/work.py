@@ -20,6 +20,8 @@ class SetupRequest:
     run_fingerprint: str
     document: Mapping[str, object] = field(default_factory=dict)
     """What the coordinator fingerprinted (`Setup.document`), so that a worker can name what differs."""
+    evaluator_version: str | None = None
+    """The coordinator's: ratings of another one must not be stored under its name. None where it does not matter."""
 
 
 @dataclass(frozen=True, slots=True)

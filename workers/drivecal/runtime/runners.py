@@ -109,7 +109,20 @@ def _find(request: SetupRequest) -> _Installed:
     scenario = catalogue.scenarios[request.scenario]
     function, vehicle = registry.driving_function(request.driving_function), registry.vehicle(request.vehicle)
     refuse_other_versions(request, setup_of(scenario, function, vehicle, request.vehicle_parameters))
-    return _Installed(scenario, function, vehicle, registry.evaluator(request.evaluator))
+    evaluator = registry.evaluator(request.evaluator)
+    refuse_other_evaluators(request, evaluator)
+    return _Installed(scenario, function, vehicle, evaluator)
+
+
+def refuse_other_evaluators(request: SetupRequest, installed: Evaluator) -> None:
+    """Raises ConflictError with both versions where the worker would rate by another one than was asked for; reading its version, an
+    evaluator finds out whether it has what it was shipped with."""
+    version, wanted = installed.version, request.evaluator_version
+    if wanted not in {None, version}:
+        raise ConflictError(
+            f"coordinator and worker differ: the evaluator {installed.name} is {wanted} at the coordinator and {version} at the worker;"
+            " install the same drivecal and plug-ins on both"
+        )
 
 
 def refuse_other_versions(request: SetupRequest, installed: Setup) -> None:
