@@ -7,6 +7,7 @@ import logging
 import socket
 import sys
 
+from drivecal.api import memory
 from drivecal.api.app import create_app
 from drivecal.api.protocol import Server, configuration
 from drivecal.configuration import logs
@@ -26,6 +27,7 @@ def main() -> int:
     parser.add_argument("--port", type=int, default=8000)
     parser.add_argument("--socket", type=int, help="file descriptor of a socket that listens already, instead of host and port")
     arguments = parser.parse_args()
+    memory.settle()
     try:
         settings = load_settings()
         logs.configure("api", settings)

@@ -13,8 +13,11 @@ from pydantic import BaseModel
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 
+from drivecal.api.dependencies import Limits
+from drivecal.api.memory import give_back
 from drivecal.contracts import strict_json
 from drivecal.contracts.validation import validated
+from drivecal.domain.errors import DrivecalError
 
 LARGE = 16_384
 """Bytes from which on a body is read beside the event loop: a hostile megabyte takes up to a second."""
@@ -40,8 +43,20 @@ class StrictRoute(APIRoute):
             content = await _content(request)
             if len(content) < LARGE:
                 return await handle(_Read(request, read(content)))
-            limiter = request.app.state.limits.large_bodies
-            return await handle(_Read(request, await to_thread.run_sync(read, content, limiter=limiter)))
+            limits: Limits = request.app.state.limits
+            with limits.waiting_bodies.take():
+                async with limits.large_bodies:
+                    return await large(request, content)
+
+        async def large(request: Request, content: bytes) -> Response:
+            try:
+                return await handle(_Read(request, await to_thread.run_sync(read, content)))
+            except DrivecalError as error:
+                # Its sentences are all that is needed; the frames and errors behind it hold on to the document.
+                error.__cause__ = error.__context__ = None
+                raise error.with_traceback(None) from None
+            finally:
+                await to_thread.run_sync(give_back)
 
         return strictly
 

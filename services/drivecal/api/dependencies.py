@@ -22,8 +22,10 @@ async def _database(request: Request) -> Database:
 DatabaseDependency = Annotated[Database, Depends(_database)]
 
 
-LARGE_BODIES = 2
-"""Large bodies that are read at the same time: each takes up to fifty times its size in memory while it is."""
+LARGE_BODIES = 1
+"""Large bodies that are worked on at the same time: each takes up to fifty times its size in memory meanwhile."""
+WAITING_BODIES = 16
+"""Large bodies that may wait for it, those included that are worked on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,12 +36,14 @@ class Limits:
     largest_campaign: int
     event_streams: Places
     large_bodies: CapacityLimiter
+    waiting_bodies: Places
 
     @classmethod
     def of(cls, settings: Settings) -> Self:
         """Those that the settings give, with nothing taken yet. To be called in the event loop that they are for."""
         streams = Places(settings.event_streams, "event streams are open", retry_seconds=10)
-        return cls(settings.queued_campaigns, settings.largest_campaign, streams, CapacityLimiter(LARGE_BODIES))
+        bodies = Places(WAITING_BODIES, "large documents are being read", retry_seconds=5)
+        return cls(settings.queued_campaigns, settings.largest_campaign, streams, CapacityLimiter(LARGE_BODIES), bodies)
 
 
 async def _limits(request: Request) -> Limits:

@@ -8,6 +8,8 @@ from typing import TypeVar
 from drivecal.domain.errors import InvalidInputError, Problem
 
 T = TypeVar("T")
+MOST_FINDINGS = 1_000
+"""A hostile megabyte of start sets has a hundred times as many."""
 
 
 class Findings:
@@ -17,8 +19,9 @@ class Findings:
         self.problems: list[Problem] = []
 
     def add(self, field: str, message: str, remedy: str = "") -> None:
-        """Notes one thing that is wrong."""
-        self.problems.append(Problem(field, message, remedy))
+        """Notes one thing that is wrong, unless there are so many already that nobody would read it."""
+        if len(self.problems) < MOST_FINDINGS:
+            self.problems.append(Problem(field, message, remedy))
 
     def attempt(self, make: Callable[[], T]) -> T | None:
         """What `make` gives; None where it raised InvalidInputError, whose problems are noted."""

@@ -36,7 +36,6 @@ from drivecal.sensitivity import thresholds
 from drivecal.sensitivity.analysis import SensitivityAnalysis
 from drivecal.sensitivity.settings import SensitivitySettings
 
-
 MOST_WRONG_SETS = 200
 """Findings after which further start sets are not looked at."""
 

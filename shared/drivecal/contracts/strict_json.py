@@ -14,6 +14,10 @@ from drivecal.domain.errors import InvalidInputError, Problem
 
 DEEPEST = 32
 """Nesting beyond this is refused; the deepest document that drivecal understands needs six levels."""
+MOST_VALUES = 100_000
+"""Of a whole document: eight thousand start sets have fewer. Counted before anything is made of them, which takes fifty times the text."""
+MOST_KEYS = 2_000
+"""Of one object; the largest that drivecal understands has a thousand."""
 _HARMLESS = {int, bool, type(None)}
 _TOO_DEEP = Problem("", f"the document is nested deeper than {DEEPEST} levels", "send a flatter one")
 
@@ -26,6 +30,10 @@ def loads(content: bytes) -> object:
         raise InvalidInputError(
             Problem("", f"byte {error.start} is no valid UTF-8", "send the document as UTF-8 text")
         ) from error
+    values = sum(content.count(sign) for sign in (b",", b"[", b"{"))
+    if values > MOST_VALUES:
+        remedy = f"send at most {MOST_VALUES:,}"
+        raise InvalidInputError(Problem("", f"the document has some {values:,} values", remedy))
     if not text.strip():
         raise InvalidInputError(Problem("", "the document is empty", "send a JSON object, e.g. {}"))
     try:
@@ -40,8 +48,8 @@ def loads(content: bytes) -> object:
 
 
 def check_plain(document: object) -> None:
-    """Raises InvalidInputError, naming the field, where plain data is nested too deeply, holds a number that is not finite, or text
-    that is no Unicode text."""
+    """Raises InvalidInputError, naming the field, where plain data is nested too deeply or has an object with too many entries, holds a
+    number that is not finite, or text that is no Unicode text."""
     waiting: list[tuple[object, tuple[str | int, ...]]] = [(document, ())]
     while waiting:
         value, path = waiting.pop()
@@ -54,6 +62,9 @@ def check_plain(document: object) -> None:
             if len(path) >= DEEPEST:
                 raise InvalidInputError(_TOO_DEEP)
             if isinstance(value, dict):
+                if len(value) > MOST_KEYS:
+                    message = f"the object has {len(value):,} entries"
+                    raise InvalidInputError(Problem(field_name(path), message, f"give at most {MOST_KEYS:,}"))
                 for key in value:
                     _check_text(key, path)
             children = value.items() if isinstance(value, dict) else enumerate(value)

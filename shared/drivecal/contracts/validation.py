@@ -16,8 +16,9 @@ Specification = TypeVar("Specification", bound=BaseModel)
 Detail = Mapping[str, Any]
 """One entry of `ValidationError.errors()`."""
 MOST_FINDINGS = 500
-"""Of a document with more, only the beginning of every list and object is looked at: the findings on a hostile megabyte take a hundred."""
-BEGINNING = 20
+"""Of a larger document, the beginning of every list and object is looked at first: what is to be told of a hostile megabyte takes a
+hundred, and minutes."""
+BEGINNING = 30
 
 _WANTED = {
     "string_type": "text",
@@ -57,26 +58,46 @@ _PATTERNS = {
 
 def validated(model: type[Specification], document: object) -> Specification:
     """`document` as a `model`. Raises InvalidInputError with every field that does not fit, of very many with the first ones."""
+    if _is_large(document):
+        _check_beginning(model, document)
     try:
         return model.model_validate(document)
     except ValidationError as error:
         count = error.error_count()
-        if count <= MOST_FINDINGS:
-            raise InvalidInputError(*problems(error.errors(include_url=False), model, document)) from error
-    raise InvalidInputError(Problem("", f"{count:,} values do not fit", "mend the first ones first"), *_first(model, document))
+        details = error.errors(include_url=False) if count <= MOST_FINDINGS else []
+    # Raised out here, without pydantic's error, which holds on to the whole document.
+    if details:
+        raise InvalidInputError(*problems(details, model, document))
+    message = f"{count:,} values do not fit, none of them among the first {BEGINNING} of its list or object"
+    raise InvalidInputError(Problem("", message, "look for values of another kind"))
 
 
-def _first(model: type[BaseModel], document: object) -> list[Problem]:
-    """What is wrong with the beginning of a document."""
+def _check_beginning(model: type[BaseModel], document: object) -> None:
+    """Raises InvalidInputError where the first entries of lists and objects do not fit. What is missing there may be in the rest."""
     beginning = _beginning(document)
     try:
         model.model_validate(beginning)
     except ValidationError as error:
-        return problems(error.errors(include_url=False)[:MOST_FINDINGS], model, beginning)
-    return []
+        details = [detail for detail in error.errors(include_url=False) if detail["type"] != "missing"][:MOST_FINDINGS]
+    else:
+        return
+    if details:
+        raise InvalidInputError(*problems(details, model, beginning))
+
+
+def _is_large(document: object) -> bool:
+    """Whether there may be more findings than anybody reads."""
+    waiting, seen = [document], 0
+    while waiting and seen <= MOST_FINDINGS:
+        value = waiting.pop()
+        if isinstance(value, (dict, list)):
+            seen += len(value)
+            waiting.extend(value.values() if isinstance(value, dict) else value[: MOST_FINDINGS + 1])
+    return seen > MOST_FINDINGS
 
 
 def _beginning(value: object) -> object:
+    """A document with the first entries only of each of its lists and objects."""
     if isinstance(value, dict):
         return {key: _beginning(inner) for key, inner in islice(value.items(), BEGINNING)}
     return [_beginning(inner) for inner in value[:BEGINNING]] if isinstance(value, list) else value

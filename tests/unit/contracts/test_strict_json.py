@@ -52,6 +52,11 @@ def test_any_bytes_are_either_read_or_refused(content: bytes) -> None:
         (b"[" * 100_000, "deeper than 32 levels"),
         (b"[" * (DEEPEST + 1) + b"]" * (DEEPEST + 1), "deeper than 32 levels"),
         (b'{"a":' * 40 + b"1" + b"}" * 40, "deeper than 32 levels"),
+        (b"[" + b"0," * 300_000 + b"0]", "^the document has some 300,001 values; send at most 100,000"),
+        (
+            json.dumps({"a": {str(key): 0 for key in range(3000)}}).encode(),
+            "^a: the object has 3,000 entries; give at most 2,000",
+        ),
     ],
 )
 def test_surprises_are_refused_with_what_is_wrong(content: bytes, said: str) -> None:

@@ -88,3 +88,30 @@ def test_any_document_is_either_accepted_or_refused_with_reasons(document: objec
         said = ["accepted"]
     assert said
     assert all(said)
+
+
+def test_of_very_many_wrong_values_the_first_ones_are_told() -> None:
+    document = {"scenarios": {f"S{one}": {f"P{other}": 1 for other in range(100)} for one in range(100)}}
+    with pytest.raises(InvalidInputError) as caught:
+        validated(InfluenceMapSpecification, document)
+    assert len(caught.value.problems) == 500
+    assert caught.value.problems[0].field == "scenarios.S0.P0"
+
+
+def test_very_many_wrong_values_behind_good_ones_are_counted() -> None:
+    regions: dict[str, object] = {f"P{other}": {} if other < 100 else 1 for other in range(190)}
+    with pytest.raises(InvalidInputError, match=r"^900 values do not fit, none of them among the first 30"):
+        validated(InfluenceMapSpecification, {"scenarios": {f"S{one}": regions for one in range(10)}})
+
+
+def test_a_large_document_that_fits_is_read_whole() -> None:
+    document: dict[str, object] = {"scenarios": {f"S{one}": {f"P{other}": {} for other in range(100)} for one in range(100)}}
+    assert len(validated(InfluenceMapSpecification, document).scenarios["S99"]) == 100
+
+
+def test_what_is_missing_from_a_large_document_is_told() -> None:
+    with pytest.raises(InvalidInputError, match=r"^scenarios: the value is missing; give it$"):
+        validated(
+            InfluenceMapSpecification,
+            {"parameters": [{"name": f"P{i}", "lower": 0, "upper": 1, "step": 1} for i in range(190)]},
+        )

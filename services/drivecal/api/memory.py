@@ -1,0 +1,32 @@
+"""Keeps the process as small as it was before somebody sent it a large document."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import sys
+from functools import cache
+from typing import Any
+
+M_ARENA_MAX = -8
+"""Of glibc's malloc.h."""
+
+
+def settle() -> None:
+    """Lets all threads share two pools of memory; glibc gives each its own, and what one frees no other uses. To be called first."""
+    libc = _libc()
+    if libc is not None and hasattr(libc, "mallopt"):
+        libc.mallopt(M_ARENA_MAX, 2)
+
+
+def give_back() -> None:
+    """Returns freed memory to the system, where the C library (glibc) keeps it in pieces until it is asked."""
+    gc.collect(1)  # what failed holds on to the frames that it failed in
+    libc = _libc()
+    if libc is not None and hasattr(libc, "malloc_trim"):
+        libc.malloc_trim(0)
+
+
+@cache
+def _libc() -> Any:
+    return ctypes.CDLL(None) if sys.platform.startswith("linux") else None
