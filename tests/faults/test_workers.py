@@ -24,7 +24,7 @@ FOR_SECONDS = 180.0
 UNREDUCED: dict[str, Any] = {
     "sensitivity": None,
     "optimizer": {"kind": "genetic", "population": 100, "iterations": 6, "seed": 5},
-    "reduction": {"mode": "off"},
+    "reduction": {"mode": "off", "certified": False},
 }
 
 

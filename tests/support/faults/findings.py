@@ -20,6 +20,7 @@ from drivecal.storage import campaigns
 from drivecal.storage.tables import campaigns as campaigns_table
 from drivecal.storage.tables import evaluations, leases, parameter_sets, ratings, runs, setups
 
+CELL_COUNTS = ("cells", "sensitivity_cells")
 OF_A_CAMPAIGN = (
     "state",
     "error",
@@ -62,6 +63,8 @@ def found(coordinator: Coordinator, campaign_id: str) -> Found:
         }
     with coordinator.database.read() as connection:
         simulated = _runs(connection, campaigns.get(connection, campaign_id).sequence)
+    for counts in (*(campaign[name] for name in CELL_COUNTS), *tables["generations"]):
+        _without_certificates(counts)
     return Found(
         campaign={name: campaign[name] for name in OF_A_CAMPAIGN},
         generations=tables["generations"],
@@ -72,11 +75,19 @@ def found(coordinator: Coordinator, campaign_id: str) -> Found:
     )
 
 
+def _without_certificates(counts: dict[str, Any]) -> None:
+    """Certified cells count as simulated: which ones a worker can prove depends on what it still knows, and a new one knows nothing."""
+    kind = type(counts["simulated"])
+    counts["simulated"] = kind(int(counts["simulated"]) + int(counts.pop("certified")))
+    counts.pop("checked", None)
+
+
 def _by_place(rows: list[dict[str, str]]) -> list[dict[str, str]]:
     places = {row["id"]: " ".join(row[name] for name in PLACE) for row in rows}
     kept = [
         {name: value for name, value in row.items() if name not in OF_ONE_RUN and name != "id"}
         | {"reference": places.get(row["reference"], row["reference"])}
+        | {"outcome": "simulated" if row["outcome"] == "certified" else row["outcome"]}
         for row in rows
     ]
     return sorted(kept, key=lambda row: (row["stage"], int(row["iteration"]), int(row["individual"]), row["scenario"]))

@@ -27,7 +27,7 @@ REUSING: dict[str, Any] = {
     "parameters": COARSE,
     "fixed": {f"P{i}": 0.5 for i in range(7, 12)},
     "optimizer": {"kind": "genetic", "population": 80, "iterations": 8, "seed": 3, "mutation": 1},
-    "reduction": {"audit": 0.2, "max_error": 1},
+    "reduction": {"audit": 0.2, "max_error": 1, "certified": False},
 }
 ANALYSING: dict[str, Any] = {
     "name": "analysing",
