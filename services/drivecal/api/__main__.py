@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import gc
 import logging
 import socket
 import sys
@@ -37,6 +38,8 @@ def main() -> int:
     except (DrivecalError, OSError) as error:
         log.error("%s", error)  # noqa: TRY400  # the sentence says it all; a traceback would bury it
         return 1
+    gc.collect()
+    gc.freeze()  # what is loaded stays: looking through all of it again and again would stop the API for half a second each time
     server.run(sockets=[listener])
     return 0 if server.started else 1
 

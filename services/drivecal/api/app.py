@@ -14,6 +14,7 @@ from drivecal.api.auth import Authorisation, describe_tokens
 from drivecal.api.dependencies import Limits
 from drivecal.api.limits import Concurrency, Requests
 from drivecal.api.metrics import Meters
+from drivecal.api.remembered import Remembered
 from drivecal.api.requests import RequestRecords
 from drivecal.api.routes import campaigns, evaluations, events, health, influence_maps, inventory, metrics, tables
 from drivecal.api.streams import EventHub
@@ -34,6 +35,7 @@ def create_app(settings: Settings) -> FastAPI:
         app.state.database = database
         app.state.meters = meters
         app.state.limits = Limits.of(settings)
+        app.state.remembered = Remembered()
         async with EventHub(database).running() as app.state.event_hub:
             yield
         database.dispose()

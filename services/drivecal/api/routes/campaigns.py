@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Header, Response
+from fastapi import APIRouter, Header, Request, Response
 from sqlalchemy import Connection
 
 from drivecal.api import submission
@@ -12,6 +12,7 @@ from drivecal.api.answers import ROOT, campaign_answer, etag, list_etag, matches
 from drivecal.api.bodies import StrictRoute
 from drivecal.api.dependencies import DatabaseDependency, IdempotencyKey, LimitsDependency
 from drivecal.api.queries import CampaignsQuery, SubmissionQuery
+from drivecal.api.remembered import Remembered
 from drivecal.api.silence import silence
 from drivecal.campaigns.accounting import MapOrigin, account
 from drivecal.contracts.accounting import Accounting
@@ -64,20 +65,25 @@ def list_campaigns(query: CampaignsQuery, database: DatabaseDependency, if_none_
 
 
 @router.get("/{campaign_id}", response_model=Campaign, responses=NOT_MODIFIED)
-def read(campaign_id: str, database: DatabaseDependency, if_none_match: IfNoneMatch = None) -> Response:
+def read(campaign_id: str, request: Request, database: DatabaseDependency, if_none_match: IfNoneMatch = None) -> Response:
     """One campaign. Send its `ETag` back as `If-None-Match` to be told 304 while nothing changed."""
     moment = now()
+    remembered: Remembered = request.app.state.remembered
     with database.read() as connection:
         seen, heartbeat_at = glances.glance(connection, campaign_id)
         silent = silence(heartbeat_at, moment)
-        headers = {"ETag": etag(seen, silent), "Cache-Control": "no-cache"}
+        tag = etag(seen, silent)
+        headers = {"ETag": tag, "Cache-Control": "no-cache"}
         if not seen.state.ended:
             headers["Retry-After"] = str(SECONDS_BETWEEN_POLLS)
-        if matches(if_none_match, headers["ETag"]):
+        if matches(if_none_match, tag):
             return Response(status_code=304, headers=headers)
-        stored = campaigns.by_sequence(connection, seen.sequence)
-    answer = campaign_answer(stored, moment, silent)
-    return Response(answer.model_dump_json(), headers=headers, media_type="application/json")
+        body = remembered.find(seen.id, tag)
+        stored = campaigns.by_sequence(connection, seen.sequence) if body is None else None
+    if stored is not None:
+        body = campaign_answer(stored, moment, silent).model_dump_json().encode()
+        remembered.keep(seen.id, tag, body)
+    return Response(body, headers=headers, media_type="application/json")
 
 
 @router.get("/{campaign_id}/accounting")
