@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import logging
+import os
 import signal
 import sys
 import threading
 from collections.abc import Callable
-from contextlib import closing
 from typing import TypeVar
 
 from drivecal.configuration import logs
@@ -39,6 +39,9 @@ def main() -> int:
         settings = load_settings()
         logs.configure("dispatcher", settings)
         serve(settings, stop)
+    except BackendLostError as error:
+        log.error("%s; a new process starts anew", error)  # noqa: TRY400
+        os._exit(1)  # Ray's own farewell, even that of the interpreter's end, would wait a minute for an answer
     except DrivecalError as error:
         log.error("%s", error)  # noqa: TRY400  # the sentence says it all; a traceback would bury it
         return 1
@@ -66,12 +69,13 @@ def serve(settings: Settings, stop: threading.Event) -> None:
 
 
 def _dispatch(settings: Settings, database: Database, pulse: Pulse, stop: threading.Event) -> None:
-    pulse.tell((), "waiting for Ray: it is being started")
-    options = RayOptions(settings.ray_address, settings.workers)
+    address = settings.ray_address
+    pulse.tell((), "Ray is being started" if address is None else f"waiting for the Ray cluster at {address}")
+    options = RayOptions(address, settings.workers)
     backend = _awaited("Ray", lambda: RayBackend(options, trial()), stop, lambda words: pulse.tell((), words))
     if backend is None:
         return
-    with closing(backend):
+    try:
         dispatcher = Dispatcher(
             database,
             WorkPool(backend, StoredLeases(database)),
@@ -79,11 +83,15 @@ def _dispatch(settings: Settings, database: Database, pulse: Pulse, stop: thread
             running_campaigns=settings.running_campaigns,
             event_days=settings.event_days,
         )
-        try:
-            dispatcher.run(stop)
-        except BackendLostError as error:
-            pulse.tell((), f"{error}; it is started again")
-            raise
+        dispatcher.run(stop)
+    except BackendLostError as error:
+        pulse.tell((), f"{error}; Ray is started or joined anew")
+        pulse.wait_until_told()
+        raise  # what is gone cannot be closed
+    except BaseException:
+        backend.close()
+        raise
+    backend.close()
 
 
 def _take_lock(database: Database, settings: Settings) -> locks.ServerLock:

@@ -57,6 +57,7 @@ class Pulse:
         self._renew_lock = renew_lock
         self._clock = clock
         self._report = _Report((), "the dispatcher is starting", clock(), now())
+        self._written: _Report | None = None
         self._failure: BaseException | None = None
         self._reachable = True
         self._stopped = threading.Event()
@@ -76,6 +77,12 @@ class Pulse:
         self._report = _Report(tuple(workers), trouble, self._clock(), now())
         if self._failure is not None:
             raise self._failure
+
+    def wait_until_told(self) -> None:
+        """Returns when what was told last is written down, or after a while where that is not possible."""
+        deadline = self._clock() + 3 * EVERY_SECONDS
+        while self._written is not self._report and self._clock() < deadline:
+            time.sleep(0.01)
 
     def beat(self) -> None:
         """Writes down how the dispatcher is. Raises SupersededError, UnavailableError, and DatabaseError where another server has
@@ -97,6 +104,7 @@ class Pulse:
             working = {CampaignState.RUNNING, CampaignState.CANCELLING}
             running = [one.sequence for one in campaigns.active(connection) if one.state in working]
             campaigns.degrade(connection, running, detail["degraded"])
+        self._written = report
 
     def _run(self) -> None:
         while not self._stopped.is_set():
