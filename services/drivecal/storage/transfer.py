@@ -31,6 +31,7 @@ from sqlalchemy import (
     text,
 )
 
+from drivecal.domain.errors import DatabaseError
 from drivecal.storage import urls
 from drivecal.storage.failures import translated
 from drivecal.storage.schema import REVISION_TABLE
@@ -60,8 +61,12 @@ def count_rows(connection: Connection, tables: Sequence[Table]) -> dict[str, int
 
 def copy_rows(source: Connection, target: Connection, progress: Progress) -> dict[str, int]:
     """Copies all rows and the numbers that the next rows get; says how many rows there were by table. The target has its tables, and no
-    rows yet."""
-    tables = _reflected(source, [table.name for table in tables_of(target)])
+    rows yet. Raises DatabaseError where the source lacks one of the target's tables."""
+    names = [table.name for table in tables_of(target)]
+    missing = sorted(set(names) - set(inspect(source).get_table_names()))
+    if missing:
+        raise DatabaseError(f"{urls.shown(source.engine.url)} lacks tables of its revision: {', '.join(missing)}")
+    tables = _reflected(source, names)
     counts = count_rows(source, tables)
     for table in tables:
         done = 0

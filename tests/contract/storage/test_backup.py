@@ -219,6 +219,22 @@ def test_an_empty_database_is_not_backed_up(empty_url: str, tmp_path: Path) -> N
     database.dispose()
 
 
+def test_a_database_without_one_of_its_tables_is_not_copied(empty_url: str, tmp_path: Path) -> None:
+    database, target = Database.open(empty_url), Database.open(f"sqlite:///{tmp_path / 'target.db'}")
+    for one in (database, target):
+        one.upgrade()
+    with database.transaction() as connection:
+        connection.execute(text("DROP TABLE leases"))
+    with (
+        pytest.raises(DatabaseError, match="lacks tables of its revision: leases"),
+        database.read() as source,
+        target.transaction() as connection,
+    ):
+        copy_rows(source, connection, silent)
+    database.dispose()
+    target.dispose()
+
+
 def test_a_database_with_rows_is_not_restored_into(used: Database, tmp_path: Path) -> None:
     file = tmp_path / "backup.db"
     backup.write(used, file, silent)
