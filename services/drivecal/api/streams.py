@@ -272,6 +272,8 @@ def progress_document(pulse: Pulse, said: str | None, moment: datetime) -> dict[
         "progress": pulse.progress,
         "cells": pulse.cells,
         "sensitivity_cells": pulse.sensitivity_cells,
+        "robustness_cells": pulse.robustness_cells or {},
+        "validation_cells": pulse.validation_cells or {},
         "best_objective": None if pulse.best is None else pulse.best["objective"],
         "seconds": {"wall": max(0.0, wall), "simulating": pulse.simulating_seconds},
     }

@@ -149,7 +149,7 @@ def _where(campaign: Campaign) -> str:
 
 
 def _detail(campaign: Campaign) -> str:
-    cells = campaign.sensitivity_cells if campaign.stage == "sensitivity" else campaign.cells
+    cells = getattr(campaign, f"{campaign.stage}_cells", campaign.cells)  # those of the calibration have no stage in their name
     parts = [f"{name} {count:,}" for name, count in by_outcome(cells).items() if count]
     if campaign.best:
         parts.append(f"best {campaign.best.objective:.3f}")

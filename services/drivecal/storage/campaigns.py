@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 from datetime import datetime
 from typing import Any, Literal
 
-from sqlalchemy import ColumnElement, Connection, Row, Select, Text, Update, case, cast, func, select, update
+from sqlalchemy import ColumnElement, Connection, Row, Select, Text, Update, bindparam, case, cast, func, select, update
 
 from drivecal.contracts.campaign import (
     Baseline,
@@ -159,9 +159,12 @@ def get(connection: Connection, campaign_id: str) -> StoredCampaign:
     return _campaign(row)
 
 
+_BY_SEQUENCE = select(campaigns).where(campaigns.c.sequence == bindparam("number"))
+
+
 def by_sequence(connection: Connection, sequence: int) -> StoredCampaign:
     """A campaign by its number. Raises NotFoundError."""
-    row = connection.execute(select(campaigns).where(campaigns.c.sequence == sequence)).one_or_none()
+    row = connection.execute(_BY_SEQUENCE, {"number": sequence}).one_or_none()
     if row is None:
         raise NotFoundError("campaign", str(sequence))
     return _campaign(row)

@@ -39,6 +39,8 @@ class Pulse(Glance):
     progress: Mapping[str, Any]
     cells: Mapping[str, Any]
     sensitivity_cells: Mapping[str, Any]
+    robustness_cells: Mapping[str, Any] | None
+    validation_cells: Mapping[str, Any] | None
     best: Mapping[str, Any] | None
     simulating_seconds: float
     started_at: datetime | None

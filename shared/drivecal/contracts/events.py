@@ -7,7 +7,7 @@ from typing import Any
 
 from pydantic import Field
 
-from drivecal.contracts.campaign import Answer, CellCounts, Progress, Seconds, SensitivityCellCounts
+from drivecal.contracts.campaign import Answer, CellCounts, Progress, Seconds, SensitivityCellCounts, StageCellCounts
 
 PROGRESS = "progress"
 """The name of what is sent between events, without an id: how far the campaign is now."""
@@ -37,5 +37,7 @@ class CampaignProgress(Answer):
     progress: Progress = Progress()
     cells: CellCounts = CellCounts()
     sensitivity_cells: SensitivityCellCounts = SensitivityCellCounts()
+    robustness_cells: StageCellCounts = StageCellCounts()
+    validation_cells: StageCellCounts = StageCellCounts()
     best_objective: float | None = None
     seconds: Seconds = Seconds()
