@@ -39,8 +39,8 @@ from drivecal.storage.statistics import Tally
 from drivecal.storage.types import now
 
 ROWS = 4_000
-SMALL = {"reference_indexes"}
-"""One row per map, setup and evaluator: PostgreSQL rightly reads all of it."""
+SMALL = {"reference_indexes", "leases"}
+"""One row per map, setup and evaluator, and one per cell at a worker: PostgreSQL rightly reads all of them."""
 KEYS = [number.to_bytes(16, "big") for number in range(LARGEST_IN)]
 
 
@@ -190,7 +190,7 @@ def test_the_self_check_reads_the_campaigns_own_cells_only(filled: Database, sub
                 assert scanned(plan) == set(), plan
 
 
-def test_the_dispatcher_finds_active_campaigns_among_many_ended_ones(database: Database) -> None:
+def test_a_campaign_and_the_active_ones_are_found_among_many_ended_ones(database: Database) -> None:
     with database.transaction() as connection:
         for number in range(1500):
             campaign(connection, str(number))
@@ -198,8 +198,13 @@ def test_the_dispatcher_finds_active_campaigns_among_many_ended_ones(database: D
     gather_statistics(database)
     with database.read() as connection:
         plan = plans(connection, campaigns.active)
-    assert scanned(plan) == set(), plan
-    assert "ix_campaigns_active" in plan
+        assert scanned(plan) == set(), plan
+        assert "ix_campaigns_active" in plan
+        some_id = campaigns.by_sequence(connection, 700).id
+        plan = plans(connection, lambda one: glances.glance(one, some_id))
+        assert scanned(plan) <= {"processes"}, plan  # of which there are two
+        plan = plans(connection, lambda one: glances.revisions(one, [7, 8, 9]))
+        assert scanned(plan) == set(), plan
 
 
 def test_events_are_read_and_forgotten_by_their_indexes(database: Database) -> None:
