@@ -25,6 +25,7 @@ from drivecal.storage import (
     campaigns,
     evaluations,
     events,
+    glances,
     parameter_sets,
     processes,
     reference_keys,
