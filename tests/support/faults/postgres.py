@@ -99,7 +99,7 @@ class KillablePostgres:
         while True:
             try:
                 self._server.ensure_postgres_running()
-                return
+                break
             except (subprocess.SubprocessError, AssertionError):
                 if time.monotonic() > deadline:
                     raise
