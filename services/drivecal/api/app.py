@@ -8,9 +8,9 @@ from importlib.metadata import version
 
 from fastapi import FastAPI
 
-from drivecal.api import problems
+from drivecal.api import document, problems
 from drivecal.api.answers import ROOT
-from drivecal.api.auth import Authorisation, describe_tokens
+from drivecal.api.auth import Authorisation
 from drivecal.api.dependencies import Limits
 from drivecal.api.limits import Concurrency, Requests
 from drivecal.api.metrics import Meters
@@ -57,6 +57,5 @@ def create_app(settings: Settings) -> FastAPI:
         app.include_router(router, prefix=ROOT)
     app.include_router(health.router)
     app.include_router(metrics.router)
-    if tokens is not None:
-        app.openapi = lambda: describe_tokens(FastAPI.openapi(app))  # type: ignore[method-assign]  # FastAPI's own way to extend it
+    document.describe(app, asks_for_tokens=tokens is not None)
     return app

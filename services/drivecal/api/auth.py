@@ -8,7 +8,7 @@ No answer ever carries a CORS header.
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Protocol
 
 from starlette.requests import Request
 from starlette.types import ASGIApp, Receive, Scope, Send
@@ -91,17 +91,6 @@ class Authorisation:
         if request.method not in READING and origins and origins not in ([f"http://{hosts[0]}"], [f"https://{hosts[0]}"]):
             return 403, "without tokens this server takes no changes from web pages of other origins", {}
         return None
-
-
-def describe_tokens(document: dict[str, Any]) -> dict[str, Any]:
-    """An OpenAPI document with what clients have to show."""
-    scheme = {"type": "http", "scheme": "bearer", "description": "A token of the server's tokens file"}
-    document.setdefault("components", {})["securitySchemes"] = {"token": scheme}
-    document["security"] = [{"token": []}]
-    for path in OPEN & document["paths"].keys():
-        for operation in document["paths"][path].values():
-            operation["security"] = []
-    return document
 
 
 def _bearer(header: str) -> bytes | None:

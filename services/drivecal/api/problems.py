@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import re
 from collections.abc import Mapping, Sequence
 from http import HTTPStatus
 from typing import Any
@@ -151,9 +152,21 @@ async def _http_error(request: Request, error: Exception) -> Response:
     detail = str(error.detail)
     if error.status_code == HTTPStatus.NOT_FOUND and detail == HTTPStatus.NOT_FOUND.phrase:
         detail = f"there is nothing at {shown(request.url.path)}; see /docs for what there is"
+    headers = error.headers
     if error.status_code == HTTPStatus.METHOD_NOT_ALLOWED:
-        detail = f"{request.method} is not possible here; see /docs for what is"
-    return problem_response(request, error.status_code, detail, headers=error.headers)
+        headers = {"Allow": ", ".join(_methods(request)) or "GET"}
+        detail = f"{shown(request.method)} is not possible here; {headers['Allow']} is"
+    return problem_response(request, error.status_code, detail, headers=headers)
+
+
+def _methods(request: Request) -> list[str]:
+    """What is possible where a request went: of all routes, not of the first one only that has the path."""
+    found: set[str] = set()
+    for template, methods in request.app.openapi()["paths"].items():
+        pattern = "".join("[^/]+" if part.startswith("{") else re.escape(part) for part in re.split(r"(\{\w+\})", template))
+        if re.fullmatch(pattern, request.scope["path"], re.DOTALL):
+            found |= {method.upper() for method in methods}
+    return sorted(found)
 
 
 async def _unexpected(request: Request, error: Exception) -> Response:

@@ -1,0 +1,101 @@
+"""What the OpenAPI document promises holds for requests that schemathesis derives from it, good ones and bad ones.
+
+`DRIVECAL_LONG` in the environment makes it thorough: `make test-faults` sets it.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import pytest
+import schemathesis
+from fastapi import FastAPI
+from hypothesis import HealthCheck, settings
+from schemathesis.checks import CheckFunction, not_a_server_error
+from schemathesis.specs.openapi.checks import negative_data_rejection, positive_data_acceptance
+from tests.support.found import carry_out, carry_out_evaluation
+from tests.support.server import RunningApi, serving
+
+from drivecal.api.app import create_app
+from drivecal.configuration.settings import load_settings
+
+TOKEN = "writer-0123456789abcdef"
+HEADERS = {"Authorization": f"Bearer {TOKEN}"}
+EXAMPLES = 500 if os.environ.get("DRIVECAL_LONG") else 5
+SMALL: dict[str, Any] = {"sensitivity": None, "catalogue": ["S1", "S4"], "optimizer": {"population": 10, "iterations": 2}}
+MIDDLE = [0, 1, 100, 1000, 750, 0.5, 100, 1000, 5, 10, 100]
+often = settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck))
+NOT_IN_A_SCHEMA: list[CheckFunction] = [positive_data_acceptance]
+"""Which plug-ins are installed, which values lie on a grid and which cursors were given out is in no schema."""
+
+
+def application() -> FastAPI:
+    """The application as it is served, for its document alone."""
+    with TemporaryDirectory() as folder:
+        tokens = Path(folder) / "tokens"
+        tokens.write_text(f"writer write {TOKEN}\n")
+        return create_app(load_settings(database_url="sqlite:///never-made.db", tokens_file=str(tokens)))
+
+
+schema = schemathesis.openapi.from_dict(application().openapi())
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is in the database."""
+
+    campaign: str
+    evaluation: str
+    row: str
+    map: str
+
+
+@pytest.fixture(scope="module")
+def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
+    folder: Path = tmp_path_factory.mktemp("schema")
+    (folder / "tokens").write_text(f"writer write {TOKEN}\n")
+    with serving(
+        f"sqlite:///{folder / 'drivecal.db'}", tokens_file=str(folder / "tokens"), queued_campaigns=100_000
+    ) as running:
+        running.http.headers.update(HEADERS)
+        yield running
+
+
+@pytest.fixture(scope="module")
+def known(api: RunningApi) -> Known:
+    def post(path: str, document: dict[str, Any]) -> dict[str, Any]:
+        answer: dict[str, Any] = api.http.post(f"/api/v1/{path}", json=document).raise_for_status().json()
+        return answer
+
+    posted_map = post("influence-maps", {"scenarios": {"S1": {"P1": {"lower": -10}}}})
+    campaign = post("campaigns", SMALL | {"sensitivity": {"map": posted_map["id"]}})
+    carry_out(api.database, campaign["id"])
+    parameters = {f"P{number}": value for number, value in enumerate(MIDDLE, start=1)}
+    evaluation = post("evaluations", {"parameters": parameters, "scenario": "S2"})
+    carry_out_evaluation(api.database, evaluation["id"])
+    row = api.http.get(f"/api/v1/campaigns/{campaign['id']}/evaluations").json()["items"][0]["id"]
+    return Known(campaign["id"], evaluation["id"], str(row), posted_map["id"])
+
+
+@schema.parametrize()
+@often
+def test_every_answer_is_as_documented(case: schemathesis.Case[Any], api: RunningApi) -> None:
+    # A server without a dispatcher is not ready, and 503 is how it says so.
+    excluded = [*NOT_IN_A_SCHEMA, *([not_a_server_error] if case.operation.path == "/readyz" else [])]
+    case.call_and_validate(api.url, headers=HEADERS, excluded_checks=excluded, timeout=30)
+
+
+@schema.include(path_regex="{").parametrize()
+@often
+def test_every_answer_about_what_is_there_is_as_documented(case: schemathesis.Case[Any], api: RunningApi, known: Known) -> None:
+    ids = {"campaign_id": known.campaign, "map_id": known.map, "evaluation_id": known.evaluation}
+    for name in case.path_parameters:
+        case.path_parameters[name] = ids[name]
+    # An id that was to be wrong is right now.
+    excluded = [*NOT_IN_A_SCHEMA, negative_data_rejection]
+    case.call_and_validate(api.url, headers=HEADERS, excluded_checks=excluded, timeout=30)
