@@ -72,6 +72,6 @@ def test_a_worker_killed_every_two_seconds_for_three_minutes_costs_no_cell(tmp_p
                 assert_as_without_faults(server, accepted, expected)
                 campaigns += 1
                 print(f"{time.monotonic() - begin:.0f} s: {campaigns} campaigns, {len(killed)} workers killed", flush=True)
-        assert len(killed) >= 0.5 * FOR_SECONDS / EVERY_SECONDS, f"only {len(killed)} workers were there to be killed"
+        assert len(killed) >= FOR_SECONDS / EVERY_SECONDS / 3, f"only {len(killed)} workers were there to be killed"
         server.wait_ready()
         server.terminate()
