@@ -127,12 +127,15 @@ def show_until_ended(
 ) -> Campaign:
     """Shows a campaign's progress until it ended, and returns it; what happened to it earlier is told too where `from_beginning` is
     True. Raises TimeoutError past `deadline`, of the monotonic clock."""
+    said: str | None = None
     with reporter() as report:
 
         def told(event: CampaignEvent) -> None:
+            nonlocal said
             text = event_text(event)
-            if text is not None:
+            if text is not None and text != said:  # what the stream and the dispatcher both say is said once
                 report.tell(text)
+                said = text
 
         for campaign in client.watch(identifier, deadline, told, from_beginning=from_beginning):
             report.show(campaign)
