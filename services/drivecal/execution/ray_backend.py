@@ -72,6 +72,8 @@ class _Actor:
     alone: bool = False
     deadline: float = 0.0
     """Of the first call, or of the start."""
+    died_at: float | None = None
+    """When its death was noticed, until it is known whether Ray as a whole has died."""
     start_again_at: float = 0.0
     failed_starts: int = 0
     faults: int = 0
@@ -210,7 +212,10 @@ class RayBackend:
         done, _ = self._ray.wait(references, num_returns=1, timeout=timeout, fetch_local=False)
         if done and len(references) > 1:
             done, _ = self._ray.wait(references, num_returns=len(references), timeout=0, fetch_local=False)
-        return [event for reference in done for event in self._answer(waiting[reference])]
+        events = [event for reference in done for event in self._answer(waiting[reference])]
+        if done and not events:
+            time.sleep(min(timeout, 0.02))  # a death that is not settled yet comes back at once
+        return events
 
     def _answer(self, actor: _Actor) -> list[Finished | Lost]:
         """The answer of an actor whose running call has one."""
@@ -221,6 +226,8 @@ class RayBackend:
         except errors.OutOfMemoryError as error:
             return self._bury(actor, Breakdown.MEMORY, f"{_place(actor)} was ended because its node ran out of memory", error)
         except errors.RayActorError as error:
+            if not self._is_to_blame(actor):
+                return []
             if "low on memory" in str(error):
                 return self._bury(
                     actor, Breakdown.MEMORY, f"{_place(actor)} was ended because its node ran out of memory", error
@@ -247,6 +254,12 @@ class RayBackend:
         if any(one.breakdown is None for one in result.results):
             actor.faults, actor.reason = 0, ""
         return [Finished(call.batch_id, result)]
+
+    def _is_to_blame(self, actor: _Actor) -> bool:
+        """Whether a dead actor died by itself: Ray was there afterwards. Where all of it is gone, its cells have no part in that."""
+        if actor.died_at is None:
+            actor.died_at = time.monotonic()
+        return self._cluster.answered_since(actor.died_at)
 
     def _next_call(self, actor: _Actor) -> _Call:
         """Takes the running call away; the one behind it is running now."""
@@ -294,7 +307,7 @@ class RayBackend:
 
     def _begin_anew(self, actor: _Actor) -> None:
         self._kill(actor)
-        actor.warming = actor.pid = None
+        actor.warming = actor.pid = actor.died_at = None
         if actor.start_again_at <= time.monotonic():
             self._start(actor)
 

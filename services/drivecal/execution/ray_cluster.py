@@ -101,6 +101,10 @@ class Cluster:
         """That Ray does not answer at the moment, in words; None where it does."""
         return None if self._watch is None else self._watch.trouble()
 
+    def answered_since(self, moment: float) -> bool:
+        """Whether Ray has answered after a moment of the monotonic clock; it is asked twice a second."""
+        return self._watch is not None and self._watch.answered_since(moment)
+
     def close(self) -> None:
         """Leaves the cluster; a local Ray ends."""
         if self._watch is not None:

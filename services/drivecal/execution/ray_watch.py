@@ -46,6 +46,10 @@ class Watch:
         """Why it does not come back, in words; None while there is hope."""
         return self._gone or (self.trouble() if self._clock() - self._answered > GIVEN_UP_AFTER else None)
 
+    def answered_since(self, moment: float) -> bool:
+        """Whether it answered after a moment (of the clock)."""
+        return self._answered > moment
+
     def stop(self) -> None:
         """Asks no more. Nothing of Ray is used any more afterwards."""
         self._stopped.set()

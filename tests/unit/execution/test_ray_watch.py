@@ -75,3 +75,17 @@ def test_a_store_that_began_anew_is_lost_at_once() -> None:
         assert watch.lost() == "the Ray cluster at home has started anew"
 
     watched(use)
+
+
+def test_an_answer_counts_for_what_was_before_it() -> None:
+    def use(store: Store, watch: Watch) -> None:
+        store.now = 10.0
+        asked_again(store)
+        assert watch.answered_since(5.0)
+        store.error = TimeoutError()
+        asked_again(store)
+        store.now = 20.0
+        asked_again(store)
+        assert not watch.answered_since(15.0)
+
+    watched(use)
