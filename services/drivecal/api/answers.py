@@ -116,6 +116,7 @@ def evaluated_cell(stored: StoredEvaluation, metrics: Mapping[str, float | None]
         failure=stored.failure,
         milliseconds=stored.milliseconds,
         worker=stored.worker,
+        detail=stored.detail,
         metrics=None if metrics is None else dict(metrics),
     )
 

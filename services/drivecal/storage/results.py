@@ -47,6 +47,8 @@ class StoredEvaluation:
     milliseconds: float | None
     worker: str | None
     attempts: int
+    detail: str | None
+    """Why it failed, in the words of whoever saw it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,4 +196,5 @@ def _evaluation(row: Row[Any]) -> StoredEvaluation:
         milliseconds=row.milliseconds,
         worker=row.worker,
         attempts=row.attempts,
+        detail=row.detail,
     )

@@ -19,6 +19,8 @@ class EvaluatedCell(Answer):
     failure: str | None
     milliseconds: float | None
     worker: str | None
+    detail: str | None = None
+    """Why there is no result, in words, where all attempts failed."""
     metrics: dict[str, float | None] | None = None
     """The measured metrics, their units in their names; null is one that this run does not define."""
 

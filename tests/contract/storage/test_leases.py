@@ -1,10 +1,14 @@
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
 from datetime import timedelta
+from typing import Any
 
 import pytest
-from sqlalchemy import select, text
+from sqlalchemy import Connection, select, text
 from tests.contract.storage.conftest import Backend
+from tests.contract.storage.test_query_plans import gather_statistics, plans, scanned
 from tests.support.storage import campaign, sample_set_ids, setup_id
 
 from drivecal.domain.campaigns import Stage
@@ -137,3 +141,23 @@ def test_expiry_counts_from_the_moment_of_leasing(database: Database) -> None:
         expires = connection.scalar(select(table.c.expires_at))
     assert expires is not None
     assert begin + timedelta(seconds=90) <= expires <= now() + timedelta(seconds=90)
+
+
+def test_leases_are_found_by_their_keys_among_very_many(database: Database, subtests: pytest.Subtests) -> None:
+    ids = pending(database, 20_000)
+    take(database, ids)
+    gather_statistics(database)
+    some = ids[:30]
+    uses: dict[str, Callable[[Connection], Any]] = {
+        "take": lambda connection: leases.take(connection, dict.fromkeys(some, 0), HOUR),
+        "breakdowns": lambda connection: leases.breakdowns(connection, some),
+        "give back": lambda connection: leases.give_back(connection, dict.fromkeys(some, 1)),
+        "accept": lambda connection: leases.accept(connection, dict.fromkeys(some, 1)),
+    }
+    with database.transaction() as connection:
+        for name, use in uses.items():
+            with subtests.test(name):
+                plan = plans(connection, use)
+                assert scanned(plan) == set(), plan
+                assert not re.search(r'SCAN leases|"Seq Scan"[^{]*"leases"', plan), plan
+                assert re.search("pk_(leases|evaluations)|INTEGER PRIMARY KEY", plan), plan

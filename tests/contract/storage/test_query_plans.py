@@ -26,6 +26,7 @@ from drivecal.storage import (
     evaluations,
     events,
     glances,
+    leases,
     parameter_sets,
     processes,
     reference_keys,
@@ -40,7 +41,7 @@ from drivecal.storage.statistics import Tally
 from drivecal.storage.types import now
 
 ROWS = 4_000
-SMALL = {"reference_indexes", "leases"}
+SMALL = {"reference_indexes", "leases", "processes"}
 """One row per map, setup and evaluator, and one per cell at a worker: PostgreSQL rightly reads all of them."""
 KEYS = [number.to_bytes(16, "big") for number in range(LARGEST_IN)]
 
@@ -134,6 +135,7 @@ LOOK_UPS: dict[str, tuple[Callable[[Connection], Any], str]] = {
         lambda connection: parameter_sets.load(connection, list(range(1, some(connection)))),
         "pk_parameter_sets|INTEGER PRIMARY KEY",
     ),
+    "leases of a campaign": (lambda connection: leases.forget(connection, 1), "ix_evaluations_pending"),
     "pending cells": (lambda connection: evaluations.pending(connection, 1), "ix_evaluations_pending"),
     "answers": (
         lambda connection: evaluations.answer(connection, [Answer(100, Outcome.FAILED, None, None, None)]),

@@ -44,12 +44,13 @@ def evaluate(
 @router.get("/{evaluation_id}", response_model=None, responses={200: {"model": Evaluation}})
 def read(evaluation_id: str, response: Response, database: DatabaseDependency) -> Evaluation | dict[str, Any]:
     """A single evaluation by the id that posting it gave; or, by the number in the first column of a campaign's table, that row with
-    its metrics."""
+    its metrics and, where it failed, the cause."""
     with database.read() as connection:
         if _is_number(evaluation_id):
             row = results.by_id(connection, int(evaluation_id))
             measured = runs.metrics(connection, [] if row.run_id is None else [row.run_id])
-            return evaluation_row(row) | {"metrics": None if row.run_id is None else measured[row.run_id]}
+            metrics = None if row.run_id is None else measured[row.run_id]
+            return evaluation_row(row) | {"detail": row.detail, "metrics": metrics}
         stored = _single(connection, evaluation_id)
         if not stored.state.ended:
             response.headers["Retry-After"] = str(SECONDS_BETWEEN_POLLS)
