@@ -31,6 +31,10 @@ Table = Literal["evaluations", "generations", "solutions", "influence", "robustn
 Answer = TypeVar("Answer", bound=BaseModel)
 
 ATTEMPTS_TO_CONNECT = 3
+BROKEN_ANSWERS = 2
+"""How often a connection may break off in the middle of a call before it counts as unreachable: a server that is restarted."""
+SECONDS_TO_RESTART = 1.0
+BROKEN_OFF = (httpx.ReadError, httpx.WriteError, httpx.CloseError, httpx.RemoteProtocolError)
 PATIENCE_SECONDS = 30.0
 """How long a call waits in all for a server that asks to try again later, where trying again can do no harm."""
 
@@ -264,13 +268,22 @@ class Client:
         headers: Mapping[str, str] | None = None,
         document: Mapping[str, Any] | None = None,
     ) -> httpx.Response:
-        """The answer, asked for again while the server asks for it and patience lasts. To be used where repeating does no harm."""
-        waited = 0.0
+        """The answer, asked for again while the server asks for it, or breaks off, and patience lasts. To be used where repeating does
+        no harm."""
+        waited, broken = 0.0, 0
         while True:
-            response = self._once(method, path, query, headers, document)
-            pause = _pause(response)
-            if pause is None or waited + pause > PATIENCE_SECONDS:
-                return response
+            try:
+                response = self._once(method, path, query, headers, document)
+            except UnavailableError as error:
+                broken += 1
+                if broken > BROKEN_ANSWERS or not isinstance(error.__cause__, BROKEN_OFF):
+                    raise
+                pause = SECONDS_TO_RESTART
+            else:
+                asked = _pause(response)
+                if asked is None or waited + asked > PATIENCE_SECONDS:
+                    return response
+                pause = asked
             time.sleep(pause)
             waited += pause
 

@@ -5,10 +5,13 @@ from __future__ import annotations
 import asyncio
 import json
 import pickle
+import sqlite3
 
 import httpx
+import psycopg
 import pytest
 from fastapi import FastAPI
+from sqlalchemy.exc import InternalError, OperationalError, PendingRollbackError
 
 from drivecal.api import problems
 from drivecal.domain.errors import (
@@ -17,7 +20,9 @@ from drivecal.domain.errors import (
     DrivecalError,
     InvalidInputError,
     NotFoundError,
+    OverloadError,
     Problem,
+    TooLargeError,
     UnavailableError,
 )
 
@@ -27,6 +32,11 @@ ERRORS = [
     (ConflictError("it runs"), 409),
     (UnavailableError("the database does not answer"), 503),
     (DatabaseError("it is no database"), 503),
+    (OverloadError("it is full", 30), 429),
+    (TooLargeError(Problem("optimizer", "it is too much", "give less")), 413),
+    (OperationalError("SELECT 1", {}, sqlite3.OperationalError("no such table: campaigns")), 503),
+    (InternalError("INSERT", {}, psycopg.errors.ReadOnlySqlTransaction("cannot execute INSERT")), 503),
+    (PendingRollbackError("the transaction is gone"), 503),
     (DrivecalError("something else"), 500),
     (ZeroDivisionError("a fault of ours"), 500),
 ]
@@ -56,7 +66,11 @@ def test_each_error_is_a_problem_document_with_its_status(error: Exception, stat
     document = response.json()
     assert set(document) == {"type", "title", "status", "detail", "instance", "errors"}
     assert document["status"] == status
-    assert ("retry-after" in response.headers) == (status == 503)
+    assert ("retry-after" in response.headers) == (status in {429, 503})
+
+
+def test_what_a_database_said_is_told_to_nobody_but_the_log() -> None:
+    assert "no such table" not in answer(next(error for error, _ in ERRORS if isinstance(error, OperationalError))).text
 
 
 def test_a_fault_of_ours_tells_the_world_nothing() -> None:

@@ -16,7 +16,15 @@ import pytest
 from drivecal.client import following
 from drivecal.client.client import Client
 from drivecal.contracts.campaign import Campaign
-from drivecal.domain.errors import ConflictError, DrivecalError, InvalidInputError, NotFoundError, Problem, UnavailableError
+from drivecal.domain.errors import (
+    ConflictError,
+    DrivecalError,
+    InvalidInputError,
+    NotAuthorisedError,
+    NotFoundError,
+    Problem,
+    UnavailableError,
+)
 
 Answer = tuple[int, dict[str, str], bytes]
 """Status, headers, body."""
@@ -108,6 +116,69 @@ def test_each_submission_has_a_key_of_its_own_unless_one_is_given() -> None:
     keys = [headers["idempotency-key"] for _, _, headers, _ in script.requests]
     assert len(set(keys)) == 3
     assert keys[2] == "mine"
+
+
+@pytest.fixture
+def waits(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    found: list[float] = []
+    monkeypatch.setattr(time, "sleep", found.append)
+    return found
+
+
+BUSY = (429, {"Retry-After": "7"}, problem(429, "the queue is full")[2])
+AWAY = (503, {"Retry-After": "5"}, problem(503, "the database is away")[2])
+BROKEN = (200, {"Transfer-Encoding": "chunked"}, b"zz")
+
+
+def test_a_busy_server_is_asked_again_when_it_says_and_with_the_same_key(waits: list[float]) -> None:
+    with server(BUSY, AWAY, campaign("queued")) as (client, script):
+        assert client.submit({}).state == "queued"
+    assert waits == [7.0, 5.0]
+    assert len({headers["idempotency-key"] for _, _, headers, _ in script.requests}) == 1
+
+
+def test_patience_has_an_end(waits: list[float]) -> None:
+    with server(*[BUSY] * 6) as (client, _), pytest.raises(UnavailableError, match="the queue is full"):
+        client.submit({})
+    assert waits == [7.0] * 4
+
+
+@pytest.mark.parametrize("header", ["", "soon", "-1", "1e9", "9" * 400, "Wed, 21 Oct 2026 07:28:00 GMT"])
+def test_a_server_that_names_no_seconds_is_not_asked_again(header: str, waits: list[float]) -> None:
+    with server((503, {"Retry-After": header}, problem(503)[2])) as (client, _), pytest.raises(UnavailableError):
+        client.workers()
+    assert waits == []
+
+
+def test_an_answer_that_breaks_off_is_asked_for_again(waits: list[float]) -> None:
+    with server(BROKEN, campaign("queued")) as (client, script):
+        client.submit({})
+    assert waits == [1.0]
+    assert len(script.requests) == 2
+    with server(*[BROKEN] * 3) as (client, script), pytest.raises(UnavailableError):
+        client.workers()
+    assert len(script.requests) == 3
+
+
+def test_what_would_be_done_twice_is_not_asked_for_again(waits: list[float]) -> None:
+    for answer in (AWAY, BUSY, BROKEN):
+        with server(answer) as (client, script), pytest.raises(UnavailableError):
+            client.post_influence_map({"scenarios": {"S1": {}}})
+        assert len(script.requests) == 1
+    assert waits == []
+
+
+def test_a_token_is_shown_with_every_call_and_never_told() -> None:
+    with server(problem(401), problem(401), problem(403, "the token of x may only read")) as (anonymous, script):
+        with pytest.raises(NotAuthorisedError, match="asks for a token; set DRIVECAL_TOKEN"):
+            anonymous.workers()
+        with Client(anonymous.url, token="secret-0123456789") as client:
+            with pytest.raises(NotAuthorisedError, match="does not know this token") as caught:
+                client.workers()
+            assert "secret" not in str(caught.value) + repr(vars(client))
+            with pytest.raises(NotAuthorisedError, match="may only read"):
+                client.workers()
+    assert [headers.get("authorization") for _, _, headers, _ in script.requests] == [None, *["Bearer secret-0123456789"] * 2]
 
 
 def test_an_id_cannot_leave_its_path() -> None:
