@@ -11,7 +11,6 @@ import pytest
 from tests.support.found import carry_out
 from tests.support.server import RunningApi, new_database, serving
 
-
 MIDDLE = [0, 1, 100, 1000, 750, 0.5, 100, 1000, 5, 10, 100]
 
 
