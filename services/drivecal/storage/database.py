@@ -13,7 +13,7 @@ from sqlalchemy import URL, Connection, Engine, create_engine, event
 
 from drivecal.domain.errors import DatabaseError, UnavailableError
 from drivecal.storage import schema, urls
-from drivecal.storage.answering import Watch
+from drivecal.storage.answering import Watch, mind_absence
 from drivecal.storage.failures import translated
 from drivecal.storage.types import to_json
 
@@ -170,6 +170,7 @@ def _prepare_postgresql(patience: Patience, connection: Any, _record: Any) -> No
     # that of a turning disk, makes the planner prefer a scan of the whole table.
     connection.execute("SET jit = off")
     connection.execute("SET random_page_cost = 1.1")
+    mind_absence(connection)
     if patience.statement is not None:
         connection.execute(f"SET statement_timeout = '{patience.statement}s'")
         connection.execute(f"SET lock_timeout = '{patience.lock:.0f}s'")

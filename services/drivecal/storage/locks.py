@@ -15,7 +15,7 @@ from sqlalchemy.pool import NullPool
 
 from drivecal.domain.errors import DatabaseError
 from drivecal.storage import urls
-from drivecal.storage.answering import Watch
+from drivecal.storage.answering import Watch, mind_absence
 from drivecal.storage.failures import translated
 
 KEY = 0x64726331
@@ -140,6 +140,7 @@ class _PostgresLock(_Releasing):
     def _acquire(self) -> Connection:
         with translated(self._name):
             connection = self._engine.connect()
+            mind_absence(connection.connection.dbapi_connection)  # type: ignore[arg-type]
             if connection.scalar(text("SELECT pg_try_advisory_lock(:key, hashtext(current_schema()))"), {"key": KEY}):
                 return connection
             holder = (connection.scalar(_HOLDER, {"key": KEY}) or "unknown").removeprefix(_OWNER)
