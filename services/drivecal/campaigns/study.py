@@ -19,7 +19,7 @@ from drivecal.domain.campaigns import Stage
 from drivecal.domain.events import EventKind
 from drivecal.execution.scheduler import Completed
 from drivecal.reduction.assignment import Policy
-from drivecal.storage import campaigns, events, results, studies
+from drivecal.storage import events, results, studies
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.database import Database
 from drivecal.storage.results import CellAnswer
@@ -131,7 +131,7 @@ class StudyStage(ABC):
 
     def _save(self, connection: Connection) -> None:
         counts = StageCellCounts(**self._ledger.counts)
-        campaigns.save_study(
+        studies.save_progress(
             connection,
             self._campaign.sequence,
             self.stage,

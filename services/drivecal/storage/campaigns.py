@@ -272,30 +272,6 @@ def start(connection: Connection, sequence: int) -> StoredCampaign | None:
     return _campaign(row)
 
 
-def save_study(
-    connection: Connection,
-    sequence: int,
-    stage: Stage,
-    *,
-    iteration: int | None,
-    cells: StageCellCounts,
-    progress: Progress,
-    simulating_seconds: float,
-) -> None:
-    """Writes how far a campaign is in one of the stages after the calibration, whose results stay as they are."""
-    column = {Stage.ROBUSTNESS: "robustness_cells", Stage.VALIDATION: "validation_cells"}[stage]
-    values: dict[str, Any] = {column: cells.model_dump(mode="json")}
-    connection.execute(
-        _of(sequence).values(
-            stage=stage,
-            iteration=iteration,
-            progress=progress.model_dump(mode="json"),
-            simulating_seconds=simulating_seconds,
-            **values,
-        )
-    )
-
-
 def save_progress(connection: Connection, sequence: int, snapshot: Snapshot) -> None:
     """Writes how far a campaign is."""
     statement = _of(sequence).values(

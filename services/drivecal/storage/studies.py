@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from sqlalchemy import Connection, select
+from sqlalchemy import Connection, select, update
 
+from drivecal.contracts.campaign import Progress, StageCellCounts
 from drivecal.domain.campaigns import Stage
 from drivecal.storage.membership import insert
-from drivecal.storage.tables import studies
+from drivecal.storage.tables import campaigns, studies
 
 
 def save(connection: Connection, campaign_sequence: int, stage: Stage, document: Mapping[str, Any]) -> None:
@@ -24,3 +25,24 @@ def get(connection: Connection, campaign_sequence: int, stage: Stage) -> dict[st
     """What a stage found so far; None where it has not begun."""
     query = select(studies.c.document).where(studies.c.campaign_sequence == campaign_sequence, studies.c.stage == stage)
     return connection.execute(query).scalar_one_or_none()
+
+
+def save_progress(
+    connection: Connection,
+    campaign_sequence: int,
+    stage: Stage,
+    *,
+    iteration: int | None,
+    cells: StageCellCounts,
+    progress: Progress,
+    simulating_seconds: float,
+) -> None:
+    """Writes how far a campaign is in such a stage; what the stages before it found stays as it is."""
+    column = {Stage.ROBUSTNESS: "robustness_cells", Stage.VALIDATION: "validation_cells"}[stage]
+    statement = update(campaigns).where(campaigns.c.sequence == campaign_sequence)
+    values: dict[str, Any] = {column: cells.model_dump(mode="json"), "progress": progress.model_dump(mode="json")}
+    connection.execute(
+        statement.values(
+            revision=campaigns.c.revision + 1, stage=stage, iteration=iteration, simulating_seconds=simulating_seconds, **values
+        )
+    )
