@@ -33,10 +33,11 @@ OF_A_CAMPAIGN = (
     "narrowed",
     "notes",
 )
-OF_ONE_RUN = {"milliseconds", "worker"}
+OF_ONE_RUN = {"id", "milliseconds", "worker"}
 """Columns of an evaluation that say who simulated it and how fast, not what came out."""
+NOT_PROVED = {"outcome": "simulated", "reference": "", "agrees": ""}
+"""What a cell shows that was simulated, and not to check a proof. Which cells a worker can prove depends on what it still knows."""
 PLACE = ("stage", "iteration", "individual", "scenario")
-MILLISECONDS = "milliseconds"
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,7 @@ def found(coordinator: Coordinator, campaign_id: str) -> Found:
 
 
 def _without_certificates(counts: dict[str, Any]) -> None:
-    """Certified cells count as simulated: which ones a worker can prove depends on what it still knows, and a new one knows nothing."""
+    """Certified cells count as simulated ones."""
     kind = type(counts["simulated"])
     counts["simulated"] = kind(int(counts["simulated"]) + int(counts.pop("certified")))
     counts.pop("checked", None)
@@ -85,9 +86,9 @@ def _without_certificates(counts: dict[str, Any]) -> None:
 def _by_place(rows: list[dict[str, str]]) -> list[dict[str, str]]:
     places = {row["id"]: " ".join(row[name] for name in PLACE) for row in rows}
     kept = [
-        {name: value for name, value in row.items() if name not in OF_ONE_RUN and name != "id"}
+        {name: value for name, value in row.items() if name not in OF_ONE_RUN}
         | {"reference": places.get(row["reference"], row["reference"])}
-        | {"outcome": "simulated" if row["outcome"] == "certified" else row["outcome"]}
+        | (NOT_PROVED if row["outcome"] in {"simulated", "certified"} and row["audited"] == "false" else {})
         for row in rows
     ]
     return sorted(kept, key=lambda row: (row["stage"], int(row["iteration"]), int(row["individual"]), row["scenario"]))
