@@ -1,6 +1,6 @@
 # drivecal: `make help` lists what can be made. Everything runs in .venv, which is installed on first use.
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-faults check bench format lock networks clean
+.PHONY: help demo test test-faults check bench train format lock networks clean
 BIN := .venv/bin
 INSTALLED := .venv/.installed
 
@@ -27,6 +27,9 @@ check: $(INSTALLED) ## lint, formatting, types and import rules
 
 bench: $(INSTALLED) ## run the benchmarks; tables on the screen, figures in .drivecal/bench/*.json
 	@$(BIN)/python tests/benchmarks/run.py
+
+train: $(INSTALLED) ## train the hybrid vehicle and the learned comfort evaluator anew, with the tables of their model cards (minutes)
+	@$(BIN)/python -m drivecal.training
 
 format: $(INSTALLED) ## format the code and mend what the linter can
 	@$(BIN)/ruff check --fix-only .

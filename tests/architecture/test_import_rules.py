@@ -32,6 +32,7 @@ PLANTED = {
     "The coordinator reaches the workers through its Ray backend only": ("services/drivecal/cli", "import drivecal.runtime"),
     "The workers do not know the coordinator": ("workers/drivecal/runtime", "from drivecal.reduction import keys"),
     "Only drivecal.traffic speaks to SUMO": ("workers/drivecal/episode", "import libsumo"),
+    "Only drivecal.training needs the libraries of training": ("workers/drivecal/vehicle", "import sklearn"),
     "No database and no web server beside the simulation": (
         "workers/drivecal/planner",
         "def late():\n    import sqlalchemy.orm",

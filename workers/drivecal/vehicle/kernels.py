@@ -5,6 +5,9 @@ They call each other and therefore live in one module (numba's cache does not no
 `state`, shape (9,): x, y, heading psi, speed v, side-slip angle beta, yaw rate, longitudinal acceleration, lateral acceleration, steering
 angle of the front wheels. `plant`, shape (8,): the coefficients of `pack_plant`. `trajectory`, shape (n, 7): as from `Planner.plan`.
 The position is that of the centre of mass, whose course over ground is psi + beta.
+
+A hybrid vehicle's `plant` goes on with what `drivecal.vehicle.residual.pack` gives, and its `state` has shape (10,): the last entry
+counts the steps at whose begin the vehicle was outside the range that its residual was trained for.
 """
 
 from __future__ import annotations
@@ -53,6 +56,15 @@ SPEED_GAIN = 1.0
 POSITION_GAIN = 0.25
 """Longitudinal feedback: 1/s on the speed error, 1/s^2 on the position error (0.5 rad/s, critically damped)."""
 
+GRAVITY = 9.81
+COEFFICIENTS = 8
+"""Of the single-track model in `plant`; where there are more, the residual's follow."""
+YAW_SCALE, STEERING_SCALE, SPEED_CENTRE, SPEED_REACH, LIMITS, BOUNDS, LAYERS = 8, 9, 10, 11, 12, 18, 20
+"""Where in `plant` the residual's parts begin: two scales that depend on the vehicle, the range, the bounds, the layers."""
+N_LATERAL, N_INPUTS, N_OUTPUTS = 4, 15, 2
+FADE = 0.1
+"""The share of the range over which the residual fades out beyond the range's end, so that nothing jumps there."""
+
 _STEERING_SHARE = 1.0 - math.exp(-STEP / STEERING_LAG)
 _DRIVE_SHARE = 1.0 - math.exp(-STEP / DRIVE_LAG)
 
@@ -96,23 +108,111 @@ def pack_plant(parameters: SingleTrackParameters) -> Floats:
 
 
 @njit(cache=True)
+def _within(value: float, lowest: float, highest: float) -> float:
+    """`value` cut to the limits; NaN stays NaN, so that a broken trajectory shows."""
+    if value > highest:
+        return highest
+    if value < lowest:
+        return lowest
+    return value
+
+
+@njit(cache=True)
+def plain_slip_and_yaw(v: float, beta: float, yaw_rate: float, delta: float, plant: Floats) -> tuple[float, float]:
+    """Derivatives of side-slip angle and yaw rate of the linear dynamic model (Rajamani, Section 2.3).
+
+    Tyre forces are c_f (delta - beta - l_f r / v) and c_r (-beta + l_r r / v).
+    """
+    beta_rate = (plant[2] * delta - plant[0] * beta) / v + (plant[1] / (v * v) - 1.0) * yaw_rate
+    return beta_rate, plant[3] * beta - plant[4] * yaw_rate / v + plant[5] * delta
+
+
+@njit(cache=True)
+def _within_range(lateral: tuple[float, float, float, float], speed: float, pull: float, plant: Floats) -> float:
+    """How far the residual counts: 1 inside the range it was trained for, 0 from `FADE` of the range beyond it on."""
+    largest = max(abs(speed) / plant[LIMITS + 4], abs(pull) / plant[LIMITS + 5])
+    for k in range(N_LATERAL):
+        largest = max(largest, abs(lateral[k]) / plant[LIMITS + k])
+    return min(1.0, max(0.0, (1.0 + FADE - largest) / FADE))
+
+
+@njit(cache=True)
+def residual_inputs(
+    v: float, yaw_rate: float, beta_rate: float, yaw_acceleration: float, delta_rate: float, acceleration: float, plant: Floats
+) -> tuple[tuple[float, float, float, float], float, float]:
+    """What the residual depends on, without dimension, from the single-track model's own derivatives.
+
+    Lateral: lateral acceleration over g; yaw acceleration over that of forces of each axle's load (l_f l_r m g / (L theta_z)); centripetal
+    less lateral acceleration over g; force over load that the front axle gains in 0.1 s of this steering rate. Then speed (centred,
+    over its reach) and longitudinal acceleration over g. So they mean the same for every vehicle of Table 8's box.
+    """
+    lateral = v * (beta_rate + yaw_rate) / GRAVITY
+    yaw, steering = yaw_acceleration * plant[YAW_SCALE], delta_rate * plant[STEERING_SCALE]
+    speed = (v - plant[SPEED_CENTRE]) / plant[SPEED_REACH]
+    return (lateral, yaw, v * yaw_rate / GRAVITY - lateral, steering), speed, acceleration / GRAVITY
+
+
+@njit(cache=True)
+def residual_outputs(
+    lateral: tuple[float, float, float, float], speed: float, pull: float, plant: Floats
+) -> tuple[float, float]:
+    """What the network adds to lateral acceleration over g and to the yaw acceleration (scaled as its inputs are).
+
+    One hidden layer of tanh over `lateral` times (1, speed, pull) and over (1, speed, pull), less the same with `lateral` mirrored: odd,
+    so that mirrored manoeuvres stay mirrored and straight on stays straight on. One fixed order of summation. Cut to the bounds.
+    """
+    first, second = 0.0, 0.0
+    width = N_INPUTS + N_OUTPUTS
+    for unit in range((plant.shape[0] - LAYERS) // width):
+        at = LAYERS + unit * width
+        odd = 0.0
+        for k in range(N_LATERAL):
+            odd += (plant[at + k] + plant[at + 4 + k] * speed + plant[at + 8 + k] * pull) * lateral[k]
+        even = plant[at + 12] + plant[at + 13] * speed + plant[at + 14] * pull
+        active = math.tanh(even + odd) - math.tanh(even - odd)
+        first += plant[at + N_INPUTS] * active
+        second += plant[at + N_INPUTS + 1] * active
+    share = _within_range(lateral, speed, pull, plant)
+    return share * _within(first, -plant[BOUNDS], plant[BOUNDS]), share * _within(second, -plant[BOUNDS + 1], plant[BOUNDS + 1])
+
+
+@njit(cache=True)
+def residual_accelerations(state: Floats, delta_rate: float, acceleration: float, plant: Floats) -> tuple[float, float, bool]:
+    """The residual's lateral (m/s^2) and yaw acceleration (rad/s^2), zero where the vehicle has none; True within its range."""
+    v, yaw_rate = state[3], state[5]
+    if plant.shape[0] <= COEFFICIENTS or not v >= DYNAMIC_ABOVE:
+        return 0.0, 0.0, False
+    beta_rate, yaw_acceleration = plain_slip_and_yaw(v, state[4], yaw_rate, state[8], plant)
+    lateral, speed, pull = residual_inputs(v, yaw_rate, beta_rate, yaw_acceleration, delta_rate, acceleration, plant)
+    more_lateral, more_yaw = residual_outputs(lateral, speed, pull, plant)
+    within = _within_range(lateral, speed, pull, plant) == 1.0
+    return GRAVITY * more_lateral, more_yaw / plant[YAW_SCALE], within
+
+
+@njit(cache=True)
 def _slip_and_yaw(
-    v: float, beta: float, yaw_rate: float, delta: float, delta_rate: float, acceleration: float, plant: Floats
+    v: float,
+    beta: float,
+    yaw_rate: float,
+    delta: float,
+    delta_rate: float,
+    acceleration: float,
+    plant: Floats,
+    more_lateral: float,
+    more_yaw: float,
 ) -> tuple[float, float]:
     """Derivatives of side-slip angle and yaw rate.
 
-    Dynamic (Rajamani, Section 2.3, with tyre forces c_f (delta - beta - l_f r / v) and c_r (-beta + l_r r / v)); below
-    `DYNAMIC_ABOVE` blended with the kinematic relations beta = l_r / L delta and r = v delta / L, on which both settle while
-    they move with them.
+    Dynamic, plus the residual's accelerations; below `DYNAMIC_ABOVE` blended with the kinematic relations beta = l_r / L delta and
+    r = v delta / L, on which both settle while they move with them.
     """
     if v >= DYNAMIC_ABOVE:
-        beta_rate = (plant[2] * delta - plant[0] * beta) / v + (plant[1] / (v * v) - 1.0) * yaw_rate
-        return beta_rate, plant[3] * beta - plant[4] * yaw_rate / v + plant[5] * delta
+        beta_rate, yaw_acceleration = plain_slip_and_yaw(v, beta, yaw_rate, delta, plant)
+        return beta_rate + more_lateral / v, yaw_acceleration + more_yaw
     share = max(0.0, (v - KINEMATIC_BELOW) / (DYNAMIC_ABOVE - KINEMATIC_BELOW))
     share = share * share * (3.0 - 2.0 * share)
     u = max(v, KINEMATIC_BELOW)
-    beta_dynamic = (plant[2] * delta - plant[0] * beta) / u + (plant[1] / (u * u) - 1.0) * yaw_rate
-    yaw_dynamic = plant[3] * beta - plant[4] * yaw_rate / u + plant[5] * delta
+    beta_dynamic, yaw_dynamic = plain_slip_and_yaw(u, beta, yaw_rate, delta, plant)
     beta_kinematic = plant[7] * delta_rate + (plant[7] * delta - beta) / SETTLING_TIME
     yaw_kinematic = (acceleration * delta + v * delta_rate) / plant[6] + (v * delta / plant[6] - yaw_rate) / SETTLING_TIME
     beta_rate = share * beta_dynamic + (1.0 - share) * beta_kinematic
@@ -120,27 +220,31 @@ def _slip_and_yaw(
 
 
 @njit(cache=True)
-def advance(state: Floats, delta_rate: float, acceleration: float, plant: Floats, step: float) -> None:
-    """One classical Runge-Kutta step (order 4) of `step` seconds with constant steering rate and acceleration; `state` is overwritten."""
+def advance(state: Floats, delta_rate: float, acceleration: float, plant: Floats, step: float) -> bool:
+    """One classical Runge-Kutta step (order 4) of `step` seconds with constant steering rate and acceleration; `state` is overwritten.
+
+    The residual of a hybrid vehicle is that of the step's begin. Answers whether the vehicle was within the residual's range then.
+    """
+    more, turn, within = residual_accelerations(state, delta_rate, acceleration, plant)
     x, y, psi, v, beta, yaw, delta = state[0], state[1], state[2], state[3], state[4], state[5], state[8]
     half = 0.5 * step
     course = psi + beta
     x1, y1 = v * math.cos(course), v * math.sin(course)
-    b1, r1 = _slip_and_yaw(v, beta, yaw, delta, delta_rate, acceleration, plant)
+    b1, r1 = _slip_and_yaw(v, beta, yaw, delta, delta_rate, acceleration, plant, more, turn)
     v2, d2 = v + half * acceleration, delta + half * delta_rate
     beta2, yaw2 = beta + half * b1, yaw + half * r1
     course = psi + half * yaw + beta2
     x2, y2 = v2 * math.cos(course), v2 * math.sin(course)
-    b2, r2 = _slip_and_yaw(v2, beta2, yaw2, d2, delta_rate, acceleration, plant)
+    b2, r2 = _slip_and_yaw(v2, beta2, yaw2, d2, delta_rate, acceleration, plant, more, turn)
     beta3, yaw3 = beta + half * b2, yaw + half * r2
     course = psi + half * yaw2 + beta3
     x3, y3 = v2 * math.cos(course), v2 * math.sin(course)
-    b3, r3 = _slip_and_yaw(v2, beta3, yaw3, d2, delta_rate, acceleration, plant)
+    b3, r3 = _slip_and_yaw(v2, beta3, yaw3, d2, delta_rate, acceleration, plant, more, turn)
     v4, d4 = v + step * acceleration, delta + step * delta_rate
     beta4, yaw4 = beta + step * b3, yaw + step * r3
     course = psi + step * yaw3 + beta4
     x4, y4 = v4 * math.cos(course), v4 * math.sin(course)
-    b4, r4 = _slip_and_yaw(v4, beta4, yaw4, d4, delta_rate, acceleration, plant)
+    b4, r4 = _slip_and_yaw(v4, beta4, yaw4, d4, delta_rate, acceleration, plant, more, turn)
     sixth = step / 6.0
     state[0] = x + sixth * (x1 + 2.0 * x2 + 2.0 * x3 + x4)
     state[1] = y + sixth * (y1 + 2.0 * y2 + 2.0 * y3 + y4)
@@ -149,9 +253,10 @@ def advance(state: Floats, delta_rate: float, acceleration: float, plant: Floats
     state[4] = beta + sixth * (b1 + 2.0 * b2 + 2.0 * b3 + b4)
     state[5] = yaw + sixth * (r1 + 2.0 * r2 + 2.0 * r3 + r4)
     state[8] = d4
-    beta_rate, _ = _slip_and_yaw(v4, state[4], state[5], d4, delta_rate, acceleration, plant)
+    beta_rate, _ = _slip_and_yaw(v4, state[4], state[5], d4, delta_rate, acceleration, plant, more, turn)
     state[6] = acceleration
     state[7] = v4 * (beta_rate + state[5])
+    return within
 
 
 @njit(cache=True)
@@ -169,16 +274,6 @@ def _sample(trajectory: Floats, column: int, time: float, spacing: float) -> flo
     value: float = trajectory[min(row, last), column]
     if row < last:
         value += (position - row) * (trajectory[row + 1, column] - value)
-    return value
-
-
-@njit(cache=True)
-def _within(value: float, lowest: float, highest: float) -> float:
-    """`value` cut to the limits; NaN stays NaN, so that a broken trajectory shows."""
-    if value > highest:
-        return highest
-    if value < lowest:
-        return lowest
     return value
 
 
@@ -276,7 +371,7 @@ def follow(
         rate = _steering_rate(state, controller, lateral_error, course_error, trajectory, time, spacing)
         acceleration = _acceleration(state, position_error, course_error, trajectory, time, spacing)
         before[:] = state
-        advance(state, rate, acceleration, plant, STEP)
+        within = advance(state, rate, acceleration, plant, STEP)
         # Comparisons with NaN are false: a state that is no longer finite is not sound either.
         sound = abs(state[7]) <= ADHESION_LIMIT and abs(state[0]) + abs(state[1]) + abs(state[3]) < 1e9
         if not sound:
@@ -285,4 +380,6 @@ def follow(
                 _record(state, dynamics, left)
             return UNSTABLE
         _record(state, dynamics, k)
+        if not within and plant.shape[0] > COEFFICIENTS:
+            state[9] += 1.0
     return FOLLOWED

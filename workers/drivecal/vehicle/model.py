@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from drivecal.plugins.ports import Floats
 from drivecal.vehicle import kernels
 from drivecal.vehicle.parameters import NOMINAL, SingleTrackParameters
+from drivecal.vehicle.residual import Residual
 
 
 class SingleTrackModel:
@@ -24,7 +27,8 @@ class SingleTrackModel:
 
     def start(self, x: float, y: float, heading: float, speed: float) -> None:
         """Starts a new run: straight ahead, without acceleration. Position of the centre of mass in m, heading in rad, speed in m/s."""
-        self._state[:] = (x, y, heading, speed, 0.0, 0.0, 0.0, 0.0, 0.0)
+        self._state[:] = 0.0
+        self._state[:4] = (x, y, heading, speed)
 
     @property
     def pose(self) -> Floats:
@@ -47,3 +51,21 @@ class SingleTrackModel:
         if status == kernels.TOO_SHORT:
             raise ValueError(f"the trajectory does not cover {since} s to {since + duration} s after its start")
         return bool(status == kernels.FOLLOWED)
+
+
+class HybridModel(SingleTrackModel):
+    """The single-track vehicle with a neural residual, which stays the same whatever `parameters` are.
+
+    Outside the range that the residual was trained for it is the single-track vehicle again.
+    """
+
+    def __init__(self, parameters: SingleTrackParameters, residual: Residual) -> None:
+        super().__init__(parameters)
+        self._plant = np.concatenate([self._plant, residual.pack(parameters)])
+        self._state = np.zeros(10)
+        self._pose = self._state[:8]
+
+    @property
+    def metrics(self) -> Mapping[str, float]:
+        """Seconds of the run outside the range that the residual was trained for, where the vehicle fell back to the single track."""
+        return {"outside_training_range_s": self._state.item(9) * kernels.STEP}

@@ -1,0 +1,67 @@
+"""The model cards' tables are those of the arrays that are shipped: what is held out is driven again and rated again, nothing is trained.
+
+`make train` writes both anew. Another processor, libm or integrator may move a figure's last digit.
+"""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+from drivecal.comfort import learned
+from drivecal.training import comfort, comfort_card, multibody, vehicle, vehicle_card
+from drivecal.training.manoeuvres import TRAINED, UNSEEN, draw
+from drivecal.training.tables import read_table
+from drivecal.vehicle import residual
+
+VEHICLE_CARD = residual.FILE.with_suffix(".md")
+COMFORT_CARD = learned.FILE.with_suffix(".md")
+NUMBER = re.compile(r"-?\d+(?:\.\d+)?")
+
+
+def assert_alike(table: str, written: str) -> None:
+    """The same words, and the same figures but for the last digit."""
+    assert NUMBER.sub("#", table) == NUMBER.sub("#", written)
+    for ours, theirs in zip(NUMBER.findall(table), NUMBER.findall(written), strict=True):
+        digits = len(theirs.partition(".")[2])
+        slack = 1.01 * 10.0**-digits if digits else 0.5
+        assert float(ours) == pytest.approx(float(theirs), abs=slack, rel=0.02)
+
+
+def test_a_figure_that_differs_would_be_noticed() -> None:
+    assert_alike("| a | 1.23 |", "| a | 1.24 |")
+    for table in ("| a | 1.33 |", "| b | 1.24 |", "| a | 1.24 | 2 |"):
+        with pytest.raises(AssertionError):
+            assert_alike(table, "| a | 1.24 |")
+
+
+@pytest.mark.slow
+def test_the_hybrid_vehicle_errs_on_held_out_manoeuvres_as_its_card_says_and_half_as_much_as_the_plain_one() -> None:
+    recordings, shipped = vehicle.held_out_drives(), residual.shipped()
+    assert_alike(vehicle_card.error_table(shipped, recordings), read_table(VEHICLE_CARD, vehicle_card.ERRORS))
+    errors = vehicle_card.errors(shipped, recordings)
+    assert np.all(errors["hybrid"] <= 0.5 * errors["plain"])
+    assert np.all(errors["plain"] <= errors["converted"])
+
+
+def test_the_hybrid_vehicles_range_is_what_its_card_says() -> None:
+    assert_alike(vehicle_card.range_table(residual.shipped()), read_table(VEHICLE_CARD, vehicle_card.RANGE))
+
+
+@pytest.mark.slow
+def test_the_learned_evaluator_agrees_with_the_panel_on_held_out_manoeuvres_as_its_card_says() -> None:
+    drives, regressions = comfort.drives(held_out=True), learned.shipped()
+    assert_alike(comfort_card.agreement_table(regressions, drives), read_table(COMFORT_CARD, comfort_card.AGREEMENT))
+    assert_alike(comfort_card.calibration_table(regressions, drives), read_table(COMFORT_CARD, comfort_card.CALIBRATION))
+
+
+def test_no_held_out_manoeuvre_of_the_vehicle_is_one_that_it_learned_from() -> None:
+    """Drawn from seeds that differ: not one speed occurs twice."""
+    wheelbase = multibody.converted().wheelbase
+    speeds = []
+    for seed, kinds in ((vehicle.SEED, TRAINED), (vehicle.SEED + 1000, (*TRAINED, UNSEEN))):
+        rng = np.random.default_rng(seed)
+        speeds.append({draw(kinds[number % len(kinds)], rng, wheelbase).speed for number in range(200)})
+    assert not speeds[0] & speeds[1]

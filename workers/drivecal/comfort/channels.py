@@ -1,0 +1,84 @@
+"""What the learned evaluator looks at: six channels of a run on a fixed length, in whole numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from drivecal.plugins.ports import Floats
+
+LENGTH = 160
+"""Samples per channel, spread over the whole run."""
+WINDOW = 50
+"""Rows of `dynamics` (0.01 s each) that accelerations, jerks and yaw rate are averaged over, as the reference scale averages its peaks."""
+SHORTEST, LONGEST = 1000, 3000
+"""Rows: runs of 10 to 30 s can be rated."""
+UNITS: Floats = np.array([1.0, 1.0, 1.0, 1.0, 0.04, 0.25])
+"""Of longitudinal and lateral acceleration (m/s^2), longitudinal and lateral jerk (m/s^3), yaw rate (rad/s) and offset (m)."""
+RESOLUTION, LARGEST = 256, 2047
+"""Whole numbers per unit, and the largest one: 8 units. Convolutions over all channels stay below 2^18, exact in 32 bits."""
+
+
+@njit(cache=True)
+def _sample(signal: Floats, position: float) -> float:
+    """Linear between samples; `position` is cut to the signal."""
+    last = signal.shape[0] - 1
+    position = min(max(position, 0.0), float(last))
+    row = min(int(position), last - 1)
+    return signal[row] + (position - row) * (signal[row + 1] - signal[row])
+
+
+@njit(cache=True)
+def _fill(dynamics: Floats, offset: Floats, units: Floats, out: npt.NDArray[np.int32]) -> None:
+    n, length = dynamics.shape[0], out.shape[1]
+    averages, slopes = n - WINDOW + 1, n - WINDOW
+    averaged = np.zeros((3, averages))
+    for k in range(3):
+        column = 1 + k
+        total = 0.0
+        for i in range(n):
+            total += dynamics[i, column]
+            if i >= WINDOW:
+                total -= dynamics[i - WINDOW, column]
+            if i >= WINDOW - 1:
+                averaged[k, i - WINDOW + 1] = total / WINDOW
+    steep = np.zeros((2, slopes))
+    for k in range(2):
+        for i in range(slopes):
+            steep[k, i] = (dynamics[i + WINDOW, 1 + k] - dynamics[i, 1 + k]) * (100.0 / WINDOW)
+    for t in range(length):
+        share = t / (length - 1.0)
+        out[0, t] = _whole(_sample(averaged[0], share * (averages - 1)) / units[0])
+        out[1, t] = _whole(_sample(averaged[1], share * (averages - 1)) / units[1])
+        out[2, t] = _whole(_sample(steep[0], share * (slopes - 1)) / units[2])
+        out[3, t] = _whole(_sample(steep[1], share * (slopes - 1)) / units[3])
+        out[4, t] = _whole(_sample(averaged[2], share * (averages - 1)) / units[4])
+        out[5, t] = _whole(_sample(offset, share * (offset.shape[0] - 1)) / units[5])
+
+
+@njit(cache=True)
+def _whole(value: float) -> int:
+    return int(min(max(np.floor(value * RESOLUTION + 0.5), -LARGEST), LARGEST))
+
+
+MIRROR: npt.NDArray[np.int32] = np.array([[1], [-1], [1], [-1], [-1], [-1]], dtype=np.int32)
+"""Channels times this are those of the same run seen in a mirror, left and right exchanged."""
+
+
+def channels_of(dynamics: Floats, offset: Floats) -> npt.NDArray[np.int32]:
+    """The channels in the order of `UNITS`, shape (6, LENGTH), in 1/256 of their units, cut at 8 units.
+
+    `dynamics` (n, 5) and `offset` (m,) as of `ports.Series`. Raises ValueError where the run is too short or too long, or where a value is
+    not finite.
+    """
+    rows = dynamics.shape[0]
+    if not SHORTEST <= rows <= LONGEST or offset.shape[0] < 2:
+        raise ValueError(
+            f"the run lasts {rows / 100:g} s; the learned evaluator knows runs of {SHORTEST // 100} to {LONGEST // 100} s"
+        )
+    if not (np.isfinite(dynamics).all() and np.isfinite(offset).all()):
+        raise ValueError("a value of the series is not finite; only finite series can be rated")
+    found = np.zeros((len(UNITS), LENGTH), dtype=np.int32)
+    _fill(np.ascontiguousarray(dynamics), np.ascontiguousarray(offset), UNITS, found)
+    return found

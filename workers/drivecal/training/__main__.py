@@ -1,0 +1,81 @@
+"""`python -m drivecal.training [vehicle] [comfort]`: makes the learned parts and the tables of their model cards anew."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+
+def train_vehicle() -> None:
+    """The hybrid vehicle's residual."""
+    from drivecal.training import vehicle, vehicle_card
+    from drivecal.training.drives import Drives
+    from drivecal.training.tables import write_table
+    from drivecal.vehicle.residual import FILE
+
+    _say("driving the multi-body vehicle")
+    drives = Drives.of(vehicle.training_drives())
+    baseline = vehicle.fit_baseline(drives)
+    _say("fitting the residual")
+    residual = vehicle.fit_residual(drives, baseline)
+    residual.write(FILE)
+    _say("driving the manoeuvres that are held out")
+    card = FILE.with_suffix(".md")
+    errors = vehicle_card.error_table(residual, vehicle.held_out_drives())
+    write_table(card, vehicle_card.ERRORS, errors)
+    write_table(card, vehicle_card.RANGE, vehicle_card.range_table(residual))
+    _say(errors, FILE)
+
+
+def train_comfort() -> None:
+    """The learned comfort evaluator."""
+    from drivecal.comfort.learned import FILE, write
+    from drivecal.domain.scenarios import Manoeuvre
+    from drivecal.training import comfort, comfort_card
+    from drivecal.training.tables import write_table
+
+    _say("driving the manoeuvres to learn from")
+    drives = comfort.drives(held_out=False)
+    panel = comfort.rated_by_panel(drives)
+    found = {}
+    for manoeuvre in Manoeuvre:
+        _say(f"fitting {manoeuvre.value}")
+        places = [place for place, drive in enumerate(drives) if drive.manoeuvre is manoeuvre]
+        found[manoeuvre] = comfort.fit([drives[place] for place in places], panel[places], comfort.SEED).regression
+    write(FILE, found)
+    _say("driving the manoeuvres that are held out")
+    card, held_out = FILE.with_suffix(".md"), comfort.drives(held_out=True)
+    agreement = comfort_card.agreement_table(found, held_out)
+    write_table(card, comfort_card.AGREEMENT, agreement)
+    write_table(card, comfort_card.CALIBRATION, comfort_card.calibration_table(found, held_out))
+    _say(agreement, FILE)
+
+
+PARTS: dict[str, Callable[[], None]] = {"vehicle": train_vehicle, "comfort": train_comfort}
+
+
+def _say(words: str, file: Path | None = None) -> None:
+    sys.stdout.write(f"{words}\n" + (f"written: {file.name} and {file.stem}.md\n" if file else ""))
+    sys.stdout.flush()
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Trains what is named, everything by default."""
+    parser = argparse.ArgumentParser(prog="python -m drivecal.training", description=__doc__)
+    parser.add_argument("parts", nargs="*", help="vehicle, comfort; both by default")
+    chosen = parser.parse_args(arguments).parts or list(PARTS)
+    unknown = [part for part in chosen if part not in PARTS]
+    if unknown:
+        parser.error(f"there is no {unknown[0]!r} to train; choose from {', '.join(PARTS)}")
+    for part in chosen:
+        begin = time.perf_counter()
+        PARTS[part]()
+        _say(f"{part}: {time.perf_counter() - begin:.0f} s")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,119 @@
+"""Free drives of the single track beside recorded ones: the same steering and speeds, its own yaw rate, acceleration and position."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from drivecal.plugins.ports import Floats
+from drivecal.training.manoeuvres import QUIET, STEP
+from drivecal.training.multibody import Recording
+from drivecal.vehicle import kernels
+from drivecal.vehicle.parameters import SingleTrackParameters
+from drivecal.vehicle.residual import Residual
+
+SECONDS = 4.0
+BEGIN, STEPS = round(QUIET / STEP), round(SECONDS / STEP)
+EVERY = 10
+"""Samples between those that a fit looks at."""
+
+
+@njit
+def _drive(plant: Floats, given: Floats, start: Floats, out: Floats, extremes: Floats) -> int:
+    """Drives freely with the steering and speeds of a recording.
+
+    `given`: (n + 1, 2), steering angle and speed; `start`: (3,), heading, side slip, yaw rate; `out`: (n, 3), yaw rate, lateral
+    acceleration, lateral position; `extremes`: (8,), raised to the magnitudes of the residual's six inputs and two outputs, or (0,) where
+    nobody asks. Answers how many steps were outside the residual's range.
+    """
+    state = np.zeros(10)
+    state[2], state[3], state[4], state[5], state[8] = start[0], given[0, 1], start[1], start[2], given[0, 0]
+    outside = 0
+    for k in range(out.shape[0]):
+        state[8], state[3] = given[k, 0], given[k, 1]
+        rate, acceleration = (given[k + 1, 0] - given[k, 0]) / 0.01, (given[k + 1, 1] - given[k, 1]) / 0.01
+        if extremes.shape[0] > 0:
+            v, yaw_rate = state[3], state[5]
+            slip, yaw = kernels.plain_slip_and_yaw(v, state[4], yaw_rate, state[8], plant)
+            lateral, speed, pull = kernels.residual_inputs(v, yaw_rate, slip, yaw, rate, acceleration, plant)
+            first, second = kernels.residual_outputs(lateral, speed, pull, plant)
+            for j, value in enumerate((*lateral, speed, pull, first, second)):
+                extremes[j] = max(extremes[j], abs(value))
+        outside += not kernels.advance(state, rate, acceleration, plant, 0.01)
+        out[k, 0], out[k, 1], out[k, 2] = state[5], state[7], state[1]
+    return outside
+
+
+@njit
+def _drive_all(plant: Floats, given: Floats, starts: Floats, out: Floats, extremes: Floats) -> int:
+    outside = 0
+    for k in range(given.shape[0]):
+        outside += _drive(plant, given[k], starts[k], out[k], extremes)
+    return outside
+
+
+@njit
+def _jacobian(
+    plant: Floats, places: Floats, steps: Floats, given: Floats, starts: Floats, every: int, out: Floats, found: Floats
+) -> None:
+    """Forward differences with respect to the entries `places` of `plant`; `found`: (places, manoeuvres, samples, 3)."""
+    base, moved, extremes = np.empty_like(out), np.empty_like(out), np.zeros(0)
+    _drive_all(plant, given, starts, base, extremes)
+    for index in range(places.shape[0]):
+        changed = plant.copy()
+        changed[int(places[index])] += steps[index]
+        _drive_all(changed, given, starts, moved, extremes)
+        found[index] = (moved[:, every - 1 :: every] - base[:, every - 1 :: every]) / steps[index]
+
+
+@dataclass(frozen=True, slots=True)
+class Drives:
+    """Recordings as arrays: `given` (m, n + 1, 2), `starts` (m, 3), `truth` (m, n, 3)."""
+
+    given: Floats
+    starts: Floats
+    truth: Floats
+
+    @classmethod
+    def of(cls, recordings: Sequence[Recording]) -> Drives:
+        """From the end of the quiet second on."""
+        end = BEGIN + STEPS
+        given = [np.column_stack([one.steering_angle, one.speed])[BEGIN : end + 1] for one in recordings]
+        starts = [[one.heading[BEGIN], one.side_slip[BEGIN], one.yaw_rate[BEGIN]] for one in recordings]
+        truth = [
+            np.column_stack([one.yaw_rate, one.lateral_acceleration, one.y - one.y[BEGIN]])[BEGIN + 1 : end + 1]
+            for one in recordings
+        ]
+        return cls(np.array(given), np.array(starts), np.array(truth))
+
+    def outputs(self, plant: Floats) -> Floats:
+        """What the vehicle of this `plant` does instead, as `truth`."""
+        out = np.empty_like(self.truth)
+        _drive_all(plant, self.given, self.starts, out, np.zeros(0))
+        return out
+
+    def derivatives(self, plant: Floats, places: Floats, steps: Floats) -> Floats:
+        """Of `outputs` at every `EVERY`-th sample, with respect to entries of `plant`: (places, m, n / EVERY, 3)."""
+        found = np.empty((len(places), len(self.truth), STEPS // EVERY, 3))
+        _jacobian(plant, places, steps, self.given, self.starts, EVERY, np.empty_like(self.truth), found)
+        return found
+
+    def errors(self, plant: Floats) -> Floats:
+        """R.m.s. over time of yaw rate (rad/s) and lateral acceleration (m/s^2), magnitude of lateral position after 4 s (m): (m, 3)."""
+        difference = self.outputs(plant) - self.truth
+        over_time = np.sqrt((difference[:, :, :2] ** 2).mean(axis=1))
+        return np.column_stack([over_time, np.abs(difference[:, -1, 2])])
+
+    def extremes(self, plant: Floats) -> tuple[Floats, float]:
+        """Largest magnitudes of the residual's six inputs and two outputs, (8,), and the share of steps outside its range."""
+        found = np.zeros(8)
+        outside = _drive_all(plant, self.given, self.starts, np.empty_like(self.truth), found)
+        return found, outside / (len(self.given) * STEPS)
+
+
+def hybrid_plant(parameters: SingleTrackParameters, residual: Residual) -> Floats:
+    """All that the kernels need of a hybrid vehicle."""
+    return np.concatenate([kernels.pack_plant(parameters), residual.pack(parameters)])

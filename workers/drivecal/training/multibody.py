@@ -1,0 +1,106 @@
+"""The multi-body vehicle that the residual is learned from: `vehicle_dynamics_mb` of commonroad-vehicle-models, vehicle 2 (a BMW 320i).
+
+Althoff and Würsching, CommonRoad: Vehicle Models, 2020, Chapter 10: 29 states, roll, pitch, suspension, magic-formula tyres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from scipy.integrate import solve_ivp
+from vehiclemodels.init_mb import init_mb
+from vehiclemodels.parameters_vehicle2 import parameters_vehicle2
+from vehiclemodels.vehicle_dynamics_mb import vehicle_dynamics_mb
+
+from drivecal.plugins.ports import Floats
+from drivecal.training.manoeuvres import STEP, Manoeuvre
+from drivecal.vehicle.parameters import SingleTrackParameters
+
+GRAVITY = 9.81
+RELATIVE_TOLERANCE, ABSOLUTE_TOLERANCE = 1e-7, 1e-8
+_VX, _YAW, _YAW_RATE, _VY = 3, 4, 5, 10
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """What the multi-body vehicle did in a manoeuvre, every 0.01 s; each of shape (n,), SI units.
+
+    `acceleration` is that of the speed over ground, `lateral_acceleration` that of the centre of mass across its course.
+    """
+
+    manoeuvre: Manoeuvre
+    steering_angle: Floats
+    speed: Floats
+    acceleration: Floats
+    y: Floats
+    heading: Floats
+    side_slip: Floats
+    yaw_rate: Floats
+    lateral_acceleration: Floats
+
+
+def _plain(parameters: Any) -> Any:
+    """The same values as plain attributes: the package's own containers cost most of the time."""
+    fields = parameters if isinstance(parameters, Mapping) else vars(parameters)
+    return SimpleNamespace(
+        **{name: value if value is None or isinstance(value, int | float) else _plain(value) for name, value in fields.items()}
+    )
+
+
+@cache
+def vehicle() -> Any:
+    """The parameters of vehicle 2."""
+    return _plain(parameters_vehicle2())
+
+
+def converted() -> SingleTrackParameters:
+    """Vehicle 2 as the package converts it to a single track: stiffness of pure side slip at zero slip, proportional to static load."""
+    p = vehicle()
+    per_load, wheelbase = -p.tire.p_ky1 * p.m * GRAVITY, p.a + p.b
+    return SingleTrackParameters(p.m, per_load * p.b / wheelbase, per_load * p.a / wheelbase, p.a, p.b, p.I_z)
+
+
+def record(manoeuvre: Manoeuvre) -> Recording:
+    """Drives a manoeuvre. Raises ArithmeticError where the integration fails."""
+    p = vehicle()
+    steering, pull = manoeuvre.steering, manoeuvre.pull
+
+    def derivatives(time: float, state: Any) -> list[float]:
+        inputs = [float(steering(time, 1)), float(np.interp(time, manoeuvre.times, pull))]
+        found: list[float] = vehicle_dynamics_mb([float(value) for value in state], inputs, p)
+        return found
+
+    start = init_mb([0.0, 0.0, 0.0, manoeuvre.speed, 0.0, 0.0, 0.0], p)
+    solution = solve_ivp(
+        derivatives,
+        (0.0, manoeuvre.times[-1]),
+        start,
+        method="LSODA",
+        t_eval=manoeuvre.times,
+        rtol=RELATIVE_TOLERANCE,
+        atol=ABSOLUTE_TOLERANCE,
+        max_step=10.0 * STEP,
+    )
+    if not solution.success:
+        raise ArithmeticError(f"the multi-body model cannot be integrated: {solution.message}")
+    states = solution.y
+    rates = np.array([derivatives(time, state) for time, state in zip(manoeuvre.times, states.T, strict=True)]).T
+    forward, sideways = states[_VX], states[_VY]
+    speed = np.hypot(forward, sideways)
+    slip_rate = (rates[_VY] * forward - sideways * rates[_VX]) / speed**2
+    return Recording(
+        manoeuvre=manoeuvre,
+        steering_angle=states[2],
+        speed=speed,
+        acceleration=(forward * rates[_VX] + sideways * rates[_VY]) / speed,
+        y=states[1],
+        heading=states[_YAW],
+        side_slip=np.arctan2(sideways, forward),
+        yaw_rate=states[_YAW_RATE],
+        lateral_acceleration=speed * (slip_rate + states[_YAW_RATE]),
+    )

@@ -1,0 +1,172 @@
+"""Manoeuvres to learn comfort from: runs of the built-in scenarios and synthetic profiles, both rated by the reference scale."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import qmc
+
+from drivecal.comfort import scale
+from drivecal.comfort.channels import channels_of
+from drivecal.comfort.metrics import comfort_metrics
+from drivecal.comfort.rocket import Integers
+from drivecal.domain.evaluations import Rating
+from drivecal.domain.scenarios import Manoeuvre
+from drivecal.episode.runner import Runner
+from drivecal.planner.plugin import FRENET
+from drivecal.plugins.ports import Floats, Series
+from drivecal.scenarios.plugin import HIGHWAY
+from drivecal.vehicle.model import SingleTrackModel
+from drivecal.vehicle.parameters import NOMINAL
+
+STEP = 0.1
+FINE = 0.01
+IDLE = 0.15
+"""Share of profiles without a change of lane or speed, and without each of the disturbances: else a calm drive would be unlike anything
+learned from."""
+
+
+@dataclass(frozen=True, slots=True)
+class RatedDrive:
+    """One manoeuvre. `group` is the same for those that belong together, as one parameter set in several scenarios: they are never split.
+
+    `name` tells it from all others. `channels` as from `channels_of`; `rating` that of the reference scale, in 0..7.
+    """
+
+    manoeuvre: Manoeuvre
+    group: str
+    name: str
+    channels: Integers
+    rating: float
+
+
+class _Recorder:
+    """An evaluator that rates by the reference scale and keeps what it saw."""
+
+    name, version = "recorder", "1"
+
+    def __init__(self) -> None:
+        self.channels: Integers | None = None
+
+    def rate(self, manoeuvre: Manoeuvre, metrics: Mapping[str, float]) -> Rating:
+        """By the reference scale."""
+        return scale.rate(manoeuvre, metrics)
+
+    def rate_series(self, manoeuvre: Manoeuvre, series: Series) -> Rating:
+        """By the reference scale."""
+        self.channels = channels_of(series.dynamics, series.offset)
+        return self.rate(manoeuvre, comfort_metrics(series.dynamics, series.offset))
+
+
+def group_of_set(number: int) -> str:
+    """That of a simulated parameter set."""
+    return f"set {number}"
+
+
+def group_of_profile(manoeuvre: Manoeuvre, number: int) -> str:
+    """That of a synthetic profile."""
+    return f"{manoeuvre.value} {number}"
+
+
+def simulated(total: int, numbers: Sequence[int], seed: int) -> list[RatedDrive]:
+    """Of `total` random parameter sets (Latin hypercube over the whole space) those with these numbers, in all scenarios of the highway
+    catalogue; failed runs are left out."""
+    space = FRENET.spaces["highway"]
+    unit = qmc.LatinHypercube(len(space), seed=seed).random(total)
+    found = []
+    for scenario in HIGHWAY.scenarios.values():
+        recorder = _Recorder()
+        runner = Runner(scenario, FRENET, SingleTrackModel(NOMINAL), recorder)
+        for number in numbers:
+            row = zip(unit[number], space, strict=True)
+            result = runner.run([float(one.value(round(u * (one.n_values - 1)))) for u, one in row])
+            if result.failure is None and recorder.channels is not None:
+                group = group_of_set(number)
+                name = f"{group} {scenario.id}"
+                found.append(RatedDrive(scenario.manoeuvre, group, name, recorder.channels, result.rating.rating))
+    return found
+
+
+def _eased(u: Floats) -> Floats:
+    u = np.clip(u, 0.0, 1.0)
+    return u**3 * (10.0 - 15.0 * u + 6.0 * u * u)
+
+
+def _waves(time: Floats, rng: np.random.Generator, lowest: float, highest: float) -> Floats:
+    """Four waves of random frequency (Hz) and phase, r.m.s. 1, beginning softly."""
+    frequency, phase = rng.uniform(lowest, highest, 4), rng.uniform(0.0, 2.0 * np.pi, 4)
+    waves = np.sin(2.0 * np.pi * np.outer(time, frequency) + phase).sum(axis=1)
+    return np.asarray(waves / np.sqrt((waves**2).mean()) * _eased(time / 1.5))
+
+
+def _size(rng: np.random.Generator, mean: float) -> float:
+    """Of a disturbance; none at all in `IDLE` of the profiles."""
+    return float(rng.exponential(mean) * (rng.random() > IDLE))
+
+
+def _profile(manoeuvre: Manoeuvre, time: Floats, rng: np.random.Generator) -> tuple[Floats, Floats, Floats]:
+    """Offset from the target lane's centre (m), speed (m/s) and curvature of the road (1/m) over time, each of shape (n,)."""
+    speed = np.full_like(time, rng.uniform(20.0, 36.0))
+    offset = _size(rng, 0.01) * _waves(time, rng, 0.05, 0.4)
+    road = np.zeros_like(time)
+    if rng.random() < 0.5:
+        begin, ramp, lasts = rng.uniform(0.0, 8.0), rng.uniform(1.5, 5.0), rng.uniform(1.0, 8.0)
+        across = rng.uniform(-1.0, 1.0) * (3.4 if manoeuvre is Manoeuvre.LANE_KEEPING else 1.6)
+        road = across / speed**2 * (_eased((time - begin) / ramp) - _eased((time - begin - ramp - lasts) / ramp))
+    if manoeuvre is Manoeuvre.LANE_CHANGE:
+        begin, takes, width = rng.uniform(0.5, 4.0), rng.uniform(2.8, 8.5), rng.choice([-1.0, 1.0]) * rng.uniform(3.4, 3.8)
+        width *= rng.random() > IDLE
+        beyond = _size(rng, 0.15) * np.exp(-np.maximum(time - begin - takes, 0.0)) * _eased((time - begin) / takes)
+        offset += width * (_eased((time - begin) / takes) - 1.0)
+        offset += width * beyond * np.sin(rng.uniform(0.6, 1.6) * (time - begin))
+        speed += _size(rng, 0.4) * _waves(time, rng, 0.03, 0.15)
+    elif manoeuvre is Manoeuvre.LANE_KEEPING:
+        aside = rng.uniform(-0.8, 0.8) * (rng.random() > IDLE)
+        rate, wave = rng.uniform(0.3, 1.2), rng.uniform(0.0, 1.2)
+        offset += aside * np.exp(-rate * time) * np.cos(wave * time)
+        offset += _size(rng, 0.12) * _waves(time, rng, 0.05, rng.uniform(0.15, 0.6))
+        speed += _size(rng, 0.3) * _waves(time, rng, 0.03, 0.15)
+    else:
+        change, begin = rng.choice([-1.0, 1.0]) * rng.uniform(3.0, 12.0), rng.uniform(0.5, 4.0)
+        takes = abs(change) * rng.uniform(0.5, 2.2)
+        change *= rng.random() > IDLE
+        speed += change * _eased((time - begin) / takes) + _size(rng, 0.25) * _waves(time, rng, 0.05, 0.3)
+    return offset, speed, road
+
+
+def _trajectory(offset: Floats, speed: Floats, road: Floats) -> Floats:
+    """The path as a planner gives it, rows every 0.1 s; from profiles every 0.01 s."""
+    time = np.arange(len(offset)) * FINE
+    curvature = road + np.gradient(np.gradient(offset, FINE), FINE) / speed**2
+
+    def integral(rate: Floats) -> Floats:
+        return np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * FINE)])
+
+    heading = integral(speed * curvature)
+    x, y = integral(speed * np.cos(heading)), integral(speed * np.sin(heading))
+    rows = np.column_stack([time, x, y, heading, curvature, speed, np.gradient(speed, FINE)])
+    return np.ascontiguousarray(rows[:: round(STEP / FINE)])
+
+
+def synthetic(manoeuvre: Manoeuvre, number: int, seed: int) -> RatedDrive | None:
+    """A profile of offset, speed and curvature drawn at random and followed by the single-track vehicle for 12 to 22 s; None where that
+    is beyond it."""
+    rng = np.random.default_rng([seed, list(Manoeuvre).index(manoeuvre), number])
+    steps = round(rng.uniform(12.0, 22.0) / STEP)
+    time = np.arange((steps + 15) * round(STEP / FINE) + 1, dtype=np.float64) * FINE
+    offset, speed, road = _profile(manoeuvre, time, rng)
+    path = _trajectory(offset, speed, road)
+    model = SingleTrackModel(NOMINAL)
+    model.start(*(float(value) for value in path[0, [1, 2, 3, 5]]))
+    dynamics, driven = np.zeros((10 * steps, 5)), np.zeros(steps)
+    for k in range(steps):
+        if not model.follow(path, k * STEP, STEP, dynamics[10 * k : 10 * k + 10]):
+            return None
+        x, y = model.pose[:2]
+        _, due_x, due_y, heading = path[k + 1, :4]
+        driven[k] = offset[10 * (k + 1)] + (y - due_y) * np.cos(heading) - (x - due_x) * np.sin(heading)
+    rating = scale.rate(manoeuvre, comfort_metrics(dynamics, driven))
+    group = group_of_profile(manoeuvre, number)
+    return RatedDrive(manoeuvre, group, group, channels_of(dynamics, driven), rating.rating)

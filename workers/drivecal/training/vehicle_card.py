@@ -1,0 +1,86 @@
+"""The tables of the hybrid vehicle's model card, from its arrays and manoeuvres that it was not trained on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from drivecal.plugins.ports import Floats
+from drivecal.training import multibody
+from drivecal.training.drives import Drives, hybrid_plant
+from drivecal.training.multibody import Recording
+from drivecal.training.tables import table
+from drivecal.vehicle import kernels
+from drivecal.vehicle.parameters import SingleTrackParameters
+from drivecal.vehicle.residual import Residual
+
+ERRORS, RANGE = "errors on held-out manoeuvres", "training range"
+INPUTS = (
+    ("lateral acceleration of the single track / g", "1"),
+    ("its yaw acceleration, scaled", "1"),
+    ("centripetal less lateral acceleration / g", "1"),
+    ("front axle force gained in 0.1 s of steering / its load", "1"),
+    ("speed", "m/s"),
+    ("longitudinal acceleration / g", "1"),
+)
+
+
+def _mean_square_root(errors: Floats) -> Floats:
+    return np.asarray(np.sqrt((errors**2).mean(axis=0)))
+
+
+def errors(residual: Residual, recordings: Sequence[Recording]) -> dict[str, Floats]:
+    """R.m.s. errors by vehicle (`plain`, `hybrid`, `converted`) and, of the first two, by `plain kind` and `hybrid kind`.
+
+    Each of shape (3,): yaw rate (rad/s), lateral acceleration (m/s^2), lateral position after 4 s (m).
+    """
+    drives = Drives.of(recordings)
+    kinds = np.array([one.manoeuvre.kind for one in recordings])
+    baseline = SingleTrackParameters(*residual.baseline.tolist())
+    found = {"converted": _mean_square_root(drives.errors(kernels.pack_plant(multibody.converted())))}
+    plants = {"plain": kernels.pack_plant(baseline), "hybrid": hybrid_plant(baseline, residual)}
+    for name, plant in plants.items():
+        of_all = drives.errors(plant)
+        found[name] = _mean_square_root(of_all)
+        found |= {f"{name} {kind}": _mean_square_root(of_all[kinds == kind]) for kind in dict.fromkeys(kinds.tolist())}
+    return found
+
+
+def error_table(residual: Residual, recordings: Sequence[Recording]) -> str:
+    """Plain against hybrid, by kind of manoeuvre."""
+    found = errors(residual, recordings)
+    kinds = [one.manoeuvre.kind for one in recordings]
+
+    def row(label: str, count: int, plain: Floats, hybrid: Floats) -> list[str]:
+        shown = [
+            f"{a * scale:.{digits}f} to {b * scale:.{digits}f}"
+            for a, b, scale, digits in zip(plain, hybrid, (1e3, 1, 1), (2, 3, 2), strict=True)
+        ]
+        return [label, str(count), *shown]
+
+    rows = [row(kind, kinds.count(kind), found[f"plain {kind}"], found[f"hybrid {kind}"]) for kind in dict.fromkeys(kinds)]
+    rows.append(row("all", len(kinds), found["plain"], found["hybrid"]))
+    rows.append(["hybrid / plain", "", *(f"{value:.2f}" for value in found["hybrid"] / found["plain"])])
+    mrad, across, aside = found["converted"] * (1e3, 1.0, 1.0)
+    rows.append(["single track as the package converts it", str(len(kinds)), f"{mrad:.2f}", f"{across:.3f}", f"{aside:.2f}"])
+    return table(
+        ["plain to hybrid", "manoeuvres", "yaw rate, mrad/s", "lateral acceleration, m/s^2", "lateral position after 4 s, m"],
+        rows,
+    )
+
+
+def range_table(residual: Residual) -> str:
+    """Outside of it the vehicle is the plain one."""
+    centre, reach = residual.speed
+    rows = []
+    for (name, unit), limit in zip(INPUTS, residual.limits, strict=True):
+        shown = (
+            f"{centre - limit * reach:.1f} to {centre + limit * reach:.1f}"
+            if unit == "m/s"
+            else f"up to {limit:.3f} either way"
+        )
+        rows.append([name, unit, shown])
+    rows.append(["added lateral acceleration / g", "1", f"cut at {residual.bounds[0]:.3f}"])
+    rows.append(["added yaw acceleration, scaled", "1", f"cut at {residual.bounds[1]:.3f}"])
+    return table(["quantity", "unit", "in training"], rows)
