@@ -18,6 +18,7 @@ test: $(INSTALLED) ## run the whole test suite: real SUMO, Ray, HTTP, SQLite and
 
 test-faults: $(INSTALLED) ## kill, stop and starve everything there is, at random points: the long forms of the fault suite (hours)
 	@$(BIN)/pytest tests/faults -m faults
+	@DRIVECAL_LONG=1 $(BIN)/pytest tests/integration/test_api_schema.py
 
 check: $(INSTALLED) ## lint, formatting, types and import rules
 	@$(BIN)/ruff check .
