@@ -140,7 +140,7 @@ class _PostgresLock(_Releasing):
     def _acquire(self) -> Connection:
         with translated(self._name):
             connection = self._engine.connect()
-            mind_absence(connection.connection.dbapi_connection)  # type: ignore[arg-type]
+            mind_absence(connection.connection.dbapi_connection)  # type: ignore[arg-type]  # it is psycopg's own
             if connection.scalar(text("SELECT pg_try_advisory_lock(:key, hashtext(current_schema()))"), {"key": KEY}):
                 return connection
             holder = (connection.scalar(_HOLDER, {"key": KEY}) or "unknown").removeprefix(_OWNER)
