@@ -113,7 +113,7 @@ def test_a_body_that_does_not_fit_is_refused_and_nothing_is_stored(api: RunningA
         (b'{"optimizer": {"population": 1e30}}', "optimizer.population"),
         (b'{"parameters": [{"name": "P1", "lower": 1, "upper": 0, "step": 1}]}', "parameters[0].upper"),
         (b'{"driving_function": "other"}', "driving_function"),
-        (b'{"reduction": {"certified": true}}', "reduction.certified"),
+        (b'{"reduction": {"certified": 1}}', "reduction.certified"),
     ],
 )
 def test_the_field_that_is_wrong_is_named_with_a_remedy(api: RunningApi, content: bytes, field: str) -> None:
