@@ -47,7 +47,7 @@ def without_faults(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Found]
         server.terminate()
     counts = results["reusing"].campaign["cells"]
     assert min(counts[name] for name in ("repeated", "reused", "simulated", "audited", "carried_over")) > 0, counts
-    assert len({row["score"] for row in results["reusing"].evaluations}) >= 3
+    assert len({row["score"] for row in results["reusing"].tables["evaluations"]}) >= 3
     assert results["analysing"].campaign["sensitivity_cells"]["simulated"] > 50
     return results
 

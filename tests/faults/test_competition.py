@@ -85,7 +85,7 @@ def test_a_dispatcher_that_sleeps_while_another_takes_over_does_nothing_more(
     first = server_on("postgresql")
     first.start_ready()
     accepted = submit(first.url)
-    life = Life(first, sum(len(one.evaluations) for one in without_faults.values()))
+    life = Life(first, sum(len(one.tables["evaluations"]) for one in without_faults.values()))
     life.wait_for(Moment(0.3, 0.0), accepted)
     with coordinator(tmp_path / "second", first.database_url) as second:
         sleeper = first.dispatcher()

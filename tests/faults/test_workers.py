@@ -60,7 +60,7 @@ def test_a_worker_killed_every_two_seconds_for_three_minutes_costs_no_cell(tmp_p
         assert_sound(server, accepted)
         expected = {"unreduced": found(server, accepted.campaigns["unreduced"])}
         server.terminate()
-    print(f"seed {base_seed}; {len(expected['unreduced'].evaluations)} cells in a campaign")
+    print(f"seed {base_seed}; {len(expected['unreduced'].tables['evaluations'])} cells in a campaign")
     with coordinator(tmp_path / "with") as server:
         server.start_ready()
         campaigns = 0

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +11,7 @@ from sqlalchemy import Connection, func, select
 from tests.support.faults.coordinator import Coordinator
 from tests.support.faults.workload import Accepted
 
-from drivecal.client.client import Client
+from drivecal.client.client import Client, Table
 from drivecal.contracts.campaign import Campaign
 from drivecal.domain.campaigns import CampaignState
 from drivecal.execution.scheduler import ATTEMPTS
@@ -20,13 +19,19 @@ from drivecal.storage import campaigns
 from drivecal.storage.tables import campaigns as campaigns_table
 from drivecal.storage.tables import evaluations, leases, parameter_sets, ratings, runs, setups
 
-CELL_COUNTS = ("cells", "sensitivity_cells")
+STAGES = {
+    "calibration": "cells",
+    "sensitivity": "sensitivity_cells",
+    "robustness": "robustness_cells",
+    "validation": "validation_cells",
+}
+"""Where a campaign counts the cells of each."""
+TABLES: tuple[Table, ...] = ("generations", "solutions", "influence", "robustness", "validation", "evaluations")
 OF_A_CAMPAIGN = (
     "state",
     "error",
     "degraded",
-    "cells",
-    "sensitivity_cells",
+    *STAGES.values(),
     "error_rate",
     "best",
     "baseline",
@@ -37,6 +42,7 @@ OF_ONE_RUN = {"id", "milliseconds", "worker"}
 """Columns of an evaluation that say who simulated it and how fast, not what came out."""
 NOT_PROVED = {"outcome": "simulated", "reference": "", "agrees": ""}
 """What a cell shows that was simulated, and not to check a proof. Which cells a worker can prove depends on what it still knows."""
+OUTCOMES = ("repeated", "reused", "certified", "simulated", "failed")
 PLACE = ("stage", "iteration", "individual", "scenario")
 
 
@@ -45,11 +51,8 @@ class Found:
     """One campaign's results: equal for equal campaigns, to the bit."""
 
     campaign: dict[str, Any]
-    generations: list[dict[str, str]]
-    solutions: list[dict[str, str]]
-    influence: list[dict[str, str]]
-    evaluations: list[dict[str, str]]
-    """References by their place instead of by an id."""
+    tables: dict[str, list[dict[str, str]]]
+    """By name; references of evaluations by their place instead of by an id."""
     runs: dict[tuple[str, str], tuple[object, ...]]
     """The distinct simulations of its setups, by fingerprint and parameter set: metrics, failure, and each evaluator's rating."""
 
@@ -58,22 +61,16 @@ def found(coordinator: Coordinator, campaign_id: str) -> Found:
     """Reads a campaign's results over HTTP, and its simulations from the database."""
     with Client(coordinator.url) as client:
         campaign = client.campaign(campaign_id).model_dump(mode="json")
-        tables = {
+        tables: dict[str, list[dict[str, str]]] = {
             name: list(csv.DictReader(b"".join(client.table(campaign_id, name, "csv")).decode().splitlines()))
-            for name in ("generations", "solutions", "influence", "evaluations")
+            for name in TABLES
         }
     with coordinator.database.read() as connection:
         simulated = _runs(connection, campaigns.get(connection, campaign_id).sequence)
-    for counts in (*(campaign[name] for name in CELL_COUNTS), *tables["generations"]):
+    for counts in (*(campaign[name] for name in STAGES.values()), *tables["generations"]):
         _without_certificates(counts)
-    return Found(
-        campaign={name: campaign[name] for name in OF_A_CAMPAIGN},
-        generations=tables["generations"],
-        solutions=tables["solutions"],
-        influence=tables["influence"],
-        evaluations=_by_place(tables["evaluations"]),
-        runs=simulated,
-    )
+    tables["evaluations"] = _by_place(tables["evaluations"])
+    return Found({name: campaign[name] for name in OF_A_CAMPAIGN}, tables, simulated)
 
 
 def _without_certificates(counts: dict[str, Any]) -> None:
@@ -115,8 +112,8 @@ def assert_equal(name: str, ours: Found, expected: Found) -> None:
     """AssertionError naming what differs, with an example of each."""
     differences = [f"{part}: {ours.campaign[part]} instead of {expected.campaign[part]}" for part in OF_A_CAMPAIGN
                    if ours.campaign[part] != expected.campaign[part]]  # fmt: skip
-    for table in ("generations", "solutions", "influence", "evaluations"):
-        mine, theirs = getattr(ours, table), getattr(expected, table)
+    for table in TABLES:
+        mine, theirs = ours.tables[table], expected.tables[table]
         if len(mine) != len(theirs):
             differences.append(f"{table}: {len(mine)} rows instead of {len(theirs)}")
         unlike = [(one, other) for one, other in zip(mine, theirs, strict=False) if one != other]
@@ -158,19 +155,20 @@ def assert_sound(coordinator: Coordinator, accepted: Accepted) -> None:
 
 
 def _contradictions(campaign: Campaign) -> list[str]:
-    cells, analysed = campaign.cells, campaign.sensitivity_cells
+    cells = campaign.cells
     identities = {
         "proposed = carried over + requested": cells.proposed == cells.carried_over + cells.requested,
-        "requested = repeated + reused + certified + simulated + failed": cells.requested
-        == cells.repeated + cells.reused + cells.certified + cells.simulated + cells.failed,
-        "nothing is pending": cells.pending == analysed.pending == 0,
-        "the analysis' proposed = requested = its outcomes": analysed.proposed
-        == analysed.requested
-        == analysed.repeated + analysed.certified + analysed.simulated + analysed.failed,
-        "every repetition gave the same bits": cells.unrepeatable == analysed.unrepeatable == 0,
         "all of it is done": campaign.progress.done == campaign.progress.total,
     }
-    return [f"not so: {words} ({cells}, {analysed})" for words, holds in identities.items() if not holds]
+    for stage, counted in STAGES.items():
+        told: dict[str, int] = getattr(campaign, counted).model_dump()
+        identities |= {
+            f"requested = the sum of outcomes in {stage}": told["requested"]
+            == sum(told.get(outcome, 0) for outcome in OUTCOMES),
+            f"nothing is pending in {stage}": told["pending"] == 0,
+            f"every repetition gave the same bits in {stage}": told["unrepeatable"] == 0,
+        }
+    return [f"not so: {words} ({campaign})" for words, holds in identities.items() if not holds]
 
 
 def _miscounted(connection: Connection, accepted: Accepted) -> list[str]:
@@ -180,11 +178,11 @@ def _miscounted(connection: Connection, accepted: Accepted) -> list[str]:
         stored = campaigns.get(connection, identifier)
         rows = select(evaluations.c.stage, evaluations.c.outcome).where(evaluations.c.campaign_sequence == stored.sequence)
         outcomes = Counter((row.stage.value, row.outcome) for row in connection.execute(rows))
-        for stage, counts in (("calibration", stored.cells), ("sensitivity", stored.sensitivity_cells)):
-            told: Mapping[str, int] = counts.model_dump()
+        for stage, counted in STAGES.items():
+            told: dict[str, int] = getattr(stored, counted).model_dump()
             wrong += [
                 f"{name}: {told.get(outcome, 0)} {outcome} in {stage}, {outcomes[stage, outcome]} rows"
-                for outcome in ("repeated", "reused", "certified", "simulated", "failed")
+                for outcome in OUTCOMES
                 if told.get(outcome, 0) != outcomes[stage, outcome]
             ]
     return wrong

@@ -217,7 +217,7 @@ def moments(seed: int, number: int) -> list[Moment]:
 def live(coordinator: Coordinator, plan: Sequence[tuple[Moment, Fault]], expected: dict[str, Found]) -> Life:
     """Gives a server its work and does all of the plan to it; then the campaigns have to end as they do without faults, and the server
     has to leave nothing behind."""
-    life = Life(coordinator, sum(len(one.evaluations) for one in expected.values()))
+    life = Life(coordinator, sum(len(one.tables["evaluations"]) for one in expected.values()))
     coordinator.start_ready()
     life.tell("ready")
     accepted = submit(coordinator.url)

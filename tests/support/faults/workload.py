@@ -38,8 +38,10 @@ ANALYSING: dict[str, Any] = {
     "sensitivity": {"intervals": 3, "samples": 4, "threshold": 0.02},
     "optimizer": {"kind": "genetic", "population": 20, "iterations": 3, "seed": 2},
     "reduction": {"audit": 0.1},
+    "robustness": {"delta": 0.02, "steps": 2, "samples": 3, "solutions": 2},
+    "validation": {"samples": 10, "references": 2, "largest": 20},
 }
-"""Its vehicle is another one, so that what it finds does not depend on how far the other campaign is."""
+"""Every stage there is. Its vehicle is another one, so that what it finds does not depend on how far the other campaign is."""
 SINGLE: dict[str, Any] = {"scenario": "S3", "vehicle": {"parameters": {"mass": 1700}}}
 PATIENCE_SECONDS = 120.0
 """In which a request is accepted at last, while a server is killed and comes back."""
