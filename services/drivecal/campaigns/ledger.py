@@ -128,15 +128,15 @@ class Ledger:
         stored = runs.insert_results(connection, [self._new_run(cell, one) for cell, one in finished])
         for (cell, one), run in zip(finished, stored, strict=True):
             self._simulated(cell, one, run, answers)
-        evaluations.answer(connection, answers)
+        _store(connection, answers)
         evaluations.simulate_instead(connection, [one.id for one in orphans])
         return self._work([*again, *orphans])
 
     def _late(self, connection: Connection, completed: Sequence[Completed]) -> set[int]:
-        """Ends the leases of these results; gives the cells whose lease was over before. A result that was obtained for another cell
+        """The cells whose lease was over before their results arrived. A result that was obtained for another cell
         has no lease of its own."""
         numbers = {one.result.id: one.lease for one in completed if one.lease is not None and not one.shared}
-        late = numbers.keys() - leases.accept(connection, numbers)
+        late = numbers.keys() - leases.current(connection, numbers)
         if late:
             MEASURES.count("late_results", times=len(late))
             log.warning(
@@ -184,7 +184,7 @@ class Ledger:
             for cell in cells:
                 if cell.parameter_set_id in found:
                     self._answer(cell, found[cell.parameter_set_id], answers)
-        evaluations.answer(connection, answers)
+        _store(connection, answers)
 
     def _simulated(self, cell: PendingEvaluation, one: Completed, run: StoredRun, answers: list[Answer]) -> None:
         if one.result.score is None or one.result.rating is None:
@@ -293,6 +293,11 @@ def _refutation(cell: PendingEvaluation, one: Completed) -> str:
         f"{where} was to repeat evaluation {one.result.proven_by} bit for bit, but its simulation on {one.worker} gave something else: a"
         " mistake of the driving function's certificates. Run it with reduction.certified: false, and report it"
     )
+
+
+def _store(connection: Connection, answers: Sequence[Answer]) -> None:
+    evaluations.answer(connection, answers)
+    leases.end(connection, [one.id for one in answers])
 
 
 def _storable(words: str) -> str:

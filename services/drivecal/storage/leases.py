@@ -1,6 +1,6 @@
 """Leases: which evaluations are at a worker, on whose account, and how often they broke down there.
 
-Before a cell is sent to a worker, it is leased (`take`); its result counts only while that lease is the current one (`accept`). So a cell
+Before a cell is sent to a worker, it is leased (`take`); its result counts only while that lease is the current one (`current`). So a cell
 may be simulated more than once, after a crash of whatever process, but has one effect. Leases belong to a dispatcher's term
 (`processes`): they end with it, so that the next dispatcher need not wait for any of them. The breakdowns do not end: a cell that brings
 its workers down must not get three new attempts from every dispatcher.
@@ -60,19 +60,21 @@ def give_back(connection: Connection, breakdowns: Mapping[int, int]) -> None:
     connection.execute(statement, [{"evaluation": one, "breakdowns": count} for one, count in sorted(breakdowns.items())])
 
 
-def accept(connection: Connection, numbers: Mapping[int, int]) -> set[int]:
-    """Ends the leases under which results arrived, given by evaluation id; says whose lease was the current one.
-
-    The results of the others are late: somebody else has, or had, the cell. To be called in the transaction that stores the results.
-    """
+def current(connection: Connection, numbers: Mapping[int, int]) -> set[int]:
+    """The evaluations whose lease of that number, by id, is the current one. The results of the others are late: somebody else has, or
+    had, the cell."""
     term = term_in_office(connection)
-    current: list[int] = []
+    found: set[int] = set()
     for condition in among(connection, leases.c.evaluation_id, list(numbers)):
         query = select(leases.c.evaluation_id, leases.c.number).where(condition, leases.c.term == term)
-        current += [one for one, number in connection.execute(query.with_for_update()) if numbers[one] == number]
-    for condition in among(connection, leases.c.evaluation_id, current):
+        found.update(one for one, number in connection.execute(query.with_for_update()) if numbers[one] == number)
+    return found
+
+
+def end(connection: Connection, evaluation_ids: Sequence[int]) -> None:
+    """Ends the leases of evaluations that have their answer; to be called in the transaction that stores it."""
+    for condition in among(connection, leases.c.evaluation_id, list(evaluation_ids)):
         connection.execute(delete(leases).where(condition))
-    return set(current)
 
 
 def breakdowns(connection: Connection, evaluation_ids: Sequence[int]) -> dict[int, int]:

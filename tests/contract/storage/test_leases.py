@@ -66,20 +66,21 @@ def test_what_has_its_answer_is_not_leased(database: Database) -> None:
     assert take(database, [*ids, 10**9]) == {ids[0]: 1, ids[2]: 1}
 
 
-def test_only_results_of_the_current_lease_count_and_once(database: Database) -> None:
+def test_only_the_last_lease_of_the_term_in_office_is_current(database: Database) -> None:
     ids = pending(database, 4)
     take(database, ids)
     with database.transaction() as connection:
         leases.give_back(connection, {ids[0]: 1})
     take(database, ids[:1], breakdowns=1)
     with database.transaction() as connection:
-        assert leases.accept(connection, {ids[0]: 1, ids[1]: 1, ids[2]: 7, 10**9: 1}) == {ids[1]}
-        assert leases.accept(connection, {ids[1]: 1}) == set()
-        assert leases.accept(connection, {ids[0]: 2}) == {ids[0]}
+        assert leases.current(connection, {ids[0]: 1, ids[1]: 1, ids[2]: 7, 10**9: 1}) == {ids[1]}
+        assert leases.current(connection, {ids[0]: 2}) == {ids[0]}
+        leases.end(connection, ids[:2])
+        assert leases.current(connection, {ids[0]: 2, ids[1]: 1}) == set(), "a result counts once"
     elect(database)
     with database.transaction() as connection:
-        assert leases.accept(connection, {ids[3]: 1}) == set(), "its dispatcher is not in office any more"
-        assert sorted(connection.scalars(select(table.c.evaluation_id))) == [ids[2], ids[3]]
+        assert leases.current(connection, {ids[3]: 1}) == set(), "its dispatcher is not in office any more"
+        assert sorted(connection.scalars(select(table.c.evaluation_id))) == ids[2:]
 
 
 def test_breakdowns_survive_a_dispatcher_and_its_own_end_is_none(database: Database) -> None:
@@ -152,7 +153,8 @@ def test_leases_are_found_by_their_keys_among_very_many(database: Database, subt
         "take": lambda connection: leases.take(connection, dict.fromkeys(some, 0), HOUR),
         "breakdowns": lambda connection: leases.breakdowns(connection, some),
         "give back": lambda connection: leases.give_back(connection, dict.fromkeys(some, 1)),
-        "accept": lambda connection: leases.accept(connection, dict.fromkeys(some, 1)),
+        "current": lambda connection: leases.current(connection, dict.fromkeys(some, 1)),
+        "end": lambda connection: leases.end(connection, some),
     }
     with database.transaction() as connection:
         for name, use in uses.items():
