@@ -36,7 +36,7 @@ _Line = MutableMapping[str, Any]
 
 _ALWAYS = ("time", "level", "process", "message")
 _OURS = ("drivecal", "__main__")
-_INTERNAL = ("event", "_record", "_from_structlog")
+_INTERNAL = ("event", "_record", "_from_structlog", "_ray_timestamp_ns")
 _SECRETS = (
     (re.compile(r"(\w://[^\s:/@]*):[^\s@]+@"), r"\1:***@"),
     (re.compile(r"(?i)\b(bearer\s+)[\w.~+/=-]+"), r"\1***"),
