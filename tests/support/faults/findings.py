@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -50,10 +51,10 @@ PLACE = ("stage", "iteration", "individual", "scenario")
 class Found:
     """One campaign's results: equal for equal campaigns, to the bit."""
 
-    campaign: dict[str, Any]
-    tables: dict[str, list[dict[str, str]]]
+    campaign: Mapping[str, Any]
+    tables: Mapping[str, list[dict[str, str]]]
     """By name; references of evaluations by their place instead of by an id."""
-    runs: dict[tuple[str, str], tuple[object, ...]]
+    runs: Mapping[tuple[str, str], tuple[object, ...]]
     """The distinct simulations of its setups, by fingerprint and parameter set: metrics, failure, and each evaluator's rating."""
 
 

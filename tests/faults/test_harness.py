@@ -1,0 +1,59 @@
+"""The harness sees what it is there to see: orphans, and campaigns that found something else."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import psutil
+import pytest
+from tests.support.faults import cage
+from tests.support.faults.coordinator import alive
+from tests.support.faults.findings import OF_A_CAMPAIGN, TABLES, Found, assert_equal
+from tests.support.faults.lives import moments
+from tests.support.serve import gone, until
+
+ORPHAN = "import os, time; os.fork() and os._exit(7); os.setsid(); os.fork() and os._exit(0); time.sleep(600)"
+"""A process that leaves its parents, its session and its terminal, as a daemon does."""
+
+
+def test_a_daemon_does_not_escape_the_cage_and_ends_with_it() -> None:
+    caged = subprocess.Popen([sys.executable, cage.__file__, sys.executable, "-c", ORPHAN], stdin=subprocess.PIPE)
+    family: list[psutil.Process] = []
+
+    def only_the_daemon_is_left() -> bool:
+        family[:] = [one for one in psutil.Process(caged.pid).children(recursive=True) if alive(one)]
+        return [one.ppid() for one in family] == [caged.pid] and ORPHAN in family[0].cmdline()
+
+    until(only_the_daemon_is_left, "a daemon that the cage has adopted")
+    assert caged.poll() is None
+    assert caged.stdin is not None
+    caged.stdin.close()
+    assert caged.wait(10) == 7, "the command's own exit code"
+    assert gone(family)
+
+
+def test_whatever_a_campaign_found_differently_is_named() -> None:
+    row = {"scenario": "S1", "score": "5"}
+    one = Found(dict.fromkeys(OF_A_CAMPAIGN), {name: [row] for name in TABLES}, {("setup", "set"): ("metrics",)})
+    assert_equal("same", one, one)
+    others = [replace(one, campaign=one.campaign | {name: 1}) for name in OF_A_CAMPAIGN]
+    others += [replace(one, tables=one.tables | {name: [row | {"score": "4"}]}) for name in TABLES]
+    others += [replace(one, tables=one.tables | {name: []}) for name in TABLES]
+    others += [
+        replace(one, runs=runs) for runs in ({}, {("setup", "set"): ("others",)}, {("setup", "other set"): ("metrics",)})
+    ]
+    for other in others:
+        with pytest.raises(AssertionError, match="campaign this differs from its run without faults"):
+            assert_equal("this", other, one)
+
+
+def test_a_seed_says_when_the_faults_happen() -> None:
+    assert moments(5, 20) == moments(5, 20) != moments(6, 20)
+    shares = [one.share for one in moments(5, 200)]
+    assert None in shares
+    known = [share for share in shares if share is not None]
+    assert known == sorted(known)
+    assert min(known) < 0.1
+    assert max(known) > 0.85
