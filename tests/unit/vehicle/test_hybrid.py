@@ -17,6 +17,8 @@ from sklearn.neural_network import MLPRegressor
 from drivecal.plugins import registry
 from drivecal.plugins.arrays import DamagedArraysError, write_arrays
 from drivecal.plugins.ports import Floats, SelfMeasuring
+from drivecal.training import vehicle as training
+from drivecal.training.drives import Drives
 from drivecal.vehicle import hybrid, kernels, residual
 from drivecal.vehicle.hybrid import HYBRID, Hybrid
 from drivecal.vehicle.model import HybridModel, SingleTrackModel
@@ -223,3 +225,15 @@ def test_arrays_that_do_not_fit_together_never_reach_the_kernels(tmp_path: Path,
     write_arrays(tmp_path / "hybrid.npz", residual.KIND, dict(shipped().arrays) | {name: value})
     with pytest.raises(DamagedArraysError, match=reason):
         residual.read(tmp_path / "hybrid.npz")
+
+
+@pytest.mark.slow
+def test_training_again_gives_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On one machine; a few drives and steps of the search stand for all of them."""
+    monkeypatch.setattr(training, "ITERATIONS", 3)
+    found = []
+    for _ in range(2):
+        drives = Drives.of(training.record_all(("slalom",), 4, seed=9))
+        fitted = training.fit_residual(drives, training.fit_baseline(drives))
+        found.append({name: array.tobytes() for name, array in fitted.arrays.items()})
+    assert found[0] == found[1]

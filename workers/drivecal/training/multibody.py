@@ -23,6 +23,8 @@ from drivecal.vehicle.parameters import SingleTrackParameters
 
 GRAVITY = 9.81
 RELATIVE_TOLERANCE, ABSOLUTE_TOLERANCE = 1e-7, 1e-8
+MOST_CALLS = 200_000
+"""Of the equations of motion in one manoeuvre; some 8,000 are usual."""
 _VX, _YAW, _YAW_RATE, _VY = 3, 4, 5, 10
 
 
@@ -65,30 +67,43 @@ def converted() -> SingleTrackParameters:
     return SingleTrackParameters(p.m, per_load * p.b / wheelbase, per_load * p.a / wheelbase, p.a, p.b, p.I_z)
 
 
-def record(manoeuvre: Manoeuvre) -> Recording:
-    """Drives a manoeuvre. Raises ArithmeticError where the integration fails."""
+class _ChatteringError(Exception):
+    """The tyres' lateral shift changes sign with camber at once; where a manoeuvre rests on that edge, steps become ever smaller."""
+
+
+def record(manoeuvre: Manoeuvre) -> Recording | None:
+    """Drives a manoeuvre; None where it cannot be integrated in reasonable time. Raises ArithmeticError where the integration fails."""
     p = vehicle()
     steering, pull = manoeuvre.steering, manoeuvre.pull
 
+    calls = 0
+
     def derivatives(time: float, state: Any) -> list[float]:
+        nonlocal calls
+        calls += 1
+        if calls > MOST_CALLS:
+            raise _ChatteringError
         inputs = [float(steering(time, 1)), float(np.interp(time, manoeuvre.times, pull))]
         found: list[float] = vehicle_dynamics_mb([float(value) for value in state], inputs, p)
         return found
 
     start = init_mb([0.0, 0.0, 0.0, manoeuvre.speed, 0.0, 0.0, 0.0], p)
-    solution = solve_ivp(
-        derivatives,
-        (0.0, manoeuvre.times[-1]),
-        start,
-        method="LSODA",
-        t_eval=manoeuvre.times,
-        rtol=RELATIVE_TOLERANCE,
-        atol=ABSOLUTE_TOLERANCE,
-        max_step=10.0 * STEP,
-    )
+    try:
+        solution = solve_ivp(
+            derivatives,
+            (0.0, manoeuvre.times[-1]),
+            start,
+            method="LSODA",
+            t_eval=manoeuvre.times,
+            rtol=RELATIVE_TOLERANCE,
+            atol=ABSOLUTE_TOLERANCE,
+            max_step=10.0 * STEP,
+        )
+    except _ChatteringError:
+        return None
     if not solution.success:
         raise ArithmeticError(f"the multi-body model cannot be integrated: {solution.message}")
-    states = solution.y
+    states, calls = solution.y, 0
     rates = np.array([derivatives(time, state) for time, state in zip(manoeuvre.times, states.T, strict=True)]).T
     forward, sideways = states[_VX], states[_VY]
     speed = np.hypot(forward, sideways)

@@ -47,6 +47,8 @@ def record_all(kinds: Sequence[str], count: int, seed: int) -> list[Recording]:
     found: list[Recording] = []
     while len(found) < count:
         recording = multibody.record(draw(kinds[len(found) % len(kinds)], rng, wheelbase))
+        if recording is None:
+            continue
         if np.abs(recording.lateral_acceleration).max() < MOST_ACROSS and recording.speed.max() < FASTEST:
             found.append(recording)
     return found
