@@ -75,6 +75,7 @@ class Bench:
                 vehicle=self.vehicle.name,
                 vehicle_parameters=self.setups[name].vehicle_parameters,
                 evaluator=self.evaluator.name,
+                evaluator_version=self.evaluator.version,
                 run_fingerprint=self.setups[name].fingerprint,
                 document=self.setups[name].document,
             )
