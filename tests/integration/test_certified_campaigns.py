@@ -86,8 +86,7 @@ def test_certified_results_are_references_like_simulated_ones(database: Database
     assert [row[:-1] for row in found(database, second)] == [row[:-1] for row in found(database, first)]
 
 
-@pytest.mark.parametrize("mode", ["off", "exact", "influence"])
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize(("mode", "seed"), [("off", 1), ("exact", 1), ("influence", 1), ("influence", 2), ("influence", 3)])
 def test_no_result_changes_by_a_bit_when_certification_is_switched_on_or_off(tmp_path: Path, mode: str, seed: int) -> None:
     seen, certified_cells = [], []
     for certified in (True, False):

@@ -42,7 +42,7 @@ def test_what_is_certified_is_what_a_simulation_gives_bit_for_bit(name: str) -> 
     judge = Runner(HIGHWAY.scenarios[name], FRENET, SINGLE_TRACK.create(NOMINAL), REFERENCE)
     simulated: dict[int, RunResult] = {}
     proved = 0
-    for number, parameters in enumerate(sets(seed=4, families=4, members=30)):
+    for number, parameters in enumerate(sets(seed=4, families=3, members=20)):
         answered = certifying.answer(parameters, number, check=False)
         truth = judge.run(parameters)
         assert answered.result == truth
