@@ -18,6 +18,7 @@ from drivecal.dispatch.pulse import STUCK_AFTER_SECONDS, Pulse
 from drivecal.dispatch.tenure import Tenure
 from drivecal.domain.errors import DatabaseError, SupersededError, UnavailableError
 from drivecal.execution.backend import WorkerInfo
+from drivecal.execution.measures import MEASURES
 from drivecal.storage import campaigns, processes
 from drivecal.storage.database import Database
 from drivecal.storage.processes import StoredProcess
@@ -47,7 +48,7 @@ def test_it_says_how_the_workers_are_and_running_campaigns_what_is_wrong(databas
     found = reported(database)
     assert found.detail["workers"][0]["id"] == "worker-1"
     assert found.detail["degraded"] == "waiting for Ray: it is being started"
-    assert found.detail["measures"]["counts"]["late_results"] == {"": 0}
+    assert found.detail["measures"] == MEASURES.snapshot()
     assert get(database, running).degraded == "waiting for Ray: it is being started"
     assert get(database, waiting).degraded is None
     pulse.tell([WORKER], None)
