@@ -78,7 +78,8 @@ def explain(connection: Connection, evaluation_id: int) -> Explanation:
     case = _Case(connection, cell, campaigns.by_sequence(connection, cell.campaign_sequence))
     if cell.plan is Outcome.SIMULATED and not cell.audited and cell.outcome is not Outcome.CERTIFIED:
         return _not_reused(case)
-    reason: Reason = "audited" if cell.audited else _REASONS[cell.outcome or cell.plan]
+    answered_as = Outcome.CERTIFIED if cell.outcome is Outcome.CERTIFIED else cell.plan
+    reason: Reason = "audited" if cell.audited else _REASONS[answered_as]
     if cell.reference is None:
         raise AssertionError(f"evaluation {cell.id} names no reference")
     reference, differences = _reference(case, cell.reference)
