@@ -12,7 +12,7 @@ import httpx
 import psycopg
 import pytest
 from sqlalchemy import func, make_url, select
-from tests.support.faults.coordinator import Coordinator, coordinator, suspended
+from tests.support.faults.coordinator import Coordinator, alive, coordinator, suspended
 from tests.support.faults.findings import Found
 from tests.support.faults.lives import (
     PATIENCE_SECONDS,
@@ -93,7 +93,7 @@ def test_a_dispatcher_that_sleeps_while_another_takes_over_does_nothing_more(
             _lose_the_lock(first.database_url)  # as when a firewall forgets the connection of a machine that sleeps
             second.start_ready()
             life.tell(f"another server has taken over at {life.answered(accepted)} cells")
-        until(lambda: not sleeper.is_running() or sleeper.status() == "zombie", "the end of the superseded dispatcher", 60.0)
+        until(lambda: not alive(sleeper), "the end of the superseded dispatcher", 60.0)
         life.tell("the superseded dispatcher has ended")
         wait_until_ended(second, accepted, PATIENCE_SECONDS)
         assert_as_without_faults(second, accepted, without_faults)

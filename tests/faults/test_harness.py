@@ -12,7 +12,7 @@ from tests.support.faults import cage
 from tests.support.faults.coordinator import alive
 from tests.support.faults.findings import OF_A_CAMPAIGN, TABLES, Found, assert_equal
 from tests.support.faults.lives import moments
-from tests.support.serve import gone, until
+from tests.support.serve import until
 
 ORPHAN = "import os, time; os.fork() and os._exit(7); os.setsid(); os.fork() and os._exit(0); time.sleep(600)"
 """A process that leaves its parents, its session and its terminal, as a daemon does."""
@@ -31,7 +31,7 @@ def test_a_daemon_does_not_escape_the_cage_and_ends_with_it() -> None:
     assert caged.stdin is not None
     caged.stdin.close()
     assert caged.wait(10) == 7, "the command's own exit code"
-    assert gone(family)
+    assert not any(alive(one) for one in family)
 
 
 def test_whatever_a_campaign_found_differently_is_named() -> None:

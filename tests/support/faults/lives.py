@@ -12,11 +12,11 @@ from typing import Protocol
 import httpx
 import psutil
 from sqlalchemy import func, select
-from tests.support.faults.coordinator import ORPHAN_SECONDS, READY_SECONDS, Coordinator, suspended
+from tests.support.faults.coordinator import ORPHAN_SECONDS, READY_SECONDS, Coordinator, alive, suspended
 from tests.support.faults.findings import Found, assert_equal, assert_sound, found
 from tests.support.faults.postgres import KillablePostgres
 from tests.support.faults.workload import ANALYSING, Accepted, single_evaluations, submit
-from tests.support.serve import gone, until
+from tests.support.serve import until
 
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import DrivecalError
@@ -69,9 +69,11 @@ def _kill_child(find: Callable[[], psutil.Process]) -> None:
         return bool(found)
 
     until(is_there, "a process to kill", READY_SECONDS)
-    before = [*found, *found[0].children(recursive=True)]
-    found[0].kill()
-    until(lambda: gone(before), f"the end of {before}", ORPHAN_SECONDS)
+    before = list(found)
+    with suppress(psutil.NoSuchProcess):  # it may end by itself just now
+        before += found[0].children(recursive=True)
+        found[0].kill()
+    until(lambda: not any(alive(one) for one in before), f"the end of {before}", ORPHAN_SECONDS)
 
 
 def kill_supervisor(coordinator: Coordinator) -> None:
