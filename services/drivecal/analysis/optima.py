@@ -12,25 +12,34 @@ from drivecal.plugins.ports import Floats
 NEIGHBOURS = 0.1
 """Root mean square distance, in shares of the parameters' ranges, up to which two sets count as neighbours; chains of neighbours make a
 region. Two uniform random sets are 0.41 apart on average."""
+AT_A_TIME = 256
+"""Points whose distances from all others are held at a time."""
 
 
-def distances(points: Floats) -> Floats:
-    """Root mean square distance of every two points of the unit cube, shape (n, n)."""
-    squared = (points**2).sum(axis=1)
-    apart = np.maximum(squared[:, None] + squared - 2.0 * points @ points.T, 0.0)
+def distances(points: Floats, others: Floats) -> Floats:
+    """Root mean square distance of each of `points`, shape (n, n_p), from each of `others`, shape (m, n_p): shape (n, m)."""
+    squared = (points**2).sum(axis=1)[:, None] + (others**2).sum(axis=1)
+    apart = np.maximum(squared - 2.0 * points @ others.T, 0.0)
     return np.asarray(np.sqrt(apart / points.shape[1]), dtype=np.float64)
 
 
 def regions(points: Floats, neighbours: float = NEIGHBOURS) -> npt.NDArray[np.int64]:
-    """The region of each point, shape (n,), numbered from 0 in the order of their first points: single linkage at `neighbours`."""
-    from scipy.sparse.csgraph import connected_components
+    """The region of each point, shape (n,), numbered from 0 in the order of their first points: single linkage at `neighbours`.
 
-    if not len(points):
-        return np.zeros(0, dtype=np.int64)
-    _, labels = connected_components(distances(points) <= neighbours, directed=False)
-    _, first, inverse = np.unique(labels, return_index=True, return_inverse=True)
-    order = np.argsort(np.argsort(first))
-    found: npt.NDArray[np.int64] = order[inverse].astype(np.int64)
+    A region is flooded from its first point, some of its points at a time: the distances of all from all would not fit into memory
+    where thousands of sets share the best objective.
+    """
+    found: npt.NDArray[np.int64] = np.full(len(points), -1, dtype=np.int64)
+    left = np.arange(len(points))
+    number = 0
+    while left.size:
+        edge, left = left[:1], left[1:]
+        found[edge] = number
+        while edge.size:
+            near = (distances(points[edge[:AT_A_TIME]], points[left]) <= neighbours).any(axis=0)
+            edge, left = np.concatenate([edge[AT_A_TIME:], left[near]]), left[~near]
+            found[edge] = number
+        number += 1
     return found
 
 

@@ -17,7 +17,18 @@ from drivecal.storage.glances import Glance
 from drivecal.storage.results import StoredEvaluation
 
 ROOT = "/api/v1"
-TABLES = ("generations", "evaluations", "solutions", "influence", "robustness", "validation", "accounting")
+TABLES = (
+    "generations",
+    "evaluations",
+    "solutions",
+    "optima",
+    "influence",
+    "robustness",
+    "validation",
+    "accounting",
+    "setup",
+    "studies",
+)
 """What a campaign links to below itself; and `events`."""
 BEFORE_PARAMETERS = ("id", "stage", "iteration", "individual", "scenario")
 AFTER_PARAMETERS = ("outcome", "score", "rating", "reference", "audited", "agrees", "failure", "milliseconds", "worker")

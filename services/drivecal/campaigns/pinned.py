@@ -23,6 +23,8 @@ class Pinned:
     space: ParameterSpace
     weights: Mapping[str, float]
     """Of the simulated scenarios, in the catalogue's order, normalised to a sum of 1; empty for a single evaluation."""
+    setups: Mapping[str, str]
+    """Their fingerprints."""
 
 
 def problem_of(campaign: StoredCampaign) -> CalibrationProblem | EvaluationProblem:
@@ -40,4 +42,4 @@ def pinned(campaign: StoredCampaign) -> Pinned:
     resolution: Mapping[str, Any] = campaign.resolution or problem_of(campaign).resolution()
     fixed = {name: Decimal(value) for name, value in resolution.get("fixed", {}).items()}
     space = ParameterSpace(space_from_document(resolution["space"]), fixed)
-    return Pinned(resolution["evaluator"], space, resolution.get("weights", {}))
+    return Pinned(resolution["evaluator"], space, resolution.get("weights", {}), resolution["setups"])

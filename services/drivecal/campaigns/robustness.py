@@ -11,6 +11,7 @@ from sqlalchemy import Connection
 
 from drivecal.analysis.optima import one_per_region_first, optima
 from drivecal.analysis.robustness import Robustness, RobustnessSettings, RobustnessStudy
+from drivecal.campaigns.optima import MOST_WORSE, unit_cube
 from drivecal.campaigns.planning import View, WantedCell
 from drivecal.campaigns.problem import CalibrationProblem
 from drivecal.campaigns.solutions import EQUAL, Standing
@@ -18,15 +19,12 @@ from drivecal.campaigns.study import Round, StudyStage
 from drivecal.contracts.specification import RobustnessSpecification
 from drivecal.domain.campaigns import Stage
 from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
-from drivecal.domain.parameters import ParameterSet, ParameterSpace
+from drivecal.domain.parameters import ParameterSet
 from drivecal.plugins.ports import Floats
 from drivecal.storage import campaigns, parameter_sets, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.database import Database
 from drivecal.storage.results import CellAnswer
-
-MOST_WORSE = 20_000
-"""Sets of a lower objective among which the nearest is looked for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,15 +47,6 @@ def settings_of(wanted: RobustnessSpecification) -> RobustnessSettings:
         refinements=wanted.refinements,
         seed=wanted.seed,
     )
-
-
-def unit_cube(space: ParameterSpace, sets: Sequence[ParameterSet]) -> Floats:
-    """Positions in the search space, shape (n, n_searched), each axis from 0 to 1."""
-    rows = [dict(zip(one.names, one.billionths, strict=True)) for one in sets]
-    values = np.array([[row[one.name] for one in space.searched] for row in rows], dtype=np.float64)
-    lower = np.array([one.billionths(0) for one in space.searched], dtype=np.float64)
-    upper = np.array([one.billionths(one.n_values - 1) for one in space.searched], dtype=np.float64)
-    return (values.reshape(len(rows), len(lower)) - lower) / (upper - lower)
 
 
 def check_source(connection: Connection, problem: CalibrationProblem) -> None:

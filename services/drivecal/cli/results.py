@@ -26,6 +26,7 @@ class TableName(StrEnum):
     EVALUATIONS = "evaluations"
     GENERATIONS = "generations"
     SOLUTIONS = "solutions"
+    OPTIMA = "optima"
     INFLUENCE = "influence"
     ROBUSTNESS = "robustness"
     VALIDATION = "validation"

@@ -23,11 +23,12 @@ from drivecal.contracts.evaluation import Evaluation
 from drivecal.contracts.events import PROGRESS, CampaignEvent, CampaignProgress
 from drivecal.contracts.explanation import Explanation
 from drivecal.contracts.inventory import InfluenceMapAnswer, InfluenceMapPage, InfluenceRow, ScenarioPage, WorkerPage
-from drivecal.contracts.studies import RobustnessRow, ValidationRow
+from drivecal.contracts.setup import CampaignSetup
+from drivecal.contracts.studies import OptimumRow, RobustnessRow, StudyPage, ValidationRow
 from drivecal.domain.errors import OverloadError, UnavailableError
 
 Action = Literal["pause", "resume", "cancel"]
-Table = Literal["evaluations", "generations", "solutions", "influence", "robustness", "validation"]
+Table = Literal["evaluations", "generations", "solutions", "optima", "influence", "robustness", "validation"]
 Answer = TypeVar("Answer", bound=BaseModel)
 
 ATTEMPTS_TO_CONNECT = 3
@@ -173,6 +174,18 @@ class Client:
     def influence(self, identifier: str) -> list[InfluenceRow]:
         """The rows of the influence map that a campaign uses; none where it has no map (yet)."""
         return self._rows_of(identifier, "influence", InfluenceRow)
+
+    def optima(self, identifier: str) -> list[OptimumRow]:
+        """The sets that share a campaign's best objective, with their regions."""
+        return self._rows_of(identifier, "optima", OptimumRow)
+
+    def setup(self, identifier: str) -> CampaignSetup:
+        """What a campaign was taken up with: parameters, versions, fingerprints."""
+        return self._get(_path("campaigns", identifier, "setup"), CampaignSetup, kind="campaign", identifier=identifier)
+
+    def studies(self, identifier: str) -> StudyPage:
+        """The robustness and validation studies of what a campaign found, whoever made them."""
+        return self._get(_path("campaigns", identifier, "studies"), StudyPage, kind="campaign", identifier=identifier)
 
     def robustness(self, identifier: str) -> list[RobustnessRow]:
         """The examined sets of a campaign, most robust first; none where it has no robustness stage (yet)."""

@@ -50,6 +50,17 @@ def counts(connection: Connection) -> list[SetupCount]:
     return [SetupCount(row.id, row.fingerprint, row.scenario, row.document, row.runs) for row in connection.execute(query)]
 
 
+def documents(connection: Connection, fingerprints: Sequence[str]) -> dict[str, Mapping[str, Any]]:
+    """What setups were made of, by fingerprint; those that are not stored are left out."""
+    found: dict[str, Mapping[str, Any]] = {}
+    for condition in among(connection, setups.c.fingerprint, fingerprints):
+        found.update(
+            (row.fingerprint, row.document)
+            for row in connection.execute(select(setups.c.fingerprint, setups.c.document).where(condition))
+        )
+    return found
+
+
 def _ids(connection: Connection, fingerprints: Sequence[str]) -> dict[str, int]:
     found: dict[str, int] = {}
     for condition in among(connection, setups.c.fingerprint, fingerprints):

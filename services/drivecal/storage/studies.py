@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime
 from typing import Any
 
-from sqlalchemy import Connection, select, update
+from sqlalchemy import Connection, and_, or_, select, update
 
 from drivecal.contracts.campaign import Progress, StageCellCounts
 from drivecal.domain.campaigns import Stage
@@ -25,6 +27,37 @@ def get(connection: Connection, campaign_sequence: int, stage: Stage) -> dict[st
     """What a stage found so far; None where it has not begun."""
     query = select(studies.c.document).where(studies.c.campaign_sequence == campaign_sequence, studies.c.stage == stage)
     return connection.execute(query).scalar_one_or_none()
+
+
+@dataclass(frozen=True, slots=True)
+class StoredStudy:
+    """Who made a study, with what: `spec` and `resolution` are the maker's."""
+
+    campaign_sequence: int
+    campaign: str
+    name: str
+    stage: Stage
+    state: str
+    spec: Mapping[str, Any]
+    resolution: Mapping[str, Any] | None
+    ended_at: datetime | None
+
+
+def about(connection: Connection, campaign_id: str, campaign_sequence: int, influence_map_id: str | None) -> list[StoredStudy]:
+    """The studies of a campaign's best sets and of the map that it uses, whoever made them: its own first, then the newest."""
+    own = campaigns.c.sequence == campaign_sequence
+    of_its_sets = and_(studies.c.stage == Stage.ROBUSTNESS, campaigns.c.spec["robustness", "of"].as_string() == campaign_id)
+    of_its_map = and_(studies.c.stage == Stage.VALIDATION, campaigns.c.influence_map_id == influence_map_id)
+    query = (
+        select(campaigns, studies.c.stage.label("made"))
+        .select_from(studies.join(campaigns, studies.c.campaign_sequence == campaigns.c.sequence))
+        .where(or_(own, of_its_sets, of_its_map) if influence_map_id is not None else or_(own, of_its_sets))
+        .order_by(own.desc(), campaigns.c.sequence.desc(), studies.c.stage)
+    )
+    return [
+        StoredStudy(row.sequence, row.id, row.name, row.made, row.state, row.spec, row.resolution, row.ended_at)
+        for row in connection.execute(query)
+    ]
 
 
 def save_progress(

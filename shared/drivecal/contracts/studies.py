@@ -1,8 +1,40 @@
-"""What the service answers about the stages after the calibration: robustness and validation."""
+"""What the service answers about the best sets and the stages after the calibration: robustness and validation."""
 
 from __future__ import annotations
 
-from drivecal.contracts.campaign import Answer
+from datetime import datetime
+from typing import Any, Literal
+
+from drivecal.contracts.campaign import Answer, Solution
+
+
+class OptimumRow(Solution):
+    """One of the sets that share the best objective: an alternative optimum (Section IV-C).
+
+    `region`: sets of one number are neighbours, or joined by a chain of neighbours; `to_worse`: how far, as a root mean square in shares
+    of the searched ranges, the nearest set of a lower objective lies; null where there is none.
+    """
+
+    region: int
+    to_worse: float | None
+
+
+class Study(Answer):
+    """A study of what a campaign found, made by that `campaign` itself or by another one; `settings` as in its specification."""
+
+    campaign: str
+    name: str
+    stage: Literal["robustness", "validation"]
+    state: str
+    settings: dict[str, Any]
+    ended_at: datetime | None
+
+
+class StudyPage(Answer):
+    """The studies of a campaign's best sets and of its influence map: its own first, then the newest."""
+
+    items: list[Study]
+    next_cursor: str | None = None
 
 
 class BoxTrial(Answer):

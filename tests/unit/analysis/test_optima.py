@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.cluster.hierarchy import fcluster, linkage
-from scipy.spatial.distance import pdist, squareform
+from scipy.spatial.distance import cdist
 
 from drivecal.analysis.optima import distances, one_per_region_first, optima, regions
 
@@ -27,8 +27,14 @@ def test_regions_are_numbered_in_the_order_of_their_first_points() -> None:
 
 
 def test_distances_are_root_mean_squares() -> None:
-    points = np.random.default_rng(1).random((20, 11))
-    assert np.allclose(distances(points), squareform(pdist(points)) / np.sqrt(11), atol=1e-7)
+    points, others = np.random.default_rng(1).random((2, 20, 11))
+    assert np.allclose(distances(points, others), cdist(points, others) / np.sqrt(11), atol=1e-7)
+
+
+def test_a_region_of_many_sets_is_one_whatever_their_order() -> None:
+    line = np.random.default_rng(1).permutation(np.linspace(0, 1, 2_000))[:, None]
+    assert set(regions(line, 0.0006).tolist()) == {0}
+    assert len(set(regions(line, 0.0004).tolist())) == 2_000
 
 
 def test_each_optimum_tells_how_far_the_next_worse_set_is() -> None:

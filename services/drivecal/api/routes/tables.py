@@ -14,8 +14,9 @@ from drivecal.api.answers import evaluation_row, parameter_column
 from drivecal.api.bodies import StrictRoute
 from drivecal.api.dependencies import Accept, DatabaseDependency
 from drivecal.api.queries import SolutionsQuery, TableOf, TableQuery, form_of
-from drivecal.api.ranking import ranking
+from drivecal.api.ranking import Ranking, ranking
 from drivecal.api.tables import TABLE_ANSWERS, Column, Row, download
+from drivecal.campaigns.optima import alternatives
 from drivecal.campaigns.pinned import Pinned, pinned
 from drivecal.contracts.campaign import Solution
 from drivecal.domain.campaigns import Stage
@@ -98,18 +99,27 @@ def list_solutions(campaign_id: str, query: SolutionsQuery, database: DatabaseDe
         return [_solution_row(one, flat=flat) for one in ranked.solutions(start, stop)]
 
     def columns() -> list[Column]:
-        return [
-            Column("rank", "integer"),
-            Column("objective", "number"),
-            Column("rating", "number"),
-            *(Column(f"score_{name}", "integer") for name in ranked.scenarios),
-            Column("reused", "text"),
-            *(Column(parameter_column(name), "number") for name in begun_with.space.names),
-            Column("iteration", "integer"),
-            Column("individual", "integer"),
-        ]
+        return _solution_columns(ranked, begun_with)
 
     return _answer(f"solutions-{campaign.id}", query, accept, columns, _slices(rows, len(ranked)))
+
+
+@router.get("/optima", responses=TABLE_ANSWERS)
+def list_optima(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
+    """The sets that share the best objective, the region of the space in which each lies, and how far the nearest worse set is."""
+    campaign = _campaign(database, campaign_id)
+    begun_with = _pinned(campaign)
+    ranked = ranking(database, campaign, begun_with.weights, None)
+    known, flat = alternatives(database, ranked.ranked, begun_with.space), form_of(query, accept) != "json"
+
+    def rows(start: int, stop: int) -> list[Row]:
+        found = zip(ranked.solutions(start, min(stop, len(known))), known[start:stop], strict=True)
+        return [{**_solution_row(one, flat=flat), "region": at.region, "to_worse": at.to_worse} for one, at in found]
+
+    def columns() -> list[Column]:
+        return [*_solution_columns(ranked, begun_with), Column("region", "integer"), Column("to_worse", "number")]
+
+    return _answer(f"optima-{campaign.id}", query, accept, columns, _slices(rows, len(known)))
 
 
 @router.get("/influence", responses=TABLE_ANSWERS)
@@ -211,6 +221,19 @@ def _solution_row(solution: Solution, *, flat: bool) -> Row:
     row: dict[str, Any] = solution.model_dump(include={"rank", "objective", "rating", "iteration", "individual"})
     row |= {f"score_{name}": score for name, score in solution.scores.items()} | {"reused": " ".join(solution.reused)}
     return row | {parameter_column(name): value for name, value in solution.parameters.items()}
+
+
+def _solution_columns(ranked: Ranking, begun_with: Pinned) -> list[Column]:
+    return [
+        Column("rank", "integer"),
+        Column("objective", "number"),
+        Column("rating", "number"),
+        *(Column(f"score_{name}", "integer") for name in ranked.scenarios),
+        Column("reused", "text"),
+        *(Column(parameter_column(name), "number") for name in begun_with.space.names),
+        Column("iteration", "integer"),
+        Column("individual", "integer"),
+    ]
 
 
 def _influence_rows(database: Database, campaign: StoredCampaign) -> list[Row]:

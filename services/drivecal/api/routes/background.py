@@ -1,0 +1,98 @@
+"""What stands behind a campaign: the setups it was taken up with, and the studies that were made of what it found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib.metadata import version
+from typing import Any
+
+from fastapi import APIRouter
+
+from drivecal.api.bodies import StrictRoute
+from drivecal.api.dependencies import DatabaseDependency
+from drivecal.campaigns.pinned import Pinned, pinned
+from drivecal.contracts.setup import CampaignSetup, ScenarioSetup, SearchedParameter
+from drivecal.contracts.studies import Study, StudyPage
+from drivecal.domain.errors import ConflictError
+from drivecal.domain.setups import Setup
+from drivecal.storage import campaigns, setups, studies
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.studies import StoredStudy
+
+router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["results"], route_class=StrictRoute)
+
+SAME_FOR_A_MAP = ("setups", "evaluator", "space", "fixed")
+"""What a validation has in common with every campaign whose use of the map it vouches for."""
+
+
+@router.get("/setup")
+def setup(campaign_id: str, database: DatabaseDependency) -> CampaignSetup:
+    """The parameters, versions and fingerprints that the campaign was taken up with; while it is queued, those of today."""
+    with database.read() as connection:
+        campaign = _calibration(campaigns.get(connection, campaign_id))
+        begun_with = pinned(campaign)
+        documents = setups.documents(connection, list(begun_with.setups.values()))
+    fixed = {name: float(value) for name, value in begun_with.space.fixed.items()}
+    return CampaignSetup(
+        evaluator=begun_with.evaluator,
+        parameters=[
+            SearchedParameter(
+                name=one.name,
+                unit=one.unit,
+                lower=float(one.lower),
+                upper=float(one.upper),
+                n_values=one.n_values,
+                fixed=fixed.get(one.name),
+            )
+            for one in begun_with.space.parameters
+        ],
+        scenarios=[_scenario(name, begun_with, documents) for name in begun_with.weights],
+        server=version("drivecal"),
+    )
+
+
+@router.get("/studies")
+def list_studies(campaign_id: str, database: DatabaseDependency) -> StudyPage:
+    """The robustness and validation studies of its best sets and its map, its own first, then those of other campaigns, newest first."""
+    with database.read() as connection:
+        campaign = _calibration(campaigns.get(connection, campaign_id))
+        found = studies.about(connection, campaign.id, campaign.sequence, campaign.influence_map_id)
+    return StudyPage(items=[_study(one) for one in found if _of_the_same(one, campaign)])
+
+
+def _calibration(campaign: StoredCampaign) -> StoredCampaign:
+    if campaign.kind != "calibration":
+        raise ConflictError(f"{campaign.id} is a single evaluation; GET /api/v1/evaluations/{campaign.id}")
+    return campaign
+
+
+def _scenario(name: str, begun_with: Pinned, documents: Mapping[str, Mapping[str, Any]]) -> ScenarioSetup:
+    fingerprint = begun_with.setups[name]
+    known: dict[str, Any] = {}
+    if fingerprint in documents:
+        made_of = Setup.from_document(documents[fingerprint])
+        known = {field: getattr(made_of, field) for field in ("scenario_digest", "simulator", "step_seconds", "seed")}
+        known["driving_function"] = f"{made_of.driving_function} {made_of.driving_function_version}"
+        known["vehicle"] = f"{made_of.vehicle} {made_of.vehicle_version}"
+        known["vehicle_parameters"] = dict(made_of.vehicle_parameters)
+    return ScenarioSetup(scenario=name, weight=begun_with.weights[name], fingerprint=fingerprint, **known)
+
+
+def _of_the_same(made: StoredStudy, campaign: StoredCampaign) -> bool:
+    """Whether a study is about this campaign: about its own sets; or, of a map, with the same scenarios, space and evaluator."""
+    if made.campaign_sequence == campaign.sequence or made.stage == "robustness":
+        return True
+    theirs, ours = made.resolution, campaign.resolution
+    return theirs is not None and ours is not None and all(theirs.get(one) == ours.get(one) for one in SAME_FOR_A_MAP)
+
+
+def _study(made: StoredStudy) -> Study:
+    stage = made.stage.value
+    return Study(
+        campaign=made.campaign,
+        name=made.name,
+        stage=stage,
+        state=made.state,
+        settings=made.spec.get(stage) or {},
+        ended_at=made.ended_at,
+    )

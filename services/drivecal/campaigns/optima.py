@@ -1,0 +1,37 @@
+"""The sets that share a campaign's best objective: the regions in which they lie, and how far the next worse set is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import takewhile
+
+import numpy as np
+
+from drivecal.analysis.optima import Optimum, optima
+from drivecal.campaigns.solutions import EQUAL, Solution
+from drivecal.domain.parameters import ParameterSet, ParameterSpace
+from drivecal.plugins.ports import Floats
+from drivecal.storage import parameter_sets
+from drivecal.storage.database import Database
+
+MOST_WORSE = 20_000
+"""Sets of a lower objective among which the nearest is looked for."""
+
+
+def unit_cube(space: ParameterSpace, sets: Sequence[ParameterSet]) -> Floats:
+    """Positions in the search space, shape (n, n_searched), each axis from 0 to 1."""
+    rows = [dict(zip(one.names, one.billionths, strict=True)) for one in sets]
+    values = np.array([[row[one.name] for one in space.searched] for row in rows], dtype=np.float64)
+    lower = np.array([one.billionths(0) for one in space.searched], dtype=np.float64)
+    upper = np.array([one.billionths(one.n_values - 1) for one in space.searched], dtype=np.float64)
+    return (values.reshape(len(rows), len(lower)) - lower) / (upper - lower)
+
+
+def alternatives(database: Database, ranking: Sequence[Solution], space: ParameterSpace) -> list[Optimum]:
+    """What is known of the first of a `ranking`, best first: of all that share the objective of the very first one."""
+    best = list(takewhile(lambda one: one.objective >= ranking[0].objective - EQUAL, ranking))
+    worse = ranking[len(best) : len(best) + MOST_WORSE]
+    with database.read() as connection:
+        sets = parameter_sets.load(connection, [one.parameter_set for one in (*best, *worse)])
+    places = unit_cube(space, [sets[one.parameter_set] for one in (*best, *worse)])
+    return optima(places[: len(best)], places[len(best) :])

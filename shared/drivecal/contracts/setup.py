@@ -1,0 +1,41 @@
+"""What the service answers about what a campaign was taken up with: the problem it solves and all that decides its runs."""
+
+from __future__ import annotations
+
+from drivecal.contracts.campaign import Answer
+
+
+class SearchedParameter(Answer):
+    """A parameter on its grid of `n_values` from `lower` to `upper`; `fixed`: the value at which it is held, null where it is searched."""
+
+    name: str
+    unit: str
+    lower: float
+    upper: float
+    n_values: int
+    fixed: float | None
+
+
+class ScenarioSetup(Answer):
+    """One scenario's setup. `weight`: its share of the objective. `fingerprint` is the content hash of all the rest, under which the
+    reference table keeps its runs; what it was made of is null where no run has been asked for yet."""
+
+    scenario: str
+    weight: float
+    fingerprint: str
+    scenario_digest: str | None = None
+    driving_function: str | None = None
+    vehicle: str | None = None
+    vehicle_parameters: dict[str, float] | None = None
+    simulator: str | None = None
+    step_seconds: float | None = None
+    seed: int | None = None
+
+
+class CampaignSetup(Answer):
+    """The parameters and setups of a campaign, `evaluator` with its version, and the version of the server that answers."""
+
+    evaluator: str
+    parameters: list[SearchedParameter]
+    scenarios: list[ScenarioSetup]
+    server: str

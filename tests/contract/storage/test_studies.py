@@ -1,0 +1,43 @@
+"""Who made studies of what a campaign found."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from drivecal.domain.campaigns import Stage
+from drivecal.storage import campaigns, influence_maps, studies
+from drivecal.storage.database import Database
+
+
+def test_the_studies_about_a_campaign_are_found_whoever_made_them(database: Database) -> None:
+    with database.transaction() as connection:
+        stored = influence_maps.insert(
+            connection, name="m", source="expert", driving_function="frenet", parameters=[], scenarios={}
+        )
+
+        def make(name: str, robustness: dict[str, Any] | None = None, *made: Stage, used: str | None = None) -> str:
+            one = campaigns.insert(connection, name=name, spec={"robustness": robustness}, influence_map_id=used)
+            for stage in made:
+                studies.save(connection, one.sequence, stage, {"items": []})
+            return one.id
+
+        first = make("first", {"of": None}, Stage.VALIDATION, Stage.ROBUSTNESS, used=stored.id)
+        make("of its sets", {"of": first, "eta": 1}, Stage.ROBUSTNESS)
+        make("of its sets, not begun", {"of": first})
+        make("of another's sets", {"of": "0" * 32}, Stage.ROBUSTNESS)
+        make("of the sets again", {"of": first}, Stage.ROBUSTNESS)
+        make("of the map", None, Stage.VALIDATION, used=stored.id)
+        make("of no map", None, Stage.VALIDATION)
+    with database.read() as connection:
+        one = campaigns.get(connection, first)
+        found = studies.about(connection, one.id, one.sequence, one.influence_map_id)
+        without_map = studies.about(connection, one.id, one.sequence, None)
+    assert [(each.name, each.stage) for each in found] == [
+        ("first", Stage.ROBUSTNESS),
+        ("first", Stage.VALIDATION),
+        ("of the map", Stage.VALIDATION),
+        ("of the sets again", Stage.ROBUSTNESS),
+        ("of its sets", Stage.ROBUSTNESS),
+    ]
+    assert found[-1].spec == {"robustness": {"of": first, "eta": 1}}
+    assert [each.name for each in without_map] == ["first", "first", "of the sets again", "of its sets"]
