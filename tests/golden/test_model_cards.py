@@ -1,4 +1,4 @@
-"""The model cards' tables are those of the arrays that are shipped: what is held out is driven again and rated again, nothing is trained.
+"""The model cards' tables are those of the arrays that are shipped: they drive and rate what is held out again, nothing is trained.
 
 `make train` writes both anew. Another processor, libm or integrator may move a figure's last digit.
 """
@@ -9,9 +9,11 @@ import re
 
 import numpy as np
 import pytest
+from tests.golden import held_out
 
 from drivecal.comfort import learned
 from drivecal.training import comfort, comfort_card, multibody, vehicle, vehicle_card
+from drivecal.training.drives import Drives
 from drivecal.training.manoeuvres import TRAINED, UNSEEN, draw
 from drivecal.training.tables import read_table
 from drivecal.vehicle import residual
@@ -37,24 +39,35 @@ def test_a_figure_that_differs_would_be_noticed() -> None:
             assert_alike(table, "| a | 1.24 |")
 
 
-@pytest.mark.slow
 def test_the_hybrid_vehicle_errs_on_held_out_manoeuvres_as_its_card_says_and_half_as_much_as_the_plain_one() -> None:
-    recordings, shipped = vehicle.held_out_drives(), residual.shipped()
-    assert_alike(vehicle_card.error_table(shipped, recordings), read_table(VEHICLE_CARD, vehicle_card.ERRORS))
-    errors = vehicle_card.errors(shipped, recordings)
+    (kinds, drives), shipped = held_out.read(), residual.shipped()
+    assert_alike(vehicle_card.error_table(shipped, kinds, drives), read_table(VEHICLE_CARD, vehicle_card.ERRORS))
+    errors = vehicle_card.errors(shipped, kinds, drives)
     assert np.all(errors["hybrid"] <= 0.5 * errors["plain"])
     assert np.all(errors["plain"] <= errors["converted"])
+
+
+def test_the_multi_body_vehicle_drives_as_it_was_recorded() -> None:
+    """The first two manoeuvres stand for all forty."""
+    recordings = vehicle.record_all((*TRAINED, UNSEEN), 2, vehicle.SEED + 1000)
+    kinds, recorded = held_out.read()
+    driven = Drives.of(recordings)
+    assert vehicle_card.kinds_of(recordings) == kinds[:2]
+    np.testing.assert_allclose(recorded.given[:2], driven.given, atol=1e-5)
+    np.testing.assert_allclose(recorded.starts[:2], driven.starts, atol=1e-5)
+    np.testing.assert_allclose(recorded.truth[:2], driven.truth, atol=3e-4)
+    assert len(kinds) == vehicle.HELD_OUT + vehicle.HELD_OUT // len(TRAINED)
 
 
 def test_the_hybrid_vehicles_range_is_what_its_card_says() -> None:
     assert_alike(vehicle_card.range_table(residual.shipped()), read_table(VEHICLE_CARD, vehicle_card.RANGE))
 
 
-@pytest.mark.slow
 def test_the_learned_evaluator_agrees_with_the_panel_on_held_out_manoeuvres_as_its_card_says() -> None:
-    drives, regressions = comfort.drives(held_out=True), learned.shipped()
-    assert_alike(comfort_card.agreement_table(regressions, drives), read_table(COMFORT_CARD, comfort_card.AGREEMENT))
-    assert_alike(comfort_card.calibration_table(regressions, drives), read_table(COMFORT_CARD, comfort_card.CALIBRATION))
+    drives = comfort.drives(held_out=True)
+    ratings = comfort_card.ratings(learned.shipped(), drives)
+    assert_alike(comfort_card.agreement_table(ratings, drives), read_table(COMFORT_CARD, comfort_card.AGREEMENT))
+    assert_alike(comfort_card.calibration_table(ratings, drives), read_table(COMFORT_CARD, comfort_card.CALIBRATION))
 
 
 def test_no_held_out_manoeuvre_of_the_vehicle_is_one_that_it_learned_from() -> None:

@@ -24,7 +24,8 @@ def train_vehicle() -> None:
     residual.write(FILE)
     _say("driving the manoeuvres that are held out")
     card = FILE.with_suffix(".md")
-    errors = vehicle_card.error_table(residual, vehicle.held_out_drives())
+    held_out = vehicle.held_out_drives()
+    errors = vehicle_card.error_table(residual, vehicle_card.kinds_of(held_out), Drives.of(held_out))
     write_table(card, vehicle_card.ERRORS, errors)
     write_table(card, vehicle_card.RANGE, vehicle_card.range_table(residual))
     _say(errors, FILE)
@@ -48,9 +49,10 @@ def train_comfort() -> None:
     write(FILE, found)
     _say("driving the manoeuvres that are held out")
     card, held_out = FILE.with_suffix(".md"), comfort.drives(held_out=True)
-    agreement = comfort_card.agreement_table(found, held_out)
+    ratings = comfort_card.ratings(found, held_out)
+    agreement = comfort_card.agreement_table(ratings, held_out)
     write_table(card, comfort_card.AGREEMENT, agreement)
-    write_table(card, comfort_card.CALIBRATION, comfort_card.calibration_table(found, held_out))
+    write_table(card, comfort_card.CALIBRATION, comfort_card.calibration_table(ratings, held_out))
     _say(agreement, FILE)
 
 

@@ -23,9 +23,10 @@ def ratings(regressions: Mapping[Manoeuvre, Regression], drives: Sequence[RatedD
     return np.array([rater.rate_channels(one.manoeuvre, one.channels).rating for one in drives])
 
 
-def agreement_table(regressions: Mapping[Manoeuvre, Regression], drives: Sequence[RatedDrive]) -> str:
-    """With the panel, by class; beside it the agreement of the reference scale itself, which nothing learned from the panel can beat."""
-    ours, panel = ratings(regressions, drives), rated_by_panel(drives)
+def agreement_table(ours: Floats, drives: Sequence[RatedDrive]) -> str:
+    """Of these ratings with the panel's, by class; beside it the agreement of the reference scale itself, which nothing learned from the
+    panel can beat."""
+    panel = rated_by_panel(drives)
     reference = np.array([one.rating for one in drives])
     ran = np.array([one.group.startswith("set ") for one in drives])
     rows = []
@@ -45,9 +46,9 @@ def agreement_table(regressions: Mapping[Manoeuvre, Regression], drives: Sequenc
     )
 
 
-def calibration_table(regressions: Mapping[Manoeuvre, Regression], drives: Sequence[RatedDrive]) -> str:
-    """The panel's mean rating where the evaluator gave each score, by class, and how often it did."""
-    ours, panel = ratings(regressions, drives), rated_by_panel(drives)
+def calibration_table(ours: Floats, drives: Sequence[RatedDrive]) -> str:
+    """The panel's mean rating where these ratings gave each score, by class, and how often they did."""
+    panel = rated_by_panel(drives)
     scores = np.floor(ours + 0.5).astype(int)
     rows = []
     for manoeuvre in Manoeuvre:

@@ -55,20 +55,6 @@ def _drive_all(plant: Floats, given: Floats, starts: Floats, out: Floats, extrem
     return outside
 
 
-@njit
-def _jacobian(
-    plant: Floats, places: Floats, steps: Floats, given: Floats, starts: Floats, every: int, out: Floats, found: Floats
-) -> None:
-    """Forward differences with respect to the entries `places` of `plant`; `found`: (places, manoeuvres, samples, 3)."""
-    base, moved, extremes = np.empty_like(out), np.empty_like(out), np.zeros(0)
-    _drive_all(plant, given, starts, base, extremes)
-    for index in range(places.shape[0]):
-        changed = plant.copy()
-        changed[int(places[index])] += steps[index]
-        _drive_all(changed, given, starts, moved, extremes)
-        found[index] = (moved[:, every - 1 :: every] - base[:, every - 1 :: every]) / steps[index]
-
-
 @dataclass(frozen=True, slots=True)
 class Drives:
     """Recordings as arrays: `given` (m, n + 1, 2), `starts` (m, 3), `truth` (m, n, 3)."""
@@ -95,10 +81,14 @@ class Drives:
         _drive_all(plant, self.given, self.starts, out, np.zeros(0))
         return out
 
-    def derivatives(self, plant: Floats, places: Floats, steps: Floats) -> Floats:
-        """Of `outputs` at every `EVERY`-th sample, with respect to entries of `plant`: (places, m, n / EVERY, 3)."""
+    def derivatives(self, plant: Floats, places: Sequence[int], steps: Floats) -> Floats:
+        """Of `outputs` at every `EVERY`-th sample, with respect to entries of `plant`: (places, m, n / EVERY, 3). Forward differences."""
         found = np.empty((len(places), len(self.truth), STEPS // EVERY, 3))
-        _jacobian(plant, places, steps, self.given, self.starts, EVERY, np.empty_like(self.truth), found)
+        base = self.outputs(plant)[:, EVERY - 1 :: EVERY]
+        for index, (place, step) in enumerate(zip(places, steps, strict=True)):
+            changed = plant.copy()
+            changed[place] += step
+            found[index] = (self.outputs(changed)[:, EVERY - 1 :: EVERY] - base) / step
         return found
 
     def errors(self, plant: Floats) -> Floats:

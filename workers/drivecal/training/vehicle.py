@@ -103,7 +103,7 @@ def fit_residual(drives: Drives, baseline: SingleTrackParameters) -> Residual:
         baseline=np.array(astuple(baseline)),
     )
     plant = hybrid_plant(baseline, free)
-    places = np.arange(kernels.LAYERS, len(plant), dtype=np.float64)
+    places = range(kernels.LAYERS, len(plant))
     begin = plant[kernels.LAYERS :]
     typical = np.tile(TYPICAL, UNITS)
 

@@ -30,27 +30,30 @@ def _mean_square_root(errors: Floats) -> Floats:
     return np.asarray(np.sqrt((errors**2).mean(axis=0)))
 
 
-def errors(residual: Residual, recordings: Sequence[Recording]) -> dict[str, Floats]:
+def kinds_of(recordings: Sequence[Recording]) -> list[str]:
+    """Of what kind each manoeuvre is."""
+    return [one.manoeuvre.kind for one in recordings]
+
+
+def errors(residual: Residual, kinds: Sequence[str], drives: Drives) -> dict[str, Floats]:
     """R.m.s. errors by vehicle (`plain`, `hybrid`, `converted`) and, of the first two, by `plain kind` and `hybrid kind`.
 
     Each of shape (3,): yaw rate (rad/s), lateral acceleration (m/s^2), lateral position after 4 s (m).
     """
-    drives = Drives.of(recordings)
-    kinds = np.array([one.manoeuvre.kind for one in recordings])
+    are = np.array(kinds)
     baseline = SingleTrackParameters(*residual.baseline.tolist())
     found = {"converted": _mean_square_root(drives.errors(kernels.pack_plant(multibody.converted())))}
     plants = {"plain": kernels.pack_plant(baseline), "hybrid": hybrid_plant(baseline, residual)}
     for name, plant in plants.items():
         of_all = drives.errors(plant)
         found[name] = _mean_square_root(of_all)
-        found |= {f"{name} {kind}": _mean_square_root(of_all[kinds == kind]) for kind in dict.fromkeys(kinds.tolist())}
+        found |= {f"{name} {kind}": _mean_square_root(of_all[are == kind]) for kind in dict.fromkeys(kinds)}
     return found
 
 
-def error_table(residual: Residual, recordings: Sequence[Recording]) -> str:
+def error_table(residual: Residual, kinds: Sequence[str], drives: Drives) -> str:
     """Plain against hybrid, by kind of manoeuvre."""
-    found = errors(residual, recordings)
-    kinds = [one.manoeuvre.kind for one in recordings]
+    found = errors(residual, kinds, drives)
 
     def row(label: str, count: int, plain: Floats, hybrid: Floats) -> list[str]:
         shown = [
