@@ -113,6 +113,13 @@ def test_a_local_ray_listens_on_loopback_only() -> None:
 
 
 @pytest.mark.usefixtures("ray_backend")
+def test_a_local_ray_starts_nothing_that_nobody_uses() -> None:
+    lines = [" ".join(child.cmdline()) for child in psutil.Process().children(recursive=True)]
+    assert any("raylet" in line for line in lines)
+    assert not [line for line in lines for name in ("monitor.py", "dashboard.py") if name in line]
+
+
+@pytest.mark.usefixtures("ray_backend")
 def test_ray_leaves_the_signal_handlers_alone() -> None:
     assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
 

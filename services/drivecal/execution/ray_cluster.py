@@ -16,12 +16,14 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from drivecal.domain.errors import UnavailableError
+from drivecal.cluster.checks import check_token
+from drivecal.cluster.members import Node, ask, members
+from drivecal.cluster.settings import OBJECT_STORE_BYTES, QUIET
+from drivecal.domain.errors import DrivecalError, UnavailableError
 from drivecal.execution.backend import BackendLostError
+from drivecal.execution.ray_node import OwnNode, here
 from drivecal.execution.ray_watch import StartedAnewError, Watch
 
-OBJECT_STORE_BYTES = 80 * 2**20
-"""Ray's least: batches and results travel with the calls, the object store stays empty."""
 LONGEST_FOLDER = 40
 """Ray's sockets lie 65 characters deep, and a Unix socket's path ends at 107."""
 ANSWER_SECONDS = 1.0
@@ -29,16 +31,6 @@ ANSWER_SECONDS = 1.0
 A_MOMENT = 60.0
 """Between making a folder and locking it, s, amply."""
 
-_ALWAYS = {
-    "RAY_USAGE_STATS_ENABLED": "0",
-    # what the backend reports in one line, Ray would print in a paragraph
-    "RAY_DEDUP_LOGS": "1",
-    "RAY_DEDUP_LOGS_SKIP_REGEX": "A worker died or was killed|Raylet is terminated",
-    # bookkeeping of every call for a dashboard that is not there: a fifth of a call's CPU time
-    "RAY_task_events_report_interval_ms": "0",
-    "RAY_enable_metrics_collection": "0",
-    "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
-}
 _LOCAL = {
     "RAY_AUTH_MODE": "token",
     # despite its name it makes Ray on Linux, too, listen on 127.0.0.1 only
@@ -53,8 +45,11 @@ class Cluster:
         """Starts a local Ray with `cpus` CPUs (None: all), or joins the cluster at `address`. Raises UnavailableError."""
         self.name = "the local Ray" if address is None else f"the Ray cluster at {address}"
         self._folder: _PrivateFolder | None = None
+        self._own: OwnNode | None = None
         self._watch: Watch | None = None
-        os.environ.update(_ALWAYS)
+        self.nodes: tuple[Node, ...] = ()
+        """Who lives, of a cluster that was joined; replaced as a whole, about twice a second."""
+        os.environ.update(QUIET)
         if address is None:
             os.environ.update(_LOCAL)
             os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))  # read once per process, so never changed
@@ -65,16 +60,19 @@ class Cluster:
         import ray  # reads its environment at import
 
         self.ray: ModuleType = ray
+        if address is not None:
+            self._join(address)
         try:
             with _own_signal_handlers():
                 if self._folder is not None:
-                    ray.init(
-                        num_cpus=cpus,
-                        include_dashboard=False,
-                        object_store_memory=OBJECT_STORE_BYTES,
-                        _temp_dir=str(self._folder.path),
-                        **_QUIET,
-                    )
+                    with _spare_processes_left_out():
+                        ray.init(
+                            num_cpus=cpus,
+                            include_dashboard=False,
+                            object_store_memory=OBJECT_STORE_BYTES,
+                            _temp_dir=str(self._folder.path),
+                            **_QUIET,
+                        )
                 else:
                     ray.init(address=address, **_QUIET)
         except Exception as error:
@@ -82,6 +80,21 @@ class Cluster:
             reason = " ".join(str(error).split()) or type(error).__name__
             raise UnavailableError(f"{self.name} cannot be used: {reason[:500]}") from error
         self._watch = Watch(self.name, self._ask)
+
+    def _join(self, address: str) -> None:
+        """Makes sure that this machine has a node in the cluster, and that everything is there that one needs. Raises UnavailableError:
+        what is wrong here can be mended while we wait."""
+        try:
+            check_token(os.environ)
+            self.nodes = ask(address)
+            if not self.nodes:
+                raise UnavailableError(f"{self.name} is only starting")
+            if not here(self.nodes):
+                self._own = OwnNode(address)
+        except UnavailableError:
+            raise
+        except DrivecalError as error:
+            raise UnavailableError(str(error)) from error
 
     def cpus(self) -> int:
         """The CPUs of all nodes."""
@@ -93,6 +106,8 @@ class Cluster:
         dead = sorted({kind for kind, _ in node.dead_processes()} & _VITAL) if node else ["connection"]
         if dead:
             raise BackendLostError(f"Ray's {' and '.join(dead)} ended unexpectedly")
+        if self._own is not None and self._own.ended():
+            raise BackendLostError("this machine's node in the Ray cluster ended unexpectedly")
         lost = None if self._watch is None else self._watch.lost()
         if lost is not None:
             raise BackendLostError(lost)
@@ -111,15 +126,21 @@ class Cluster:
             self._watch.stop()
             self._watch = None
         self.ray.shutdown()
+        if self._own is not None:
+            self._own.close()
+            self._own = None
         if self._folder is not None:
             self._folder.remove()
             self._folder = None
 
     def _ask(self) -> None:
-        """Asks the store of the cluster's state anything. To be called by the watching thread."""
+        """Asks the store of the cluster's state who is there, a local one anything. To be called by the watching thread."""
         client = self.ray._private.worker.global_worker.gcs_client  # noqa: SLF001  # all public ways wait without end
         try:
-            client.internal_kv_exists(b"drivecal", None, timeout=ANSWER_SECONDS)
+            if self._folder is None:
+                self.nodes = members(client, ANSWER_SECONDS)
+            else:
+                client.internal_kv_exists(b"drivecal", None, timeout=ANSWER_SECONDS)
         except self.ray.exceptions.AuthenticationError as error:
             raise StartedAnewError("has started anew, or does not accept our token any more") from error
 
@@ -140,6 +161,25 @@ def _own_signal_handlers() -> Iterator[None]:
     finally:
         for number, handler in handlers.items():
             signal.signal(number, handler)
+
+
+_SPARE = ("start_monitor", "start_log_monitor", "start_api_server")
+
+
+@contextmanager
+def _spare_processes_left_out() -> Iterator[None]:
+    """A local Ray without autoscaler, log monitor and dashboard (which `include_dashboard=False` makes smaller, no more): nobody uses
+    them here, and they take a third of what starting Ray costs, and 160 MB. `ray.init` has no switch for them."""
+    from ray._private.node import Node
+
+    theirs = {name: getattr(Node, name) for name in _SPARE}
+    for name in _SPARE:
+        setattr(Node, name, lambda *_, **__: None)
+    try:
+        yield
+    finally:
+        for name, method in theirs.items():
+            setattr(Node, name, method)
 
 
 class _PrivateFolder:
