@@ -3,6 +3,8 @@
 .PHONY: help demo test test-faults check bench train format lock networks clean
 BIN := .venv/bin
 INSTALLED := .venv/.installed
+# Containers often set it. Every process that a server or a test starts would compile all that it imports: half of a start's time.
+unexport PYTHONDONTWRITEBYTECODE
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 14
