@@ -94,7 +94,7 @@ _UP = "1 where the database answers, else 0, and what is known from it is left o
 def _of_database(found: Statistics) -> Iterator[Any]:
     sums = found.sums
     campaigns = GaugeMetricFamily("drivecal_campaigns", "Campaigns and single evaluations by state", labels=["kind", "state"])
-    for kind in ("calibration", "evaluation"):
+    for kind in ("calibration", "comparison", "evaluation"):
         for state in CampaignState:
             campaigns.add_metric([kind, state.value], sums.campaigns[CampaignKey(kind, state)])
     yield campaigns

@@ -238,6 +238,7 @@ class Calibration:
         return Figures(
             **counted,
             best=None if best is None else best[0].objective,
+            rating=None if best is None else best[0].rating,
             mean=float(known.mean()) if known.size else None,
             minimum=float(known.min()) if known.size else None,
             alternatives=0 if best is None else best[1],

@@ -13,11 +13,12 @@ from itertools import islice
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 from sqlalchemy import Column, Connection, func, select
 
 from drivecal.campaigns.maps import stored_map
 from drivecal.campaigns.pinned import pinned
+from drivecal.contracts.comparison import ComparisonSpecification
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
 from drivecal.domain.errors import DrivecalError
 from drivecal.domain.influence import InfluenceMap
@@ -111,10 +112,16 @@ def _unreadable(kind: str, ids: Iterable[str], read: Callable[[str], object]) ->
 
 def _campaign(connection: Connection, campaign_id: str) -> None:
     campaign = campaigns.get(connection, campaign_id)
-    kind = EvaluationSpecification if campaign.kind == "evaluation" else CampaignSpecification
-    kind.model_validate(campaign.spec)
+    _SPECIFICATIONS[campaign.kind].model_validate(campaign.spec)
     if campaign.resolution is not None:
         pinned(campaign)
+
+
+_SPECIFICATIONS: dict[campaigns.Kind, type[BaseModel]] = {
+    "calibration": CampaignSpecification,
+    "comparison": ComparisonSpecification,
+    "evaluation": EvaluationSpecification,
+}
 
 
 def _check_reference_keys(connection: Connection, every: int) -> Iterator[str]:

@@ -199,7 +199,7 @@ class Dispatcher:
             self._submit(active, work)
             if job.finished:
                 self._end(active, CampaignState.SUCCEEDED)
-            elif not work:
+            elif not work and not active.goes_on:
                 log.warning("cells of the campaign are answered or simulated elsewhere; it is taken up again")
                 active.job, active.not_before = None, self._clock() + RETRY_SECONDS
 

@@ -6,11 +6,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from drivecal.campaigns.comparing import Comparison
+from drivecal.campaigns.comparison import resolve_comparison
 from drivecal.campaigns.evaluation import SingleEvaluation
 from drivecal.campaigns.pinned import problem_of
 from drivecal.campaigns.planning import View
 from drivecal.campaigns.problem import EvaluationProblem
 from drivecal.campaigns.staged import StagedCampaign
+from drivecal.contracts.comparison import ComparisonSpecification
+from drivecal.contracts.validation import validated
 from drivecal.domain.campaigns import CampaignState, Stage
 from drivecal.domain.errors import ConflictError
 from drivecal.execution.scheduler import Completed
@@ -21,7 +25,7 @@ from drivecal.storage.database import Database
 EVALUATION_PRIORITY = 1000
 """Somebody waits for a single evaluation; a campaign can wait a batch longer."""
 
-Job = StagedCampaign | SingleEvaluation
+Job = StagedCampaign | SingleEvaluation | Comparison
 
 
 @dataclass(slots=True)
@@ -47,6 +51,11 @@ class Active:
         return self.job.stage if isinstance(self.job, StagedCampaign) else None
 
     @property
+    def goes_on(self) -> bool:
+        """Whether it has more to do without any result."""
+        return isinstance(self.job, Comparison) and self.job.goes_on
+
+    @property
     def priority(self) -> int:
         """Of its cells."""
         return EVALUATION_PRIORITY if self.campaign.kind == "evaluation" else self.campaign.priority
@@ -56,10 +65,24 @@ def take_up(database: Database, sequence: int) -> Job:
     """A job that goes on from the campaign's rows. Raises ConflictError where it was begun with another version of anything."""
     with database.read() as connection:
         campaign = campaigns.by_sequence(connection, sequence)
+    if campaign.kind == "comparison":
+        compared = resolve_comparison(validated(ComparisonSpecification, campaign.spec))
+        return Comparison(database, campaign, compared, lambda number: _staged(database, number))
+    return _alone(database, campaign)
+
+
+def _staged(database: Database, sequence: int) -> StagedCampaign:
+    job = take_up(database, sequence)
+    if not isinstance(job, StagedCampaign):
+        raise TypeError(f"campaign {sequence} cannot be a run of a comparison")
+    return job
+
+
+def _alone(database: Database, campaign: StoredCampaign) -> StagedCampaign | SingleEvaluation:
     problem = problem_of(campaign)
     _pin(database, campaign, problem.resolution())
     if isinstance(problem, EvaluationProblem):
-        return SingleEvaluation(database, campaign, problem, View(sequence, campaign.watermark or 0, problem.bench))
+        return SingleEvaluation(database, campaign, problem, View(campaign.sequence, campaign.watermark or 0, problem.bench))
     return StagedCampaign(database, campaign, problem)
 
 

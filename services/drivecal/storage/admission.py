@@ -13,8 +13,8 @@ RETRY_SECONDS = 30
 
 
 def admit(connection: Connection, most: int, idempotency_key: str | None) -> None:
-    """Raises OverloadError where `most` campaigns and evaluations wait already to be started. To be called in the transaction that
-    inserts: until its end no other one is admitted, so that any number of them at once cannot overshoot.
+    """Raises OverloadError where `most` campaigns and evaluations wait already to be started; a comparison is one. To be called in the
+    transaction that inserts: until its end no other one is admitted, so that any number of them at once cannot overshoot.
 
     A request whose key is known inserts nothing and is always admitted.
     """
@@ -24,7 +24,9 @@ def admit(connection: Connection, most: int, idempotency_key: str | None) -> Non
         known = select(campaigns.c.sequence).where(campaigns.c.idempotency_key == idempotency_key)
         if connection.execute(known).first() is not None:
             return
-    open_ones = select(func.count()).select_from(campaigns).where(campaigns.c.ended_at.is_(None))
+    open_ones = (
+        select(func.count()).select_from(campaigns).where(campaigns.c.ended_at.is_(None), campaigns.c.parent_sequence.is_(None))
+    )
     waiting = connection.scalar(open_ones.where(campaigns.c.started_at.is_(None))) or 0
     if waiting >= most:
         message = (

@@ -23,13 +23,15 @@ from drivecal.contracts.campaign import (
 from drivecal.domain.campaigns import CampaignState, Stage
 from drivecal.domain.errors import ConflictError, NotFoundError
 from drivecal.domain.events import EventKind
-from drivecal.storage import actions, cursors, events, leases, runs
+from drivecal.storage import actions, comparisons, cursors, events, leases, runs
 from drivecal.storage.identifiers import is_identifier
 from drivecal.storage.membership import insert as insert_into
 from drivecal.storage.tables import campaigns
 from drivecal.storage.types import now
 
-Kind = Literal["calibration", "evaluation"]
+Kind = Literal["calibration", "comparison", "evaluation"]
+Listed = Literal["calibration", "evaluation"]
+"""What is listed together: campaigns, comparisons among them, and single evaluations."""
 Action = actions.Action
 LONGEST_LISTED = 20_000
 """Characters of a specification that a list still carries: a page of a thousand has 20 MB at most, where it could have had a GB."""
@@ -62,6 +64,8 @@ class StoredCampaign(CampaignHeading):
     resolution: Mapping[str, Any] | None
     """What the specification came to when the campaign was taken up first: setups, evaluator, space."""
     rerun_of: str | None
+    parent_sequence: int | None
+    """The number of the comparison that it is a run of."""
     influence_map_id: str | None
     watermark: int | None
     """The id of the newest run that it may take its references from; set when it starts."""
@@ -108,6 +112,7 @@ def insert(
     kind: Kind = "calibration",
     influence_map_id: str | None = None,
     rerun_of: str | None = None,
+    parent_sequence: int | None = None,
     idempotency_key: str | None = None,
     body_digest: str | None = None,
     priority: int = 0,
@@ -124,6 +129,7 @@ def insert(
         "priority": priority,
         "spec": dict(spec),
         "rerun_of": rerun_of,
+        "parent_sequence": parent_sequence,
         "influence_map_id": influence_map_id,
         "idempotency_key": idempotency_key,
         "body_digest": body_digest,
@@ -173,7 +179,7 @@ def by_sequence(connection: Connection, sequence: int) -> StoredCampaign:
 def page(
     connection: Connection,
     *,
-    kind: Kind = "calibration",
+    kind: Listed = "calibration",
     state: CampaignState | None = None,
     limit: int = 50,
     cursor: str | None = None,
@@ -190,10 +196,13 @@ def page(
 
 
 def listed(
-    columns: Iterable[ColumnElement[Any]], kind: Kind, state: CampaignState | None, limit: int, cursor: str | None
+    columns: Iterable[ColumnElement[Any]], kind: Listed, state: CampaignState | None, limit: int, cursor: str | None
 ) -> Select[Any]:
-    """The query of a page: these columns of campaigns, newest first. Raises InvalidInputError for a cursor that is none."""
-    query = select(*columns).where(campaigns.c.kind == kind).order_by(campaigns.c.sequence.desc()).limit(limit)
+    """The query of a page: these columns of campaigns, newest first, those left out that are runs of a comparison. Raises
+    InvalidInputError for a cursor that is none."""
+    wanted = campaigns.c.kind == kind if kind == "evaluation" else campaigns.c.kind.in_(("calibration", "comparison"))
+    query = select(*columns).where(wanted, campaigns.c.parent_sequence.is_(None))
+    query = query.order_by(campaigns.c.sequence.desc()).limit(limit)
     if state is not None:
         query = query.where(campaigns.c.state == state)
     if cursor is not None:
@@ -203,10 +212,12 @@ def listed(
 
 
 def active(connection: Connection) -> list[CampaignHeading]:
-    """All campaigns that have not ended, in the order in which they are to be started: what the dispatcher looks after."""
+    """The campaigns that have not ended, in the order in which they are to be started: what the dispatcher looks after. (Comparisons look
+    after their runs.)"""
     states = [state for state in CampaignState if not state.ended]
     columns = [campaigns.c[one.name] for one in fields(CampaignHeading)]
     query = select(*columns).where(campaigns.c.ended_at.is_(None), campaigns.c.state.in_(states))
+    query = query.where(campaigns.c.parent_sequence.is_(None))
     return [
         CampaignHeading(row.sequence, row.id, row.kind, row.name, CampaignState(row.state), row.requested_action, row.priority)
         for row in connection.execute(query.order_by(campaigns.c.priority.desc(), campaigns.c.sequence))
@@ -216,7 +227,8 @@ def active(connection: Connection) -> list[CampaignHeading]:
 def request_action(connection: Connection, campaign_id: str, action: Action) -> StoredCampaign:
     """Asks the dispatcher to cancel, pause or resume a campaign; where nothing of it runs, that is done at once. Idempotent.
 
-    Gives the campaign as it is then. Raises NotFoundError, and ConflictError where it has ended or is about to be cancelled.
+    Gives the campaign as it is then. Raises NotFoundError, and ConflictError for a run of a comparison and for what has ended or is about
+    to be cancelled.
     """
     row = None
     if is_identifier(campaign_id):
@@ -225,6 +237,7 @@ def request_action(connection: Connection, campaign_id: str, action: Action) -> 
     if row is None:
         raise NotFoundError("campaign", campaign_id)
     campaign = _campaign(row)
+    comparisons.refuse_run(connection, campaign.id, campaign.parent_sequence, action)
     asked = campaign.requested_action
     change = actions.change(campaign.id, campaign.state, asked, action, has_started=campaign.started_at is not None)
     if change is None:
@@ -258,11 +271,15 @@ def change_state(connection: Connection, sequence: int, expected: Collection[Cam
 
 
 def start(connection: Connection, sequence: int) -> StoredCampaign | None:
-    """Takes a queued campaign up: running from now on, with its watermark. None where it is not queued any more."""
+    """Takes a queued campaign up: running from now on, with its watermark. None where it is not queued any more.
+
+    A run of a comparison sees the results of nobody else, so that what it needs does not depend on what was there before.
+    """
+    watermark = case((campaigns.c.parent_sequence.is_(None), runs.largest_id(connection)), else_=0)
     statement = (
         _of(sequence)
         .where(campaigns.c.state == CampaignState.QUEUED)
-        .values(state=CampaignState.RUNNING, started_at=now(), watermark=runs.largest_id(connection))
+        .values(state=CampaignState.RUNNING, started_at=now(), watermark=watermark)
         .returning(campaigns)
     )
     row = connection.execute(statement).one_or_none()
@@ -345,8 +362,16 @@ def end(connection: Connection, sequence: int, state: CampaignState, error: str 
     return ended
 
 
+def runs_of(connection: Connection, sequence: int) -> list[StoredCampaign]:
+    """The runs of a comparison, in their order; none of any other campaign."""
+    query = select(campaigns).where(campaigns.c.parent_sequence == sequence).order_by(campaigns.c.sequence)
+    return [_campaign(row) for row in connection.execute(query)]
+
+
 def _tell(connection: Connection, sequence: int, kind: EventKind, state: CampaignState, **more: Any) -> None:
+    """Tells what became of a campaign, and has the runs of a comparison follow it."""
     events.add(connection, sequence, kind, {"state": state, **more})
+    comparisons.follow(connection, sequence, state)
 
 
 def _of(sequence: int) -> Update:
@@ -354,36 +379,19 @@ def _of(sequence: int) -> Update:
 
 
 def _campaign(row: Row[Any]) -> StoredCampaign:
-    return StoredCampaign(
-        sequence=row.sequence,
-        id=row.id,
-        kind=row.kind,
-        name=row.name,
-        state=CampaignState(row.state),
-        requested_action=row.requested_action,
-        priority=row.priority,
-        revision=row.revision,
-        stage=row.stage,
-        iteration=row.iteration,
-        spec=row.spec or {},
-        resolution=row.resolution,
-        rerun_of=row.rerun_of,
-        influence_map_id=row.influence_map_id,
-        watermark=row.watermark,
-        degraded=row.degraded,
-        error=row.error,
-        notes=tuple(row.notes),
-        cells=CellCounts(**row.cells),
-        sensitivity_cells=SensitivityCellCounts(**row.sensitivity_cells),
-        robustness_cells=StageCellCounts(**(row.robustness_cells or {})),
-        validation_cells=StageCellCounts(**(row.validation_cells or {})),
-        progress=Progress(**row.progress),
-        error_rate={scenario: ErrorRate(**rate) for scenario, rate in row.error_rate.items()},
-        best=None if row.best is None else Best(**row.best),
-        baseline=None if row.baseline is None else Baseline(**row.baseline),
-        narrowed=None if row.narrowed is None else tuple(Narrowed(**one) for one in row.narrowed),
-        simulating_seconds=float(row.simulating_seconds),
-        created_at=row.created_at,
-        started_at=row.started_at,
-        ended_at=row.ended_at,
-    )
+    as_it_is = {one.name: getattr(row, one.name) for one in fields(StoredCampaign)}
+    parsed = {
+        "state": CampaignState(row.state),
+        "spec": row.spec or {},
+        "notes": tuple(row.notes),
+        "cells": CellCounts(**row.cells),
+        "sensitivity_cells": SensitivityCellCounts(**row.sensitivity_cells),
+        "robustness_cells": StageCellCounts(**(row.robustness_cells or {})),
+        "validation_cells": StageCellCounts(**(row.validation_cells or {})),
+        "progress": Progress(**row.progress),
+        "error_rate": {scenario: ErrorRate(**rate) for scenario, rate in row.error_rate.items()},
+        "best": None if row.best is None else Best(**row.best),
+        "baseline": None if row.baseline is None else Baseline(**row.baseline),
+        "narrowed": None if row.narrowed is None else tuple(Narrowed(**one) for one in row.narrowed),
+    }
+    return StoredCampaign(**as_it_is | parsed)

@@ -27,6 +27,7 @@ class Figures:
     failed: int = 0
     audited: int = 0
     best: float | None = None
+    rating: float | None = None
     mean: float | None = None
     minimum: float | None = None
     alternatives: int = 0

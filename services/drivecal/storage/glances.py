@@ -11,7 +11,7 @@ from sqlalchemy import Connection, bindparam, select
 
 from drivecal.domain.campaigns import CampaignState, Stage
 from drivecal.domain.errors import NotFoundError
-from drivecal.storage.campaigns import Action, Kind, listed
+from drivecal.storage.campaigns import Action, Listed, listed
 from drivecal.storage.identifiers import is_identifier
 from drivecal.storage.membership import among
 from drivecal.storage.processes import DISPATCHER
@@ -69,7 +69,7 @@ def glance(connection: Connection, campaign_id: str) -> tuple[Glance, datetime |
     return _glance(row), row.heartbeat_at
 
 
-def page(connection: Connection, *, kind: Kind, state: CampaignState | None, limit: int, cursor: str | None) -> list[Glance]:
+def page(connection: Connection, *, kind: Listed, state: CampaignState | None, limit: int, cursor: str | None) -> list[Glance]:
     """The campaigns that `campaigns.page` gives for the same arguments, and one more where there are more."""
     return [_glance(row) for row in connection.execute(listed(_GLANCE, kind, state, limit + 1, cursor))]
 

@@ -59,7 +59,10 @@ def check_counters(connection: Connection) -> Iterator[str]:
     for sequence, count in carried:
         counted.setdefault((sequence, ORDER[Stage.CALIBRATION]), {})["carried_over"] = count
     kept = [campaigns.c[name] for name in _COUNTERS.values()]
-    for one in connection.execute(select(campaigns.c.sequence, campaigns.c.id, *kept).order_by(campaigns.c.sequence)):
+    own = select(campaigns.c.sequence, campaigns.c.id, *kept).where(
+        campaigns.c.kind != "comparison"
+    )  # which sums up those of its runs
+    for one in connection.execute(own.order_by(campaigns.c.sequence)):
         for stage_of, name in _COUNTERS.items():
             cells = counted.get((one.sequence, ORDER[stage_of]), {})
             cells["requested"] = sum(cells.get(outcome, 0) for outcome in Outcome)

@@ -56,6 +56,8 @@ class Sums:
         seconds = self.simulating_seconds
         for row in rows:
             found.campaigns[CampaignKey(row.kind, row.state)] += 1
+            if row.kind == "comparison":  # which sums up what its runs count
+                continue
             seconds += row.simulating_seconds
             for stage, counts in _counts(row):
                 for outcome in Outcome:

@@ -61,6 +61,7 @@ campaigns = Table(
     Column("resolution", Document),
     Column("narrowed", Document),
     Column("rerun_of", Name, ForeignKey("campaigns.id")),
+    Column("parent_sequence", Identity, ForeignKey("campaigns.sequence")),
     Column("influence_map_id", Name, ForeignKey("influence_maps.id")),
     Column("idempotency_key", Name, unique=True),
     Column("body_digest", Name),
@@ -80,6 +81,7 @@ campaigns = Table(
     Column("created_at", UtcDateTime, nullable=False),
     Column("started_at", UtcDateTime),
     Column("ended_at", UtcDateTime),
+    Index(None, "parent_sequence"),
     Index(  # what the dispatcher asks for all the time: some campaigns among all that ever were
         "ix_campaigns_active",
         "sequence",
@@ -110,6 +112,7 @@ generations = Table(
         )
     ),
     Column("best", Float),
+    Column("rating", Float),
     Column("mean", Float),
     Column("minimum", Float),
     Column("population", Document, nullable=False),

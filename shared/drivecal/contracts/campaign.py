@@ -168,6 +168,9 @@ class Generation(Answer):
     failed: int
     audited: int
     best: float | None
+    """The best objective so far."""
+    rating: float | None = None
+    """The weighted continuous rating of the best set so far; null in campaigns of releases that did not keep it."""
     mean: float | None
     minimum: float | None
     alternatives: int

@@ -141,8 +141,17 @@ def _names_a_map(given: object) -> bool:
     return isinstance(given, MapReference) or (isinstance(given, dict) and "map" in given)
 
 
-class CampaignSpecification(Model):
-    """A whole campaign. Everything has a default, so that `{}` is the paper's problem."""
+MaybeSensitivity = (
+    Annotated[
+        Annotated[SensitivitySpecification, Tag("analysis")] | Annotated[MapReference, Tag("map")],
+        Discriminator(lambda given: "map" if _names_a_map(given) else "analysis"),
+    ]
+    | None
+)
+
+
+class ProblemSpecification(Model):
+    """What is to be calibrated: all that a campaign and a comparison of optimizers have in common."""
 
     name: Name = "campaign"
     priority: Annotated[int, Field(ge=-100, le=100)] = 0
@@ -155,18 +164,7 @@ class CampaignSpecification(Model):
     driving_function: Identifier = "frenet"
     vehicle: VehicleSpecification = VehicleSpecification()
     evaluator: Identifier = "reference"
-    sensitivity: (
-        Annotated[
-            Annotated[SensitivitySpecification, Tag("analysis")] | Annotated[MapReference, Tag("map")],
-            Discriminator(lambda given: "map" if _names_a_map(given) else "analysis"),
-        ]
-        | None
-    ) = SensitivitySpecification()
-    optimizer: OptimizerSpecification | None = OptimizerSpecification()
-    """Null where only other stages are wanted."""
-    reduction: ReductionSpecification = ReductionSpecification()
-    robustness: RobustnessSpecification | None = None
-    validation: ValidationSpecification | None = None
+    sensitivity: MaybeSensitivity = SensitivitySpecification()
 
     @field_validator("catalogue")
     @classmethod
@@ -174,6 +172,16 @@ class CampaignSpecification(Model):
         if isinstance(value, list) and len(set(value)) != len(value):
             raise ValueError("a scenario is listed twice; list each once")
         return value
+
+
+class CampaignSpecification(ProblemSpecification):
+    """A whole campaign. Everything has a default, so that `{}` is the paper's problem."""
+
+    optimizer: OptimizerSpecification | None = OptimizerSpecification()
+    """Null where only other stages are wanted."""
+    reduction: ReductionSpecification = ReductionSpecification()
+    robustness: RobustnessSpecification | None = None
+    validation: ValidationSpecification | None = None
 
 
 class RerunSpecification(Model):

@@ -45,5 +45,7 @@ class EventKind(StrEnum):
     """The result of the user's own parameter set is known: `objective`, `scores`."""
     REUSE_STOPPED = "reuse_stopped"
     """In a `scenario` too many audited cells were `wrong` of those `audited`; it is simulated from now on."""
+    RUN = "run"
+    """A `run` of a comparison has ended: its id, `name`, `state` and `best` objective; `ended` `of` so many."""
     NOTE = "note"
     """Something that a reader should know, as `text`."""

@@ -46,7 +46,7 @@ def list_generations(campaign_id: str, query: TableQuery, database: DatabaseDepe
         return [{"iteration": iteration, **asdict(figures)} for iteration, figures in found], following
 
     def columns() -> list[Column]:
-        numbers = ("best", "mean", "minimum")
+        numbers = ("best", "rating", "mean", "minimum")
         names = ["iteration", *generations.Figures.__dataclass_fields__]
         return [Column(name, "number" if name in numbers else "integer") for name in names]
 

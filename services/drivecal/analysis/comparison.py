@@ -1,0 +1,222 @@
+"""What runs of several optimizers, population sizes, seeds and reductions say beside each other (Section IV-B, Table 5). Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from statistics import fmean, stdev
+from typing import NamedTuple
+
+from drivecal.analysis.convergence import alternatives_at, best_at
+
+EQUAL = 1e-9
+"""Objectives that differ by no more than this are equal."""
+CONFIDENCE = 0.95
+
+
+class Conditions(NamedTuple):
+    """Under which a run was made."""
+
+    optimizer: str
+    population: int
+    seed: int
+    reduction: str
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """How a run went, by finished iteration: the best objective by then, how many sets had it, and cells that were asked for and had to be
+    simulated (had no answer among the run's own). `ended`: it went to its end."""
+
+    conditions: Conditions
+    best: Sequence[float | None]
+    alternatives: Sequence[int]
+    simulations: Sequence[int]
+    ended: bool
+
+    @property
+    def optimum(self) -> float | None:
+        """The best objective of the whole run; None where there is none yet."""
+        return self.best[-1] if self.best else None
+
+    @property
+    def converged_at(self) -> int | None:
+        """Table 5, counted from 1."""
+        return best_at(self.best)
+
+    @property
+    def alternatives_converged_at(self) -> int | None:
+        """Table 7, counted from 1."""
+        return alternatives_at(self.alternatives)
+
+    @property
+    def simulations_to_converge(self) -> int | None:
+        """Simulations up to and with the iteration in which it had converged."""
+        at = self.converged_at
+        return None if at is None else sum(self.simulations[:at])
+
+
+def best_of_all(courses: Iterable[Course]) -> float | None:
+    """The best optimum that any run found; None where none has one."""
+    return max((one.optimum for one in courses if one.optimum is not None), default=None)
+
+
+def succeeds(course: Course, best: float | None) -> bool:
+    """Whether a run found an optimum as good as `best`."""
+    return best is not None and course.optimum is not None and course.optimum >= best - EQUAL
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """What runs that differ in their seeds alone found; see `drivecal.contracts.comparison.ComparedGroup`."""
+
+    optimizer: str
+    population: int
+    reduction: str
+    seeds: int
+    best: float | None
+    mean: float | None
+    minimum: float | None
+    alternatives: float | None
+    simulations: float | None
+    converged: int
+    iterations_to_converge: float | None
+    simulations_to_converge: float | None
+    successes: int
+
+
+def groups(courses: Sequence[Course]) -> list[Group]:
+    """Runs with equal optimizer, population and reduction together, in the order of the first of each."""
+    best = best_of_all(courses)
+    found: dict[tuple[str, int, str], list[Course]] = {}
+    for one in courses:
+        conditions = one.conditions
+        found.setdefault((conditions.optimizer, conditions.population, conditions.reduction), []).append(one)
+    return [_group(*key, members, best) for key, members in found.items()]
+
+
+def _group(optimizer: str, population: int, reduction: str, members: Sequence[Course], best: float | None) -> Group:
+    optima = [one.optimum for one in members if one.optimum is not None]
+    begun = [one for one in members if one.best]
+    converged = [one for one in members if one.converged_at is not None]
+    return Group(
+        optimizer=optimizer,
+        population=population,
+        reduction=reduction,
+        seeds=len(members),
+        best=max(optima, default=None),
+        mean=_mean(optima),
+        minimum=min(optima, default=None),
+        alternatives=_mean([one.alternatives[-1] for one in begun]),
+        simulations=_mean([sum(one.simulations) for one in begun]),
+        converged=len(converged),
+        iterations_to_converge=_mean([one.converged_at or 0 for one in converged]),
+        simulations_to_converge=_mean([one.simulations_to_converge or 0 for one in converged]),
+        successes=sum(succeeds(one, best) for one in members),
+    )
+
+
+def _mean(values: Sequence[float]) -> float | None:
+    return fmean(values) if values else None
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """Two runs to their ends that differ in the reduction alone: `base` has the first one's."""
+
+    run: Course
+    base: Course
+
+    @property
+    def difference(self) -> float:
+        """The optimum with the reduction less the one without."""
+        return (self.run.optimum or 0.0) - (self.base.optimum or 0.0)
+
+    @property
+    def saved(self) -> int:
+        """Simulations that the reduction saved."""
+        return sum(self.base.simulations) - sum(self.run.simulations)
+
+
+def pairs(courses: Sequence[Course]) -> list[Pair]:
+    """Each run with another reduction than the first one's beside the run with the first one and equal optimizer, population and seed;
+    those left out of which one has no optimum or did not go to its end."""
+    if not courses:
+        return []
+    first = courses[0].conditions.reduction
+    whole = {one.conditions: one for one in courses if one.ended and one.optimum is not None}
+    return [
+        Pair(one, whole[base])
+        for conditions, one in whole.items()
+        if conditions.reduction != first and (base := conditions._replace(reduction=first)) in whole
+    ]
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """What a reduction changes; see `drivecal.contracts.comparison.ReductionEffect`."""
+
+    optimizer: str | None
+    population: int | None
+    reduction: str
+    base: str
+    pairs: int
+    mean_difference: float
+    lower_95: float | None
+    upper_95: float | None
+    better: int
+    equal: int
+    worse: int
+    sign_test: float
+    different_upper_95: float
+    simulations: int
+    base_simulations: int
+    saved_share: float
+
+
+def effects(found: Sequence[Pair]) -> list[Effect]:
+    """By reduction, optimizer and population, and, where there are several such, of each reduction over all of them."""
+    wanted: dict[tuple[str, str | None, int | None], list[Pair]] = {}
+    for one in found:
+        conditions = one.run.conditions
+        wanted.setdefault((conditions.reduction, conditions.optimizer, conditions.population), []).append(one)
+    for reduction in dict.fromkeys(one.run.conditions.reduction for one in found):
+        parts = [listed for key, listed in wanted.items() if key[0] == reduction]
+        if len(parts) > 1:
+            wanted[reduction, None, None] = [one for listed in parts for one in listed]
+    return [_effect(*key, listed) for key, listed in wanted.items()]
+
+
+def _effect(reduction: str, optimizer: str | None, population: int | None, listed: Sequence[Pair]) -> Effect:
+    from scipy import stats  # more than a second, which only those pay who compare
+
+    differences = [one.difference for one in listed]
+    better = sum(one > EQUAL for one in differences)
+    worse = sum(one < -EQUAL for one in differences)
+    different, mean = better + worse, fmean(differences)
+    margin = None
+    if len(differences) > 1:
+        quantile = float(stats.t.ppf((1 + CONFIDENCE) / 2, len(differences) - 1))
+        margin = quantile * stdev(differences) / len(differences) ** 0.5
+    interval = stats.binomtest(different, len(differences)).proportion_ci(CONFIDENCE, method="exact")
+    with_it, without = (
+        sum(sum(one.simulations) for one in runs) for runs in zip(*((p.run, p.base) for p in listed), strict=True)
+    )
+    return Effect(
+        optimizer=optimizer,
+        population=population,
+        reduction=reduction,
+        base=listed[0].base.conditions.reduction,
+        pairs=len(listed),
+        mean_difference=mean,
+        lower_95=None if margin is None else mean - margin,
+        upper_95=None if margin is None else mean + margin,
+        better=better,
+        equal=len(differences) - different,
+        worse=worse,
+        sign_test=float(stats.binomtest(better, different).pvalue) if different else 1.0,
+        different_upper_95=float(interval.high),
+        simulations=with_it,
+        base_simulations=without,
+        saved_share=(without - with_it) / without if without else 0.0,
+    )

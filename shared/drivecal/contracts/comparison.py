@@ -1,0 +1,173 @@
+"""Comparisons of optimizers, and of reductions: what a user submits, and what the service answers.
+
+A comparison is a campaign of kind `comparison`: the same problem is calibrated by each optimizer from start populations of each size
+under each seed with each reduction, and every such run is an ordinary campaign of its own.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints
+
+from drivecal.contracts.campaign import Answer
+from drivecal.contracts.specification import (
+    LARGEST_ITERATIONS,
+    LARGEST_POPULATION,
+    Identifier,
+    MaybeSensitivity,
+    Name,
+    ProblemSpecification,
+    ReductionSpecification,
+)
+
+AnyReduction = Literal["off", "exact", "influence"] | ReductionSpecification
+EXACT_ALONE: list[AnyReduction] = ["exact"]
+LARGEST_RUNS = 1_000
+"""Runs of one comparison."""
+
+Label = Annotated[str, StringConstraints(min_length=1, max_length=60, pattern=r"^[^\x00-\x1f\x7f]+$")]
+
+
+class ComparedOptimizer(BaseModel):
+    """One of the optimizers with the settings that are its own, checked by its plug-in; `label` is what it is called in the tables, its
+    kind where none is given. Population, iterations, start and seed are the comparison's."""
+
+    model_config = ConfigDict(extra="allow", strict=True, frozen=True, allow_inf_nan=False)
+
+    kind: Identifier
+    label: Label | None = None
+
+
+class ComparisonSpecification(ProblemSpecification):
+    """Every optimizer x population x seed x reduction is a run. The start population depends on its size (and, where `start` is `lhs`, on
+    the seed), never on the optimizer."""
+
+    kind: Literal["comparison"] = "comparison"
+    name: Name = "comparison"
+    sensitivity: MaybeSensitivity = None
+    """Used by reductions of mode `influence` alone."""
+    optimizers: Annotated[list[ComparedOptimizer], Field(min_length=1, max_length=50)]
+    populations: Annotated[list[Annotated[int, Field(ge=2, le=LARGEST_POPULATION)]], Field(min_length=1, max_length=50)]
+    seeds: Annotated[list[Annotated[int, Field(ge=0, le=2**63 - 1)]], Field(min_length=3, max_length=LARGEST_RUNS)]
+    """At least three, as in the paper: of fewer nothing can be said about what is chance."""
+    iterations: Annotated[int, Field(ge=1, le=LARGEST_ITERATIONS)] = 80
+    start: Literal["lhs", "halton"] = "halton"
+    reductions: Annotated[list[AnyReduction], Field(min_length=1, max_length=20)] = Field(default_factory=lambda: EXACT_ALONE)
+    """By mode alone, or with settings. The others are compared with the first, run by run with the same seed."""
+    at_a_time: Annotated[int, Field(ge=1, le=64)] = 4
+    """Runs that go on side by side, so that workers need not wait for the last cell of one run's iteration. Changes no result."""
+
+
+class ExpectedComparison(Answer):
+    """What a comparison will cost at most: cells that its runs propose, simulations if each run had to make its own, and what those take.
+
+    Runs simulate together what they have in common, the start population first of all; so it will be less.
+    """
+
+    runs: int
+    proposed: int
+    at_most: int
+    milliseconds: float | None
+    """CPU time of one simulation in these setups, as measured; null where none was made yet."""
+    workers: int | None
+    """Workers at this moment; null where the dispatcher is silent."""
+    seconds: float | None
+    """`at_most` simulations on the `workers`; null where either is not known."""
+    notes: list[str] = Field(default_factory=list)
+
+
+class ComparedRun(Answer):
+    """One run. Iterations count from 1; `best` is the best objective found, by `alternatives` sets.
+
+    `simulations`: cells of its calibration that had no answer among the run's own earlier cells, whoever simulated them: what the run
+    would have taken alone on an empty database. `analysis`: the same of its sensitivity stage. `converged_at`: the iteration after
+    which the best objective stayed for at least 10 further ones (Table 5), null where it did not; `alternatives_converged_at`: after
+    which the number of alternatives stayed for more than 5 (Table 7). `success`: no run of the comparison found better.
+    """
+
+    run: str
+    """The id of its campaign."""
+    optimizer: str
+    population: int
+    seed: int
+    reduction: str
+    state: str
+    iterations: int
+    requested: int
+    simulations: int
+    analysis: int
+    best: float | None
+    alternatives: int
+    mean: float | None
+    """Of the last population's objectives."""
+    converged_at: int | None
+    simulations_to_converge: int | None
+    alternatives_converged_at: int | None
+    success: bool
+
+
+class ComparedGroup(Answer):
+    """The runs of one optimizer, population size and reduction: Table 5. `best`, `mean`, `minimum`: over the final optima of its
+    `seeds` runs that have one; the means of iterations and simulations to convergence are over the `converged` ones."""
+
+    optimizer: str
+    population: int
+    reduction: str
+    seeds: int
+    best: float | None
+    mean: float | None
+    minimum: float | None
+    alternatives: float | None
+    """Mean number."""
+    simulations: float | None
+    """Mean number."""
+    converged: int
+    iterations_to_converge: float | None
+    simulations_to_converge: float | None
+    successes: int
+
+
+class ComparedPair(Answer):
+    """Two ended runs that differ in the reduction alone. `difference`: final optimum of `run` less that of `base_run`; `saved`:
+    simulations."""
+
+    optimizer: str
+    population: int
+    seed: int
+    reduction: str
+    base: str
+    run: str
+    base_run: str
+    best: float
+    base_best: float
+    difference: float
+    simulations: int
+    base_simulations: int
+    saved: int
+
+
+class ReductionEffect(Answer):
+    """The pairs of one optimizer and population size, or of all (null), summed up.
+
+    `mean_difference` with the 95 % confidence interval of Student's t, null for less than two pairs; `better`, `equal`, `worse`: the
+    final optimum with the reduction; `sign_test`: two-sided p of the exact sign test; `different_upper_95`: upper end of the exact
+    95 % interval of the share of searches that end elsewhere. `saved_share`: of the simulations without it.
+    """
+
+    optimizer: str | None
+    population: int | None
+    reduction: str
+    base: str
+    pairs: int
+    mean_difference: float
+    lower_95: float | None
+    upper_95: float | None
+    better: int
+    equal: int
+    worse: int
+    sign_test: float
+    different_upper_95: float
+    simulations: int
+    base_simulations: int
+    saved_share: float

@@ -1,0 +1,205 @@
+"""Comparisons through database and dispatcher, with formulas in the place of the simulation."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.support.comparisons import runs_of, submit_comparison
+from tests.support.computed import ComputedBackend, computed
+from tests.support.runs import dispatcher, everything, get, nothing_matters, post_map, run, submit
+
+from drivecal.campaigns.verification import verify
+from drivecal.contracts.work import Cell, CellResult
+from drivecal.domain.campaigns import CampaignState
+from drivecal.storage import campaigns, generations, results
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.database import Database
+
+
+def cells_of(database: Database, one: StoredCampaign, iteration: int = 0) -> list[tuple[Any, ...]]:
+    """What a run asked for in an iteration."""
+    with database.read() as connection:
+        return [
+            (row.scenario, *row.parameters.values())
+            for row in results.stream(connection, one.sequence)
+            if row.iteration == iteration
+        ]
+
+
+def found_by(database: Database, comparison: StoredCampaign) -> list[tuple[Any, ...]]:
+    """All that the runs of a comparison found, and the comparison itself."""
+    ended = get(database, comparison)
+    own = ended.state, ended.cells, ended.best, ended.progress.done
+    return [own, *((one.name, everything(database, one)) for one in runs_of(database, comparison))]
+
+
+@pytest.fixture(scope="module")
+def compared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Database, StoredCampaign, ComputedBackend]]:
+    """A comparison on an empty database, carried out to its end."""
+    opened = Database.open(f"sqlite:///{tmp_path_factory.mktemp('compared') / 'drivecal.db'}")
+    opened.upgrade()
+    backend = ComputedBackend()
+    yield opened, run(opened, submit_comparison(opened), backend), backend
+    opened.dispose()
+
+
+def test_every_optimizer_population_and_seed_is_a_run(compared: tuple[Database, StoredCampaign, ComputedBackend]) -> None:
+    database, comparison, _ = compared
+    runs = runs_of(database, comparison)
+    assert comparison.state is CampaignState.SUCCEEDED
+    assert len(runs) == 2 * 2 * 3
+    assert {one.state for one in runs} == {CampaignState.SUCCEEDED}
+    assert [one.name for one in runs[:4]] == [
+        *(f"genetic, population 8, seed {seed}" for seed in (1, 2, 3)),
+        "genetic, population 12, seed 1",
+    ]
+    assert comparison.cells.requested == sum(one.cells.requested for one in runs) == comparison.progress.done
+    assert comparison.best is not None
+    assert comparison.best.objective == max(one.best.objective for one in runs if one.best)
+    with database.read() as connection:
+        assert campaigns.page(connection)[0] == [comparison], "its runs are not listed"
+    assert [verdict for verdict in verify(database, full=True) if verdict.problems] == []
+
+
+def test_runs_of_one_population_size_start_alike_whatever_their_optimizer_and_seed(
+    compared: tuple[Database, StoredCampaign, ComputedBackend],
+) -> None:
+    database, comparison, _ = compared
+    for population in (8, 12):
+        starts = {
+            tuple(cells_of(database, one))
+            for one in runs_of(database, comparison)
+            if one.spec["optimizer"]["population"] == population
+        }
+        assert len(starts) == 1
+    second = {tuple(cells_of(database, one, 1)) for one in runs_of(database, comparison)}
+    assert len(second) == 12, "and then each goes its own way"
+
+
+def test_what_runs_have_in_common_is_simulated_once_and_counted_by_each(
+    compared: tuple[Database, StoredCampaign, ComputedBackend],
+) -> None:
+    database, comparison, backend = compared
+    runs = runs_of(database, comparison)
+    assert len(backend.sent) == len(set(backend.sent))
+    assert len(backend.sent) < sum(one.cells.simulated for one in runs)
+    for one in runs:
+        with database.read() as connection:
+            rows = list(results.stream(connection, one.sequence))
+        distinct = {(row.scenario, *row.parameters.values()) for row in rows}
+        assert one.cells.simulated == len(distinct), "what it would have taken alone"
+        assert one.cells.repeated == len(rows) - len(distinct)
+
+
+def test_runs_count_alike_whatever_was_stored_before_and_whichever_others_there_are(
+    compared: tuple[Database, StoredCampaign, ComputedBackend], database: Database
+) -> None:
+    before, comparison, _ = compared
+    run(database, submit(database, catalogue=["S1", "S2"]))
+    alone = run(database, submit_comparison(database, optimizers=[{"kind": "swarm"}], at_a_time=1))
+    swarms = [everything(before, one) for one in runs_of(before, comparison)[6:]]
+    assert [everything(database, one) for one in runs_of(database, alone)] == swarms
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_killed_comparison_ends_bit_for_bit_like_one_that_was_not(
+    compared: tuple[Database, StoredCampaign, ComputedBackend], tmp_path: Path, seed: int
+) -> None:
+    draw = random.Random(seed)
+    opened = Database.open(f"sqlite:///{tmp_path / 'killed'}.db")
+    opened.upgrade()
+    comparison = submit_comparison(opened)
+    kills = 0
+    while not get(opened, comparison).state.ended:
+        working, kills = dispatcher(opened, ComputedBackend(draw.randrange(99))), kills + 1
+        for _ in range(draw.randrange(1, 12)):
+            working.step()
+    assert kills > 5
+    assert found_by(opened, comparison) == found_by(compared[0], compared[1])
+    opened.dispose()
+
+
+def test_a_comparison_rests_goes_on_and_ends_with_its_runs(database: Database) -> None:
+    comparison = submit_comparison(database)
+    working = dispatcher(database)
+
+    def step_until(state: CampaignState) -> dict[CampaignState, int]:
+        for _ in range(500):
+            working.step()
+            if get(database, comparison).state is state:
+                break
+        states = [one.state for one in runs_of(database, comparison)]
+        return {one: states.count(one) for one in dict.fromkeys(states)}
+
+    while sum(one.state.ended for one in runs_of(database, comparison)) < 2:
+        working.step()
+    with database.transaction() as connection:
+        campaigns.request_action(connection, comparison.id, "pause")
+    resting = step_until(CampaignState.PAUSED)
+    assert CampaignState.RUNNING not in resting
+    assert resting[CampaignState.PAUSED] > 0
+    with database.transaction() as connection:
+        campaigns.request_action(connection, comparison.id, "resume")
+    going = step_until(CampaignState.RUNNING)
+    assert CampaignState.PAUSED not in going
+    with database.transaction() as connection:
+        campaigns.request_action(connection, comparison.id, "cancel")
+    ended = step_until(CampaignState.CANCELLED)
+    assert set(ended) == {CampaignState.SUCCEEDED, CampaignState.CANCELLED}
+    assert [verdict for verdict in verify(database, full=True) if verdict.problems] == []
+
+
+def test_a_run_that_fails_costs_no_other_one_and_is_named_at_the_end(database: Database) -> None:
+    def broken(scenario: str, cell: Cell) -> CellResult:
+        if scenario == "S1":
+            return CellResult(cell.id, None, None, {}, None, 5.0, "error", "it tipped over")
+        return computed(scenario, cell)
+
+    comparison = submit_comparison(database, populations=[8], optimizers=[{"kind": "random"}])
+    working = dispatcher(database, ComputedBackend(answer=broken))
+    while not get(database, comparison).state.ended:
+        working.step()
+    ended = get(database, comparison)
+    assert ended.state is CampaignState.FAILED
+    assert ended.error is not None
+    assert ended.error.startswith("3 of 3 runs failed: random, population 8, seed 1: no parameter set has a result")
+
+
+def test_a_reduction_is_compared_seed_by_seed(database: Database) -> None:
+    stored_map = post_map(database, nothing_matters())
+    comparison = submit_comparison(
+        database,
+        stored_map,
+        optimizers=[{"kind": "genetic"}],
+        populations=[12],
+        reductions=["exact", {"mode": "influence", "audit": 0.0}],
+    )
+    ended = run(database, comparison)
+    runs = runs_of(database, ended)
+    assert [one.name.rpartition(", ")[2] for one in runs[:2]] == ["exact", "influence audit=0.0"]
+    assert [one.influence_map_id for one in runs[:2]] == [None, stored_map]
+    exact, reduced = runs[0::2], runs[1::2]
+    assert all(one.cells.reused > 0 for one in reduced)
+    assert all(two.cells.simulated < one.cells.simulated for one, two in zip(exact, reduced, strict=True))
+    with database.read() as connection:
+        figures, _ = generations.page(connection, exact[0].sequence, limit=10)
+    assert all(one.rating is not None and one.best is not None for _, one in figures)
+
+
+def test_a_comparison_of_results_that_are_all_there_leaves_time_for_others(database: Database) -> None:
+    run(database, submit_comparison(database))
+    again = submit_comparison(database)
+    backend = ComputedBackend()
+    working = dispatcher(database, backend)
+    ended = []
+    while not get(database, again).state.ended:
+        working.step()
+        ended.append(sum(one.state.ended for one in runs_of(database, again)))
+    assert backend.sent == []
+    assert max(after - before for before, after in pairwise(ended)) == 1
+    assert get(database, again).cells.simulated > 0, "counted as needed all the same"
