@@ -5,7 +5,8 @@ a stored planning state. Lateral and longitudinal plans are sampled once each; a
 longitudinal index * n_lateral + lateral index. Inner loops run over lateral plans, side by side in memory, so that they vectorise.
 
 Arrays (float64, SI units, C order):
-road (n, 8): s, x, y, heading, curvature (as from `domain.roads.reference_line`), desired speed, cosine and sine of the heading
+road (n, 10): s, x, y, heading, curvature (as from `domain.roads.reference_line`, every `SPACING`), desired speed, cosine and sine of the
+    heading, and by how much curvature and desired speed change per metre until the next row
 scene (8,): wanted lane's centre, lane width, last lane, half length and half width of the ego vehicle, lowest and highest allowed d,
     time step of the trajectory
 scales (18,): see `cost.scales`
@@ -31,6 +32,15 @@ compiled = njit(cache=True, error_model="numpy")
 POINTS = 30
 INTERVAL = 0.25
 """Seconds between the points at which candidates are judged, in the middle of thirty intervals: a horizon of 7.5 s."""
+
+WIDTH = 24
+"""Lateral plans, at most: rows of them in one array, at constant distances, need no checks whether they overlap before they are computed
+with vector instructions. (Loops over a constant number of them would be unrolled instead.)"""
+TOUCHING, CLEAR, AHEAD, ALONGSIDE, BEHIND = (row * WIDTH for row in range(5))
+NEAR = 5 * WIDTH
+"""What neighbours mean for the candidates of one longitudinal plan, unscaled: rows of COLLISION, CLEARANCE, LEADER, CLOSING, FOLLOWER."""
+SPACING = 0.5
+"""m between rows of the road. A power of two: multiplying by its inverse, as compilers do, gives the same bits as dividing."""
 
 FEATURE_GRID = 256.0
 """Features are multiples of 1 / 256, exact in binary. Differences below that cannot be felt, and without them rounding errors would
@@ -81,34 +91,30 @@ LARGEST_BRAKING, LARGEST_THRUST = 6.0, 4.0
 @compiled
 def point_of(road: Any, s: float) -> tuple[float, float, float]:
     """x, y and heading of the reference line at arc length s: as in `domain.roads.pose_on`."""
-    spacing = road[1, 0]
     last = len(road) - 1
-    if s < 0.0 or s > last * spacing:
-        row, ahead = (0, s) if s < 0.0 else (last, s - last * spacing)
+    if s < 0.0 or s > last * SPACING:
+        row, ahead = (0, s) if s < 0.0 else (last, s - last * SPACING)
         return road[row, 1] + ahead * road[row, 6], road[row, 2] + ahead * road[row, 7], road[row, 3]
-    row = min(int(s / spacing), last - 1)
+    row = min(int(s / SPACING), last - 1)
     u = s - road[row, 0]
-    w = u / spacing
-    from_start, from_end = w * (1.0 - w) ** 2 * spacing, w * w * (w - 1.0) * spacing
+    w = u / SPACING
+    from_start, from_end = w * (1.0 - w) ** 2 * SPACING, w * w * (w - 1.0) * SPACING
     blend = w * w * (3.0 - 2.0 * w)
     x0, y0, x1, y1 = road[row, 1], road[row, 2], road[row + 1, 1], road[row + 1, 2]
     x = x0 + blend * (x1 - x0) + from_start * road[row, 6] + from_end * road[row + 1, 6]
     y = y0 + blend * (y1 - y0) + from_start * road[row, 7] + from_end * road[row + 1, 7]
-    bend = (road[row + 1, 4] - road[row, 4]) / spacing
-    return x, y, road[row, 3] + u * (road[row, 4] + 0.5 * bend * u)
+    return x, y, road[row, 3] + u * (road[row, 4] + 0.5 * road[row, 8] * u)
 
 
 @compiled
 def road_ahead(road: Any, s: float) -> tuple[float, float, float]:
     """Curvature, its change by s, and the desired speed at s."""
-    spacing = road[1, 0]
     last = len(road) - 1
-    if s < 0.0 or s > last * spacing:
+    if s < 0.0 or s > last * SPACING:
         return 0.0, 0.0, road[0 if s < 0.0 else last, 5]
-    row = min(int(s / spacing), last - 1)
+    row = min(int(s / SPACING), last - 1)
     u = s - road[row, 0]
-    bend = (road[row + 1, 4] - road[row, 4]) / spacing
-    return road[row, 4] + u * bend, bend, road[row, 5] + u / spacing * (road[row + 1, 5] - road[row, 5])
+    return road[row, 4] + u * road[row, 8], road[row, 8], road[row, 5] + u * road[row, 9]
 
 
 @compiled
@@ -215,60 +221,110 @@ def evaluate(
     road: Any, scene: Any, scales: Any, start: Any, neighbours: Any, memory: Any, elapsed: float, quintics: Any, quartics: Any,
     lateral: Any, longitudinal: Any, combined: Any,
 ) -> None:  # fmt: skip
-    """Writes the features of all candidates."""
-    n_lateral, n_longitudinal = quintics.shape[1], quartics.shape[1]
-    wanted, lane_width, last_lane, half_width = scene[0], scene[1], scene[2], scene[4]
-    d, d1 = np.empty((POINTS, n_lateral)), np.empty((POINTS, n_lateral))
+    """Writes the features of all candidates, `WIDTH` lateral plans at most."""
+    n_longitudinal = quartics.shape[1]
+    motion = np.empty(POINTS * 3 * WIDTH)
+    width = quintics.shape[1]
+    look_aside(scene, scales, start, memory, elapsed, quintics, lateral, motion, width)
     s, s1 = np.empty((POINTS, n_longitudinal)), np.empty((POINTS, n_longitudinal))
-    lateral[:] = 0.0
-    longitudinal[:] = 0.0
-    combined[:] = 0.0
-    d2 = np.empty((POINTS, n_lateral))
+    look_ahead(road, scales, start, quartics, motion, s, s1, longitudinal, combined, width)
+    near = np.zeros(n_longitudinal * NEAR)
+    fadings, aside = np.empty(POINTS), np.empty(5 * WIDTH)
+    for k in range(POINTS):
+        fadings[k] = np.exp(-((k + 0.5) * INTERVAL) / DRIFT_TIME)
+    for m in range(len(neighbours)):
+        look_at(scene, start, neighbours[m], motion, s, s1, fadings, aside, near, width)
+    n_lateral = quintics.shape[1]
+    for j in range(n_longitudinal):
+        at = j * NEAR
+        for i in range(n_lateral):
+            combined[COLLISION, j, i] = on_grid(near[at + TOUCHING + i], scales[15] / POINTS)
+        for i in range(n_lateral):
+            combined[CLEARANCE, j, i] = on_grid(near[at + CLEAR + i], scales[7] / POINTS)
+        for i in range(n_lateral):
+            combined[LEADER, j, i] = on_grid(near[at + AHEAD + i], scales[8])
+        for i in range(n_lateral):
+            combined[CLOSING, j, i] = on_grid(near[at + ALONGSIDE + i], scales[10] / POINTS)
+        for i in range(n_lateral):
+            combined[FOLLOWER, j, i] = on_grid(near[at + BEHIND + i], scales[11])
 
+
+@compiled
+def look_aside(
+    scene: Any, scales: Any, start: Any, memory: Any, elapsed: float, quintics: Any, lateral: Any, motion: Any, width: int
+) -> None:
+    """Writes the features of lateral plans, and d, d', d'' of all of them at each point to `motion`, rows of `WIDTH`."""
+    n_lateral = quintics.shape[1]
+    wanted, lane_width, last_lane, half_width = scene[0], scene[1], scene[2], scene[4]
+    plans, sums = np.ones(8 * WIDTH), np.zeros(5 * WIDTH)
+    for row in range(8):
+        for i in range(n_lateral):
+            plans[row * WIDTH + i] = quintics[row, i]
     edge = 0.5 * lane_width - half_width - BOUNDARY_SPACE
     for k in range(POINTS):
         t = (k + 0.5) * INTERVAL
         planned, _, _ = lateral_at(memory, 0, t + elapsed)
-        for i in range(n_lateral):
-            c2, c3, c4, c5 = quintics[2, i], quintics[3, i], quintics[4, i], quintics[5, i]
-            moving = t < quintics[7, i]
-            here = quintics[0, i] + t * (quintics[1, i] + t * (c2 + t * (c3 + t * (c4 + t * c5))))
-            speed = quintics[1, i] + t * (2.0 * c2 + t * (3.0 * c3 + t * (4.0 * c4 + t * 5.0 * c5)))
+        at = k * 3 * WIDTH
+        for i in range(width):
+            c0, c1, c2 = plans[i], plans[WIDTH + i], plans[2 * WIDTH + i]
+            c3, c4, c5 = plans[3 * WIDTH + i], plans[4 * WIDTH + i], plans[5 * WIDTH + i]
+            moving = t < plans[7 * WIDTH + i]
+            here = c0 + t * (c1 + t * (c2 + t * (c3 + t * (c4 + t * c5))))
+            speed = c1 + t * (2.0 * c2 + t * (3.0 * c3 + t * (4.0 * c4 + t * 5.0 * c5)))
             acceleration = 2.0 * c2 + t * (6.0 * c3 + t * (12.0 * c4 + t * 20.0 * c5))
             jerk = 6.0 * c3 + t * (24.0 * c4 + t * 60.0 * c5)
-            here = here if moving else quintics[6, i]
+            here = here if moving else plans[6 * WIDTH + i]
             jerk = jerk if moving else 0.0
-            d[k, i] = here
-            d1[k, i] = speed if moving else 0.0
-            d2[k, i] = acceleration if moving else 0.0
-            lateral[LATERAL_JERK, i] += jerk * jerk
+            motion[at + i] = here
+            motion[at + WIDTH + i] = speed if moving else 0.0
+            motion[at + 2 * WIDTH + i] = acceleration if moving else 0.0
+            sums[i] += jerk * jerk
             lane = np.floor(here / lane_width + 0.5)
             lane = max(lane, 0.0)
             lane = min(lane, last_lane)
             offset = abs(here - lane * lane_width)
-            lateral[CENTRE, i] += offset * offset / (1.0 + offset * offset)
+            sums[WIDTH + i] += offset * offset / (1.0 + offset * offset)
             missing = (offset - edge) / BOUNDARY_SPACE
             missing = max(missing, 0.0)
-            lateral[BOUNDARY, i] += missing * missing
+            sums[4 * WIDTH + i] += missing * missing
             change = (here - planned) * (here - planned)
-            lateral[CONSISTENCY, i] += change / (1.0 + change * (1.0 / (LARGEST_CHANGE * LARGEST_CHANGE)))
+            sums[2 * WIDTH + i] += change / (1.0 + change * (1.0 / (LARGEST_CHANGE * LARGEST_CHANGE)))
             away = (abs(here - wanted) - ARRIVED) / (NOT_ARRIVED - ARRIVED)
             away = max(away, 0.0)
-            lateral[ARRIVAL, i] += min(away, 1.0)
+            sums[3 * WIDTH + i] += min(away, 1.0)
     consistency = scales[5] / POINTS if memory[7, 0] > 0.0 else 0.0
     for i in range(n_lateral):
-        offset = abs(d[POINTS - 1, i] - wanted)
+        offset = abs(motion[(POINTS - 1) * 3 * WIDTH + i] - wanted)
         changed = scales[16] if start[6] > 0.0 and i != n_lateral - 1 else 0.0
         lateral[LATERAL_BASE, i] = on_grid(scales[13] * 2.0 * offset * offset / (1.0 + offset) + changed, 1.0)
-        lateral[LATERAL_JERK, i] = on_grid(lateral[LATERAL_JERK, i], scales[1] / POINTS)
-        lateral[CENTRE, i] = on_grid(lateral[CENTRE, i], scales[3] / POINTS)
-        lateral[CONSISTENCY, i] = on_grid(lateral[CONSISTENCY, i], consistency)
-        lateral[ARRIVAL, i] = on_grid(lateral[ARRIVAL, i], scales[6] * INTERVAL)
-        lateral[BOUNDARY, i] = on_grid(lateral[BOUNDARY, i], scales[9] / POINTS)
+        lateral[LATERAL_JERK, i] = on_grid(sums[i], scales[1] / POINTS)
+        lateral[CENTRE, i] = on_grid(sums[WIDTH + i], scales[3] / POINTS)
+        lateral[CONSISTENCY, i] = on_grid(sums[2 * WIDTH + i], consistency)
+        lateral[ARRIVAL, i] = on_grid(sums[3 * WIDTH + i], scales[6] * INTERVAL)
+        lateral[BOUNDARY, i] = on_grid(sums[4 * WIDTH + i], scales[9] / POINTS)
 
+
+@compiled
+def look_ahead(
+    road: Any,
+    scales: Any,
+    start: Any,
+    quartics: Any,
+    motion: Any,
+    s: Any,
+    s1: Any,
+    longitudinal: Any,
+    combined: Any,
+    width: int,
+) -> None:
+    """Writes the features of longitudinal plans, s and s' at each point, shape (POINTS, n_longitudinal), and LATERAL_ACCELERATION and
+    HEADING of the candidates."""
+    n_longitudinal, n_lateral = combined.shape[1], combined.shape[2]
+    sums = np.empty(2 * WIDTH)
     _, _, limit = road_ahead(road, start[0])
     for j in range(n_longitudinal):
         error_sum, acceleration_sum, jerk_sum = 0.0, 0.0, 0.0
+        sums[:] = 0.0
         for k in range(POINTS):
             along, speed, acceleration, jerk = longitudinal_at(quartics, j, (k + 0.5) * INTERVAL)
             s[k, j], s1[k, j] = along, speed
@@ -279,49 +335,44 @@ def evaluate(
             jerk_sum += jerk * jerk
             bend = speed * speed * curvature
             slowness = 1.0 / max(speed, SLOWEST)
-            for i in range(n_lateral):
-                side = d2[k, i] + bend
-                heading = d1[k, i] * slowness
-                combined[LATERAL_ACCELERATION, j, i] += side * side
-                combined[HEADING, j, i] += heading * heading
+            at = k * 3 * WIDTH
+            for i in range(width):
+                side = motion[at + 2 * WIDTH + i] + bend
+                heading = motion[at + WIDTH + i] * slowness
+                sums[i] += side * side
+                sums[WIDTH + i] += heading * heading
         changed = scales[17] if start[7] > 0.0 and j != n_longitudinal - 1 else 0.0
         base = (scales[12] * error_sum + scales[14] * acceleration_sum) / POINTS + changed
         longitudinal[LONGITUDINAL_BASE, j] = on_grid(base, 1.0)
         longitudinal[LONGITUDINAL_JERK, j] = on_grid(jerk_sum, scales[1] / POINTS)
-
-    for m in range(len(neighbours)):
-        look_at(scene, start, neighbours[m], d, d1, s, s1, combined)
-    for j in range(n_longitudinal):
         for i in range(n_lateral):
-            combined[COLLISION, j, i] = on_grid(combined[COLLISION, j, i], scales[15] / POINTS)
-            combined[LATERAL_ACCELERATION, j, i] = on_grid(combined[LATERAL_ACCELERATION, j, i], scales[2] / POINTS)
-            combined[HEADING, j, i] = on_grid(combined[HEADING, j, i], scales[4] / POINTS)
-            combined[CLEARANCE, j, i] = on_grid(combined[CLEARANCE, j, i], scales[7] / POINTS)
-            combined[LEADER, j, i] = on_grid(combined[LEADER, j, i], scales[8])
-            combined[CLOSING, j, i] = on_grid(combined[CLOSING, j, i], scales[10] / POINTS)
-            combined[FOLLOWER, j, i] = on_grid(combined[FOLLOWER, j, i], scales[11])
+            combined[LATERAL_ACCELERATION, j, i] = on_grid(sums[i], scales[2] / POINTS)
+        for i in range(n_lateral):
+            combined[HEADING, j, i] = on_grid(sums[WIDTH + i], scales[4] / POINTS)
 
 
 @compiled
-def look_at(scene: Any, start: Any, neighbour: Any, d: Any, d1: Any, s: Any, s1: Any, combined: Any) -> None:
-    """Adds what one neighbour means for each candidate: COLLISION, CLEARANCE, LEADER, CLOSING and FOLLOWER, unscaled.
+def look_at(
+    scene: Any, start: Any, neighbour: Any, motion: Any, s: Any, s1: Any, fadings: Any, aside: Any, near: Any, width: int
+) -> None:
+    """Adds what one neighbour means for each candidate to `near`, shape (n_longitudinal * NEAR,). `aside` is scratch, rows of `WIDTH`:
+    space between the sides, touching, space squared over the wanted one, closing rate squared, how far in the path.
 
     A vehicle that follows in the lane where the ego vehicle is already means nothing: keeping its distance is its own affair.
     """
     if neighbour[0] < start[0] and abs(neighbour[1] - start[3]) < 0.5 * scene[1]:
         return
-    n_lateral, n_longitudinal = d.shape[1], s.shape[1]
+    n_longitudinal = s.shape[1]
     length = scene[3] + 0.5 * neighbour[4]
-    width = scene[4] + 0.5 * neighbour[5]
+    breadth = scene[4] + 0.5 * neighbour[5]
     in_target_lane = abs(neighbour[1] - scene[0]) < 0.5 * scene[1]
-    space, in_path, touching, closing = np.empty(n_lateral), np.empty(n_lateral), np.empty(n_lateral), np.empty(n_lateral)
     for k in range(POINTS):
         t = (k + 0.5) * INTERVAL
-        fading = np.exp(-t / DRIFT_TIME)
+        fading = fadings[k]
         other_d = neighbour[1] + neighbour[3] * DRIFT_TIME * (1.0 - fading)
         other_d1 = neighbour[3] * fading
         other_s = neighbour[0] + neighbour[2] * t
-        looked = False
+        looked = in_path = closing = False
         for j in range(n_longitudinal):
             ahead = other_s - s[k, j]
             gap = max(abs(ahead) - length, 0.0)
@@ -333,38 +384,46 @@ def look_at(scene: Any, start: Any, neighbour: Any, d: Any, d1: Any, s: Any, s1:
                 continue
             if not looked:
                 looked = True
-                for i in range(n_lateral):
-                    aside = other_d - d[k, i]
-                    distance = abs(aside)
-                    beside = distance - width
+                for i in range(width):
+                    beside = abs(other_d - motion[3 * WIDTH * k + i]) - breadth
+                    touching = 1.0 if beside < 0.0 else 0.0
                     beside = max(beside, 0.0)
-                    space[i] = beside * beside * (1.0 / (CLEAR_SIDE * CLEAR_SIDE))
-                    path = 1.0 - beside / IN_PATH_FADE
-                    in_path[i] = max(path, 0.0)
-                    touching[i] = 1.0 if distance < width else 0.0
-                    towards = d1[k, i] - other_d1 if aside > 0.0 else other_d1 - d1[k, i]
-                    towards = max(towards, 0.0)
-                    rate = towards / (max(beside, SMALLEST_SIDE_GAP))
-                    closing[i] = rate * rate
+                    aside[i] = beside
+                    aside[WIDTH + i] = touching
+                    aside[2 * WIDTH + i] = beside * beside * (1.0 / (CLEAR_SIDE * CLEAR_SIDE))
+            at = j * NEAR
             if gap < clear:
                 shortfall = 1.0 - (gap / clear) * (gap / clear)
-                for i in range(n_lateral):
-                    missing = shortfall - space[i]
-                    combined[CLEARANCE, j, i] += max(missing, 0.0)
+                for i in range(width):
+                    missing = shortfall - aside[2 * WIDTH + i]
+                    near[at + CLEAR + i] += max(missing, 0.0)
             if gap < reach:
+                if not closing:
+                    closing = True
+                    for i in range(width):
+                        slower = motion[3 * WIDTH * k + WIDTH + i] - other_d1
+                        towards = slower if other_d - motion[3 * WIDTH * k + i] > 0.0 else -slower
+                        towards = max(towards, 0.0)
+                        rate = towards / max(aside[i], SMALLEST_SIDE_GAP)
+                        aside[3 * WIDTH + i] = rate * rate
                 alongside = 1.0 - gap / reach
-                for i in range(n_lateral):
-                    combined[CLOSING, j, i] += alongside * closing[i]
+                for i in range(width):
+                    near[at + ALONGSIDE + i] += alongside * aside[3 * WIDTH + i]
             if gap == 0.0:
-                for i in range(n_lateral):
-                    combined[COLLISION, j, i] += touching[i]
+                for i in range(width):
+                    near[at + TOUCHING + i] += aside[WIDTH + i]
             if matters:
+                if not in_path:
+                    in_path = True
+                    for i in range(width):
+                        path = 1.0 - aside[i] / IN_PATH_FADE
+                        aside[4 * WIDTH + i] = max(path, 0.0)
                 rate = approach / max(gap, SMALLEST_GAP)
                 urgency = min(rate * rate, LARGEST_URGENCY)
-                row = LEADER if ahead > 0.0 else FOLLOWER
-                for i in range(n_lateral):
-                    value = urgency * in_path[i]
-                    combined[row, j, i] = max(combined[row, j, i], value)
+                row = at + (AHEAD if ahead > 0.0 else BEHIND)
+                for i in range(width):
+                    value = urgency * aside[4 * WIDTH + i]
+                    near[row + i] = max(near[row + i], value)
 
 
 @compiled

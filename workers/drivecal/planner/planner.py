@@ -62,9 +62,11 @@ class FrenetPlanner:
                 )
             )
         road, task, ego = scenario.road, scenario.task, scenario.ego
-        line = reference_line(road)
-        s, heading = line[:, 0], line[:, 3]
-        self._road = np.ascontiguousarray(np.column_stack([line, desired_speeds(task, s), np.cos(heading), np.sin(heading)]))
+        line = reference_line(road, kernel.SPACING)
+        s, heading, curvature = line[:, 0], line[:, 3], line[:, 4]
+        speeds = desired_speeds(task, s)
+        changes = [np.diff(column, append=column[-1]) / kernel.SPACING for column in (curvature, speeds)]
+        self._road = np.ascontiguousarray(np.column_stack([line, speeds, np.cos(heading), np.sin(heading), *changes]))
         space = 0.5 * ego.width + CURB
         self._scenes, self._lateral_ends = [], []
         for wanted, other in ((task.start_lane, task.target_lane), (task.target_lane, task.start_lane)):
