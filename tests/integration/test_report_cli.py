@@ -44,7 +44,7 @@ def test_a_report_is_written_from_what_the_server_answers(run: Run, ended: str, 
     assert answer["campaign"] == ended
     assert answer["page"] == str(folder / "index.html")
     assert {path for path in folder.rglob("*") if path.is_file()} == {Path(name) for name in answer["files"]}
-    names = ["9-influence", "9-S1", "9-S4", "10-population", "11-cells"]
+    names = ["9-influence", "9-S1", "9-S4", "10-population", "11-cells", "12-optima"]
     assert {path.name for path in (folder / "figures").iterdir()} == {
         f"figure-{n}.{form}" for n in names for form in ("svg", "png")
     }
@@ -52,6 +52,7 @@ def test_a_report_is_written_from_what_the_server_answers(run: Run, ended: str, 
     assert {name: len(rows) for name, rows in tables.items() if name != "balance"} == {
         "generations": 1,
         "solutions": 5,
+        "optima": 1,
         "influence": 22,
         "accounting": 3,
     }
@@ -59,7 +60,7 @@ def test_a_report_is_written_from_what_the_server_answers(run: Run, ended: str, 
     assert drawing.count('.influential"') == sum(row["influential"] == "true" for row in tables["influence"]) > 0
     page = (folder / "index.html").read_text()
     assert "to be reported" in page
-    assert page.count("<svg") == 3
+    assert page.count("<svg") == 4
     again = run("report", ended, "-o", str(folder))
     assert again.exit_code == 0
     assert again.stdout == f"{folder / 'index.html'}: the report, with {len(answer['files']) - 1} files beside it\n"

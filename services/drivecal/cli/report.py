@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from drivecal.cli.commands import CampaignArgument, JsonOption, UrlOption, app, connect, full_id
 from drivecal.cli.output import print_json
-from drivecal.client.client import Table
+from drivecal.client.client import Client, Table
 
-TABLES: tuple[Table, ...] = ("generations", "solutions", "influence")
+if TYPE_CHECKING:
+    from drivecal.report.findings import Findings
+
+TABLES: tuple[Table, ...] = ("generations", "solutions", "optima", "influence")
 
 
 @app.command()
@@ -28,9 +31,18 @@ def report(
 
     with connect(url) as client:
         findings = collect(client, full_id(client, identifier))
-        tables: dict[str, Iterator[bytes]] = {name: client.table(findings.campaign.id, name, "csv") for name in TABLES}
-        written = write_report(findings, tables, output)
+        written = write_report(findings, _tables(client, findings), output)
     if as_json:
         print_json({"campaign": findings.campaign.id, "page": str(written[-1]), "files": [str(path) for path in written]})
     else:
         typer.echo(f"{written[-1]}: the report, with {len(written) - 1} files beside it")
+
+
+def _tables(client: Client, findings: Findings) -> dict[str, Iterator[bytes]]:
+    """Those of the campaign, and of the studies that the page shows, whichever campaign made them."""
+    found: dict[str, Iterator[bytes]] = {name: client.table(findings.campaign.id, name, "csv") for name in TABLES}
+    if findings.robustness:
+        found["robustness"] = client.table(findings.robustness[0].study.campaign, "robustness", "csv")
+    if findings.validation:
+        found["validation"] = client.table(findings.validation[0].study.campaign, "validation", "csv")
+    return found

@@ -1,4 +1,4 @@
-"""Figure 11: the accumulated cells by what answered them."""
+"""Figure 11: the accumulated cells by what answered them, drawn and as a table."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
 from drivecal.contracts.campaign import Generation
-from drivecal.report.drawing import BLUE, GREEN, SKY, VERMILION, style, whole_numbers
+from drivecal.report.drawing import BLUE, GREEN, SKY, VERMILION, Drawn, style, whole_numbers
+from drivecal.report.markup import table
+from drivecal.report.search import shown
 
 OUTCOMES = (
     ("simulated", "simulated", "#D9D9D9", ""),
@@ -23,9 +25,42 @@ OUTCOMES = (
 """Field, label, colour and hatching, from the bottom: what was simulated below, what was saved above."""
 
 
+def accumulated(generations: Sequence[Generation]) -> dict[str, list[int]]:
+    """By outcome (fields of OUTCOMES) the cells of all iterations up to each."""
+    return {field: list(accumulate(_count(one, field) for one in generations)) for field, *_ in OUTCOMES}
+
+
+def drawn(generations: Sequence[Generation]) -> Drawn:
+    """Figure 11."""
+    caption = (
+        "Figure 11. Requested cells, one parameter set in one scenario each, added up over the iterations by what answered them. What "
+        "the optimizer carried over unchanged is not requested; the runs of the sensitivity analysis are not in it."
+    )
+    totals = accumulated(generations)
+    parts = ", ".join(f"{totals[field][-1]:,} {label}" for field, label, *_ in OUTCOMES)
+    alt = f"Stacked areas that end at {sum(one[-1] for one in totals.values()):,} requested cells: {parts}."
+    return Drawn("figure-11-cells", caption, cells_figure(generations), alt=alt)
+
+
+def cells_table(generations: Sequence[Generation]) -> str:
+    """What Figure 11 shows; every outcome, also those that never occurred."""
+    totals = accumulated(generations)
+    places = {one.iteration: place for place, one in enumerate(generations)}
+    lines = shown(generations)
+    rows = [
+        [one.iteration + 1, sum(values[places[one.iteration]] for values in totals.values())]
+        + [totals[field][places[one.iteration]] for field, *_ in OUTCOMES]
+        for one in lines
+    ]
+    some = "" if len(lines) == len(generations) else f"; {len(lines)} of {len(generations)} iterations, all in generations.csv"
+    return table(
+        ["iteration", "requested", *(label for _, label, *_ in OUTCOMES)], rows, f"Figure 11 in numbers, added up{some}"
+    )
+
+
 def cells_figure(generations: Sequence[Generation]) -> Figure:
     """Requested cells of all iterations up to each, stacked by outcome; outcomes that never occurred are left out."""
-    totals = {field: list(accumulate(_count(one, field) for one in generations)) for field, *_ in OUTCOMES}
+    totals = accumulated(generations)
     numbers = [one.iteration + 1 for one in generations]
     edges = np.append(np.array(numbers) - 0.5, numbers[-1] + 0.5)
     requested = sum(values[-1] for values in totals.values())

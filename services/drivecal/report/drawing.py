@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
@@ -15,8 +16,18 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 DOTS_PER_INCH = 200
-BLUE, SKY, GREEN, VERMILION, ORANGE = "#0072B2", "#56B4E9", "#009E73", "#D55E00", "#E69F00"
+BLUE, SKY, GREEN, VERMILION, ORANGE, PURPLE = "#0072B2", "#56B4E9", "#009E73", "#D55E00", "#E69F00", "#CC79A7"
 """Of the palette of Okabe and Ito, which the colour-blind can tell apart."""
+Dashes = Literal["-", "--", "-."] | tuple[float, Sequence[float]]
+KINDS: tuple[tuple[str, Dashes], ...] = (
+    (BLUE, "-"),
+    (VERMILION, "--"),
+    (GREEN, "-."),
+    (ORANGE, (0, (1, 1))),
+    (PURPLE, (0, (5, 1, 1, 1, 1, 1))),
+    (SKY, (0, (8, 3))),
+)
+"""Colour and dashes of lines of several kinds, to be told apart without colours as well."""
 INK, RULE, INFLUENTIAL = "#222222", "#C8C8C8", "#8A8A8A"
 STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",  # comes with matplotlib, so that every machine draws the same
@@ -45,6 +56,17 @@ STYLE: dict[Any, Any] = {
 }
 FALLBACK = "'DejaVu Sans', Verdana, sans-serif"
 """Verdana is as wide as DejaVu Sans, so that labels keep their places where the latter is missing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """A figure, the `name` of its files, and whether it stands in the page itself. `alt`: what it shows, for who cannot see it."""
+
+    name: str
+    caption: str
+    figure: Figure
+    in_page: bool = True
+    alt: str = ""
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from html import escape
 
@@ -16,14 +17,18 @@ figcaption, caption { color: #444; font-size: .87rem; text-align: left; padding:
 .scroll { overflow-x: auto; } table { border-collapse: collapse; font-size: .87rem; font-variant-numeric: tabular-nums; margin: .6rem 0; }
 th, td { padding: .15rem .45rem; border-bottom: 1px solid #ddd; text-align: left; white-space: nowrap; }
 th { border-bottom: 1.5px solid #555; } td.n, th.n { text-align: right; } td.on { background: #d6d6d6; }
-td.wide { white-space: normal; } ul { columns: 20rem; padding-left: 1.2rem; }
+td.wide { white-space: normal; } th.wide { white-space: normal; vertical-align: bottom; } ul.files { columns: 20rem; padding-left: 1.2rem; }
+nav { font-size: .87rem; margin: 0 0 1rem; } nav a { margin-right: 1rem; white-space: nowrap; }
+h3 { font-size: 1rem; margin: 1.4rem 0 .3rem; } p { max-width: 48rem; } p.sub { max-width: none; }
 pre { background: #f4f4f4; padding: .7rem; font-size: .8rem; white-space: pre-wrap; overflow-wrap: anywhere; }
 a { color: #00568a; } .warn { border-left: 4px solid #D55E00; padding-left: .7rem; }
+.key { border-left: 4px solid #0072B2; padding-left: .7rem; }
 @page { size: A4; margin: 15mm; }
 @media print {
   body { margin: 0; max-width: none; padding: 0; font-size: 10pt; }
-  figure, table, tr { break-inside: avoid; } h2 { break-after: avoid; }
-  .scroll { overflow: visible; } table { font-size: 8pt; } th, td { padding: .1rem .3rem; }
+  nav { display: none; } a { color: inherit; text-decoration: none; }
+  figure, tr, caption, p { break-inside: avoid; } thead { display: table-header-group; } h2, h3, caption { break-after: avoid; }
+  .scroll { overflow: visible; } table { font-size: 7.5pt; } th, td { padding: .08rem .22rem; } ul.files { font-size: 8pt; }
 }
 """
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
@@ -55,7 +60,9 @@ def document(title: str, parts: Iterable[str]) -> str:
 <style>{STYLE}</style>
 </head>
 <body>
+<main>
 {body}
+</main>
 </body>
 </html>
 """
@@ -67,8 +74,40 @@ def heading(text: str) -> str:
 
 
 def section(title: str, *parts: str) -> str:
-    """A part of a page under a heading."""
-    return f"<section>\n<h2>{escape(title)}</h2>\n" + "\n".join(part for part in parts if part) + "\n</section>"
+    """A part of a page under a heading, which `contents` can point to."""
+    head = f'<section id="{anchor(title)}">\n<h2>{escape(title)}</h2>\n'
+    return head + "\n".join(part for part in parts if part) + "\n</section>"
+
+
+def subheading(text: str) -> str:
+    """A heading within a section."""
+    return f"<h3>{escape(text)}</h3>"
+
+
+def contents(titles: Iterable[str]) -> str:
+    """Links to sections by their titles; not printed."""
+    links = "\n".join(f'<a href="#{anchor(title)}">{escape(title)}</a>' for title in titles)
+    return f'<nav aria-label="Contents">\n{links}\n</nav>'
+
+
+def anchor(title: str) -> str:
+    """The id of a section."""
+    return "section-" + re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")
+
+
+def bullets(items: Iterable[str]) -> str:
+    """A list of plain sentences."""
+    return "<ul>\n" + "\n".join(f"<li>{escape(item)}</li>" for item in items) + "\n</ul>"
+
+
+def files(names: Iterable[str]) -> str:
+    """A list of links to files beside the page."""
+    return '<ul class="files">\n' + "\n".join(f"<li>{link(name, name)}</li>" for name in names) + "\n</ul>"
+
+
+def verbatim(text: str) -> str:
+    """Commands, or a document, as they are."""
+    return f"<pre>{escape(text)}</pre>"
 
 
 def paragraph(text: str, kind: str = "") -> str:
@@ -87,14 +126,24 @@ def link(file: str, text: str) -> str:
     return f'<a href="{escape(file)}">{escape(text)}</a>'
 
 
-def table(header: Sequence[str], rows: Iterable[Sequence[object]], caption: str = "", *, wrap: bool = False) -> str:
-    """Columns of numbers stand to the right; None is a dash. `wrap`: long texts may take several lines."""
+def table(
+    header: Sequence[str],
+    rows: Iterable[Sequence[object]],
+    caption: str = "",
+    *,
+    wrap: bool = False,
+    wrap_header: bool = False,
+) -> str:
+    """Columns of numbers stand to the right; None is a dash. `wrap`: long texts may take several lines; `wrap_header`: those of the
+    header as well, where they are longer than what stands below."""
     lines = [list(row) for row in rows]
     right = [all(isinstance(row[column], (int, float, Number, type(None))) for row in lines) for column in range(len(header))]
 
     def line(tag: str, row: Sequence[object]) -> str:
+        opening = '<th scope="col"' if tag == "th" else "<td"
+        wide = wrap or (wrap_header and tag == "th")
         cells = [
-            f"<{tag}{_class(['n' * numeric, 'on' * isinstance(value, Emphasized), 'wide' * wrap])}>{escape(_text(value))}</{tag}>"
+            f"{opening}{_class(['n' * numeric, 'on' * isinstance(value, Emphasized), 'wide' * wide])}>{escape(_text(value))}</{tag}>"
             for value, numeric in zip(row, right, strict=True)
         ]
         return f"<tr>{''.join(cells)}</tr>"

@@ -7,12 +7,30 @@ from collections.abc import Sequence
 from matplotlib.figure import Figure
 
 from drivecal.contracts.campaign import Generation
-from drivecal.report.drawing import BLUE, INK, ORANGE, VERMILION, style, whole_numbers
+from drivecal.report.drawing import BLUE, INK, ORANGE, VERMILION, Drawn, style, whole_numbers
 
 LARGEST_WITH_MARKERS = 60
 """Iterations up to which each gets a marker."""
 LINES = (("best", "best", BLUE, "-", "o"), ("mean", "mean", ORANGE, "--", "s"), ("minimum", "minimum", VERMILION, ":", "v"))
 """Field, label, colour, dashes, marker: to be told apart without colours as well."""
+
+
+def drawn(generations: Sequence[Generation], baseline: float | None = None) -> Drawn:
+    """Figure 10."""
+    caption = (
+        "Figure 10. Left: the objectives of the population in each iteration. Right: how many distinct parameter sets had been found "
+        "by then with the best objective by then."
+    )
+    answered = [one for one in generations if one.best is not None]
+    alt = "Nothing is answered yet."
+    if answered:
+        first, last = answered[0], answered[-1]
+        alt = (
+            f"The best objective goes from {_text(first.best)} in iteration {first.iteration + 1} to {_text(last.best)} in iteration "
+            f"{last.iteration + 1}, the mean from {_text(first.mean)} to {_text(last.mean)}; at the end {last.alternatives} parameter sets "
+            "share the best objective."
+        )
+    return Drawn("figure-10-population", caption, population_figure(generations, baseline), alt=alt)
 
 
 def population_figure(generations: Sequence[Generation], baseline: float | None = None) -> Figure:
@@ -51,6 +69,10 @@ def population_figure(generations: Sequence[Generation], baseline: float | None 
             axes.set_xlim(0.5, max(numbers) + 0.5)
         right.yaxis.get_major_locator().set_params(integer=True)
     return figure
+
+
+def _text(value: float | None) -> str:
+    return "nothing" if value is None else f"{value:.3f}"
 
 
 def _number(value: float | None) -> float:

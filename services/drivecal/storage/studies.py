@@ -44,7 +44,7 @@ class StoredStudy:
 
 
 def about(connection: Connection, campaign_id: str, campaign_sequence: int, influence_map_id: str | None) -> list[StoredStudy]:
-    """The studies of a campaign's best sets and of the map that it uses, whoever made them: its own first, then the newest."""
+    """The studies of a campaign's best sets and of the map that it uses, whoever made them, the newest first."""
     own = campaigns.c.sequence == campaign_sequence
     of_its_sets = and_(studies.c.stage == Stage.ROBUSTNESS, campaigns.c.spec["robustness", "of"].as_string() == campaign_id)
     of_its_map = and_(studies.c.stage == Stage.VALIDATION, campaigns.c.influence_map_id == influence_map_id)
@@ -52,7 +52,7 @@ def about(connection: Connection, campaign_id: str, campaign_sequence: int, infl
         select(campaigns, studies.c.stage.label("made"))
         .select_from(studies.join(campaigns, studies.c.campaign_sequence == campaigns.c.sequence))
         .where(or_(own, of_its_sets, of_its_map) if influence_map_id is not None else or_(own, of_its_sets))
-        .order_by(own.desc(), campaigns.c.sequence.desc(), studies.c.stage)
+        .order_by(campaigns.c.sequence.desc(), studies.c.stage)
     )
     return [
         StoredStudy(row.sequence, row.id, row.name, row.made, row.state, row.spec, row.resolution, row.ended_at)

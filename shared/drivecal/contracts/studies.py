@@ -31,7 +31,7 @@ class Study(Answer):
 
 
 class StudyPage(Answer):
-    """The studies of a campaign's best sets and of its influence map: its own first, then the newest."""
+    """The studies of a campaign's best sets and of its influence map, newest first."""
 
     items: list[Study]
     next_cursor: str | None = None

@@ -33,11 +33,11 @@ def test_the_studies_about_a_campaign_are_found_whoever_made_them(database: Data
         found = studies.about(connection, one.id, one.sequence, one.influence_map_id)
         without_map = studies.about(connection, one.id, one.sequence, None)
     assert [(each.name, each.stage) for each in found] == [
-        ("first", Stage.ROBUSTNESS),
-        ("first", Stage.VALIDATION),
         ("of the map", Stage.VALIDATION),
         ("of the sets again", Stage.ROBUSTNESS),
         ("of its sets", Stage.ROBUSTNESS),
+        ("first", Stage.ROBUSTNESS),
+        ("first", Stage.VALIDATION),
     ]
-    assert found[-1].spec == {"robustness": {"of": first, "eta": 1}}
-    assert [each.name for each in without_map] == ["first", "first", "of the sets again", "of its sets"]
+    assert found[2].spec == {"robustness": {"of": first, "eta": 1}}
+    assert [each.name for each in without_map] == ["of the sets again", "of its sets", "first", "first"]

@@ -7,7 +7,9 @@ from typing import Any
 from drivecal.contracts.accounting import Accounting, BreakEven, ScenarioAccount, SensitivityCost
 from drivecal.contracts.campaign import Baseline, Best, Campaign, CellCounts, ErrorRate, Generation, Seconds, Solution
 from drivecal.contracts.inventory import InfluenceRow
-from drivecal.report.findings import Findings
+from drivecal.contracts.setup import CampaignSetup, ScenarioSetup, SearchedParameter
+from drivecal.contracts.studies import BoxTrial, OptimumRow, RobustnessRow, Study, ValidationRow
+from drivecal.report.findings import Findings, Studied
 
 
 def row(
@@ -62,6 +64,79 @@ ACCOUNT = Accounting(
 )  # fmt: skip
 
 
+PARAMETERS = [
+    SearchedParameter(name="P1", unit="dB", lower=-10, upper=10, n_values=21, fixed=None),
+    SearchedParameter(name="P2", unit="1", lower=0, upper=5, n_values=11, fixed=None),
+    SearchedParameter(name="P3", unit="s", lower=0, upper=10, n_values=11, fixed=4),
+]
+SETUP = CampaignSetup(
+    evaluator="reference 1",
+    parameters=PARAMETERS,
+    scenarios=[
+        ScenarioSetup(
+            scenario="S1", weight=0.75, fingerprint="f1", scenario_digest="d1", driving_function="frenet 1", vehicle="single_track 1",
+            vehicle_parameters={"mass": 2060.0}, simulator="libsumo 1.28.0", step_seconds=0.1, seed=1,
+        ),
+        ScenarioSetup(scenario="S2", weight=0.25, fingerprint="f2"),
+    ],
+    server="0.1.0",
+)  # fmt: skip
+
+
+def optimum(rank: int, p1: float, p2: float, region: int = 0, to_worse: float | None = 0.2) -> OptimumRow:
+    """A set that shares the best objective, 6."""
+    return OptimumRow(
+        rank=rank, objective=6, rating=6 - rank / 10, parameters={"P1": p1, "P2": p2, "P3": 4}, scores={"S1": 5, "S2": 7}, reused=["S2"],
+        iteration=0, individual=rank, region=region, to_worse=to_worse,
+    )  # fmt: skip
+
+
+OPTIMA = [optimum(1, 1, 2.5), optimum(2, 1, 5, region=1, to_worse=0.5), optimum(3, 1, 3, to_worse=0.1)]
+
+
+def trial(box: int, holds: bool, s1: float | None, s2: float | None = 0.0) -> BoxTrial:
+    """The box of half width box / 10."""
+    return BoxTrial(box=box, radius=box / 10, holds=holds, deviations={"S1": s1, "S2": s2})
+
+
+def robust(rank: int, degree: int, trials: list[BoxTrial], **given: Any) -> RobustnessRow:
+    """An examined set: the one of OPTIMA with the same rank."""
+    known: dict[str, Any] = {
+        "objective": 6.0, "rating": 5.0 + rank / 10, "parameters": OPTIMA[rank - 1].parameters, "scores": {"S1": 5, "S2": 7}, "region": 0,
+        "to_worse": 0.2, "at_least": all(one.holds for one in trials), "recommended": rank == 1,
+        "radius": max((one.radius for one in trials if one.holds), default=0.0), "reason": "the best" if rank == 1 else None,
+    }  # fmt: skip
+    return RobustnessRow(**{"rank": rank, "degree": degree, "trials": trials, **known, **given})
+
+
+ROBUST = [
+    robust(1, 2, [trial(1, True, 0), trial(2, True, 1)]),
+    robust(2, 1, [trial(1, True, 0), trial(2, False, 3, 2)]),
+    robust(3, 0, [trial(1, False, None)], objective=5.5),
+]
+
+
+def study(stage: str = "robustness", campaign: str = "0" * 32, **settings: Any) -> Study:
+    """Who made a study, with the settings that the texts need."""
+    known = {"condition": "max", "eta": 1.0, "delta": 0.1, "steps": 2, "samples": 4}
+    return Study(campaign=campaign, name="study", stage=stage, state="succeeded", settings={**known, **settings}, ended_at=None)
+
+
+def validated(scenario: str, histogram: dict[int, int], reducible: int = 2) -> ValidationRow:
+    """20 bases with 5 variants each, or what the histogram says."""
+    compared = sum(histogram.values())
+    wrong = sum(count for points, count in histogram.items() if abs(points) > 1)
+    return ValidationRow(
+        scenario=scenario, reducible=reducible, effects=2**reducible - 1, covered=2**reducible - 1, drawn=40, bases=compared // 5,
+        references=5, compared=compared, wrong=wrong, different=compared - histogram.get(0, 0),
+        error_rate=wrong / compared if compared else None,
+        lower_95=0.0 if compared else None, upper_95=0.5 if compared else None, histogram=histogram,
+    )  # fmt: skip
+
+
+VALIDATED = [validated("S1", {0: 90, -1: 4, 2: 5, -7: 1}), validated("S2", {}, reducible=0)]
+
+
 def findings(**given: Any) -> Findings:
     """A small campaign, whole."""
     campaign = Campaign(
@@ -78,19 +153,23 @@ def findings(**given: Any) -> Findings:
         notes=["not simulated because their weight is 0: S3"],
         spec={"name": "study", "sensitivity": {"intervals": 5}},
     )
-    solution = Solution(
-        rank=1,
-        objective=6,
+    worse = Solution(
+        rank=4,
+        objective=5,
         rating=5.9,
-        parameters={"P1": 1, "P2": 2.5, "P3": 4},
-        scores={"S1": 5, "S2": 7},
+        parameters={"P1": -10, "P2": 0, "P3": 4},
+        scores={"S1": 5, "S2": 5},
         iteration=0,
         individual=3,
     )
     known: dict[str, Any] = {
         "campaign": campaign,
+        "setup": SETUP,
+        "optima": OPTIMA,
+        "robustness": [Studied(study(), ROBUST)],
+        "validation": [Studied(study("validation", "1" * 32), VALIDATED)],
         "generations": [generation(0), generation(1)],
-        "solutions": [solution],
+        "solutions": [*OPTIMA, worse],
         "influence": ROWS,
         "basis": None,
         "titles": {"S1": "Change lane", "S2": "Keep the lane"},

@@ -6,6 +6,7 @@ import csv
 import json
 import re
 from collections import Counter
+from dataclasses import dataclass
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -67,36 +68,59 @@ def written(found: Findings, folder: Path) -> tuple[Reader, set[str]]:
     return read(paths[-1].read_text()), {path.relative_to(folder).as_posix() for path in paths}
 
 
-def test_a_report_has_its_figures_tables_and_page(tmp_path: Path) -> None:
-    page, files = written(findings(), tmp_path / "new" / "report")
-    names = ["9-influence", "9-S1", "9-S2", "10-population", "11-cells"]
-    tables = ["generations", "solutions", "accounting", "balance"]
+@dataclass(frozen=True)
+class Whole:
+    """A report of everything, read only."""
+
+    folder: Path
+    page: Reader
+    files: set[str]
+
+    @property
+    def source(self) -> str:
+        return (self.folder / "index.html").read_text()
+
+    @property
+    def text(self) -> str:
+        return "|".join(part.strip() for part in self.page.text if part.strip())
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Whole:
+    folder = tmp_path_factory.mktemp("new") / "new" / "report"
+    return Whole(folder, *written(findings(), folder))
+
+
+def test_a_report_has_its_figures_tables_and_page(whole: Whole) -> None:
+    page, files = whole.page, whole.files
+    names = [
+        "9-influence", "9-S1", "9-S2", "10-population", "11-cells", "12-optima", "12-robustness", "14-validation",
+    ]  # fmt: skip
+    tables = ["generations", "solutions", "robustness-boxes", "accounting", "balance"]
     assert files == {f"figures/figure-{name}.{form}" for name in names for form in ("svg", "png")} | {
         *(f"tables/{name}.csv" for name in tables),
         "campaign.json",
         "index.html",
     }
-    assert set(page.links) == files - {"index.html"}
-    folder = tmp_path / "new" / "report"
-    assert (folder / "tables" / "generations.csv").read_bytes() == b"iteration\n0\n"
-    assert json.loads((folder / "campaign.json").read_text()) == {"name": "study", "sensitivity": {"intervals": 5}}
+    assert {link for link in page.links if not link.startswith("#")} == files - {"index.html"}
+    assert {link.removeprefix("#") for link in page.links if link.startswith("#")} <= set(page.ids)
+    assert (whole.folder / "tables" / "generations.csv").read_bytes() == b"iteration\n0\n"
+    assert json.loads((whole.folder / "campaign.json").read_text()) == {"name": "study", "sensitivity": {"intervals": 5}}
 
 
-def test_the_page_needs_nothing_from_anywhere(tmp_path: Path) -> None:
-    page, _ = written(findings(), tmp_path)
-    source = (tmp_path / "index.html").read_text()
-    assert page.fetched == ["data:,"]
+def test_the_page_needs_nothing_from_anywhere(whole: Whole) -> None:
+    source = whole.source
+    assert whole.page.fetched == ["data:,"]
     assert "default-src 'none'" in source
     assert not re.search(r"@import|url\((?!#)|https?://(?!www\.w3\.org/)", source)
     assert "<script" not in source
 
 
-def test_ids_of_several_drawings_do_not_meet(tmp_path: Path) -> None:
-    page, _ = written(findings(), tmp_path)
+def test_ids_of_several_drawings_do_not_meet(whole: Whole) -> None:
+    page = whole.page
     assert page.ids
     assert [name for name, count in Counter(page.ids).items() if count > 1] == []
-    source = (tmp_path / "index.html").read_text()
-    used = set(re.findall(r'(?:url\(|href=")#([^")]+)', source))
+    used = set(re.findall(r'(?:url\(|href=")#([^")]+)', whole.source))
     assert used
     assert used <= set(page.ids)
 
@@ -107,9 +131,7 @@ def test_what_a_user_wrote_is_shown_and_not_obeyed(tmp_path: Path) -> None:
     assert any("not simulated because their weight is 0: S3" in text for text in page.text)
 
 
-def test_the_page_says_what_the_self_check_found_and_what_it_cost(tmp_path: Path) -> None:
-    page, _ = written(findings(), tmp_path)
-    text = "|".join(part for part in page.text if part.strip())
+def test_the_page_says_what_the_self_check_found_and_what_it_cost(whole: Whole) -> None:
     for wanted in (
         "|12.50%|52.65%|",
         "|stopped|",
@@ -118,28 +140,63 @@ def test_the_page_says_what_the_self_check_found_and_what_it_cost(tmp_path: Path
         "from 1,800 requested cells on, 23 campaigns",
         "|2 … 7.5|",
     ):
-        assert wanted in text
-    assert "3 parameter sets share it" in text
+        assert wanted in whole.text
+    assert "3 parameter sets share it" in whole.text
 
 
-def test_the_account_adds_up_in_its_table(tmp_path: Path) -> None:
-    written(findings(), tmp_path)
-    with (tmp_path / "tables" / "accounting.csv").open(newline="") as stream:
+def test_the_page_has_every_part_of_a_study(whole: Whole) -> None:
+    for wanted in (
+        "3 sets that share the best objective, in 2 distinct regions",
+        "In all of them P1 = 1.",
+        "The influence map was posted by a user",
+        "Recommended: rank 1, because it has the best.",
+        "|Table 1. Sample sizes",
+        "|P2|0|5|11|searched|P3|s|0|10|11|held at 4|",
+        "Campaign 11111111111111111111111111111111 made this study.",
+        "There was nothing to validate in S2.",
+        "|S1|f1|d1|S2|f2|–|",
+        "|simulator|libsumo 1.28.0|",
+        "drivecal submit campaign.json --wait",
+        "drivecal evaluate P1=1 P2=2.5 P3=4",
+    ):
+        assert wanted in whole.text
+
+
+def test_each_drawing_is_described_and_has_a_table_beside_it(whole: Whole) -> None:
+    source = whole.source
+    described = re.findall(r'<svg[^>]* role="img" aria-label="([^"]{40,})"', source)
+    assert len(described) == source.count("<svg") == 6
+    assert len(set(described)) == 6
+    captions = re.findall(r"<caption>(Figure 9 in|Figure 10 in|Figure 11 in|Regions|Table 9|Figure 14 in)", source)
+    assert set(captions) == {"Figure 9 in", "Figure 10 in", "Figure 11 in", "Regions", "Table 9", "Figure 14 in"}
+
+
+def test_a_campaign_that_only_studies_another_ones_sets_is_not_said_to_have_failed(tmp_path: Path) -> None:
+    campaign = Campaign(id="1" * 32, name="study", state="succeeded", spec={"optimizer": None, "sensitivity": {"map": "m"}})
+    nothing = dict.fromkeys(("generations", "solutions", "optima", "influence", "validation"), ())
+    text = "".join(written(findings(campaign=campaign, accounting=None, basis=None, **nothing), tmp_path)[0].text)
+    assert "Recommended after the robustness study: rank 1" in text
+    assert "No parameter set" not in text
+    assert "iteration (yet)" not in text
+    assert "which another database does not have" in text
+
+
+def test_the_account_adds_up_in_its_table(whole: Whole) -> None:
+    with (whole.folder / "tables" / "accounting.csv").open(newline="") as stream:
         rows = list(csv.DictReader(stream))
     assert [row["scenario"] for row in rows] == ["S1", "S2", "all"]
     for field in ("requested", "reused", "simulated_seconds"):
         assert float(rows[2][field]) == pytest.approx(sum(float(row[field]) for row in rows[:2]))
     assert float(rows[2]["mean_seconds"]) == pytest.approx(0.02)
-    balance = {row[0]: row[1] for row in csv.reader((tmp_path / "tables" / "balance.csv").read_text().splitlines())}
+    balance = {row[0]: row[1] for row in csv.reader((whole.folder / "tables" / "balance.csv").read_text().splitlines())}
     saved = sum(float(balance[f"saved by {one} cells"]) for one in ("repeated", "reused", "certified"))
     assert float(balance["net"]) == pytest.approx(saved + float(balance["cost of the sensitivity stage"]))
 
 
 def test_a_campaign_that_has_just_begun_has_a_report_too(tmp_path: Path) -> None:
     campaign = Campaign(id="1" * 32, name="new", state="queued")
-    page, files = written(
-        findings(campaign=campaign, generations=[], solutions=[], influence=[], accounting=None, basis=None), tmp_path
-    )
+    nothing = dict.fromkeys(("generations", "solutions", "optima", "influence", "robustness", "validation"), ())
+    page, files = written(findings(campaign=campaign, accounting=None, basis=None, **nothing), tmp_path)
     assert files == {"tables/generations.csv", "tables/solutions.csv", "campaign.json", "index.html"}
     assert "No parameter set has a result in every scenario." in page.text
 
@@ -151,7 +208,6 @@ def test_the_page_says_where_the_map_comes_from(tmp_path: Path) -> None:
     assert "design lines, 5 intervals, 3 samples" in text
     assert "2,484 runs asked for, 2,329 simulated" in text
     assert "unknown" in text
-    assert "posted by a user" in "".join(written(findings(), tmp_path)[0].text)
 
 
 def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:

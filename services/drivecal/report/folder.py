@@ -1,0 +1,64 @@
+"""The folder that a report is written to: the page, figures as SVG and PNG, tables as CSV."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from html import escape
+from pathlib import Path
+
+from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.report.drawing import Drawn, inlined, png, svg
+from drivecal.report.markup import figure
+
+FORMS = ("svg", "png")
+
+
+class Folder:
+    """Remembers what was `written`, in order. Files of an earlier report in the same folder are replaced."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.written: list[Path] = []
+
+    @property
+    def files(self) -> list[str]:
+        """What was written, relative to the folder."""
+        return [path.relative_to(self.path).as_posix() for path in self.written]
+
+    def write(self, name: str, pieces: Iterable[bytes]) -> None:
+        """A file, `name` relative to the folder."""
+        path = self.path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("wb") as stream:
+            for piece in pieces:
+                stream.write(piece)
+        self.written.append(path)
+
+    def table(self, name: str, rows: Iterable[Sequence[object]]) -> None:
+        """`tables/name.csv`; the first row is its header."""
+        stream = io.StringIO()
+        csv.writer(stream).writerows(rows)
+        self.write(f"tables/{name}.csv", [stream.getvalue().encode()])
+
+    def draw(self, drawn: Drawn) -> str:
+        """The files of a figure; returns it as a part of a page, with links to them."""
+        document = svg(drawn.figure, drawn.name)
+        files = [f"figures/{drawn.name}.{form}" for form in FORMS]
+        self.write(files[0], [document.encode()])
+        self.write(files[1], [png(drawn.figure)])
+        if not drawn.in_page:
+            return ""
+        return figure(inlined(document, drawn.name, escape(drawn.alt or drawn.caption)), drawn.caption, files)
+
+
+@contextmanager
+def writable(path: Path) -> Iterator[Folder]:
+    """A folder to write to. Raises InvalidInputError where something cannot be written."""
+    try:
+        yield Folder(path)
+    except OSError as error:
+        where = str(error.filename or path)
+        raise InvalidInputError(Problem(where, f"it cannot be written: {error.strerror}", "give another folder")) from error

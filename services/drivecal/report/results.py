@@ -1,0 +1,105 @@
+"""The best sets of a campaign, and in a few sentences what came out of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+
+from drivecal.contracts.campaign import Best, Campaign, Solution
+from drivecal.contracts.studies import OptimumRow
+from drivecal.report import search
+from drivecal.report.findings import Findings
+from drivecal.report.markup import Number, bullets, paragraph, table
+
+SHOWN = 20
+"""The best sets that the page shows; all of them are in the table."""
+
+
+def summary(findings: Findings) -> list[str]:
+    """What a reader should know first."""
+    campaign, best = findings.campaign, findings.campaign.best
+    if best is None:
+        return [bullets(_studies(findings))] if findings.robustness or findings.validation else [_nothing(campaign)]
+    regions = len({one.region for one in findings.optima})
+    where = f", in {regions} distinct regions" if regions > 1 else ""
+    share = "1 parameter set has it" if best.alternatives == 1 else f"{best.alternatives:,} parameter sets share it{where}"
+    first = f"The best objective is {best.objective:.4f} of 7; {share}."
+    if campaign.baseline is not None and campaign.baseline.objective is not None:
+        first += f" The baseline has {campaign.baseline.objective:.4f}."
+    sentences = [first, *search.convergence(findings.generations)[:1]]
+    if findings.accounting is not None:
+        sentences.append(findings.accounting.sentence)
+    sentences += [_errors(campaign), *_studies(findings)]
+    return [bullets(one for one in sentences if one), _compared(campaign, best)]
+
+
+def _nothing(campaign: Campaign) -> str:
+    if campaign.spec.get("optimizer", {}) is None:
+        return paragraph("This campaign searched nothing.")
+    return paragraph("No parameter set has a result in every scenario.")
+
+
+def _errors(campaign: Campaign) -> str:
+    audited = sum(one.audited for one in campaign.error_rate.values())
+    if not audited:
+        return ""
+    wrong = sum(one.wrong for one in campaign.error_rate.values())
+    stopped = [name for name, one in campaign.error_rate.items() if one.stopped]
+    text = f"Of {audited:,} audited answers {wrong:,} were wrong, off by more than one point."
+    return text + (f" Reuse was stopped in {', '.join(stopped)}." if stopped else "")
+
+
+def _studies(findings: Findings) -> list[str]:
+    sentences = [
+        f"Recommended after the robustness study: rank {row.rank} of its table, because it has {row.reason}."
+        for studied in findings.robustness[:1]
+        for row in studied.rows
+        if row.recommended
+    ]
+    for validated in findings.validation[:1]:
+        compared, wrong = sum(row.compared for row in validated.rows), sum(row.wrong for row in validated.rows)
+        if compared:
+            sentences.append(f"In the validation of the influence map {wrong:,} of {compared:,} answers were wrong.")
+    return sentences
+
+
+def _compared(campaign: Campaign, best: Best) -> str:
+    baseline = campaign.baseline
+    rows = [_row("best", best.objective, best.scores, best.parameters, best)]
+    if baseline is not None:
+        rows.append(_row("baseline", baseline.objective, baseline.scores, baseline.parameters, best))
+    header = ["", "objective", *best.scores, *best.parameters]
+    return table(header, rows, "The best set: its score (0 to 7) in each scenario and its parameter values")
+
+
+def _row(
+    name: str,
+    objective: float | None,
+    scores: Mapping[str, int | None] | Mapping[str, int],
+    values: Mapping[str, float],
+    best: Best,
+) -> list[object]:
+    shown = None if objective is None else Number(f"{objective:.4f}")
+    return [name, shown, *(scores.get(one) for one in best.scores), *(values.get(one) for one in best.parameters)]
+
+
+def solutions_table(solutions: Sequence[Solution], optima: Iterable[OptimumRow]) -> str:
+    """The best sets, with the regions of those that share the best objective."""
+    if not solutions:
+        return ""
+    known = {one.rank: one for one in optima}
+    first, shown = solutions[0], solutions[:SHOWN]
+    rows = [
+        [
+            one.rank,
+            Number(f"{one.objective:.4f}"),
+            Number(f"{one.rating:.3f}"),
+            known[one.rank].region if one.rank in known else None,
+            *(Number(f"{score}*" if name in one.reused else f"{score}") for name, score in one.scores.items()),
+            *one.parameters.values(),
+        ]
+        for one in shown
+    ]
+    caption = f"The {len(shown)} best sets; equal objectives are ordered by the continuous rating"
+    if any(one.reused for one in shown):
+        caption += ". A star: the score is that of a reference, this very set was not simulated there"
+    return table(["rank", "objective", "rating", "region", *first.scores, *first.parameters], rows, caption)

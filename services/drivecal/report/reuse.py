@@ -1,0 +1,75 @@
+"""What answered the cells, how often that was wrong, and what it saved."""
+
+from __future__ import annotations
+
+from drivecal.contracts.accounting import Accounting
+from drivecal.contracts.campaign import Campaign, CellCounts, StageCellCounts
+from drivecal.report.accounts import seconds_of
+from drivecal.report.markup import Emphasized, Number, paragraph, table
+
+OUTCOMES = ("simulated", "repeated", "reused", "certified", "failed")
+
+
+def cells_by_stage(campaign: Campaign) -> str:
+    """The campaign's cells by outcome."""
+
+    def row(name: str, cells: CellCounts | StageCellCounts) -> list[object]:
+        return [name, *(getattr(cells, one, None) for one in ("proposed", "carried_over", "requested", *OUTCOMES, "audited"))]
+
+    stages: dict[str, CellCounts | StageCellCounts] = {
+        "sensitivity": campaign.sensitivity_cells,
+        "calibration": campaign.cells,
+        "robustness": campaign.robustness_cells,
+        "validation": campaign.validation_cells,
+    }
+    rows = [row(name, cells) for name, cells in stages.items() if cells.requested]
+    header = ["stage", "proposed", "carried over", "requested", *OUTCOMES, "of simulated: audits"]
+    return table(header, rows, "Cells by stage and outcome") if rows else ""
+
+
+def self_check(campaign: Campaign) -> list[str]:
+    """What the audits of reused cells and the checks of certified ones found."""
+    found = []
+    rates = {name: rate for name, rate in campaign.error_rate.items() if rate.audited or rate.stopped or rate.contradictions}
+    if rates:
+        rows = [
+            [
+                name,
+                rate.audited,
+                rate.different,
+                rate.wrong,
+                Number(f"{rate.wrong / rate.audited:.2%}") if rate.audited else None,
+                None if rate.upper_95 is None else Number(f"{rate.upper_95:.2%}"),
+                rate.contradictions,
+                Emphasized("stopped") if rate.stopped else "on",
+            ]
+            for name, rate in rates.items()
+        ]
+        header = ["scenario", "audited", "different", "wrong", "R_err", "95 % bound", "contradictions", "reuse"]
+        caption = "Self-check: reusable cells that were simulated all the same; wrong: the scores differ by more than 1"
+        found.append(table(header, rows, caption))
+    else:
+        found.append(paragraph("No cell was audited, so nothing is known about errors of reuse in this campaign."))
+    if campaign.cells.checked:
+        found.append(
+            paragraph(f"{campaign.cells.checked:,} certified cells were simulated all the same, to check; none may differ.")
+        )
+    return found
+
+
+def accounting(found: Accounting | None) -> list[str]:
+    """Savings and costs, and when the map pays."""
+    if found is None:
+        return [paragraph("Nothing is answered yet.")]
+    rows = [[item, Number(f"{seconds:,.1f}")] for item, seconds in seconds_of(found)]
+    parts = [paragraph(found.sentence), table(["", "CPU seconds"], rows, "Cost accounting, in CPU time of the workers")]
+    even = found.break_even
+    if even is not None and even.requested_cells is None:
+        parts.append(paragraph("Nothing was reused, so at this rate the influence map never pays."))
+    elif even is not None:
+        plural = "" if even.campaigns == 1 else "s"
+        campaigns = "" if even.campaigns is None else f", {even.campaigns:,} campaign{plural} like this one"
+        parts.append(
+            paragraph(f"At this rate the influence map pays from {even.requested_cells:,} requested cells on{campaigns}.")
+        )
+    return parts

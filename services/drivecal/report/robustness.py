@@ -1,0 +1,199 @@
+"""Robustness: Table 9 of the paper, and Figure 12, right: how far each of the best sets bears other vehicles."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch, Rectangle
+
+from drivecal.contracts.studies import BoxTrial, OptimumRow, RobustnessRow
+from drivecal.report.drawing import INK, SKY, VERMILION, Drawn, style
+from drivecal.report.findings import Studied
+from drivecal.report.markup import Number, paragraph, table
+
+Robust = Studied[RobustnessRow]
+MOST_DRAWN = 40
+"""Sets that are drawn; all of them are in the table."""
+UNCHANGED, CHANGED = "#F2F2F2", SKY
+NARROW = 0.035
+"""Boxes that are narrower than this share of the figure have no room for a number."""
+
+
+def condition(settings: Mapping[str, Any]) -> str:
+    """The condition in a few words, e.g. `max ≤ 1`."""
+    eta = settings.get("eta", 1.0)
+    bound = "eta by scenario" if isinstance(eta, list) else f"{eta:g}"
+    return f"{settings['condition'].replace('_', ' ')} {'≤' if settings['condition'] == 'max' else '<'} {bound}"
+
+
+def degree(row: RobustnessRow) -> str:
+    """As in Table 9: at least so many where no box failed."""
+    return f"≥ {row.degree}" if row.at_least else f"{row.degree}"
+
+
+def limits(row: RobustnessRow, settings: Mapping[str, Any]) -> dict[str, float | None]:
+    """The scenarios that broke the condition in the smallest box where it did not hold, with their deviations (None: no result)."""
+    trial = min((one for one in row.trials if not one.holds), key=lambda one: one.radius, default=None)
+    if trial is None:
+        return {}
+    eta = settings.get("eta", 1.0)
+    bounds = dict(zip(trial.deviations, eta, strict=True)) if isinstance(eta, list) else dict.fromkeys(trial.deviations, eta)
+
+    def breaks(name: str, away: float | None) -> bool:
+        return away is None or (away > bounds[name] if settings["condition"] == "max" else away >= bounds[name])
+
+    return {name: away for name, away in trial.deviations.items() if breaks(name, away)}
+
+
+def by_nominal(rows: Sequence[RobustnessRow]) -> dict[int, int]:
+    """The rank in the nominal vehicle (objective, then rating) by the rank of robustness."""
+
+    def worth(row: RobustnessRow) -> tuple[float, float, int]:
+        return -(row.objective if row.objective is not None else -1.0), -(row.rating or 0.0), row.rank
+
+    return {row.rank: place for place, row in enumerate(sorted(rows, key=worth), 1)}
+
+
+def boxes(studied: Robust) -> Iterator[Sequence[object]]:
+    """A header and a row for every set in every box."""
+    scenarios = list(studied.rows[0].scores)
+    yield "rank", "box", "radius", "holds", *(f"deviation_{name}" for name in scenarios)
+    for row in studied.rows:
+        for one in row.trials:
+            yield row.rank, one.box, one.radius, str(one.holds).lower(), *(one.deviations.get(name) for name in scenarios)
+
+
+def drawn(studies: Sequence[Robust]) -> Iterator[Drawn]:
+    """Figure 12, right, of each study."""
+    for number, studied in enumerate(studies, 1):
+        yield _drawn(studied, "figure-12-robustness" if number == 1 else f"figure-12-robustness-{number}")
+
+
+def _drawn(studied: Robust, name: str) -> Drawn:
+    some = (
+        f"the first {MOST_DRAWN} of {len(studied.rows)} examined sets"
+        if len(studied.rows) > MOST_DRAWN
+        else "each examined set"
+    )
+    caption = (
+        f"Figure 12, right. For {some} (the most robust on top) the largest deviation, over all scenarios and vehicles, in growing boxes "
+        f"around the nominal vehicle; condition: {condition(studied.study.settings)}. The heavy line is the widest box that holds."
+    )
+    alt = "Bars by examined set. " + "; ".join(
+        f"rank {row.rank}: degree {degree(row).replace('≥', 'at least')}, holds up to {row.radius:g}"
+        for row in studied.rows[:MOST_DRAWN]
+    )
+    return Drawn(name, caption, robustness_figure(studied.rows[:MOST_DRAWN]), alt=f"{alt}.")
+
+
+def robustness_figure(rows: Sequence[RobustnessRow]) -> Figure:
+    """A bar per set from 0 to the widest box that was tried; each piece, from one box to the next, tells the largest deviation in it."""
+    widest = max((one.radius for row in rows for one in row.trials), default=1.0)
+    with style():
+        figure = Figure(figsize=(7.4, 1.1 + 0.24 * len(rows)), layout="constrained")
+        axes = figure.subplots()
+        axes.grid(visible=False)
+        for place, row in enumerate(rows):
+            start = 0.0
+            for one in sorted(row.trials, key=lambda trial: trial.radius):
+                worst = _worst(one)
+                piece = Rectangle((start, place - 0.4), one.radius - start, 0.8, edgecolor="white", linewidth=0.6)
+                piece.set(
+                    facecolor=VERMILION if not one.holds else CHANGED if worst else UNCHANGED, gid=f"box.{row.rank}.{one.box}"
+                )
+                if not one.holds:
+                    piece.set(hatch="////", edgecolor="white")
+                axes.add_patch(piece)
+                if one.radius - start > NARROW * widest:
+                    text = "–" if worst is None else f"{worst:.2g}"
+                    box = {"facecolor": "white", "edgecolor": "none", "pad": 0.8} if not one.holds else None
+                    axes.text((start + one.radius) / 2, place, text, ha="center", va="center", fontsize=6.5, bbox=box)
+                start = one.radius
+            axes.plot([row.radius] * 2, [place - 0.46, place + 0.46], color=INK, linewidth=2.2, solid_capstyle="butt")
+        axes.set_yticks(range(len(rows)), [f"{row.rank}{' *' if row.recommended else ''}" for row in rows])
+        axes.set(xlim=(0, widest * 1.01), ylim=(len(rows) - 0.45, -0.55))
+        axes.set(xlabel="half width of the box, in shares of the vehicle parameters' ranges", ylabel="rank (* recommended)")
+        handles = [
+            Patch(facecolor=UNCHANGED, edgecolor=INK, linewidth=0.4, label="holds, no score changes"),
+            Patch(facecolor=CHANGED, edgecolor=INK, linewidth=0.4, label="holds"),
+            Patch(facecolor=VERMILION, edgecolor="white", hatch="////", linewidth=0.4, label="does not hold"),
+        ]
+        figure.legend(handles=handles, loc="outside lower left", ncols=3)
+    return figure
+
+
+def _worst(trial: BoxTrial) -> float | None:
+    known = [away for away in trial.deviations.values() if away is not None]
+    return max(known) if len(known) == len(trial.deviations) else None
+
+
+def parts(studies: Sequence[Robust], optima: Sequence[OptimumRow], campaign: str, drawing: str) -> list[str]:
+    """The section: what was examined, Table 9, the figure, the recommended set."""
+    main, *others = studies
+    settings, made_by = main.study.settings, main.study.campaign
+    text = (
+        f"The {len(main.rows)} best sets were driven in other vehicles: {settings['samples']} in each box, boxes of half width "
+        f"k·{settings['delta']:g} of the vehicle parameters' ranges, k = 1 … {settings['steps']}; condition {condition(settings)}. The "
+        "degree of robustness is the number of boxes up to which the condition holds in every scenario."
+    )
+    if made_by != campaign:
+        text += f" Campaign {made_by} made this study."
+    found = [
+        paragraph(f"Recommended: rank {row.rank}, because it has {row.reason}.", "key") for row in main.rows if row.recommended
+    ]
+    return [paragraph(text), *found, _quality(main, others), drawing, _values(main, optima)]
+
+
+def _quality(main: Robust, others: Sequence[Robust]) -> str:
+    """The ranking by robust beside that by nominal quality."""
+    nominal, settings = by_nominal(main.rows), main.study.settings
+    elsewhere = [{_key(row.parameters): Number(degree(row)) for row in one.rows} for one in others]
+    rows = [
+        [
+            Number(f"{row.rank}{' *' if row.recommended else ''}"),
+            nominal[row.rank],
+            None if row.objective is None else Number(f"{row.objective:.4f}"),
+            None if row.rating is None else Number(f"{row.rating:.3f}"),
+            *row.scores.values(),
+            Number(degree(row)),
+            *(one.get(_key(row.parameters)) for one in elsewhere),
+            Number(f"{row.radius:.4g}"),
+            _limited(row, settings),
+        ]
+        for row in main.rows
+    ]
+    degrees = [f"degree: {condition(one.study.settings)}, δ = {one.study.settings['delta']:g}" for one in (main, *others)]
+    header = ["rank, robust", "rank, nominal", "objective", "rating", *main.rows[0].scores, *degrees, "δ max", "limited by"]
+    caption = (
+        "Table 9, robustness: sorted by degree, then by the objective; * recommended. All scores were simulated in the nominal vehicle: "
+        "a set that ranked higher in the search had the score of a reference. δ max: the widest box that holds; limited by: the "
+        "scenarios that broke the condition first, with their deviations"
+    )
+    return table(header, rows, caption, wrap_header=True)
+
+
+def _values(studied: Robust, optima: Sequence[OptimumRow]) -> str:
+    regions = {_key(one.parameters): one.region for one in optima}
+    rows = [
+        [
+            row.rank,
+            *row.parameters.values(),
+            Number(degree(row)),
+            regions.get(_key(row.parameters)),
+            None if row.to_worse is None else Number(f"{row.to_worse:.3f}"),
+        ]
+        for row in studied.rows
+    ]
+    caption = "Table 9, the sets: parameter values in their units, regions as above, distance to the nearest worse set"
+    return table(["rank", *studied.rows[0].parameters, "degree", "region", "to worse"], rows, caption)
+
+
+def _limited(row: RobustnessRow, settings: Mapping[str, Any]) -> str | None:
+    found = limits(row, settings)
+    return ", ".join(f"{name} ({'no result' if away is None else f'{away:.2g}'})" for name, away in found.items()) or None
+
+
+def _key(parameters: Mapping[str, float]) -> tuple[tuple[str, float], ...]:
+    return tuple(sorted(parameters.items()))

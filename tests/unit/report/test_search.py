@@ -1,0 +1,42 @@
+"""What the report says about convergence, and the iterations as tables."""
+
+from __future__ import annotations
+
+import re
+
+from tests.unit.report.rows import generation
+
+from drivecal.report import cells, search
+
+
+def test_the_criteria_of_tables_5_and_7_are_stated_with_what_was_found() -> None:
+    steady = [generation(0, best=4.0, alternatives=1)] + [generation(i, best=6.0, alternatives=min(i, 5)) for i in range(1, 13)]
+    best, alternatives = search.convergence(steady)
+    assert best.startswith("Converged by its best objective: found in iteration 2 of 13, it then stayed")
+    assert "10 iterations (Table 5)" in best
+    assert alternatives.startswith("Converged by its number of alternative optima: found in iteration 6 of 13")
+    best, alternatives = search.convergence(steady[:9])
+    assert best.startswith("Not converged by its best objective: it last changed in iteration 2 of 9")
+    assert alternatives.startswith("Not converged by its number of alternative optima: it last changed in iteration 6 of 9")
+
+
+def test_a_search_that_was_too_short_is_not_called_converged() -> None:
+    found = search.convergence([generation(0, best=6.0), generation(1, best=6.0)])
+    assert found[0].startswith("The best objective never changed in 2 iterations, too few")
+    assert search.convergence([generation(0, best=None)]) == []
+
+
+def test_long_searches_are_listed_in_part_with_their_ends() -> None:
+    generations = [generation(number) for number in range(200)]
+    shown = search.shown(generations)
+    assert len(shown) == search.MOST_LINES
+    assert (shown[0].iteration, shown[-1].iteration) == (0, 199)
+    assert search.shown(generations[:4]) == generations[:4]
+    assert "13 of 200 iterations" in search.population_table(generations)
+
+
+def test_the_table_of_cells_adds_up_to_what_was_requested() -> None:
+    html = cells.cells_table([generation(number) for number in range(3)])
+    last = re.findall(r"<td[^>]*>([^<]*)</td>", html)[-8:]
+    assert last == ["3", "120", "60", "12", "3", "0", "15", "30"]
+    assert sum(map(int, last[2:])) == int(last[1])

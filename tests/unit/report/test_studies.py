@@ -1,0 +1,148 @@
+"""Figures 12 and 14, Tables 1, 2 and 9: against what was found."""
+
+from __future__ import annotations
+
+import re
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from tests.unit.report.rows import OPTIMA, PARAMETERS, ROBUST, VALIDATED, findings, nowhere, optimum, robust, row, study, trial
+
+from drivecal.report import optima, robustness, validation
+from drivecal.report.drawing import KINDS, svg
+from drivecal.report.findings import Studied
+
+
+def lines(figure: Figure, name: str) -> list[list[list[float]]]:
+    found = [one for one in figure.axes[0].collections if isinstance(one, LineCollection) and one.get_gid() == name]
+    return [np.asarray(segment).tolist() for one in found for segment in one.get_segments()]
+
+
+def bars(figure: Figure) -> dict[str, Rectangle]:
+    return {
+        str(one.get_gid()): one for axes in figure.axes for one in axes.patches if isinstance(one, Rectangle) and one.get_gid()
+    }
+
+
+def test_each_best_set_is_a_line_through_its_values_in_the_searched_ranges() -> None:
+    worse = [one for one in findings().solutions if one.rank > len(OPTIMA)]
+    figure = optima.drawn(OPTIMA, findings().solutions, PARAMETERS).figure
+    assert lines(figure, "optima.0") == [[[0, 0.55], [1, 0.5]], [[0, 0.55], [1, 0.6]]]
+    assert lines(figure, "optima.1") == [[[0, 0.55], [1, 1.0]]]
+    assert lines(figure, "optima.worse") == [[[0, 0.0], [1, 0.0]]]
+    assert len(worse) == 1
+    text = svg(figure, "test")
+    assert "region 0: 2 sets" in text
+    assert "P1 = 1" in text
+    assert "P3" not in text, "what is held is not searched"
+
+
+def test_an_axis_is_marked_where_all_best_sets_agree() -> None:
+    assert optima.constant(OPTIMA, PARAMETERS[:2]) == {"P1": 1}
+    assert optima.constant(OPTIMA[:1], PARAMETERS[:2]) == {}
+    same = optima.drawn(OPTIMA, OPTIMA, PARAMETERS)
+    assert [one.get_gid() for one in same.figure.axes[0].lines] == ["same.P1"]
+    assert "A diamond marks" in same.caption
+    other = optima.drawn([*OPTIMA, optimum(4, 2, 1)], OPTIMA, PARAMETERS)
+    assert not other.figure.axes[0].lines
+    assert "A diamond marks" not in other.caption
+
+
+def test_regions_beyond_the_kinds_of_lines_are_drawn_together() -> None:
+    many = [optimum(number + 1, number, 1, region=number) for number in range(len(KINDS) + 3)]
+    figure = optima.drawn(many, many, PARAMETERS).figure
+    assert len(lines(figure, f"optima.{len(KINDS)}")) == 3
+    assert "3 other regions: 3 sets" in svg(figure, "test")
+
+
+def test_regions_tell_how_far_the_nearest_worse_set_is() -> None:
+    cells = re.findall(r"<td[^>]*>([^<]*)</td>", optima.regions_table(OPTIMA))
+    assert cells == ["0", "2", "1", "0.100", "0.200", "1", "1", "2", "0.500", "0.500"]
+
+
+def test_a_bar_ends_where_the_boxes_end_and_says_where_the_condition_broke() -> None:
+    figure = robustness.robustness_figure(ROBUST)
+    found = bars(figure)
+    assert sorted(found) == ["box.1.1", "box.1.2", "box.2.1", "box.2.2", "box.3.1"]
+    assert found["box.1.2"].get_x() == pytest.approx(0.1)
+    assert found["box.1.2"].get_x() + found["box.1.2"].get_width() == pytest.approx(0.2)
+    assert {name for name, bar in found.items() if bar.get_hatch()} == {"box.2.2", "box.3.1"}
+    assert [np.asarray(line.get_xdata()).tolist() for line in figure.axes[0].lines] == [[0.2, 0.2], [0.1, 0.1], [0.0, 0.0]]
+    numbers = [text.get_text() for text in figure.axes[0].texts]
+    assert numbers == ["0", "1", "0", "3", "–"], "a vehicle without a result has no deviation"
+
+
+def test_halved_boxes_are_drawn_in_the_order_of_their_widths() -> None:
+    halved = robust(1, 1, [trial(2, True, 0), trial(8, False, 3), trial(5, True, 1), trial(6, False, 2)])
+    found = bars(robustness.robustness_figure([halved]))
+    ends = [(bar.get_x(), bar.get_x() + bar.get_width()) for bar in found.values()]
+    assert list(found) == ["box.1.2", "box.1.5", "box.1.6", "box.1.8"]
+    assert all(end == pytest.approx(start) for (_, end), (start, _) in pairwise(ends))
+
+
+@pytest.mark.parametrize(
+    ("settings", "expected"),
+    [
+        ({}, {"S1": 3.0, "S2": 2.0}),
+        ({"eta": [3, 1]}, {"S2": 2.0}),
+        ({"condition": "mean", "eta": 3}, {"S1": 3.0}),
+    ],
+)
+def test_the_scenarios_that_broke_the_condition_are_named(settings: dict[str, Any], expected: dict[str, float]) -> None:
+    assert robustness.limits(ROBUST[1], study(**settings).settings) == expected
+    assert robustness.limits(ROBUST[0], study(**settings).settings) == {}
+    assert robustness.limits(ROBUST[2], study(**settings).settings)["S1"] is None
+
+
+def test_table_9_sets_robust_beside_nominal_quality_and_the_degrees_of_other_conditions() -> None:
+    other = Studied(study(campaign="2" * 32, condition="mean", eta=0.2), [robust(2, 2, [trial(1, True, 0)])])
+    html = "".join(robustness.parts([Studied(study(), ROBUST), other], OPTIMA, "0" * 32, ""))
+    head = re.findall(r"<th[^>]*>([^<]*)</th>", html)
+    assert head[6:10] == ["degree: max ≤ 1, δ = 0.1", "degree: mean &lt; 0.2, δ = 0.1", "δ max", "limited by"]
+    cells = [re.findall(r"<td[^>]*>([^<]*)</td>", line) for line in html.split("<tr>")]
+    first, second, third = cells[2:5]
+    assert first == ["1 *", "2", "6.0000", "5.100", "5", "7", "≥ 2", "–", "0.2", "–"]
+    assert second == ["2", "1", "6.0000", "5.200", "5", "7", "1", "≥ 2", "0.1", "S1 (3), S2 (2)"]
+    assert third == ["3", "3", "5.5000", "5.300", "5", "7", "0", "–", "0", "S1 (no result)"]
+    assert "Recommended: rank 1, because it has the best." in html
+
+
+def test_the_file_of_boxes_holds_every_deviation() -> None:
+    header, *rows = robustness.boxes(Studied(study(), ROBUST))
+    assert header == ("rank", "box", "radius", "holds", "deviation_S1", "deviation_S2")
+    assert rows == [
+        (1, 1, 0.1, "true", 0.0, 0.0),
+        (1, 2, 0.2, "true", 1.0, 0.0),
+        (2, 1, 0.1, "true", 0.0, 0.0),
+        (2, 2, 0.2, "false", 3.0, 2.0),
+        (3, 1, 0.1, "false", None, 0.0),
+    ]
+
+
+def test_the_histogram_has_a_bar_for_each_deviation_and_hatches_what_is_wrong() -> None:
+    (drawn,) = validation.drawn(VALIDATED)
+    found = bars(drawn.figure)
+    assert {name: bar.get_height() for name, bar in found.items()} == {"S1.0": 90, "S1.-1": 4, "S1.2": 5, "S1.-7": 1}
+    assert {name for name, bar in found.items() if bar.get_hatch()} == {"S1.2", "S1.-7"}
+    assert "90 of 100 unchanged, 6 wrong" in drawn.alt
+    assert len(drawn.figure.axes) == 1, "where nothing was compared there is nothing to draw"
+    assert list(validation.drawn(VALIDATED[1:])) == []
+
+
+def test_tables_1_and_2_and_the_histogram_in_numbers() -> None:
+    influence = {"S1": [row("S1", "P1"), row("S1", "P2", 2, 9), nowhere("S1", "P3")]}
+    html = "".join(validation.parts(Studied(study("validation"), VALIDATED), "0" * 32, influence, ""))
+    cells = [re.findall(r"<td[^>]*>([^<]*)</td>", line) for line in html.split("<tr>") if "<td" in line]
+    assert cells[0] == ["S1", "P2 P3", "2", "3", "3", "40", "20", "5", "100"]
+    assert cells[2] == ["S1", "100", "10", "6", "6.00%", "0.00%", "50.00%"]
+    assert cells[3] == ["S2", "0", "0", "0", "–", "–", "–"]
+    assert cells[4] == ["S1", "1", "0", "0", "0", "0", "0", "4", "90", "0", "5", "0", "0", "0", "0", "0"]
+
+
+def test_a_region_of_a_single_value_cannot_be_reduced() -> None:
+    assert validation.reducible([row("S1", "P1", 1, 9), row("S1", "P2", 0, 8), row("S1", "P3", None, None)]) == ["P2"]
