@@ -11,10 +11,11 @@ from hypothesis import strategies as st
 
 from drivecal.domain.roads import Floats, project, reference_line, to_cartesian, to_frenet
 from drivecal.scenarios.plugin import HIGHWAY
-from drivecal.traffic.geometry import foot, hits, locate, place
+from drivecal.traffic.geometry import foot, hits, locate, place, with_directions
 
 S4 = HIGHWAY.scenarios["S4"]
 LINE = reference_line(S4.road)
+TABLE = with_directions(LINE)
 OUTLINE = np.array([2.4, 0.9, S4.road.right_edge, S4.road.left_edge])
 stations = st.floats(-20.0, S4.road.length + 20.0)
 offsets = st.floats(-5.0, 12.0)
@@ -24,7 +25,7 @@ offsets = st.floats(-5.0, 12.0)
 @given(stations, offsets, st.floats(-8.0, 8.0))
 def test_the_compiled_projection_is_the_domain_s(s: float, d: float, away: float) -> None:
     x, y, _ = to_cartesian(LINE, s, d)
-    assert foot(LINE, x, y, s + away)[:2] == pytest.approx(project(LINE, x, y, s + away), abs=1e-7)
+    assert foot(TABLE, x, y, s + away)[:2] == pytest.approx(project(LINE, x, y, s + away), abs=1e-7)
 
 
 @settings(deadline=None)  # the first call compiles
@@ -35,7 +36,7 @@ def test_the_ego_vehicle_s_motion_is_the_domain_s(
     x, y, road = to_cartesian(LINE, s, d)
     heading = road + 0.1
     motion = np.zeros(6)
-    place(LINE, np.array([x, y, heading, speed, slip, 0.0, along, across]), s + 1.0, OUTLINE, motion)
+    place(TABLE, np.array([x, y, heading, speed, slip, 0.0, along, across]), s + 1.0, OUTLINE, motion)
     velocity = (speed * cos(heading + slip), speed * sin(heading + slip))
     acceleration = (along * cos(heading) - across * sin(heading), along * sin(heading) + across * cos(heading))
     assert motion.tolist() == pytest.approx(list(to_frenet(LINE, (x, y), velocity, acceleration, s + 1.0)), abs=1e-6)
@@ -48,7 +49,7 @@ def test_the_ego_vehicle_s_motion_is_the_domain_s(
 def test_a_vehicle_is_off_the_road_as_soon_as_a_corner_is(d: float, yaw: float, *, on_road: bool) -> None:
     x, y, heading = to_cartesian(LINE, 400.0, d)
     pose = np.array([x, y, heading + yaw, 30.0, 0.0, 0.0, 0.0, 0.0])
-    assert place(LINE, pose, 400.0, OUTLINE, np.zeros(6)) is on_road
+    assert place(TABLE, pose, 400.0, OUTLINE, np.zeros(6)) is on_road
 
 
 def corners(x: float, y: float, heading: float, half_length: float, half_width: float) -> Floats:
@@ -92,7 +93,7 @@ def test_a_front_on_a_curve_becomes_a_centre_behind_it() -> None:
     x, y, _ = to_cartesian(LINE, s, d)
     neighbours = np.array([[s - 6.0, d - 0.1, 0.0, 0.0, length, 2.5]])
     outlines = np.zeros((1, 5))
-    locate(LINE, np.array([[x, y, 25.0, d]]), neighbours, outlines, 0.1)
+    locate(TABLE, np.array([[x, y, 25.0, d]]), neighbours, outlines, 0.1)
     centre_s, centre_d, speed, sideways = neighbours[0, :4]
     assert centre_d == pytest.approx(d)
     assert sideways == pytest.approx(1.0)
@@ -104,5 +105,5 @@ def test_a_front_on_a_curve_becomes_a_centre_behind_it() -> None:
 
 def test_nothing_moves_sideways_when_there_is_no_earlier_state() -> None:
     neighbours = np.array([[100.0, 1.0, 0.0, 0.0, 5.0, 2.0]])
-    locate(LINE, np.array([[102.5, 0.0, 20.0, 0.0]]), neighbours, np.zeros((1, 5)), 0.0)
+    locate(TABLE, np.array([[102.5, 0.0, 20.0, 0.0]]), neighbours, np.zeros((1, 5)), 0.0)
     assert neighbours[0, 3] == 0.0

@@ -13,7 +13,7 @@ from drivecal.domain.evaluations import Failure
 from drivecal.domain.roads import Floats, reference_line, to_cartesian
 from drivecal.domain.scenarios import Scenario
 from drivecal.plugins.ports import Observation, Planner, VehicleModel
-from drivecal.traffic.geometry import hits, place
+from drivecal.traffic.geometry import hits, place, with_directions
 from drivecal.traffic.simulation import Simulation
 
 SAMPLE_TIME = 0.01
@@ -48,13 +48,14 @@ class ClosedLoop:
         if self._steps_per_plan < 1 or abs(self._steps_per_plan * scenario.step - planner.period) > 1e-9:
             raise InvalidInputError(Problem("period", f"{planner.period} s", f"plan every multiple of {scenario.step} s"))
         road, ego = scenario.road, scenario.ego
-        self._line = reference_line(road)
+        line = reference_line(road)
+        self._line = with_directions(line)
         self._outline = np.array([0.5 * ego.length, 0.5 * ego.width, road.right_edge, road.left_edge])
         self._dynamics = np.zeros((self._steps * samples, 5))
         self._samples = [self._dynamics[index * samples : (index + 1) * samples] for index in range(self._steps)]
         self._motion = np.zeros((self._steps + 1, 6))
         self._motions = list(self._motion)
-        x, y, heading = to_cartesian(self._line, ego.s, ego.d)
+        x, y, heading = to_cartesian(line, ego.s, ego.d)
         self._start = (x, y, heading + ego.heading, ego.speed)
 
     def drive(self, parameters: Sequence[float], watch: Watcher | None = None, planner: Planner | None = None) -> Drive:

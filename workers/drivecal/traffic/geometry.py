@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from math import cos, sin
 
+import numpy as np
 from numba import njit
 
 from drivecal.domain.roads import Floats
@@ -16,48 +17,65 @@ TOLERANCE = 1e-9
 
 
 @njit(cache=True)
-def foot(line: Floats, x: float, y: float, near: float) -> tuple[float, float, float, float, float]:
-    """s, d, and the reference line's heading, curvature and change of curvature (1/m²) at the foot point of (x, y).
+def with_directions(line: Floats) -> Floats:
+    """The table of `drivecal.domain.roads.reference_line`, shape (n, 5), with the cosine and sine of the heading beside it, shape (n, 7).
 
-    The compiled twin of `drivecal.domain.roads.project`: same table, same interpolation, same Newton iteration from s = `near`.
+    Compiled, so that they are those that the functions here would compute, to the bit.
+    """
+    table = np.empty((len(line), 7))
+    table[:, :5] = line
+    for row in range(len(line)):
+        table[row, 5], table[row, 6] = cos(line[row, 3]), sin(line[row, 3])
+    return table
+
+
+@njit(cache=True)
+def foot(line: Floats, x: float, y: float, near: float) -> tuple[float, float, float, float, float, float, float]:
+    """s, d, and the reference line's heading, its cosine and sine, curvature and change of curvature (1/m²) at the foot point of (x, y).
+
+    The compiled twin of `drivecal.domain.roads.project`: same interpolation, same Newton iteration from s = `near`. `line` as from
+    `with_directions`.
     """
     spacing = line[1, 0]
     last = len(line) - 1
     s = near
-    d = heading = curvature = bend = 0.0
+    d = heading = curvature = bend = across = 0.0
+    along = 1.0
     for _ in range(30):
         if s < 0.0 or s > last * spacing:
             row = 0 if s < 0.0 else last
             heading, curvature, bend = line[row, 3], 0.0, 0.0
             ahead = s - row * spacing
-            foot_x, foot_y = line[row, 1] + ahead * cos(heading), line[row, 2] + ahead * sin(heading)
+            along, across = line[row, 5], line[row, 6]
+            foot_x, foot_y = line[row, 1] + ahead * along, line[row, 2] + ahead * across
         else:
             row = min(int(s / spacing), last - 1)
-            heading0, heading1 = line[row, 3], line[row + 1, 3]
             u = s - line[row, 0]
             bend = (line[row + 1, 4] - line[row, 4]) / spacing
             w = u / spacing
             from_start, from_end = w * (1.0 - w) * (1.0 - w) * spacing, w * w * (w - 1.0) * spacing
             blend = w * w * (3.0 - 2.0 * w)
             foot_x = line[row, 1] + blend * (line[row + 1, 1] - line[row, 1])
-            foot_x += from_start * cos(heading0) + from_end * cos(heading1)
+            foot_x += from_start * line[row, 5] + from_end * line[row + 1, 5]
             foot_y = line[row, 2] + blend * (line[row + 1, 2] - line[row, 2])
-            foot_y += from_start * sin(heading0) + from_end * sin(heading1)
-            heading = heading0 + u * (line[row, 4] + 0.5 * bend * u)
+            foot_y += from_start * line[row, 6] + from_end * line[row + 1, 6]
+            heading = line[row, 3] + u * (line[row, 4] + 0.5 * bend * u)
             curvature = line[row, 4] + bend * u
+            along, across = cos(heading), sin(heading)
         dx, dy = x - foot_x, y - foot_y
-        d = dy * cos(heading) - dx * sin(heading)
-        step = (dx * cos(heading) + dy * sin(heading)) / max(1.0 - curvature * d, 0.1)
+        d = dy * along - dx * across
+        step = (dx * along + dy * across) / max(1.0 - curvature * d, 0.1)
         if abs(step) < TOLERANCE:
             break
         s += step
-    return s, d, heading, curvature, bend
+    return s, d, heading, along, across, curvature, bend
 
 
 @njit(cache=True)
 def locate(line: Floats, raw: Floats, neighbours: Floats, outlines: Floats, step: float) -> None:
     """Turns SUMO's answers into Frenet states and outlines, in place.
 
+    `line` as from `with_directions`.
     `raw`: (x, y) of each vehicle's front, its speed and its offset d, shape (n, 4): SUMO's lanes are chords of the curves, so d would
     be rough if it were taken from x and y. `neighbours`: (s, d, s', d', length, width) of its centre, shape (n, 6), holding the
     values of `step` seconds ago; a `step` of 0 means that there are none. `outlines`: (x, y, heading, half length, half width),
@@ -66,15 +84,15 @@ def locate(line: Floats, raw: Floats, neighbours: Floats, outlines: Floats, step
     for i in range(len(raw)):
         half_length = 0.5 * neighbours[i, 4]
         near = neighbours[i, 0] + half_length + neighbours[i, 2] * step
-        s, chord_d, heading, curvature, _ = foot(line, raw[i, 0], raw[i, 1], near)
+        s, chord_d, heading, along, across, curvature, _ = foot(line, raw[i, 0], raw[i, 1], near)
         d = raw[i, 3]
         stretch = 1.0 - curvature * d
         neighbours[i, 3] = (d - neighbours[i, 1]) / step if step > 0.0 else 0.0
         neighbours[i, 0] = s - half_length / stretch
         neighbours[i, 1] = d
         neighbours[i, 2] = raw[i, 2] / stretch
-        front_x = raw[i, 0] - (d - chord_d) * sin(heading)
-        front_y = raw[i, 1] + (d - chord_d) * cos(heading)
+        front_x = raw[i, 0] - (d - chord_d) * across
+        front_y = raw[i, 1] + (d - chord_d) * along
         heading -= half_length * curvature / stretch
         outlines[i, 0] = front_x - half_length * cos(heading)
         outlines[i, 1] = front_y - half_length * sin(heading)
@@ -87,10 +105,11 @@ def locate(line: Floats, raw: Floats, neighbours: Floats, outlines: Floats, step
 def place(line: Floats, pose: Floats, near: float, outline: Floats, motion: Floats) -> bool:
     """Writes the ego vehicle's Frenet motion (s, s', s'', d, d', d''), shape (6,), to `motion`; True while it is on the road.
 
+    `line` as from `with_directions`.
     `pose` as from `ports.VehicleModel`, accelerations in the vehicle's own axes; `outline`: (half length, half width, right edge, left
     edge), m, the edges as offsets d of the carriageway's borders. Formulas as in `drivecal.domain.roads.to_frenet`.
     """
-    s, d, heading, curvature, bend = foot(line, pose[0], pose[1], near)
+    s, d, heading, _, _, curvature, bend = foot(line, pose[0], pose[1], near)
     yaw = pose[2] - heading
     course = yaw + pose[4]
     stretch = 1.0 - curvature * d

@@ -18,13 +18,16 @@ from drivecal.domain.errors import DrivecalError, InvalidInputError, Unavailable
 from drivecal.domain.roads import Floats, reference_line, to_cartesian
 from drivecal.domain.scenarios import Scenario
 from drivecal.traffic.configuration import EGO, ROUTE, drift_offsets, options, routes
-from drivecal.traffic.geometry import locate
+from drivecal.traffic.geometry import locate, with_directions
 
 try:
     import libsumo
+    from libsumo import _libsumo as compiled
 except ImportError as error:
     raise UnavailableError(f"the SUMO simulator cannot be used: {error}; install libsumo, nothing stands in for it") from error
 
+GET_POSITION, GET_SPEED, MOVE_TO_XY = compiled.vehicle_getPosition, compiled.vehicle_getSpeed, compiled.vehicle_moveToXY
+"""What `libsumo.vehicle` calls, without the Python function around it, which costs a third of the call: a run has two thousand."""
 SUMO_ERRORS = (libsumo.TraCIException, libsumo.FatalTraCIError)
 PLACE_TOLERANCE = 0.5
 """Metres from where a vehicle should start to the nearest place on a lane."""
@@ -48,7 +51,7 @@ class Simulation:
     def __init__(self) -> None:
         self._scenario: Scenario | None = None
         self._step = 0.0
-        self._line: Floats = np.zeros((0, 5))
+        self._line: Floats = np.zeros((0, 7))
         self._places: list[tuple[str, str, float, float]] = []
         """Id, lane, position of the front along it (m) and speed (m/s) at the start; the ego vehicle comes last."""
         self._drifts: list[tuple[int, str, list[float]]] = []
@@ -87,13 +90,14 @@ class Simulation:
                 raise SimulationError(f"SUMO cannot load scenario {scenario.id}: {error}") from error
         width, ego, traffic = scenario.road.lane_width, scenario.ego, scenario.traffic
         self._step = scenario.step
-        self._line = reference_line(scenario.road)
+        line = reference_line(scenario.road)
+        self._line = with_directions(line)
         drifting = [(row, vehicle) for row, vehicle in enumerate(traffic) if vehicle.drift]
         self._drifts = [(row, vehicle.id, drift_offsets(vehicle, scenario)) for row, vehicle in drifting]
         fronts = [(vehicle.id, vehicle.s + 0.5 * vehicle.length, vehicle.lane * width, vehicle.speed) for vehicle in traffic]
         fronts.append((EGO, ego.s + 0.5 * ego.length, scenario.task.start_lane * width, ego.speed))
         try:
-            self._places = [(name, *self._lane_at(name, s, d), speed) for name, s, d, speed in fronts]
+            self._places = [(name, *_lane_at(line, name, s, d), speed) for name, s, d, speed in fronts]
         except SUMO_ERRORS as error:
             raise SimulationError(f"the network of scenario {scenario.id} does not hold its vehicles: {error}") from error
         rows = [(vehicle.s, vehicle.lane * width, 0.0, 0.0, vehicle.length, vehicle.width) for vehicle in traffic]
@@ -106,15 +110,6 @@ class Simulation:
         self.neighbours = self._start.copy()
         self.outlines = np.zeros((len(rows), 5))
         self._scenario = scenario
-
-    def _lane_at(self, name: str, s: float, d: float) -> tuple[str, float]:
-        """SUMO's lane and its position along it: on curved edges that is not the arc length."""
-        x, y, _ = to_cartesian(self._line, s, d)
-        edge, position, lane = libsumo.simulation.convertRoad(x, y)
-        there_x, there_y = libsumo.simulation.convert2D(edge, position, lane)
-        if hypot(there_x - x, there_y - y) > PLACE_TOLERANCE:
-            raise SimulationError(f"the network has no lane for vehicle {name} at s = {s} m, d = {d} m; place it on the road")
-        return f"{edge}_{lane}", position
 
     def reset(self) -> None:
         """Takes all vehicles out and puts them in at their starts.
@@ -152,7 +147,7 @@ class Simulation:
         try:
             for _, name, offsets in self._drifts:
                 vehicle.setLateralLanePosition(name, offsets[index])
-            vehicle.moveToXY(EGO, "", -1, x, y, 90.0 - degrees(heading), MAPPED_ANYWHERE, MAPPED_WITHIN)
+            MOVE_TO_XY(EGO, "", -1, x, y, 90.0 - degrees(heading), MAPPED_ANYWHERE, MAPPED_WITHIN)
             libsumo.simulationStep()
             self._read(self._step)
         except SUMO_ERRORS as error:
@@ -160,7 +155,7 @@ class Simulation:
             raise SimulationError(f"SUMO lost a vehicle at step {index}: {error}") from error
 
     def _read(self, since: float) -> None:
-        position, speed, cells = libsumo.vehicle.getPosition, libsumo.vehicle.getSpeed, self._cells
+        position, speed, cells = GET_POSITION, GET_SPEED, self._cells
         cell = 0
         for name in self._names:
             cells[cell], cells[cell + 1] = position(name)
@@ -169,6 +164,16 @@ class Simulation:
         for row, name, _ in self._drifts:
             cells[4 * row + 3] = self._lanes[row] + libsumo.vehicle.getLateralLanePosition(name)
         locate(self._line, self._raw, self.neighbours, self.outlines, since)
+
+
+def _lane_at(line: Floats, name: str, s: float, d: float) -> tuple[str, float]:
+    """SUMO's lane and its position along it: on curved edges that is not the arc length."""
+    x, y, _ = to_cartesian(line, s, d)
+    edge, position, lane = libsumo.simulation.convertRoad(x, y)
+    there_x, there_y = libsumo.simulation.convert2D(edge, position, lane)
+    if hypot(there_x - x, there_y - y) > PLACE_TOLERANCE:
+        raise SimulationError(f"the network has no lane for vehicle {name} at s = {s} m, d = {d} m; place it on the road")
+    return f"{edge}_{lane}", position
 
 
 @cache

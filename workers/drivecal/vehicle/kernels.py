@@ -191,16 +191,9 @@ def residual_accelerations(state: Floats, delta_rate: float, acceleration: float
 
 @njit(cache=True)
 def _slip_and_yaw(
-    v: float,
-    beta: float,
-    yaw_rate: float,
-    delta: float,
-    delta_rate: float,
-    acceleration: float,
-    plant: Floats,
-    more_lateral: float,
-    more_yaw: float,
-) -> tuple[float, float]:
+    v: float, beta: float, yaw_rate: float, delta: float, delta_rate: float, acceleration: float, plant: Floats,
+    more_lateral: float, more_yaw: float,
+) -> tuple[float, float]:  # fmt: skip
     """Derivatives of side-slip angle and yaw rate.
 
     Dynamic, plus the residual's accelerations; below `DYNAMIC_ABOVE` blended with the kinematic relations beta = l_r / L delta and
@@ -318,14 +311,28 @@ def _acceleration(
 
 
 @njit(cache=True)
-def _errors(state: Floats, trajectory: Floats, time: float, spacing: float) -> tuple[float, float, float]:
+def _row_due(trajectory: Floats, time: float, spacing: float) -> int:
+    """The row of the trajectory that is due at `time` or was last, not the last one."""
+    return min(int(time / spacing + 1e-9), trajectory.shape[0] - 2)
+
+
+@njit(cache=True)
+def _directions(trajectory: Floats, row: int) -> tuple[float, float, float, float]:
+    """Cosine and sine of the heading in this row and in the next."""
+    here, there = trajectory[row, 3], trajectory[row + 1, 3]
+    return math.cos(here), math.sin(here), math.cos(there), math.sin(there)
+
+
+@njit(cache=True)
+def _errors(
+    state: Floats, trajectory: Floats, time: float, spacing: float, row: int, directions: tuple[float, float, float, float]
+) -> tuple[float, float, float]:
     """How far the vehicle is ahead of the trajectory's point due now (m), to its left (m), and its course turned from it (rad).
+    `row`: as from `_row_due`; `directions`: there.
 
     Between rows the path is a cubic Hermite curve: chords would cut curves by millimetres ten times a second.
     """
-    position = time / spacing + 1e-9
-    row = min(int(position), trajectory.shape[0] - 2)
-    p = position - row
+    p = time / spacing + 1e-9 - row
     here, there = trajectory[row, 3], trajectory[row + 1, 3]
     start, end = trajectory[row, 5] * spacing, trajectory[row + 1, 5] * spacing
     blend = p * p * (3.0 - 2.0 * p)
@@ -333,8 +340,8 @@ def _errors(state: Floats, trajectory: Floats, time: float, spacing: float) -> t
     end *= p * p * (p - 1.0)
     x = trajectory[row, 1] + blend * (trajectory[row + 1, 1] - trajectory[row, 1])
     y = trajectory[row, 2] + blend * (trajectory[row + 1, 2] - trajectory[row, 2])
-    dx = state[0] - (x + start * math.cos(here) + end * math.cos(there))
-    dy = state[1] - (y + start * math.sin(here) + end * math.sin(there))
+    dx = state[0] - (x + start * directions[0] + end * directions[2])
+    dy = state[1] - (y + start * directions[1] + end * directions[3])
     course = here + p * _wrapped(there - here)
     cosine, sine = math.cos(course), math.sin(course)
     return dx * cosine + dy * sine, dy * cosine - dx * sine, _wrapped(state[2] + state[4] - course)
@@ -365,9 +372,15 @@ def follow(
     if not (last >= 1 and spacing > 0.0 and since >= 0.0 and since + (steps - 1) * STEP <= last * spacing + 1e-9):
         return TOO_SHORT
     before = state.copy()
+    row = -1
+    directions = (1.0, 0.0, 1.0, 0.0)
     for k in range(steps):
         time = since + k * STEP
-        position_error, lateral_error, course_error = _errors(state, trajectory, time, spacing)
+        due = _row_due(trajectory, time, spacing)
+        if due != row:
+            row = due
+            directions = _directions(trajectory, row)
+        position_error, lateral_error, course_error = _errors(state, trajectory, time, spacing, row, directions)
         rate = _steering_rate(state, controller, lateral_error, course_error, trajectory, time, spacing)
         acceleration = _acceleration(state, position_error, course_error, trajectory, time, spacing)
         before[:] = state
