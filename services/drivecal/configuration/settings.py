@@ -7,9 +7,11 @@ services. An unknown key in a config file is refused, for there it can only be a
 
 from __future__ import annotations
 
+import re
 import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
+from urllib.parse import quote
 
 from pydantic import Field, StringConstraints, ValidationError, field_validator, model_validator
 from pydantic_settings import BaseSettings, InitSettingsSource, PydanticBaseSettingsSource, SettingsConfigDict
@@ -19,6 +21,7 @@ from drivecal.domain.errors import InvalidInputError, Problem
 PREFIX = "DRIVECAL_"
 CONFIG_FILE = Path("drivecal.toml")
 MOST_WORKERS = 10_000
+_PASSWORD = re.compile(r":[^/@]*@")
 
 Line = Annotated[str, StringConstraints(min_length=1, max_length=4096, pattern=r"^[^\x00-\x1f\x7f]+$")]
 Secret = Annotated[str, StringConstraints(min_length=1, max_length=4096, pattern=r"^[\x21-\x7e]+$")]
@@ -34,6 +37,8 @@ class Settings(BaseSettings):
     """Where drivecal keeps its files: the SQLite database, the config file, the demo's results. Absolute once loaded."""
     database_url: Line = ""
     """SQLAlchemy URL; the default is the SQLite file `drivecal.db` in `home`."""
+    database_password_file: Path | None = None
+    """A file with the password that belongs into `database_url`, so that no environment shows it."""
     url: Line = "http://127.0.0.1:8000"
     """Where clients find the server."""
     token: Secret | None = Field(default=None, repr=False)
@@ -58,7 +63,7 @@ class Settings(BaseSettings):
     event_days: Annotated[int, Field(ge=1, le=36_500)] = 30
     """How long it is kept what happened to campaigns; the last event of each stays."""
 
-    @field_validator("home", "tokens_file")
+    @field_validator("home", "tokens_file", "database_password_file")
     @classmethod
     def _absolute(cls, value: Path | None) -> Path | None:
         return None if value is None else value.expanduser().absolute()
@@ -67,7 +72,10 @@ class Settings(BaseSettings):
     @classmethod
     def _database_in_home(cls, values: dict[str, Any]) -> dict[str, Any]:
         if values.get("database_url"):
-            return values
+            url, file = str(values["database_url"]), values.get("database_password_file")
+            if not file or url.startswith("sqlite"):  # a file needs none
+                return values
+            return {**values, "database_url": _with_password(url, Path(str(file)))}
         home = Path(str(values.get("home") or cls.model_fields["home"].default))
         return {**values, "database_url": f"sqlite:///{home.expanduser().absolute() / 'drivecal.db'}"}
 
@@ -102,8 +110,11 @@ class Settings(BaseSettings):
 
     @property
     def environment(self) -> dict[str, str]:
-        """The same settings as environment variables, for the server's processes. A client's token is none of theirs."""
+        """The same settings as environment variables, for the server's processes. A client's token is none of theirs, and a password
+        that was in a file stays there."""
         values = self.model_dump(mode="json", exclude_none=True, exclude={"token"})
+        if self.database_password_file is not None and not self.database_url.startswith("sqlite"):
+            values["database_url"] = _PASSWORD.sub("@", self.database_url, count=1)
         return {f"{PREFIX}{name.upper()}": str(value) for name, value in values.items()}
 
 
@@ -113,6 +124,27 @@ def load_settings(**flags: Any) -> Settings:
         return Settings(**{name: value for name, value in flags.items() if value is not None})
     except ValidationError as error:
         raise InvalidInputError(*(_explain(dict(problem)) for problem in error.errors(include_url=False))) from None
+
+
+def _with_password(url: str, file: Path) -> str:
+    """The URL with the password that `file` holds. Raises InvalidInputError saying what is wrong with either."""
+    name = "database_password_file"
+    try:
+        password = file.expanduser().read_text(encoding="utf-8").strip()
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "it is no text"
+        raise InvalidInputError(
+            Problem(name, f"{file} cannot be read: {reason}", "make the file, or name another one")
+        ) from None
+    if not password:
+        raise InvalidInputError(Problem(name, f"{file} is empty", "write the database's password into it"))
+    scheme, _, rest = url.partition("://")
+    authority, slash, path = rest.partition("/")
+    user, at, host = authority.rpartition("@")
+    if not at or not user or ":" in user:
+        remedy = "name a user and no password in DRIVECAL_DATABASE_URL, e.g. postgresql://user@host/database"
+        raise InvalidInputError(Problem(name, "the password has no place in the database URL", remedy))
+    return f"{scheme}://{user}:{quote(password, safe='')}@{host}{slash}{path}"
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -6,12 +6,16 @@ actor has at most two calls, so that it never waits for the next one.
 
 from __future__ import annotations
 
+import itertools
 import logging
 import time
 from collections import deque
+from collections.abc import Collection
 from dataclasses import dataclass, field
+from importlib.metadata import version
 from typing import Any
 
+from drivecal.cluster.members import Node
 from drivecal.contracts.work import Batch, BatchResult
 from drivecal.domain.errors import DrivecalError
 from drivecal.domain.evaluations import Breakdown
@@ -24,6 +28,7 @@ from drivecal.execution.backend import (
     Slot,
     WorkerInfo,
 )
+from drivecal.execution.placement import complaint, missing
 from drivecal.execution.ray_cluster import Cluster
 from drivecal.runtime.worker import Worker
 
@@ -41,9 +46,10 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class RayOptions:
-    """`address` of a cluster, None starts a local Ray; `workers`: None is one per CPU. A batch that takes longer than
-    `deadline_seconds` and longer than `deadline_factor` times what was expected is ended as hung, and so is a worker
-    that takes longer than `start_seconds` to start, which includes compiling."""
+    """`address` of a cluster, None starts a local Ray; `workers`: None is one per CPU, of all nodes that are there.
+
+    A batch that takes longer than `deadline_seconds` and longer than `deadline_factor` times what was expected is ended as hung, and so is
+    a worker that takes longer than `start_seconds` to start, which includes compiling."""
 
     address: str | None = None
     workers: int | None = None
@@ -64,6 +70,8 @@ class _Call:
 @dataclass(slots=True)
 class _Actor:
     index: int
+    home: Node | None = None
+    """Where it belongs; None in a local Ray."""
     incarnation: int = 0
     handle: Any = None
     warming: Any = None
@@ -116,13 +124,17 @@ class RayBackend:
         self._options = options
         self._cluster = Cluster(options.address, options.workers)
         self._ray = self._cluster.ray
-        spread = {"scheduling_strategy": "SPREAD"} if options.address else {}
-        self._actor_class = self._ray.remote(num_cpus=1, max_restarts=0, max_task_retries=0, **spread)(Worker)
+        self._actor_class = self._ray.remote(num_cpus=1, max_restarts=0, max_task_retries=0)(Worker)
         self._trial = trial
-        count = options.workers or max(1, self._cluster.cpus())
-        self._actors = [_Actor(index) for index in range(1, count + 1)]
-        for actor in self._actors:
-            self._start(actor)
+        self._version = version("drivecal")
+        self._nodes: tuple[Node, ...] = ()
+        self._indices = itertools.count(1)
+        self._actors: list[_Actor] = []
+        if options.address is None:
+            for _ in range(options.workers or max(1, self._cluster.cpus())):
+                self._hire(None)
+        else:
+            self._follow_nodes()
 
     def submit(self, worker: str, batch_id: int, batch: Batch, expected_seconds: float | None, *, alone: bool = False) -> None:
         """See `Backend`."""
@@ -141,6 +153,7 @@ class RayBackend:
         events: list[Finished | Lost] = []
         while not events:
             self._cluster.check()
+            events += self._follow_nodes()
             now = time.monotonic()
             for actor in self._actors:
                 if actor.handle is None and actor.start_again_at <= now:
@@ -179,6 +192,8 @@ class RayBackend:
         starting = [actor for actor in self._actors if actor.failed_starts]
         failing = [actor for actor in self._actors if actor.faults and not actor.failed_starts]
         found = [self._cluster.trouble()]
+        if self._options.address is not None:
+            found.append(complaint(self._nodes, self._version, self._cluster.name))
         found += [
             f"{len(actors)} of {len(self._actors)} workers {words}: {actors[0].reason}"
             for actors, words in ((starting, "do not start"), (failing, "give no results"))
@@ -192,9 +207,44 @@ class RayBackend:
             self._kill(actor)
         self._cluster.close()
 
+    def _follow_nodes(self) -> list[Finished | Lost]:
+        """Workers on nodes that have come; what workers had whose nodes have gone is lost, and so are they."""
+        if self._nodes is self._cluster.nodes:
+            return []
+        before, self._nodes = self._nodes, self._cluster.nodes
+        there = {node.id for node in self._nodes}
+        events = [event for actor in self._gone(there) for event in self._dismiss(actor)]
+        for node in missing(self._nodes, self._homes(), self._options.workers, self._version):
+            self._hire(node)
+        for node in sorted(set(before) - set(self._nodes)):
+            if node.cpus:
+                log.warning("node %s is gone (%d CPUs); its cells go elsewhere", node.name, node.cpus)
+        for node in sorted(set(self._nodes) - set(before)):
+            if node.cpus:
+                log.info("node %s is there: %d CPUs, drivecal %s", node.name, node.cpus, node.version or "unknown")
+        return events
+
+    def _homes(self) -> list[str]:
+        return [actor.home.id for actor in self._actors if actor.home is not None]
+
+    def _gone(self, there: Collection[str]) -> list[_Actor]:
+        return [actor for actor in self._actors if actor.home is not None and actor.home.id not in there]
+
+    def _hire(self, home: Node | None) -> None:
+        actor = _Actor(next(self._indices), home, node="" if home is None else home.name)
+        self._actors.append(actor)
+        self._start(actor)
+
+    def _dismiss(self, actor: _Actor) -> list[Finished | Lost]:
+        """A worker whose node is gone; it may have been the worker that took the node along, so its cells are blamed as by a crash."""
+        events = self._lose(actor, Breakdown.CRASH, f"{_place(actor)} went with its node")
+        self._kill(actor)
+        self._actors.remove(actor)
+        return events
+
     def _start(self, actor: _Actor) -> None:
         actor.incarnation += 1
-        actor.handle = self._actor_class.remote(actor.name)
+        actor.handle = self._actor_class.options(**self._bound_to(actor.home)).remote(actor.name)
         actor.warming = actor.handle.warm.remote(self._trial)
         actor.deadline = time.monotonic() + self._options.start_seconds
 
@@ -275,7 +325,7 @@ class RayBackend:
 
     def _overdue(self, now: float) -> list[Finished | Lost]:
         events: list[Finished | Lost] = []
-        for actor in self._actors:
+        for actor in tuple(self._actors):
             if actor.deadline > now or (actor.warming is None and not actor.calls):
                 continue
             if actor.warming is not None:
@@ -291,19 +341,30 @@ class RayBackend:
 
     def _bury(self, actor: _Actor, breakdown: Breakdown, detail: str, cause: BaseException | None) -> list[Finished | Lost]:
         """Everything an actor had is lost; a new one starts at once, or after a pause where it was the start that failed."""
+        if actor in self._gone({node.id for node in self._cluster.nodes}):
+            return self._dismiss(actor)
         log.warning("%s; it is replaced", detail, exc_info=cause if log.isEnabledFor(logging.DEBUG) else None)
-        seconds = self._busy_seconds(actor)
-        lost: list[Finished | Lost] = [
-            Lost(call.batch_id, actor.name, breakdown, detail, 0.0 if behind else seconds)
-            for behind, call in enumerate(actor.calls)
-        ]
+        lost = self._lose(actor, breakdown, detail)
         if actor.warming is not None:
             actor.failed_starts += 1
             actor.reason = detail
             actor.pause(actor.failed_starts)
-        actor.calls.clear()
         self._begin_anew(actor)
         return lost
+
+    def _lose(self, actor: _Actor, breakdown: Breakdown, detail: str) -> list[Finished | Lost]:
+        seconds = self._busy_seconds(actor)
+        calls, actor.calls = actor.calls, deque()
+        return [
+            Lost(call.batch_id, actor.name, breakdown, detail, 0.0 if behind else seconds) for behind, call in enumerate(calls)
+        ]
+
+    def _bound_to(self, home: Node | None) -> dict[str, Any]:
+        if home is None:
+            return {}
+        from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
+
+        return {"scheduling_strategy": NodeAffinitySchedulingStrategy(home.id, soft=False)}
 
     def _begin_anew(self, actor: _Actor) -> None:
         self._kill(actor)

@@ -87,8 +87,6 @@ class Cluster:
         try:
             check_token(os.environ)
             self.nodes = ask(address)
-            if not self.nodes:
-                raise UnavailableError(f"{self.name} is only starting")
             if not here(self.nodes):
                 self._own = OwnNode(address)
         except UnavailableError:

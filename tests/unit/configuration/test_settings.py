@@ -52,7 +52,7 @@ def test_the_file_here_may_move_the_home_folder_but_the_file_at_home_may_not(tmp
     [
         (b"workers = ", "drivecal.toml: the config file cannot be read"),
         (b"\xff\xfe", "drivecal.toml: the config file cannot be read"),
-        (b"worker = 2", "worker: there is no such setting; one of database_url, .*home, "),
+        (b"worker = 2", "worker: there is no such setting; one of database_password_file, .*home, "),
         (b"workers = 0", "workers: 0 does not fit.*greater than or equal to 1.*DRIVECAL_WORKERS"),
         (b"workers = 1e30", "workers: "),
         (b"url = 'localhost:8000'", "url: 'localhost:8000' does not fit: it is no web address"),
@@ -104,3 +104,32 @@ def test_a_child_process_is_not_told_the_users_own_token() -> None:
 def test_a_token_that_no_header_can_carry_is_refused(token: str) -> None:
     with pytest.raises(InvalidInputError, match="token: the value does not fit"):
         load_settings(token=token)
+
+
+def test_the_password_of_the_database_may_lie_in_a_file_and_stays_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "password").write_text("a/b@c d\n")
+    monkeypatch.setenv("DRIVECAL_DATABASE_URL", "postgresql://me@db:5432/drivecal?sslmode=require")
+    monkeypatch.setenv("DRIVECAL_DATABASE_PASSWORD_FILE", str(tmp_path / "password"))
+    settings = load_settings()
+    assert settings.database_url == "postgresql://me:a%2Fb%40c%20d@db:5432/drivecal?sslmode=require"
+    assert settings.environment["DRIVECAL_DATABASE_URL"] == "postgresql://me@db:5432/drivecal?sslmode=require"
+    assert settings.environment["DRIVECAL_DATABASE_PASSWORD_FILE"] == str(tmp_path / "password")
+
+
+@pytest.mark.parametrize(
+    ("url", "content", "message"),
+    [
+        ("postgresql://me@db/drivecal", None, "password cannot be read: No such file or directory; make the file"),
+        ("postgresql://me@db/drivecal", b"\n", "password is empty; write the database's password into it"),
+        ("postgresql://me@db/drivecal", b"\xff", "password cannot be read: it is no text"),
+        ("postgresql://me:known@db/drivecal", b"word", "no place in the database URL; name a user and no password"),
+        ("postgresql://db/drivecal", b"word", "no place in the database URL; name a user"),
+    ],
+)
+def test_a_missing_password_is_named_with_its_file(tmp_path: Path, url: str, content: bytes | None, message: str) -> None:
+    if content is not None:
+        (tmp_path / "password").write_bytes(content)
+    with pytest.raises(InvalidInputError, match=message):
+        load_settings(database_url=url, database_password_file=tmp_path / "password")

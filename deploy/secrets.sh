@@ -1,0 +1,29 @@
+#!/bin/sh
+# Makes the secrets of the cluster where they are missing, and says how to reach it:
+#
+#     eval "$(deploy/secrets.sh)"     # afterwards `drivecal` finds the cluster and shows its token
+#
+# postgres_password  between the database and those that use it
+# ray_token          between the nodes of the Ray cluster; nodes on other machines need the same
+# tokens             who may use the API: NAME read|write TOKEN, a line each; add lines as you like, the server reads them again
+#
+# Nothing that exists is ever replaced. Only you can enter the folder; inside, the files are readable, for the users in the containers are
+# others than you. The folder is deploy/secrets, or DRIVECAL_SECRETS.
+set -eu
+cd "$(dirname "$0")/.."
+folder=${DRIVECAL_SECRETS:-deploy/secrets}
+
+random() { od -An -tx1 -N32 /dev/urandom | tr -d ' \n'; }
+make() { # FILE CONTENT: in one step, so that nobody ever reads half a secret
+    [ -e "$folder/$1" ] || { printf '%s\n' "$2" >"$folder/$1.$$" && chmod 644 "$folder/$1.$$" && mv "$folder/$1.$$" "$folder/$1"; }
+}
+
+umask 077
+mkdir -p "$folder"
+chmod 700 "$folder"
+make postgres_password "$(random)"
+make ray_token "$(random)"
+make tokens "me write $(random)"
+
+echo "export DRIVECAL_URL=http://127.0.0.1:${DRIVECAL_PORT:-8000}"
+sed -n 's/^ *[^#][^ ]* write \([^ ]*\).*/export DRIVECAL_TOKEN=\1/p' "$folder/tokens" | head -n 1

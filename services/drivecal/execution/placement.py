@@ -1,0 +1,46 @@
+"""On which nodes of a cluster workers belong: one per CPU, as many as there may be, and never on another version. Pure."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Sequence
+
+from drivecal.cluster.members import Node
+
+
+def missing(nodes: Sequence[Node], placed: Collection[str], most: int | None, version: str) -> list[Node]:
+    """The nodes that get another worker each, in this order; a node occurs once for each.
+
+    `placed`: the ids of the nodes of all workers that there are. `most`: workers in all; None is one per CPU. The next worker goes where
+    the fewest are, so that a few workers are spread over many nodes.
+    """
+    room = {node.id: node.cpus for node in nodes if fits(node, version)}
+    by_id = {node.id: node for node in nodes}
+    taken = Counter(identifier for identifier in placed if identifier in room)
+    found: list[Node] = []
+    while most is None or taken.total() < most:
+        free = [identifier for identifier, cpus in room.items() if taken[identifier] < cpus]
+        if not free:
+            break
+        chosen = min(free, key=lambda identifier: taken[identifier])
+        taken[chosen] += 1
+        found.append(by_id[chosen])
+    return found
+
+
+def fits(node: Node, version: str) -> bool:
+    """Whether a node has the coordinator's drivecal, or does not say which."""
+    return node.version in {None, version}
+
+
+def complaint(nodes: Sequence[Node], version: str, cluster: str) -> str | None:
+    """What is wrong with the nodes, in words; None where nothing is."""
+    working = [node for node in nodes if node.cpus > 0]
+    others = [node for node in working if not fits(node, version)]
+    if others:
+        listed = ", ".join(f"{node.name} has drivecal {node.version}" for node in others[:3])
+        return (
+            f"{len(others)} of {len(working)} nodes get no work, for they are of another version than the coordinator"
+            f" ({version}): {listed}; install the same release on both"
+        )
+    return None if working else f"{cluster} has no node with workers; start some, and they get work at once"
