@@ -25,13 +25,18 @@ a { color: #00568a; } .warn { border-left: 4px solid #D55E00; padding-left: .7re
 .key { border-left: 4px solid #0072B2; padding-left: .7rem; }
 @page { size: A4; margin: 15mm; }
 @media print {
-  body { margin: 0; max-width: none; padding: 0; font-size: 10pt; }
+  body { margin: 0; max-width: none; padding: 0; font-size: 9.5pt; } figcaption, caption { font-size: 8pt; }
+  h1 { font-size: 16pt; } h2 { font-size: 12pt; margin-top: 1.4rem; } figure { margin: .5rem 0; } pre { font-size: 7.5pt; }
   nav { display: none; } a { color: inherit; text-decoration: none; }
-  figure, tr, caption, p { break-inside: avoid; } thead { display: table-header-group; } h2, h3, caption { break-after: avoid; }
+  figure, tr, caption, p, .short { break-inside: avoid; } thead { display: table-header-group; } h2, h3, caption { break-after: avoid; }
   .scroll { overflow: visible; } table { font-size: 7.5pt; } th, td { padding: .08rem .22rem; } ul.files { font-size: 8pt; }
 }
 """
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
+
+
+SHORT = 16
+"""Rows up to which a table is not torn apart in print."""
 
 
 class Emphasized(str):
@@ -151,7 +156,8 @@ def table(
     title = f"<caption>{escape(caption)}</caption>" if caption else ""
     head = f"<thead>{line('th', header)}</thead>" if any(header) else ""
     body = "\n".join(line("td", row) for row in lines)
-    return f'<div class="scroll"><table>{title}{head}<tbody>\n{body}\n</tbody></table></div>'
+    short = " short" * (len(lines) <= SHORT)
+    return f'<div class="scroll{short}"><table>{title}{head}<tbody>\n{body}\n</tbody></table></div>'
 
 
 def _class(names: Iterable[str]) -> str:

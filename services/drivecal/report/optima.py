@@ -46,8 +46,14 @@ def constant(sets: Sequence[Solution], parameters: Iterable[SearchedParameter]) 
     return {name: next(iter(found)) for name, found in values.items() if len(found) == 1}
 
 
-def drawn(optima: Sequence[OptimumRow], solutions: Sequence[Solution], parameters: Sequence[SearchedParameter]) -> Drawn:
-    """Figure 12, left. `solutions`: the best of the ranking, `optima` among them."""
+def drawn(
+    optima: Sequence[OptimumRow],
+    solutions: Sequence[Solution],
+    parameters: Sequence[SearchedParameter],
+    recommended: Mapping[str, float] | None = None,
+) -> Drawn:
+    """Figure 12, left. `solutions`: the best of the ranking, `optima` among them; `recommended`: the values of the set that a robustness
+    study recommends."""
     axes = searched(parameters)
     worse = [one for one in solutions if one.rank > len(optima)][:MOST_OTHERS]
     same = constant(optima, axes)
@@ -60,10 +66,12 @@ def drawn(optima: Sequence[OptimumRow], solutions: Sequence[Solution], parameter
         caption += f" Grey: the {len(worse)} sets that rank next."
     if same:
         caption += " A diamond marks an axis on which all sets with the best objective have the same value."
+    if recommended is not None:
+        caption += " Black with dots: the set that the robustness study recommends."
     alt = f"Parallel coordinates of {_sentence(optima)}"
     if same:
         alt += " All have " + ", ".join(f"{name} = {value:g}" for name, value in same.items()) + "."
-    return Drawn("figure-12-optima", caption, optima_figure(optima[:MOST_BEST], worse, axes, same), alt=alt)
+    return Drawn("figure-12-optima", caption, optima_figure(optima[:MOST_BEST], worse, axes, same, recommended), alt=alt)
 
 
 def optima_figure(
@@ -71,6 +79,7 @@ def optima_figure(
     worse: Sequence[Solution],
     parameters: Sequence[SearchedParameter],
     same: Mapping[str, float],
+    recommended: Mapping[str, float] | None = None,
 ) -> Figure:
     """Parallel coordinates over the searched `parameters`; `same`: the axes on which all best sets have one value."""
     places = np.arange(len(parameters))
@@ -83,6 +92,13 @@ def optima_figure(
         axes.vlines(places, 0, 1, color=RULE, linewidth=0.8, zorder=1)
         _lines(axes, positions(worse, parameters), WORSE, "-", 0.5, "optima.worse", 2)
         handles = _regions(axes, best, parameters)
+        if recommended is not None:
+            heights = [(recommended[one.name] - one.lower) / (one.upper - one.lower) for one in parameters]
+            (line,) = axes.plot(
+                places, heights, color=INK, linewidth=1.0, marker="o", markersize=3.5, zorder=5.5, gid="recommended"
+            )
+            line.set_label("recommended")
+            handles.append(line)
         if worse:
             handles.append(Line2D([], [], color=WORSE, linewidth=1.2, label="ranked next"))
         for place, one in enumerate(parameters):

@@ -17,7 +17,7 @@ def page(findings: Findings, drawn: Mapping[str, str], names: Sequence[str], ver
     sections = {
         "Summary": results.summary(findings),
         "Problem": problem.setting(findings),
-        "Where parameters matter": influence.parts(findings.influence, findings.basis, _figures(drawn, "figure-9-")),
+        "Where parameters matter": _influence(findings, drawn),
         "Search": _search(findings, drawn),
         "Reuse": _reuse(findings, drawn),
         "Best sets": _best(findings, drawn),
@@ -50,6 +50,12 @@ def _figures(drawn: Mapping[str, str], prefix: str) -> list[str]:
 
 def _searched(campaign: Campaign) -> bool:
     return campaign.spec.get("optimizer", {}) is not None
+
+
+def _influence(findings: Findings, drawn: Mapping[str, str]) -> list[str]:
+    if not findings.influence and not _searched(findings.campaign):
+        return []
+    return influence.parts(findings.influence, findings.basis, _figures(drawn, "figure-9-"))
 
 
 def _search(findings: Findings, drawn: Mapping[str, str]) -> list[str]:

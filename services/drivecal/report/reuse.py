@@ -58,9 +58,9 @@ def self_check(campaign: Campaign) -> list[str]:
 
 
 def accounting(found: Accounting | None) -> list[str]:
-    """Savings and costs, and when the map pays."""
+    """Savings and costs, and when the map pays; nothing before the first answered cell."""
     if found is None:
-        return [paragraph("Nothing is answered yet.")]
+        return []
     rows = [[item, Number(f"{seconds:,.1f}")] for item, seconds in seconds_of(found)]
     parts = [paragraph(found.sentence), table(["", "CPU seconds"], rows, "Cost accounting, in CPU time of the workers")]
     even = found.break_even

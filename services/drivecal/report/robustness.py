@@ -79,7 +79,8 @@ def _drawn(studied: Robust, name: str) -> Drawn:
     )
     caption = (
         f"Figure 12, right. For {some} (the most robust on top) the largest deviation, over all scenarios and vehicles, in growing boxes "
-        f"around the nominal vehicle; condition: {condition(studied.study.settings)}. The heavy line is the widest box that holds."
+        f"around the nominal vehicle, the first of half width {studied.study.settings['delta']:g}; condition: "
+        f"{condition(studied.study.settings)}. The heavy line is the widest box that holds."
     )
     alt = "Bars by examined set. " + "; ".join(
         f"rank {row.rank}: degree {degree(row).replace('≥', 'at least')}, holds up to {row.radius:g}"
@@ -133,8 +134,9 @@ def parts(studies: Sequence[Robust], optima: Sequence[OptimumRow], campaign: str
     """The section: what was examined, Table 9, the figure, the recommended set."""
     main, *others = studies
     settings, made_by = main.study.settings, main.study.campaign
+    of = f" of campaign {settings['of']}" if settings.get("of") not in {None, campaign} else ""
     text = (
-        f"The {len(main.rows)} best sets were driven in other vehicles: {settings['samples']} in each box, boxes of half width "
+        f"The {len(main.rows)} best sets{of} were driven in other vehicles: {settings['samples']} in each box, boxes of half width "
         f"k·{settings['delta']:g} of the vehicle parameters' ranges, k = 1 … {settings['steps']}; condition {condition(settings)}. The "
         "degree of robustness is the number of boxes up to which the condition holds in every scenario."
     )
