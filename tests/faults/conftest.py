@@ -8,11 +8,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from tests.support.faults.coordinator import Coordinator, coordinator
-from tests.support.faults.findings import Found, assert_sound, found
-from tests.support.faults.lives import wait_until_ended
+from tests.support.faults.coordinator import Coordinator
+from tests.support.faults.findings import Found
+from tests.support.faults.oracle import undisturbed
 from tests.support.faults.postgres import KillablePostgres, killable_postgres
-from tests.support.faults.workload import submit
 
 LONG = "faults"
 """The marker of what only `make test-faults` runs."""
@@ -37,19 +36,8 @@ def postgres() -> Iterator[KillablePostgres]:
 
 @pytest.fixture(scope="session")
 def without_faults(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Found]:
-    """What the campaigns find, by name, on SQLite and a server that nothing happens to. Both databases have to give just this."""
-    with coordinator(tmp_path_factory.mktemp("without-faults")) as server:
-        server.start_ready()
-        accepted = submit(server.url)
-        wait_until_ended(server, accepted)
-        assert_sound(server, accepted)
-        results = {name: found(server, identifier) for name, identifier in accepted.campaigns.items()}
-        server.terminate()
-    counts = results["reusing"].campaign["cells"]
-    assert min(counts[name] for name in ("repeated", "reused", "simulated", "audited", "carried_over")) > 0, counts
-    assert len({row["score"] for row in results["reusing"].tables["evaluations"]}) >= 3
-    assert results["analysing"].campaign["sensitivity_cells"]["simulated"] > 50
-    return results
+    """What the campaigns find, by name, where nothing happens to them. Both databases have to give just this."""
+    return undisturbed(tmp_path_factory.mktemp("without-faults"))
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ from drivecal.contracts.work import Batch, Cell
 from drivecal.execution.backend import Finished, Lost
 from drivecal.execution.pool import WorkPool
 from drivecal.execution.ray_backend import RayBackend
-from drivecal.execution.scheduler import ATTEMPTS, Completed
+from drivecal.execution.scheduler import Completed
 
 
 @pytest.fixture
@@ -45,17 +45,6 @@ def test_two_workers_share_the_cells_and_agree(pool: WorkPool) -> None:
     assert len({one.worker for one in completed}) == 2
     assert len({(one.result.rating, tuple(one.result.metrics.items())) for one in completed}) == 1
     assert all(one.result.milliseconds > 0 for one in completed)
-
-
-def test_poison_among_good_cells_fails_alone(pool: WorkPool) -> None:
-    behaviours = [Behaviour.WELL] * 60
-    behaviours[7], behaviours[30] = Behaviour.CRASH, Behaviour.ERROR
-    pool.submit(misbehaving_setup(), misbehaving_cells(behaviours), tag="test")
-    completed = {one.result.id: one for one in drain(pool)}
-    assert len(completed) == 60
-    failed = {number: one.result.breakdown for number, one in completed.items() if one.result.breakdown}
-    assert failed == {8: "crash", 31: "error"}
-    assert completed[8].attempts == ATTEMPTS
 
 
 def test_workers_killed_from_outside_cost_no_cell(pool: WorkPool) -> None:

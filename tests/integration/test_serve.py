@@ -49,27 +49,6 @@ def test_serve_starts_and_stops_cleanly_and_keeps_others_off_its_database(server
     until(lambda: gone(family), "the end of every process", 2.0)
 
 
-def test_what_is_killed_comes_back_and_a_killed_server_leaves_nothing(server: Server) -> None:
-    api = server.child("drivecal.api")
-    api.kill()
-    until(lambda: server.alive() and server.child("drivecal.api").pid != api.pid, "a new API")
-    dispatcher = server.child("drivecal.dispatch")
-    assert server.dispatcher_pid() == dispatcher.pid
-    before = [dispatcher, *dispatcher.children(recursive=True)]
-    dispatcher.kill()
-    until(lambda: gone(before), "the end of the old dispatcher's Ray", 5.0)
-    until(lambda: server.dispatcher_pid() != dispatcher.pid, "a new dispatcher")
-    assert "the dispatcher ended unexpectedly" in server.log.read_text()
-    dispatcher = server.child("drivecal.dispatch")
-    until(lambda: httpx.get(f"{server.url}/readyz", timeout=5.0).status_code == 200, "its workers", 120.0)
-    next(one for one in dispatcher.children() if one.name() == "gcs_server").kill()
-    until(lambda: server.dispatcher_pid() != dispatcher.pid, "a new dispatcher with a new Ray")
-    assert "Ray's gcs_server ended unexpectedly" in server.log.read_text()
-    family = server.family()
-    server.process.kill()
-    until(lambda: gone(family), "the end of every process", 5.0)
-
-
 def test_every_line_of_the_log_is_a_document_and_says_what_it_is_about(tmp_path: Path) -> None:
     with (
         serving(tmp_path, DRIVECAL_LOG_FORMAT="json", DRIVECAL_LOG_LEVEL="debug") as server,

@@ -12,6 +12,7 @@ from drivecal.contracts.work import Cell, CellResult
 from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.leasing import StoredLeases
 from drivecal.dispatch.tenure import Tenure
+from drivecal.execution.backend import Backend
 from drivecal.execution.pool import WorkPool
 from drivecal.storage import campaigns, generations, results
 from drivecal.storage.campaigns import StoredCampaign
@@ -93,7 +94,7 @@ def everything(database: Database, campaign: StoredCampaign) -> tuple[Any, ...]:
     return cells, figures, ended.cells, ended.best, ended.error_rate, ended.notes
 
 
-def dispatcher(database: Database, backend: ComputedBackend | None = None) -> Dispatcher:
+def dispatcher(database: Database, backend: Backend | None = None) -> Dispatcher:
     """A newly elected one, that looks and reports in every step. Those before write nothing any more."""
     ticks = iter(range(10**9))
     own = database.fenced(Tenure.begin(database).fence)

@@ -15,9 +15,6 @@ from pathlib import Path
 import httpx
 import psutil
 
-from drivecal.storage import processes
-from drivecal.storage.database import Database
-
 
 def environment(folder: Path, workers: int = 1) -> dict[str, str]:
     """Of a user who has nothing but a home folder."""
@@ -57,23 +54,11 @@ class Server:
     def family(self) -> list[psutil.Process]:
         return psutil.Process(self.process.pid).children(recursive=True)
 
-    def child(self, words: str) -> psutil.Process:
-        """The child itself: its guardian has the words in its command line as well."""
-        return next(one for one in self.family() if words in one.cmdline() and "drivecal.server.guardian" not in one.cmdline())
-
     def alive(self) -> bool:
         try:
             return httpx.get(f"{self.url}/healthz", timeout=5.0).status_code == 200
         except httpx.HTTPError:
             return False
-
-    def dispatcher_pid(self) -> int:
-        database = Database.open(f"sqlite:///{self.folder}/home/drivecal.db")
-        with database.read() as connection:
-            found = processes.read(connection, "dispatcher")
-        database.dispose()
-        assert found is not None
-        return found.pid
 
 
 @contextmanager

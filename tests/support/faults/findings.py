@@ -6,10 +6,9 @@ import csv
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 from sqlalchemy import Connection, func, select
-from tests.support.faults.coordinator import Coordinator
 from tests.support.faults.workload import Accepted
 
 from drivecal.client.client import Client, Table
@@ -17,6 +16,7 @@ from drivecal.contracts.campaign import Campaign
 from drivecal.domain.campaigns import CampaignState
 from drivecal.execution.scheduler import ATTEMPTS
 from drivecal.storage import campaigns
+from drivecal.storage.database import Database
 from drivecal.storage.tables import campaigns as campaigns_table
 from drivecal.storage.tables import evaluations, leases, parameter_sets, ratings, runs, setups
 
@@ -47,6 +47,16 @@ OUTCOMES = ("repeated", "reused", "certified", "simulated", "failed")
 PLACE = ("stage", "iteration", "individual", "scenario")
 
 
+class Served(Protocol):
+    """Where campaigns can be asked for, and their database."""
+
+    @property
+    def url(self) -> str: ...
+
+    @property
+    def database(self) -> Database: ...
+
+
 @dataclass(frozen=True)
 class Found:
     """One campaign's results: equal for equal campaigns, to the bit."""
@@ -58,7 +68,7 @@ class Found:
     """The distinct simulations of its setups, by fingerprint and parameter set: metrics, failure, and each evaluator's rating."""
 
 
-def found(coordinator: Coordinator, campaign_id: str) -> Found:
+def found(coordinator: Served, campaign_id: str) -> Found:
     """Reads a campaign's results over HTTP, and its simulations from the database."""
     with Client(coordinator.url) as client:
         campaign = client.campaign(campaign_id).model_dump(mode="json")
@@ -129,7 +139,7 @@ def assert_equal(name: str, ours: Found, expected: Found) -> None:
     assert not differences, f"campaign {name} differs from its run without faults:\n" + "\n".join(differences)
 
 
-def assert_sound(coordinator: Coordinator, accepted: Accepted) -> None:
+def assert_sound(coordinator: Served, accepted: Accepted) -> None:
     """What holds of every database whose campaigns have ended. AssertionError naming what does not."""
     wrong = [f"a request was answered {answer}" for answer in accepted.refused]
     with Client(coordinator.url) as client, coordinator.database.read() as connection:

@@ -26,7 +26,7 @@ REUSING: dict[str, Any] = {
     "catalogue": SCENARIOS,
     "parameters": COARSE,
     "fixed": {f"P{i}": 0.5 for i in range(7, 12)},
-    "optimizer": {"kind": "genetic", "population": 80, "iterations": 8, "seed": 3, "mutation": 1},
+    "optimizer": {"kind": "genetic", "population": 50, "iterations": 6, "seed": 3, "mutation": 1},
     "reduction": {"audit": 0.2, "max_error": 1, "certified": False},
 }
 ANALYSING: dict[str, Any] = {
@@ -35,7 +35,7 @@ ANALYSING: dict[str, Any] = {
     "parameters": [{"name": f"P{i}", "lower": 0, "upper": 1, "step": 0.05} for i in range(1, 4)],
     "fixed": {f"P{i}": 0.5 for i in range(4, 12)},
     "vehicle": {"parameters": {"mass": 1600}},
-    "sensitivity": {"intervals": 3, "samples": 4, "threshold": 0.02},
+    "sensitivity": {"intervals": 3, "samples": 3, "threshold": 0.02},
     "optimizer": {"kind": "genetic", "population": 20, "iterations": 3, "seed": 2},
     "reduction": {"audit": 0.1},
     "robustness": {"delta": 0.02, "steps": 2, "samples": 3, "solutions": 2},

@@ -1,0 +1,80 @@
+"""What campaigns find where nothing can go wrong: one simulation after the other in this process, without a server, Ray or workers."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from tests.support.faults.findings import Found, assert_sound, found
+from tests.support.faults.workload import submit
+from tests.support.runs import dispatcher
+from tests.support.server import RunningApi, serving
+
+from drivecal.contracts.work import Batch
+from drivecal.execution.backend import Finished, Lost, Slot, WorkerInfo
+from drivecal.runtime.worker import Worker
+from drivecal.storage import campaigns
+
+PATIENCE_SECONDS = 900.0
+NAME = "here"
+
+
+@dataclass
+class InThisProcess:
+    """The `Backend` that has no other process: a batch is simulated when its answer is asked for."""
+
+    worker: Worker = field(default_factory=lambda: Worker(NAME))
+    sent: deque[tuple[int, Batch]] = field(default_factory=deque)
+
+    def submit(self, worker: str, batch_id: int, batch: Batch, expected_seconds: float | None, *, alone: bool = False) -> None:
+        del worker, expected_seconds, alone
+        self.sent.append((batch_id, batch))
+
+    def wait(self, timeout: float) -> list[Finished | Lost]:
+        del timeout
+        if not self.sent:
+            return []
+        number, batch = self.sent.popleft()
+        return [Finished(number, self.worker.run(batch))]
+
+    def slots(self) -> list[Slot]:
+        return [] if self.sent else [Slot(NAME, idle=True)]
+
+    def workers(self) -> list[WorkerInfo]:
+        return [WorkerInfo(NAME, "here", None, "idle", 0)]
+
+    def replace(self, worker: str, fault: str | None) -> None:
+        raise AssertionError(f"{worker} is to be replaced: {fault}")
+
+    def trouble(self) -> str | None:
+        return None
+
+    def close(self) -> None:
+        self.sent.clear()
+
+
+def undisturbed(folder: Path) -> dict[str, Found]:
+    """What the suite's campaigns find, by name; on SQLite. AssertionError where they would not show what they are there to show."""
+    with serving(f"sqlite:///{folder / 'drivecal.db'}") as api:
+        results = _carry_out(api)
+    counts = results["reusing"].campaign["cells"]
+    assert min(counts[name] for name in ("repeated", "reused", "simulated", "audited", "carried_over")) > 0, counts
+    assert len({row["score"] for row in results["reusing"].tables["evaluations"]}) >= 3
+    assert results["analysing"].campaign["sensitivity_cells"]["simulated"] > 50
+    return results
+
+
+def _carry_out(api: RunningApi) -> dict[str, Found]:
+    accepted = submit(api.url)
+    one = dispatcher(api.database, InThisProcess())
+    left = set(accepted.campaigns.values())
+    begin = time.monotonic()
+    while left:
+        one.step()
+        with api.database.read() as connection:
+            left = {identifier for identifier in left if not campaigns.get(connection, identifier).state.ended}
+        assert time.monotonic() - begin < PATIENCE_SECONDS, f"{left} do not end"
+    assert_sound(api, accepted)
+    return {name: found(api, identifier) for name, identifier in accepted.campaigns.items()}
