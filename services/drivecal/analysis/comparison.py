@@ -25,12 +25,14 @@ class Conditions(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """How a run went, by finished iteration: the best objective by then, how many sets had it, and cells that were asked for and had to be
-    simulated (had no answer among the run's own). `ended`: it went to its end."""
+    """How a run went, by finished iteration: the best objective by then, the rating of the best set, how many sets shared the objective,
+    the population's mean, and cells that had to be simulated, for they had no answer among the run's own. `ended`: it went to its end."""
 
     conditions: Conditions
     best: Sequence[float | None]
+    ratings: Sequence[float | None]
     alternatives: Sequence[int]
+    means: Sequence[float | None]
     simulations: Sequence[int]
     ended: bool
 
@@ -77,6 +79,7 @@ class Group:
     best: float | None
     mean: float | None
     minimum: float | None
+    rating: float | None
     alternatives: float | None
     simulations: float | None
     converged: int
@@ -107,6 +110,7 @@ def _group(optimizer: str, population: int, reduction: str, members: Sequence[Co
         best=max(optima, default=None),
         mean=_mean(optima),
         minimum=min(optima, default=None),
+        rating=_mean([one.ratings[-1] for one in begun if one.ratings[-1] is not None]),
         alternatives=_mean([one.alternatives[-1] for one in begun]),
         simulations=_mean([sum(one.simulations) for one in begun]),
         converged=len(converged),

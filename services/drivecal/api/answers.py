@@ -11,6 +11,7 @@ from drivecal.api.silence import degraded
 from drivecal.contracts.campaign import Campaign, Seconds
 from drivecal.contracts.evaluation import EvaluatedCell, Evaluation
 from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.errors import ConflictError
 from drivecal.domain.setups import digest
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.glances import Glance
@@ -30,18 +31,21 @@ TABLES = (
     "studies",
 )
 """What a campaign links to below itself; and `events`."""
+COMPARISON_TABLES = ("comparison", "comparison-groups", "comparison-pairs", "comparison-effects")
+"""What a comparison links to below itself in their place."""
 BEFORE_PARAMETERS = ("id", "stage", "iteration", "individual", "scenario")
 AFTER_PARAMETERS = ("outcome", "score", "rating", "reference", "audited", "agrees", "failure", "milliseconds", "worker")
 
 
-def campaign_answer(stored: StoredCampaign, now: datetime, silent: str | None) -> Campaign:
+def campaign_answer(stored: StoredCampaign, now: datetime, silent: str | None, comparison: str | None = None) -> Campaign:
     """A campaign as clients see it at the moment `now`, when of the dispatcher `silent` is to be said. One that is asked to cancel
-    counts as cancelling already."""
+    counts as cancelling already. `comparison`: the id of the one that it is a run of."""
     asked = stored.requested_action == "cancel" and not stored.state.ended
     wall = 0.0 if stored.started_at is None else ((stored.ended_at or now) - stored.started_at).total_seconds()
     return Campaign(
         id=stored.id,
         name=stored.name,
+        kind=stored.kind,
         state=CampaignState.CANCELLING if asked else stored.state,
         requested_action=stored.requested_action,
         degraded=degraded(stored, silent),
@@ -64,8 +68,15 @@ def campaign_answer(stored: StoredCampaign, now: datetime, silent: str | None) -
         started_at=stored.started_at,
         ended_at=stored.ended_at,
         spec=dict(stored.spec),
-        links=_links(stored),
+        links=_links(stored) | ({} if comparison is None else {"run_of": f"{ROOT}/campaigns/{comparison}"}),
     )
+
+
+def refuse_comparison(stored: StoredCampaign) -> None:
+    """Raises ConflictError for a comparison, which has nothing of its own that a campaign has."""
+    if stored.kind == "comparison":
+        where = f"GET {ROOT}/campaigns/{stored.id}/comparison lists them"
+        raise ConflictError(f"{stored.id} is a comparison, whose runs are campaigns of their own: {where}")
 
 
 def etag(seen: Glance, silent: str | None) -> str:
@@ -95,7 +106,8 @@ def _links(stored: StoredCampaign) -> dict[str, str]:
     if stored.kind == "evaluation":
         return {"self": f"{ROOT}/evaluations/{stored.id}"}
     here = f"{ROOT}/campaigns/{stored.id}"
-    links = {"self": here, "events": f"{here}/events"} | {table: f"{here}/{table}" for table in TABLES}
+    tables = COMPARISON_TABLES if stored.kind == "comparison" else TABLES
+    links = {"self": here, "events": f"{here}/events"} | {table: f"{here}/{table}" for table in tables}
     if stored.influence_map_id is not None:
         links["influence_map"] = f"{ROOT}/influence-maps/{stored.influence_map_id}"
     if stored.rerun_of is not None:

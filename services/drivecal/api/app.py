@@ -16,7 +16,18 @@ from drivecal.api.limits import Concurrency, Requests
 from drivecal.api.metrics import Meters
 from drivecal.api.remembered import Remembered
 from drivecal.api.requests import RequestRecords
-from drivecal.api.routes import background, campaigns, evaluations, events, health, influence_maps, inventory, metrics, tables
+from drivecal.api.routes import (
+    background,
+    campaigns,
+    comparisons,
+    evaluations,
+    events,
+    health,
+    influence_maps,
+    inventory,
+    metrics,
+    tables,
+)
 from drivecal.api.streams import EventHub
 from drivecal.configuration.settings import Settings
 from drivecal.configuration.tokens import TokenFile
@@ -53,7 +64,7 @@ def create_app(settings: Settings) -> FastAPI:
     app.add_middleware(Requests)
     app.add_middleware(RequestRecords, meters=meters)  # the last one is the first that a request meets
     problems.install(app)
-    for noun in (campaigns, events, tables, background, evaluations, influence_maps, inventory):
+    for noun in (campaigns, comparisons, events, tables, background, evaluations, influence_maps, inventory):
         app.include_router(noun.router, prefix=ROOT)
     app.include_router(health.router)
     app.include_router(metrics.router)

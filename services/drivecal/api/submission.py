@@ -8,6 +8,7 @@ from typing import Any
 from pydantic import BaseModel
 from sqlalchemy import Connection
 
+from drivecal.api.answers import refuse_comparison
 from drivecal.api.dependencies import Limits
 from drivecal.campaigns.maps import check_basis
 from drivecal.campaigns.problem import CalibrationProblem, evaluator_id, resolve, resolve_evaluation
@@ -35,7 +36,7 @@ def submit(database: Database, limits: Limits, specification: CampaignSpecificat
     problem = resolve(specification)
     check_size(problem, limits.largest_campaign)
     with database.transaction() as connection:
-        return _queue(connection, limits, problem, key, _digest("campaigns", specification))
+        return _queue(connection, limits, problem, key, digest_of("campaigns", specification))
 
 
 def expected(database: Database, limits: Limits, specification: CampaignSpecification) -> ExpectedRuns:
@@ -43,7 +44,7 @@ def expected(database: Database, limits: Limits, specification: CampaignSpecific
     problem = resolve(specification)
     check_size(problem, limits.largest_campaign)
     with database.read() as connection:
-        _influence_map(connection, problem)
+        named_map(connection, problem)
         check_source(connection, problem)
     return problem.expected_runs()
 
@@ -76,6 +77,7 @@ def rerun(database: Database, limits: Limits, first_id: str, changes: RerunSpeci
     with database.read() as connection:
         first = campaigns.get(connection, first_id)
         used = None if first.influence_map_id is None else influence_maps.get(connection, first.influence_map_id)
+    refuse_comparison(first)
     if first.kind != "calibration":
         raise ConflictError(f"{first_id} is a single evaluation, which has no weights; post another one to /api/v1/evaluations")
     if not first.state.ended:
@@ -84,7 +86,7 @@ def rerun(database: Database, limits: Limits, first_id: str, changes: RerunSpeci
     problem = resolve(specification)
     check_size(problem, limits.largest_campaign)
     with database.transaction() as connection:
-        return _queue(connection, limits, problem, key, _digest(f"campaigns/{first_id}/rerun", changes), rerun_of=first_id)
+        return _queue(connection, limits, problem, key, digest_of(f"campaigns/{first_id}/rerun", changes), rerun_of=first_id)
 
 
 def evaluate(database: Database, limits: Limits, specification: EvaluationSpecification, key: str | None) -> StoredCampaign:
@@ -98,7 +100,7 @@ def evaluate(database: Database, limits: Limits, specification: EvaluationSpecif
             spec=specification.model_dump(mode="json"),
             kind="evaluation",
             idempotency_key=key,
-            body_digest=_digest("evaluations", specification),
+            body_digest=digest_of("evaluations", specification),
         )
 
 
@@ -117,7 +119,7 @@ def _queue(
         connection,
         name=specification.name,
         spec=specification.model_dump(mode="json"),
-        influence_map_id=_influence_map(connection, problem),
+        influence_map_id=named_map(connection, problem),
         rerun_of=rerun_of,
         idempotency_key=key,
         body_digest=body,
@@ -125,7 +127,7 @@ def _queue(
     )
 
 
-def _influence_map(connection: Connection, problem: CalibrationProblem) -> str | None:
+def named_map(connection: Connection, problem: CalibrationProblem) -> str | None:
     """The id of the map that a campaign names. Raises InvalidInputError where there is none or it does not hold for the campaign."""
     specification = problem.specification
     if not isinstance(specification.sensitivity, MapReference):
@@ -172,5 +174,6 @@ def _merged(before: Mapping[str, Any] | None, changes: Mapping[str, Any]) -> dic
     return {**before, **changes}
 
 
-def _digest(path: str, body: BaseModel) -> str:
+def digest_of(path: str, body: BaseModel) -> str:
+    """What tells a request from others: its path and its body."""
     return digest(canonical_json({"path": path, "body": body.model_dump(mode="json")}).encode())

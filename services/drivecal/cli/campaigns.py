@@ -8,6 +8,7 @@ import typer
 
 from drivecal.cli.accounts import pays_text, print_accounting, print_error_rates, print_narrowed
 from drivecal.cli.commands import CampaignArgument, ExitCode, JsonOption, UrlOption, app, code_of_state, connect, full_id, tell
+from drivecal.cli.compared import comparison_document, print_comparison
 from drivecal.cli.documents import read_document
 from drivecal.cli.output import print_campaign, print_columns, print_json, saved, when
 from drivecal.cli.watching import follow
@@ -35,7 +36,7 @@ def submit(
         if dry_run:
             _print_expected(client.expected_runs(specification), as_json)
         else:
-            _submitted(client, client.submit(specification), wait, timeout, as_json)
+            submitted(client, client.submit(specification), wait, timeout, as_json)
 
 
 @app.command()
@@ -55,7 +56,7 @@ def rerun(
     if name is not None:
         changes["name"] = name
     with connect(url) as client:
-        _submitted(client, client.rerun(full_id(client, identifier), changes), wait, timeout, as_json)
+        submitted(client, client.rerun(full_id(client, identifier), changes), wait, timeout, as_json)
 
 
 @app.command("list")
@@ -118,7 +119,8 @@ def _act(identifier: str, action: Action, url: str | None, as_json: bool) -> Non
         _print_whole(client, client.act(full_id(client, identifier), action), as_json)
 
 
-def _submitted(client: Client, campaign: Campaign, wait: bool, timeout: float | None, as_json: bool) -> None:
+def submitted(client: Client, campaign: Campaign, wait: bool, timeout: float | None, as_json: bool) -> None:
+    """Shows a campaign that was just queued, at its end where the user waits for it; ends the command with the fitting exit status."""
     code = ExitCode.OK
     if wait:
         tell(f"campaign {campaign.id} is queued")
@@ -131,14 +133,19 @@ def _submitted(client: Client, campaign: Campaign, wait: bool, timeout: float | 
 
 
 def _print_whole(client: Client, campaign: Campaign, as_json: bool) -> None:
-    """A campaign with its account, from the first answered cell on. Single evaluations, which have no iterations, have none."""
+    """A campaign with its account, from the first answered cell on, or with the tables of a comparison. Single evaluations, which have no
+    iterations, have neither."""
     answered = campaign.cells.requested or campaign.sensitivity_cells.requested
     account = client.accounting(campaign.id) if answered and "generations" in campaign.links else None
+    compared = answered and campaign.kind == "comparison"
     if as_json:
         dumped = None if account is None else account.model_dump(mode="json")
-        print_json({**campaign.model_dump(mode="json"), "accounting": dumped})
+        tables = comparison_document(client, campaign.id) if compared else {}
+        print_json({**campaign.model_dump(mode="json"), "accounting": dumped, **tables})
         return
     print_campaign(campaign)
+    if compared:
+        print_comparison(client.compared_groups(campaign.id), client.reduction_effects(campaign.id))
     print_narrowed(campaign.narrowed)
     print_error_rates(campaign.error_rate)
     if account is not None:

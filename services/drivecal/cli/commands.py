@@ -45,7 +45,7 @@ ORDER = (
         "report",
         "export",
     ),
-    *("explain", "influence", "influence-maps", "evaluate", "workers", "db"),
+    *("explain", "influence", "influence-maps", "robustness", "validate", "compare-optimizers", "evaluate", "workers", "db"),
 )
 """In which the help lists the commands."""
 

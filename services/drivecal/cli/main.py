@@ -9,6 +9,7 @@ import typer
 
 from drivecal.cli import (
     campaigns,
+    comparing,
     evaluations,
     explain,
     influence,
@@ -26,6 +27,7 @@ from drivecal.cli.demo import command as demo
 __all__ = [
     "app",
     "campaigns",
+    "comparing",
     "demo",
     "evaluations",
     "explain",

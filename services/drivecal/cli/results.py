@@ -30,6 +30,10 @@ class TableName(StrEnum):
     INFLUENCE = "influence"
     ROBUSTNESS = "robustness"
     VALIDATION = "validation"
+    COMPARISON = "comparison"
+    COMPARISON_GROUPS = "comparison-groups"
+    COMPARISON_PAIRS = "comparison-pairs"
+    COMPARISON_EFFECTS = "comparison-effects"
 
 
 class Format(StrEnum):

@@ -36,6 +36,9 @@ def event_text(event: CampaignEvent) -> str | None:
         case EventKind.REUSE_STOPPED:
             wrong = f"{_count(data, 'wrong')} of {_count(data, 'audited')} audited cells were wrong"
             return f"reuse in {data.get('scenario')} was stopped: {wrong}"
+        case EventKind.RUN:
+            best = "nothing" if data.get("best") is None else f"{data['best']:.4f}"
+            return f"run {_count(data, 'ended')} of {_count(data, 'of')} has ended ({data.get('state')}): {data.get('name')}: best {best}"
         case EventKind.NOTE:
             return f"note: {data.get('text')}"
         case EventKind.DEGRADED:

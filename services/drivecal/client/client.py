@@ -19,6 +19,7 @@ from drivecal.client.event_stream import EventParser, ServerSentEvent
 from drivecal.client.following import READ_SECONDS, Following, Sent, Told
 from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns, SolutionPage
+from drivecal.contracts.comparison import ComparedGroup, ComparedPair, ComparedRun, ExpectedComparison, ReductionEffect
 from drivecal.contracts.evaluation import Evaluation
 from drivecal.contracts.events import PROGRESS, CampaignEvent, CampaignProgress
 from drivecal.contracts.explanation import Explanation
@@ -28,7 +29,9 @@ from drivecal.contracts.studies import OptimumRow, RobustnessRow, StudyPage, Val
 from drivecal.domain.errors import OverloadError, UnavailableError
 
 Action = Literal["pause", "resume", "cancel"]
-Table = Literal["evaluations", "generations", "solutions", "optima", "influence", "robustness", "validation"]
+CampaignTable = Literal["evaluations", "generations", "solutions", "optima", "influence", "robustness", "validation"]
+ComparisonTable = Literal["comparison", "comparison-groups", "comparison-pairs", "comparison-effects"]
+Table = Literal[CampaignTable, ComparisonTable]
 Answer = TypeVar("Answer", bound=BaseModel)
 
 ATTEMPTS_TO_CONNECT = 3
@@ -69,6 +72,14 @@ class Client:
     def expected_runs(self, specification: Mapping[str, Any]) -> ExpectedRuns:
         """Checks a campaign without queueing it and says what it would cost."""
         return self._post("/api/v1/campaigns", ExpectedRuns, specification, query={"validate_only": "true"})
+
+    def compare(self, specification: Mapping[str, Any], key: str | None = None) -> Campaign:
+        """Queues a comparison of optimizers or reductions: a campaign whose runs are campaigns of their own."""
+        return self._post("/api/v1/comparisons", Campaign, specification, key=key or uuid.uuid4().hex)
+
+    def expected_comparison(self, specification: Mapping[str, Any]) -> ExpectedComparison:
+        """Checks a comparison without queueing it and says what it would cost."""
+        return self._post("/api/v1/comparisons", ExpectedComparison, specification, query={"validate_only": "true"})
 
     def campaigns(self, state: str | None = None, limit: int | None = None, cursor: str | None = None) -> CampaignPage:
         """A page of campaigns, newest first."""
@@ -194,6 +205,22 @@ class Client:
     def validation(self, identifier: str) -> list[ValidationRow]:
         """What the validation of a campaign's map found by scenario; nothing where it has no such stage (yet)."""
         return self._rows_of(identifier, "validation", ValidationRow)
+
+    def compared_runs(self, identifier: str) -> list[ComparedRun]:
+        """The runs of a comparison."""
+        return self._rows_of(identifier, "comparison", ComparedRun)
+
+    def compared_groups(self, identifier: str) -> list[ComparedGroup]:
+        """The runs of a comparison by optimizer, population and reduction: Table 5."""
+        return self._rows_of(identifier, "comparison-groups", ComparedGroup)
+
+    def compared_pairs(self, identifier: str) -> list[ComparedPair]:
+        """The runs of a comparison that differ in the reduction alone, side by side."""
+        return self._rows_of(identifier, "comparison-pairs", ComparedPair)
+
+    def reduction_effects(self, identifier: str) -> list[ReductionEffect]:
+        """What those pairs say together."""
+        return self._rows_of(identifier, "comparison-effects", ReductionEffect)
 
     def _rows_of(self, identifier: str, table: Table, model: type[Answer]) -> list[Answer]:
         try:

@@ -39,6 +39,13 @@ def follow(connection: Connection, sequence: int, state: CampaignState) -> None:
 
 def refuse_run(connection: Connection, campaign_id: str, parent_sequence: int | None, action: str) -> None:
     """Raises ConflictError where a campaign, by the number of its comparison, is a run of one."""
-    if parent_sequence is not None:
-        comparison = connection.scalar(select(campaigns.c.id).where(campaigns.c.sequence == parent_sequence))
+    comparison = comparison_of(connection, parent_sequence)
+    if comparison is not None:
         raise ConflictError(f"campaign {campaign_id} is a run of the comparison {comparison}: {action} that")
+
+
+def comparison_of(connection: Connection, parent_sequence: int | None) -> str | None:
+    """The id of a comparison by its number; None for campaigns that are no run of one."""
+    if parent_sequence is None:
+        return None
+    return connection.scalar(select(campaigns.c.id).where(campaigns.c.sequence == parent_sequence))

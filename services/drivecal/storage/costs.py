@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from statistics import fmean
 
 from sqlalchemy import Connection, func, select
 
 from drivecal.domain.campaigns import Stage
 from drivecal.domain.evaluations import Outcome
-from drivecal.storage.tables import evaluations, runs
+from drivecal.storage.membership import among
+from drivecal.storage.tables import evaluations, runs, setups
+
+RECENT_RUNS = 1_000
+"""Of a setup, which tell what the next one will take."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,3 +54,14 @@ def by_outcome(connection: Connection, campaign_sequence: int) -> list[CellCosts
         CellCosts(stage, scenario, Outcome(outcome), audited, cells, own / 1000, stored, answered / 1000)
         for stage, scenario, outcome, audited, cells, own, stored, answered in connection.execute(query)
     ]
+
+
+def recent_milliseconds(connection: Connection, fingerprints: Sequence[str]) -> float | None:
+    """CPU time of one simulation, over the newest ones in each of these setups, which count alike; None where there is none in one."""
+    means = []
+    for condition in among(connection, setups.c.fingerprint, fingerprints):
+        for setup in connection.scalars(select(setups.c.id).where(condition)):
+            newest = select(runs.c.milliseconds).where(runs.c.setup_id == setup).order_by(runs.c.id.desc()).limit(RECENT_RUNS)
+            found = connection.scalars(newest).all()
+            means += [fmean(found)] if found else []
+    return fmean(means) if fingerprints and len(means) == len(fingerprints) else None

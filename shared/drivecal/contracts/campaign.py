@@ -117,6 +117,8 @@ class Campaign(Answer):
 
     id: str
     name: str
+    kind: str = "calibration"
+    """Or `comparison`, whose cells are the sums over its runs."""
     state: str
     requested_action: str | None = None
     """`pause`, `resume` or `cancel`, where that was asked for and is not done yet."""

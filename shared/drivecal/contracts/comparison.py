@@ -98,6 +98,8 @@ class ComparedRun(Answer):
     simulations: int
     analysis: int
     best: float | None
+    rating: float | None
+    """The weighted continuous rating of the best set, which tells optima of the same objective apart."""
     alternatives: int
     mean: float | None
     """Of the last population's objectives."""
@@ -118,6 +120,8 @@ class ComparedGroup(Answer):
     best: float | None
     mean: float | None
     minimum: float | None
+    rating: float | None
+    """Mean, of the best sets."""
     alternatives: float | None
     """Mean number."""
     simulations: float | None

@@ -8,6 +8,7 @@ from typing import Any
 
 from fastapi import APIRouter
 
+from drivecal.api.answers import refuse_comparison
 from drivecal.api.bodies import StrictRoute
 from drivecal.api.dependencies import DatabaseDependency
 from drivecal.campaigns.pinned import Pinned, pinned
@@ -53,7 +54,7 @@ def setup(campaign_id: str, database: DatabaseDependency) -> CampaignSetup:
 
 @router.get("/studies")
 def list_studies(campaign_id: str, database: DatabaseDependency) -> StudyPage:
-    """The robustness and validation studies of its best sets and its map, its own first, then those of other campaigns, newest first."""
+    """The robustness and validation studies of its best sets and its map, its own and those of other campaigns, newest first."""
     with database.read() as connection:
         campaign = _calibration(campaigns.get(connection, campaign_id))
         found = studies.about(connection, campaign.id, campaign.sequence, campaign.influence_map_id)
@@ -61,6 +62,7 @@ def list_studies(campaign_id: str, database: DatabaseDependency) -> StudyPage:
 
 
 def _calibration(campaign: StoredCampaign) -> StoredCampaign:
+    refuse_comparison(campaign)
     if campaign.kind != "calibration":
         raise ConflictError(f"{campaign.id} is a single evaluation; GET /api/v1/evaluations/{campaign.id}")
     return campaign

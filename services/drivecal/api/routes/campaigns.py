@@ -8,7 +8,7 @@ from fastapi import APIRouter, Header, Request, Response
 from sqlalchemy import Connection
 
 from drivecal.api import submission
-from drivecal.api.answers import ROOT, campaign_answer, etag, list_etag, matches
+from drivecal.api.answers import ROOT, campaign_answer, etag, list_etag, matches, refuse_comparison
 from drivecal.api.bodies import StrictRoute
 from drivecal.api.dependencies import DatabaseDependency, IdempotencyKey, LimitsDependency
 from drivecal.api.queries import CampaignsQuery, SubmissionQuery
@@ -20,7 +20,7 @@ from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns
 from drivecal.contracts.specification import CampaignSpecification, RerunSpecification
 from drivecal.domain.campaigns import Stage
 from drivecal.domain.errors import ConflictError
-from drivecal.storage import campaigns, costs, glances, influence_maps
+from drivecal.storage import campaigns, comparisons, costs, glances, influence_maps
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.database import Database
 from drivecal.storage.types import now
@@ -46,7 +46,7 @@ def submit(
     if query.validate_only:
         response.status_code = 200
         return submission.expected(database, limits, specification)
-    return _accepted(response, database, submission.submit(database, limits, specification, idempotency_key))
+    return accepted(response, database, submission.submit(database, limits, specification, idempotency_key))
 
 
 @router.get("", response_model=CampaignPage, responses=NOT_MODIFIED)
@@ -80,8 +80,9 @@ def read(campaign_id: str, request: Request, database: DatabaseDependency, if_no
             return Response(status_code=304, headers=headers)
         body = remembered.find(seen.id, tag)
         stored = campaigns.by_sequence(connection, seen.sequence) if body is None else None
+        comparison = None if stored is None else comparisons.comparison_of(connection, stored.parent_sequence)
     if stored is not None:
-        body = campaign_answer(stored, moment, silent).model_dump_json().encode()
+        body = campaign_answer(stored, moment, silent, comparison).model_dump_json().encode()
         remembered.keep(seen.id, tag, body)
     return Response(body, headers=headers, media_type="application/json")
 
@@ -91,6 +92,7 @@ def accounting(campaign_id: str, database: DatabaseDependency) -> Accounting:
     """What answering cells without a simulation saved so far, what the sensitivity stage cost, and from when on its map pays."""
     with database.read() as connection:
         stored = campaigns.get(connection, campaign_id)
+        refuse_comparison(stored)
         if stored.kind != "calibration":
             raise ConflictError(f"{stored.id} is a single evaluation, which saves nothing; GET {ROOT}/evaluations/{stored.id}")
         found = costs.by_outcome(connection, stored.sequence)
@@ -137,16 +139,17 @@ def rerun(
     idempotency_key: IdempotencyKey = None,
 ) -> Campaign:
     """Queues a new campaign on the references and the influence map of an ended one."""
-    return _accepted(response, database, submission.rerun(database, limits, campaign_id, changes, idempotency_key))
+    return accepted(response, database, submission.rerun(database, limits, campaign_id, changes, idempotency_key))
 
 
 def _asked(database: Database, campaign_id: str, action: campaigns.Action, response: Response) -> Campaign:
     with database.transaction() as connection:
         stored = campaigns.request_action(connection, campaign_id, action)
-    return _accepted(response, database, stored)
+    return accepted(response, database, stored)
 
 
-def _accepted(response: Response, database: Database, stored: StoredCampaign) -> Campaign:
+def accepted(response: Response, database: Database, stored: StoredCampaign) -> Campaign:
+    """The answer that says of a campaign that it was queued, or asked to do something."""
     response.headers["Location"] = f"{ROOT}/campaigns/{stored.id}"
     moment = now()
     with database.read() as connection:

@@ -2,37 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable
 from dataclasses import asdict
 from typing import Any
 
 from fastapi import APIRouter, Response
-from fastapi.responses import JSONResponse
 
 from drivecal.api import influence, studies
-from drivecal.api.answers import evaluation_row, parameter_column
+from drivecal.api.answers import evaluation_row, parameter_column, refuse_comparison
 from drivecal.api.bodies import StrictRoute
 from drivecal.api.dependencies import Accept, DatabaseDependency
-from drivecal.api.queries import SolutionsQuery, TableOf, TableQuery, form_of
+from drivecal.api.paging import Page, slices, table_answer
+from drivecal.api.queries import SolutionsQuery, TableQuery, form_of
 from drivecal.api.ranking import Ranking, ranking
-from drivecal.api.tables import TABLE_ANSWERS, Column, Row, download
+from drivecal.api.tables import TABLE_ANSWERS, Column, Row
 from drivecal.campaigns.optima import alternatives
 from drivecal.campaigns.pinned import Pinned, pinned
 from drivecal.contracts.campaign import Solution
 from drivecal.domain.campaigns import Stage
 from drivecal.domain.errors import ConflictError
-from drivecal.storage import campaigns, cursors, generations, influence_maps, results
+from drivecal.storage import campaigns, generations, influence_maps, results
 from drivecal.storage import studies as stored_studies
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.database import Database
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["results"], route_class=StrictRoute)
-
-ROWS_AT_A_TIME = 2000
-
-Page = tuple[Sequence[Row], str | None]
-Pages = Callable[[int, str | None], Page]
-"""Gives at most so many rows from a cursor on, and the cursor of what follows."""
 
 
 @router.get("/generations", responses=TABLE_ANSWERS)
@@ -50,7 +44,7 @@ def list_generations(campaign_id: str, query: TableQuery, database: DatabaseDepe
         names = ["iteration", *generations.Figures.__dataclass_fields__]
         return [Column(name, "number" if name in numbers else "integer") for name in names]
 
-    return _answer(f"generations-{campaign.id}", query, accept, columns, pages)
+    return table_answer(f"generations-{campaign.id}", query, accept, columns, pages)
 
 
 @router.get("/evaluations", responses=TABLE_ANSWERS)
@@ -83,7 +77,7 @@ def list_evaluations(campaign_id: str, query: TableQuery, database: DatabaseDepe
             Column("worker", "text"),
         ]
 
-    return _answer(f"evaluations-{campaign.id}", query, accept, columns, pages)
+    return table_answer(f"evaluations-{campaign.id}", query, accept, columns, pages)
 
 
 @router.get("/solutions", responses=TABLE_ANSWERS)
@@ -101,7 +95,7 @@ def list_solutions(campaign_id: str, query: SolutionsQuery, database: DatabaseDe
     def columns() -> list[Column]:
         return _solution_columns(ranked, begun_with)
 
-    return _answer(f"solutions-{campaign.id}", query, accept, columns, _slices(rows, len(ranked)))
+    return table_answer(f"solutions-{campaign.id}", query, accept, columns, slices(rows, len(ranked)))
 
 
 @router.get("/optima", responses=TABLE_ANSWERS)
@@ -119,7 +113,7 @@ def list_optima(campaign_id: str, query: TableQuery, database: DatabaseDependenc
     def columns() -> list[Column]:
         return [*_solution_columns(ranked, begun_with), Column("region", "integer"), Column("to_worse", "number")]
 
-    return _answer(f"optima-{campaign.id}", query, accept, columns, _slices(rows, len(known)))
+    return table_answer(f"optima-{campaign.id}", query, accept, columns, slices(rows, len(known)))
 
 
 @router.get("/influence", responses=TABLE_ANSWERS)
@@ -127,8 +121,8 @@ def list_influence(campaign_id: str, query: TableQuery, database: DatabaseDepend
     """The influence map that the campaign uses: one row per scenario and searched parameter, none where it has no map (yet)."""
     campaign = _campaign(database, campaign_id)
     rows = _influence_rows(database, campaign)
-    pages = _slices(lambda start, stop: rows[start:stop], len(rows))
-    return _answer(f"influence-{campaign.id}", query, accept, lambda: influence.COLUMNS, pages)
+    pages = slices(lambda start, stop: rows[start:stop], len(rows))
+    return table_answer(f"influence-{campaign.id}", query, accept, lambda: influence.COLUMNS, pages)
 
 
 @router.get("/robustness", responses=TABLE_ANSWERS)
@@ -145,7 +139,7 @@ def list_robustness(campaign_id: str, query: TableQuery, database: DatabaseDepen
     def columns() -> list[Column]:
         return studies.robustness_columns(list(begun_with.weights), begun_with.space.names)
 
-    return _answer(f"robustness-{campaign.id}", query, accept, columns, _slices(rows, len(found)))
+    return table_answer(f"robustness-{campaign.id}", query, accept, columns, slices(rows, len(found)))
 
 
 @router.get("/validation", responses=TABLE_ANSWERS)
@@ -158,7 +152,7 @@ def list_validation(campaign_id: str, query: TableQuery, database: DatabaseDepen
     def rows(start: int, stop: int) -> list[Row]:
         return [studies.validation_row(one, flat=flat) for one in found[start:stop]]
 
-    return _answer(f"validation-{campaign.id}", query, accept, studies.validation_columns, _slices(rows, len(found)))
+    return table_answer(f"validation-{campaign.id}", query, accept, studies.validation_columns, slices(rows, len(found)))
 
 
 def _study(database: Database, campaign: StoredCampaign, stage: Stage) -> list[dict[str, Any]]:
@@ -168,38 +162,11 @@ def _study(database: Database, campaign: StoredCampaign, stage: Stage) -> list[d
     return items
 
 
-def _slices(rows: Callable[[int, int], Sequence[Row]], length: int) -> Pages:
-    """Pages of a list that is numbered from 0."""
-
-    def pages(limit: int, cursor: str | None) -> Page:
-        start = 0 if cursor is None else int(cursors.decode(cursor, int)[0])
-        following = start + limit
-        return rows(start, following), cursors.encode(following) if following < length else None
-
-    return pages
-
-
-def _answer(name: str, query: TableOf, accept: str, columns: Callable[[], Sequence[Column]], pages: Pages) -> Response:
-    form = form_of(query, accept)
-    if form == "json":
-        rows, following = pages(query.limit, query.cursor)
-        return JSONResponse({"items": list(rows), "next_cursor": following}, headers={"Vary": "Accept"})
-    return download(name, form, columns(), _all(pages))
-
-
-def _all(pages: Pages) -> Iterator[Sequence[Row]]:
-    """Every page, each read in a transaction of its own, so that a slow reader holds no connection."""
-    cursor: str | None = None
-    while True:
-        rows, cursor = pages(ROWS_AT_A_TIME, cursor)
-        yield rows
-        if cursor is None:
-            return
-
-
 def _campaign(database: Database, campaign_id: str) -> StoredCampaign:
     with database.read() as connection:
-        return campaigns.get(connection, campaign_id)
+        found = campaigns.get(connection, campaign_id)
+    refuse_comparison(found)
+    return found
 
 
 def _pinned(campaign: StoredCampaign) -> Pinned:

@@ -1,0 +1,109 @@
+"""Comparisons of optimizers and of reductions: submit, and what their runs say beside each other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import NoneType
+from typing import get_args
+
+from fastapi import APIRouter, Response
+from pydantic import BaseModel
+
+from drivecal.api import comparing
+from drivecal.api.bodies import StrictRoute
+from drivecal.api.dependencies import Accept, DatabaseDependency, IdempotencyKey, LimitsDependency
+from drivecal.api.paging import slices, table_answer
+from drivecal.api.queries import SubmissionQuery, TableQuery
+from drivecal.api.routes.campaigns import accepted
+from drivecal.api.tables import TABLE_ANSWERS, Column, Kind, Row
+from drivecal.campaigns.compared import Compared, compared
+from drivecal.contracts.campaign import Campaign
+from drivecal.contracts.comparison import (
+    ComparedGroup,
+    ComparedPair,
+    ComparedRun,
+    ComparisonSpecification,
+    ExpectedComparison,
+    ReductionEffect,
+)
+from drivecal.domain.errors import ConflictError
+from drivecal.storage import campaigns
+from drivecal.storage.database import Database
+
+router = APIRouter(tags=["comparisons"], route_class=StrictRoute)
+
+_KINDS: dict[object, Kind] = {bool: "truth", int: "integer", float: "number", str: "text"}
+
+
+@router.post(
+    "/comparisons",
+    status_code=202,
+    responses={200: {"model": ExpectedComparison}, 202: {"model": Campaign}},
+    response_model=None,
+)
+def submit(
+    specification: ComparisonSpecification,
+    query: SubmissionQuery,
+    response: Response,
+    database: DatabaseDependency,
+    limits: LimitsDependency,
+    idempotency_key: IdempotencyKey = None,
+) -> Campaign | ExpectedComparison:
+    """Queues a comparison: a campaign each of whose runs is one as well. With `validate_only=true` checks it, counts its runs and stores
+    nothing."""
+    if query.validate_only:
+        response.status_code = 200
+        return comparing.expected(database, limits, specification)
+    return accepted(response, database, comparing.submit(database, limits, specification, idempotency_key))
+
+
+@router.get("/campaigns/{campaign_id}/comparison", responses=TABLE_ANSWERS)
+def list_runs(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
+    """The runs of a comparison; `run` is the id of the campaign that holds all that it found."""
+    found = _compared(database, campaign_id)
+    return _table(f"comparison-{campaign_id}", query, accept, ComparedRun, found.runs())
+
+
+@router.get("/campaigns/{campaign_id}/comparison-groups", responses=TABLE_ANSWERS)
+def list_groups(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
+    """Table 5: one row per optimizer, population size and reduction, over the seeds."""
+    found = _compared(database, campaign_id)
+    return _table(f"comparison-groups-{campaign_id}", query, accept, ComparedGroup, found.groups())
+
+
+@router.get("/campaigns/{campaign_id}/comparison-pairs", responses=TABLE_ANSWERS)
+def list_pairs(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
+    """Each ended run beside the one that differs from it in the reduction alone; none where there is one reduction."""
+    found = _compared(database, campaign_id)
+    return _table(f"comparison-pairs-{campaign_id}", query, accept, ComparedPair, found.pairs())
+
+
+@router.get("/campaigns/{campaign_id}/comparison-effects", responses=TABLE_ANSWERS)
+def list_effects(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
+    """What the pairs say together: whether a reduction changes the final optimum, and what it saves."""
+    found = _compared(database, campaign_id)
+    return _table(f"comparison-effects-{campaign_id}", query, accept, ReductionEffect, found.effects())
+
+
+def _compared(database: Database, campaign_id: str) -> Compared:
+    with database.read() as connection:
+        campaign = campaigns.get(connection, campaign_id)
+        if campaign.kind != "comparison":
+            raise ConflictError(f"{campaign_id} is no comparison; POST /api/v1/comparisons makes one")
+        return compared(connection, campaign)
+
+
+def _table(name: str, query: TableQuery, accept: str, model: type[BaseModel], found: Sequence[BaseModel]) -> Response:
+    def rows(start: int, stop: int) -> list[Row]:
+        return [one.model_dump(mode="json") for one in found[start:stop]]
+
+    return table_answer(name, query, accept, lambda: _columns(model), slices(rows, len(found)))
+
+
+def _columns(model: type[BaseModel]) -> list[Column]:
+    """One per field."""
+    columns = []
+    for name, field in model.model_fields.items():
+        [kind] = [one for one in get_args(field.annotation) or [field.annotation] if one is not NoneType]
+        columns.append(Column(name, _KINDS[kind]))
+    return columns

@@ -1,0 +1,112 @@
+"""Reads what the runs of a comparison found: the rows of Table 5, of Figures 7 and 8, and of the pairs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+from sqlalchemy import Connection
+
+from drivecal.analysis import comparison as analysis
+from drivecal.analysis.comparison import Course, Pair
+from drivecal.campaigns.comparison import runs_of
+from drivecal.contracts.comparison import ComparedGroup, ComparedPair, ComparedRun, ComparisonSpecification, ReductionEffect
+from drivecal.contracts.validation import validated
+from drivecal.domain.campaigns import CampaignState
+from drivecal.storage import campaigns, generations
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.generations import Figures
+
+MOST_GENERATIONS = 10_000
+
+
+@dataclass(frozen=True, slots=True)
+class Compared:
+    """The runs of a comparison with their courses, in their order."""
+
+    campaigns: Sequence[StoredCampaign]
+    courses: Sequence[Course]
+
+    def runs(self) -> list[ComparedRun]:
+        """One row per run."""
+        best = analysis.best_of_all(self.courses)
+        return [_run(campaign, course, best) for campaign, course in zip(self.campaigns, self.courses, strict=True)]
+
+    def groups(self) -> list[ComparedGroup]:
+        """One row per optimizer, population and reduction."""
+        return [ComparedGroup(**asdict(one)) for one in analysis.groups(self.courses)]
+
+    def pairs(self) -> list[ComparedPair]:
+        """One row per pair of runs that differ in the reduction alone."""
+        ids = {course.conditions: one.id for one, course in zip(self.campaigns, self.courses, strict=True)}
+        return [_pair(one, ids[one.run.conditions], ids[one.base.conditions]) for one in analysis.pairs(self.courses)]
+
+    def effects(self) -> list[ReductionEffect]:
+        """What the pairs say together."""
+        return [ReductionEffect(**asdict(one)) for one in analysis.effects(analysis.pairs(self.courses))]
+
+
+def compared(connection: Connection, comparison: StoredCampaign) -> Compared:
+    """What is known of a comparison so far."""
+    stored = campaigns.runs_of(connection, comparison.sequence)
+    wanted = runs_of(validated(ComparisonSpecification, comparison.spec))
+    courses = [_course(connection, one, run.conditions) for one, run in zip(stored, wanted, strict=True)]
+    return Compared(stored, courses)
+
+
+def _course(connection: Connection, run: StoredCampaign, conditions: analysis.Conditions) -> Course:
+    found, _ = generations.page(connection, run.sequence, limit=MOST_GENERATIONS)
+    figures = [one for _, one in found]
+    return Course(
+        conditions=conditions,
+        best=[one.best for one in figures],
+        ratings=[one.rating for one in figures],
+        alternatives=[one.alternatives for one in figures],
+        means=[one.mean for one in figures],
+        simulations=[_needed(one) for one in figures],
+        ended=run.state is CampaignState.SUCCEEDED,
+    )
+
+
+def _needed(figures: Figures) -> int:
+    """Cells without an answer among the campaign's own: they took a simulation, whoever made it, or failed to."""
+    return figures.requested - figures.repeated - figures.reused
+
+
+def _run(campaign: StoredCampaign, course: Course, best: float | None) -> ComparedRun:
+    return ComparedRun(
+        run=campaign.id,
+        **course.conditions._asdict(),
+        state=campaign.state,
+        iterations=len(course.best),
+        requested=campaign.cells.requested,
+        simulations=sum(course.simulations),
+        analysis=campaign.sensitivity_cells.requested - campaign.sensitivity_cells.repeated,
+        best=course.optimum,
+        rating=course.ratings[-1] if course.ratings else None,
+        alternatives=course.alternatives[-1] if course.alternatives else 0,
+        mean=course.means[-1] if course.means else None,
+        converged_at=course.converged_at,
+        simulations_to_converge=course.simulations_to_converge,
+        alternatives_converged_at=course.alternatives_converged_at,
+        success=analysis.succeeds(course, best),
+    )
+
+
+def _pair(pair: Pair, run: str, base_run: str) -> ComparedPair:
+    conditions = pair.run.conditions
+    return ComparedPair(
+        optimizer=conditions.optimizer,
+        population=conditions.population,
+        seed=conditions.seed,
+        reduction=conditions.reduction,
+        base=pair.base.conditions.reduction,
+        run=run,
+        base_run=base_run,
+        best=pair.run.optimum or 0.0,
+        base_best=pair.base.optimum or 0.0,
+        difference=pair.difference,
+        simulations=sum(pair.run.simulations),
+        base_simulations=sum(pair.base.simulations),
+        saved=pair.saved,
+    )

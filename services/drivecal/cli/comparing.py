@@ -1,0 +1,33 @@
+"""The command that compares optimizers and reductions."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from drivecal.cli.campaigns import TimeoutOption, WaitOption, submitted
+from drivecal.cli.commands import JsonOption, UrlOption, app, connect
+from drivecal.cli.compared import print_expected
+from drivecal.cli.documents import read_document
+from drivecal.cli.output import print_json
+
+
+@app.command("compare-optimizers")
+def compare_optimizers(
+    file: Annotated[str, typer.Argument(metavar="FILE", help="A comparison file, YAML or JSON; - is standard input.")],
+    wait: WaitOption = False,
+    timeout: TimeoutOption = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Check the file and count the runs, submit nothing.")] = False,
+    url: UrlOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Calibrate one problem with several optimizers, populations, seeds and reductions, and compare what they found."""
+    specification = read_document(file)
+    with connect(url) as client:
+        if not dry_run:
+            submitted(client, client.compare(specification), wait, timeout, as_json)
+        elif as_json:
+            print_json(client.expected_comparison(specification))
+        else:
+            print_expected(client.expected_comparison(specification))
