@@ -279,9 +279,12 @@ def test_the_database_is_made_and_checked(tmp_path: Path) -> None:
     assert json.loads(CliRunner().invoke(app, ["db", "check", "--database-url", url, "--json"]).stdout)["current"]
     (tmp_path / "text.db").write_text("this is no database, and long enough to be seen as one or not")
     with locks.hold(url):
-        refused = CliRunner().invoke(app, ["db", "upgrade", "--database-url", url])
-        assert (refused.exit_code, f"server (process {os.getpid()})" in refused.stderr) == (1, True)
         assert CliRunner().invoke(app, ["db", "check", "--database-url", url]).exit_code == 0, "looking is free"
+        assert CliRunner().invoke(app, ["db", "upgrade", "--database-url", url]).exit_code == 0, "there is nothing to do"
+    unmade = f"sqlite:///{tmp_path / 'unmade.db'}"
+    with locks.hold(unmade):
+        refused = CliRunner().invoke(app, ["db", "upgrade", "--database-url", unmade])
+        assert (refused.exit_code, f"server (process {os.getpid()})" in refused.stderr) == (1, True)
     broken = CliRunner().invoke(app, ["db", "upgrade", "--database-url", f"sqlite:///{tmp_path / 'text.db'}"])
     assert broken.exit_code == 1
     assert "no SQLite database" in broken.stderr

@@ -13,6 +13,7 @@ import typer
 from drivecal.cli.commands import ExitCode, JsonOption, app, tell
 from drivecal.cli.output import print_columns, print_json
 from drivecal.configuration.settings import load_settings
+from drivecal.domain.errors import DatabaseError
 
 if TYPE_CHECKING:  # half a second that only these commands need, when they run
     from drivecal.storage.backup import Copied
@@ -37,13 +38,16 @@ FullOption = Annotated[
 
 @database.command()
 def upgrade(database_url: DatabaseOption = None, as_json: JsonOption = False) -> None:
-    """Create the database or bring it to this drivecal's revision. Refused while a server works on it."""
+    """Create the database or bring it to this drivecal's revision. Where there is something to do, a server must not work on it."""
     from drivecal.storage import locks
 
     with _opened(database_url) as (url, opened):
-        with locks.hold(url):
-            opened.upgrade()
-        opened.check()
+        try:
+            opened.check()
+        except DatabaseError:
+            with locks.hold(url):
+                opened.upgrade()
+            opened.check()
         name = opened.name
     if as_json:
         print_json({"database": name, "current": True})
