@@ -15,7 +15,9 @@ from tests.support.computed import ComputedBackend
 from tests.support.runs import SMALL, dispatcher, influenced, nothing_matters, post_map
 from tests.support.server import RunningApi, serving
 
+from drivecal.client.client import Client
 from drivecal.contracts.work import Cell, CellResult, SetupRequest
+from drivecal.report.findings import collect
 
 
 def fragile(setup: SetupRequest, cell: Cell) -> CellResult:
@@ -46,8 +48,6 @@ def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
 @pytest.fixture(scope="module")
 def ended(api: RunningApi) -> str:
     """A calibration on a map that denies every influence."""
-    from drivecal.client.client import Client
-
     stored = post_map(api.database, nothing_matters())
     document: dict[str, Any] = SMALL | {"sensitivity": {"map": stored}, "catalogue": ["S1", "S2"], "name": "searched"}
     with Client(api.url) as client:
@@ -116,3 +116,54 @@ def test_the_solutions_of_a_campaign_that_is_not_there_are_refused_by_name(api: 
     answer = api.http.post("/api/v1/campaigns", json=SMALL | {"optimizer": None, "robustness": {"of": of}})
     assert answer.status_code == 422
     assert [one["field"] for one in answer.json()["errors"]] == ["robustness.of"]
+
+
+def test_a_report_has_the_studies_that_other_campaigns_made(run: Run, api: RunningApi, ended: str) -> None:
+    url = f"/api/v1/campaigns/{ended}"
+    made = []
+    for options in (
+        ("robustness", ended, "--again", "--steps", "2", "--samples", "2", "--solutions", "2"),
+        ("robustness", ended, "--again", "--steps", "2", "--samples", "2", "--solutions", "2", "--condition", "mean"),
+        ("validate", ended, "--again", "--samples", "5", "--references", "2"),
+    ):
+        assert run(*options).exit_code == 0
+        made.append(api.http.get("/api/v1/campaigns?limit=1").json()["items"][0]["id"])
+    found = api.http.get(f"{url}/studies").json()["items"]
+    assert [one["campaign"] for one in found[:3]] == made[::-1]
+    assert [one["stage"] for one in found[:3]] == ["validation", "robustness", "robustness"]
+    assert [one["settings"].get("condition") for one in found[:3]] == [None, "mean", "max"]
+    assert api.http.get(f"/api/v1/campaigns/{made[0]}/studies").json()["items"][0]["campaign"] == made[0]
+
+    with Client(api.url) as client:
+        collected = collect(client, ended)
+    assert [one.study.campaign for one in collected.robustness][:2] == [made[1], made[0]]
+    assert collected.validation[0].study.campaign == made[2]
+    rows = api.http.get(f"/api/v1/campaigns/{made[1]}/robustness").json()["items"]
+    assert [row.model_dump(mode="json") for row in collected.robustness[0].rows] == rows
+
+
+def test_the_optima_are_the_best_solutions_with_their_regions(api: RunningApi, ended: str) -> None:
+    url = f"/api/v1/campaigns/{ended}"
+    campaign, optima = api.http.get(url).json(), api.http.get(f"{url}/optima?limit=1000").json()["items"]
+    assert len(optima) == campaign["best"]["alternatives"]
+    best = api.http.get(f"{url}/solutions?limit={len(optima)}").json()["items"]
+    assert [{name: one[name] for name in best[0]} for one in optima] == best
+    assert sorted({one["region"] for one in optima}) == list(range(1 + max(one["region"] for one in optima)))
+    assert all(one["to_worse"] > 0 for one in optima)
+    rows = list(csv.DictReader(io.StringIO(api.http.get(f"{url}/optima?format=csv").text)))
+    assert [(int(row["rank"]), int(row["region"])) for row in rows] == [(one["rank"], one["region"]) for one in optima]
+
+
+def test_the_setup_tells_versions_and_the_fingerprints_of_the_reference_table(api: RunningApi, ended: str) -> None:
+    found = api.http.get(f"/api/v1/campaigns/{ended}/setup").json()
+    known = {one["fingerprint"]: one for one in api.http.get("/api/v1/references").json()["items"]}
+    assert [one["scenario"] for one in found["scenarios"]] == ["S1", "S2"]
+    for one in found["scenarios"]:
+        assert (one["driving_function"], one["vehicle"], one["simulator"]) == tuple(
+            known[one["fingerprint"]][name] for name in ("driving_function", "vehicle", "simulator")
+        )
+        assert one["weight"] == 0.5
+        assert one["vehicle_parameters"]["mass"] == 2060
+    assert [one["name"] for one in found["parameters"]] == list(
+        api.http.get(f"/api/v1/campaigns/{ended}").json()["best"]["parameters"]
+    )
