@@ -11,7 +11,6 @@ from tests.support.faults.coordinator import Coordinator, coordinator
 from tests.support.faults.findings import Found
 from tests.support.faults.lives import SAID_SECONDS, Moment, live
 from tests.support.faults.ray_head import ray_head
-from tests.support.serve import until
 
 DOWN_SECONDS = 90.0
 
@@ -25,7 +24,7 @@ def _degraded(server: Coordinator) -> str | None:
 
 
 @pytest.mark.faults
-@pytest.mark.timeout(1200)
+@pytest.mark.timeout(3600)
 def test_a_ray_head_is_down_for_ninety_seconds(tmp_path: Path, without_faults: dict[str, Found]) -> None:
     with (
         ray_head() as head,
@@ -35,8 +34,8 @@ def test_a_ray_head_is_down_for_ninety_seconds(tmp_path: Path, without_faults: d
         def head_down(coordinator: Coordinator) -> None:
             head.kill()
             begin = time.monotonic()
-            until(lambda: _degraded(coordinator) is not None, "a campaign that says it is degraded", SAID_SECONDS)
-            print(f"         degraded after {time.monotonic() - begin:.1f} s: {_degraded(coordinator)}", flush=True)
+            took = coordinator.until(lambda: _degraded(coordinator) is not None, "a campaign that is degraded", SAID_SECONDS)
+            print(f"         degraded after {took}: {_degraded(coordinator)}", flush=True)
             while time.monotonic() - begin < DOWN_SECONDS:
                 health = coordinator.answers("/healthz")
                 assert health is not None
@@ -44,6 +43,6 @@ def test_a_ray_head_is_down_for_ninety_seconds(tmp_path: Path, without_faults: d
                 time.sleep(1.0)
             assert _degraded(coordinator) is not None
             head.start()
-            print(f"         ready again {coordinator.wait_ready():.1f} s after the head", flush=True)
+            print(f"         ready again {coordinator.wait_ready()} after the head", flush=True)
 
         live(server, [(Moment(0.3, 0.0), head_down)], without_faults)

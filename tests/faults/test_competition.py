@@ -12,7 +12,7 @@ import httpx
 import psycopg
 import pytest
 from sqlalchemy import func, make_url, select
-from tests.support.faults.coordinator import Coordinator, alive, coordinator, suspended
+from tests.support.faults.coordinator import READY_SECONDS, Coordinator, alive, coordinator, suspended
 from tests.support.faults.findings import Found
 from tests.support.faults.lives import (
     PATIENCE_SECONDS,
@@ -23,7 +23,6 @@ from tests.support.faults.lives import (
     wait_until_ended,
 )
 from tests.support.faults.workload import ANALYSING, post, submit
-from tests.support.serve import until
 
 from drivecal.storage.tables import campaigns
 
@@ -32,7 +31,7 @@ MakeServer = Callable[[str], Coordinator]
 
 
 @pytest.mark.faults
-@pytest.mark.timeout(600)
+@pytest.mark.timeout(3600)
 @pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
 def test_fifty_posts_with_one_key_make_one_campaign_though_the_api_is_killed(kind: str, server_on: MakeServer) -> None:
     server = server_on(kind)
@@ -60,7 +59,7 @@ def test_fifty_posts_with_one_key_make_one_campaign_though_the_api_is_killed(kin
 
 
 @pytest.mark.faults
-@pytest.mark.timeout(600)
+@pytest.mark.timeout(3600)
 @pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
 def test_a_second_server_is_refused_while_the_dispatcher_of_the_first_sleeps(
     kind: str, server_on: MakeServer, without_faults: dict[str, Found], tmp_path: Path
@@ -70,7 +69,7 @@ def test_a_second_server_is_refused_while_the_dispatcher_of_the_first_sleeps(
     def second_server(first: Coordinator) -> None:
         with suspended([first.dispatcher()]), coordinator(tmp_path / "second", first.database_url) as second:
             second.start()
-            until(lambda: not second.running, "the end of the second server", 30.0)
+            second.until(lambda: not second.running, "the end of the second server", READY_SECONDS)
             assert "another drivecal server" in second.told()
             time.sleep(10.0)
 
@@ -78,7 +77,7 @@ def test_a_second_server_is_refused_while_the_dispatcher_of_the_first_sleeps(
 
 
 @pytest.mark.faults
-@pytest.mark.timeout(600)
+@pytest.mark.timeout(3600)
 def test_a_dispatcher_that_sleeps_while_another_takes_over_does_nothing_more(
     server_on: MakeServer, without_faults: dict[str, Found], tmp_path: Path
 ) -> None:
@@ -93,7 +92,7 @@ def test_a_dispatcher_that_sleeps_while_another_takes_over_does_nothing_more(
             _lose_the_lock(first.database_url)  # as when a firewall forgets the connection of a machine that sleeps
             second.start_ready()
             life.tell(f"another server has taken over at {life.answered(accepted)} cells")
-        until(lambda: not alive(sleeper), "the end of the superseded dispatcher", 60.0)
+        first.until(lambda: not alive(sleeper), "the end of the superseded dispatcher", READY_SECONDS)
         life.tell("the superseded dispatcher has ended")
         wait_until_ended(second, accepted, PATIENCE_SECONDS)
         assert_as_without_faults(second, accepted, without_faults)

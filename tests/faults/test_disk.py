@@ -54,7 +54,7 @@ def _fill(folder: Path) -> Path:
 
 
 @pytest.mark.faults
-@pytest.mark.timeout(600)
+@pytest.mark.timeout(3600)
 def test_a_full_disk_stops_campaigns_only_as_long_as_it_is_full(tmp_path: Path, without_faults: dict[str, Found]) -> None:
     with (
         _small_disk(tmp_path / "disk") as disk,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import time
 from dataclasses import replace
 
 import psutil
@@ -13,6 +14,7 @@ from tests.support.faults import cage
 from tests.support.faults.coordinator import alive
 from tests.support.faults.findings import OF_A_CAMPAIGN, TABLES, Found, assert_equal
 from tests.support.faults.lives import moments
+from tests.support.faults.patience import Patience
 from tests.support.serve import until
 
 ORPHAN = "import os, time; os.fork() and os._exit(7); os.setsid(); os.fork() and os._exit(0); time.sleep(600)"
@@ -33,6 +35,22 @@ def test_a_daemon_does_not_escape_the_cage_and_ends_with_it() -> None:
     caged.stdin.close()
     assert caged.wait(10) == 7, "the command's own exit code"
     assert not any(alive(one) for one in family)
+
+
+def test_what_others_do_costs_no_patience() -> None:
+    burners = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(os.cpu_count() or 1)]
+    try:
+        family = [psutil.Process(one.pid) for one in burners]
+        begin = time.monotonic()
+        ours, theirs = Patience(60.0, lambda: family), Patience(60.0, list)
+        until(lambda: min(sum(one.cpu_times()[:2]) for one in family) > 0.4, "that they burn")
+        spent = theirs.spent(), ours.spent(), time.monotonic() - begin
+        assert sorted(spent) == list(spent), spent
+        assert spent[1] - spent[0] > 0.2, spent
+    finally:
+        for burner in burners:
+            burner.kill()
+            burner.wait()
 
 
 def test_whatever_a_campaign_found_differently_is_named() -> None:

@@ -28,13 +28,14 @@ from tests.support.faults.lives import (
 from tests.support.faults.postgres import KillablePostgres
 
 DATABASES = ("sqlite", "postgresql")
-KILLS_IN_A_LIFE = 5
+LIVES, KILLS_IN_A_LIFE = 5, 10
 KINDS: tuple[Fault, ...] = (kill_dispatcher, kill_dispatcher, kill_supervisor, kill_everything)
 
 MakeServer = Callable[[str], Coordinator]
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1200)
 def test_campaigns_on_sqlite_outlive_what_carries_them(server_on: MakeServer, without_faults: dict[str, Found]) -> None:
     plan = [(Moment(0.1, 0.0), kill_api), (Moment(0.3, 0.1), kill_dispatcher), (Moment(0.6, 0.0), kill_supervisor)]
     server = server_on("sqlite")
@@ -45,6 +46,7 @@ def test_campaigns_on_sqlite_outlive_what_carries_them(server_on: MakeServer, wi
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1200)
 def test_campaigns_on_postgresql_outlive_their_database(
     server_on: MakeServer, without_faults: dict[str, Found], postgres: KillablePostgres
 ) -> None:
@@ -52,8 +54,8 @@ def test_campaigns_on_postgresql_outlive_their_database(
 
 
 @pytest.mark.faults
-@pytest.mark.timeout(1200)
-@pytest.mark.parametrize("life", range(10))
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("life", range(LIVES))
 @pytest.mark.parametrize("kind", DATABASES)
 def test_fifty_kills_at_random_points(
     kind: str, life: int, server_on: MakeServer, without_faults: dict[str, Found], base_seed: int
@@ -66,7 +68,7 @@ def test_fifty_kills_at_random_points(
 
 
 @pytest.mark.faults
-@pytest.mark.timeout(1200)
+@pytest.mark.timeout(3600)
 @pytest.mark.parametrize("life", range(2))
 def test_ten_kills_of_postgresql_in_the_middle_of_a_commit(
     life: int, server_on: MakeServer, without_faults: dict[str, Found], base_seed: int, postgres: KillablePostgres
@@ -80,7 +82,7 @@ def test_ten_kills_of_postgresql_in_the_middle_of_a_commit(
 
 
 @pytest.mark.faults
-@pytest.mark.timeout(1200)
+@pytest.mark.timeout(3600)
 def test_postgresql_is_away_for_a_minute(
     server_on: MakeServer, without_faults: dict[str, Found], postgres: KillablePostgres
 ) -> None:
@@ -88,7 +90,7 @@ def test_postgresql_is_away_for_a_minute(
 
 
 @pytest.mark.faults
-@pytest.mark.timeout(1200)
+@pytest.mark.timeout(3600)
 @pytest.mark.parametrize("kind", DATABASES)
 def test_api_and_dispatcher_killed_alone_are_back_within_a_minute(
     kind: str, server_on: MakeServer, without_faults: dict[str, Found]
@@ -99,7 +101,7 @@ def test_api_and_dispatcher_killed_alone_are_back_within_a_minute(
 
 
 @pytest.mark.faults
-@pytest.mark.timeout(1200)
+@pytest.mark.timeout(3600)
 @pytest.mark.parametrize("kind", DATABASES)
 def test_sigterm_under_load_ends_it_in_ten_seconds_and_it_goes_on(
     kind: str, server_on: MakeServer, without_faults: dict[str, Found]
@@ -108,14 +110,14 @@ def test_sigterm_under_load_ends_it_in_ten_seconds_and_it_goes_on(
 
 
 @pytest.mark.faults
-@pytest.mark.timeout(1200)
+@pytest.mark.timeout(3600)
 def test_the_parts_of_a_local_ray_are_killed(server_on: MakeServer, without_faults: dict[str, Found]) -> None:
     plan = [(Moment(0.2, 0.0), and_ready_again(kill_raylet)), (Moment(0.6, 0.0), and_ready_again(kill_gcs_server))]
     live(server_on("sqlite"), plan, without_faults)
 
 
 @pytest.mark.faults
-@pytest.mark.timeout(1200)
+@pytest.mark.timeout(3600)
 @pytest.mark.parametrize("fault", [dispatcher_asleep, asleep])
 @pytest.mark.parametrize("kind", DATABASES)
 def test_processes_sleep_and_wake_up_again(

@@ -82,7 +82,7 @@ def test_a_segfault_a_hang_and_exhausted_memory_in_a_batch_of_sixteen_cost_their
 
 
 @pytest.mark.faults
-@pytest.mark.timeout(1200)
+@pytest.mark.timeout(3600)
 def test_poison_in_a_campaign_is_failed_with_its_cause_and_nothing_else_is(tmp_path: Path) -> None:
     document: dict[str, Any] = {
         "catalogue": ["S1"],

@@ -51,7 +51,7 @@ def _murderer(server: Coordinator, seed: int) -> Iterator[list[int]]:
 
 
 @pytest.mark.faults
-@pytest.mark.timeout(2400)
+@pytest.mark.timeout(3600)
 def test_a_worker_killed_every_two_seconds_for_three_minutes_costs_no_cell(tmp_path: Path, base_seed: int) -> None:
     with coordinator(tmp_path / "without-faults") as server:
         server.start_ready()

@@ -8,13 +8,14 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import httpx
 import psutil
 from tests.support.faults import cage
+from tests.support.faults.patience import Patience
 from tests.support.serve import environment
 from tests.support.server import free_port
 
@@ -24,7 +25,7 @@ from drivecal.storage.database import Database
 from drivecal.storage.processes import StoredProcess
 
 READY_SECONDS = 60.0
-"""In which a server is to be ready again, whatever was killed."""
+"""In which a server is to be ready again, whatever was killed; this and the others without what the machine does for others."""
 STOP_SECONDS = 10.0
 """In which SIGTERM ends it."""
 ORPHAN_SECONDS = 5.0
@@ -141,16 +142,23 @@ class Coordinator:
             return False
         return told is not None and told.pid == dispatcher.pid and self._has_worker(told)
 
-    def wait_ready(self, seconds: float = READY_SECONDS) -> float:
-        """Waits until the server can work; gives the seconds that it took."""
-        begin = time.monotonic()
-        while not self.ready:
+    def until(self, condition: Callable[[], bool], what: str, seconds: float) -> str:
+        """Waits for `condition`; gives the time that it took, in words. AssertionError where it takes more than `seconds` without those
+        that the machine spent on others."""
+        patience = Patience(seconds, self.family)
+        while not condition():
+            assert not patience.over, f"{what}: did not happen within {patience.told()}\n{self.told()}"
+            time.sleep(0.1)
+        return patience.told()
+
+    def wait_ready(self) -> str:
+        """Waits until the server can work; gives the time that it took, in words."""
+
+        def ready() -> bool:
             assert self.running, f"the server has ended:\n{self.told()}"
-            if time.monotonic() - begin > seconds:
-                answer = self.answers("/readyz")
-                raise AssertionError(f"not ready after {seconds:.0f} s: {answer and answer.text}\n{self.told()}")
-            time.sleep(0.05)
-        return time.monotonic() - begin
+            return self.ready
+
+        return self.until(ready, "a server that is ready", READY_SECONDS)
 
     def kill_all(self) -> None:
         """SIGKILL to every process of it at once."""
@@ -164,25 +172,25 @@ class Coordinator:
         self.supervisor().kill()
         self.wait_gone()
 
-    def terminate(self, seconds: float = STOP_SECONDS) -> float:
-        """SIGTERM to the process that was started, as a user or an init system sends it; gives the seconds until nothing was left."""
-        begin = time.monotonic()
+    def terminate(self) -> str:
+        """SIGTERM to the process that was started, as a user or an init system sends it; gives the time until nothing was left."""
         self.supervisor().send_signal(signal.SIGTERM)
-        self.wait_gone(seconds)
-        return time.monotonic() - begin
+        return self.wait_gone(STOP_SECONDS)
 
-    def wait_gone(self, seconds: float = ORPHAN_SECONDS) -> None:
-        """Waits until no process of it is left, and its port is free. AssertionError naming those that stay."""
-        assert self._cage is not None
-        try:
-            self._cage.wait(seconds)
-        except subprocess.TimeoutExpired:
-            left = [f"{one.pid} {' '.join(one.cmdline())[:120]}" for one in self.family()]
-            raise AssertionError(f"after {seconds:.0f} s there are still {left}:\n{self.told()}") from None
+    def wait_gone(self, seconds: float = ORPHAN_SECONDS) -> str:
+        """Waits until no process of it is left, and its port is free; gives the time that it took. AssertionError naming those that
+        stay."""
+        patience = Patience(seconds, self.family)
+        while self.running:
+            if patience.over:
+                left = [f"{one.pid} {' '.join(one.cmdline())[:120]}" for one in self.family()]
+                raise AssertionError(f"after {patience.told()} there are still {left}:\n{self.told()}")
+            time.sleep(0.02)
         self._forget_cage()
         with socket.socket() as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind(("127.0.0.1", self.port))
+        return patience.told()
 
     def told(self) -> str:
         """The end of what it said, of all its lives."""

@@ -14,21 +14,21 @@ import psutil
 from sqlalchemy import func, select
 from tests.support.faults.coordinator import ORPHAN_SECONDS, READY_SECONDS, Coordinator, alive, suspended
 from tests.support.faults.findings import Found, assert_equal, assert_sound, found
+from tests.support.faults.patience import Patience
 from tests.support.faults.postgres import KillablePostgres
 from tests.support.faults.workload import ANALYSING, Accepted, single_evaluations, submit
-from tests.support.serve import until
 
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import DrivecalError
 from drivecal.storage import campaigns
 from drivecal.storage.tables import evaluations
 
-LOOK_SECONDS = 0.01
+LOOK_SECONDS = 0.03
 SAID_SECONDS = 5.0
 """In which the server says what is wrong."""
 ASLEEP_SECONDS = 20.0
-PATIENCE_SECONDS = 240.0
-"""In which a server has to get on with its work; it needs ten, but may have a small part of a busy machine."""
+PATIENCE_SECONDS = 120.0
+"""In which a server has to get on with its work; it needs ten."""
 
 
 class Fault(Protocol):
@@ -41,25 +41,25 @@ class Fault(Protocol):
 
 def kill_dispatcher(coordinator: Coordinator) -> None:
     """SIGKILL; nothing of its Ray may stay behind, and the supervisor starts the next one."""
-    _kill_child(coordinator.dispatcher)
+    _kill_child(coordinator, coordinator.dispatcher)
 
 
 def kill_api(coordinator: Coordinator) -> None:
     """SIGKILL; the supervisor starts the next one."""
-    _kill_child(coordinator.api)
+    _kill_child(coordinator, coordinator.api)
 
 
 def kill_raylet(coordinator: Coordinator) -> None:
     """SIGKILL to the node's daemon of the local Ray, which takes the workers along."""
-    _kill_child(lambda: coordinator.ray_part("raylet"))
+    _kill_child(coordinator, lambda: coordinator.ray_part("raylet"))
 
 
 def kill_gcs_server(coordinator: Coordinator) -> None:
     """SIGKILL to the local Ray's store of cluster state."""
-    _kill_child(lambda: coordinator.ray_part("gcs_server"))
+    _kill_child(coordinator, lambda: coordinator.ray_part("gcs_server"))
 
 
-def _kill_child(find: Callable[[], psutil.Process]) -> None:
+def _kill_child(coordinator: Coordinator, find: Callable[[], psutil.Process]) -> None:
     """Kills a process, waited for where it is just being started again; what it had started must end as well."""
     found: list[psutil.Process] = []
 
@@ -68,12 +68,12 @@ def _kill_child(find: Callable[[], psutil.Process]) -> None:
             found[:] = [find()]
         return bool(found)
 
-    until(is_there, "a process to kill", READY_SECONDS)
+    coordinator.until(is_there, "a process to kill", READY_SECONDS)
     before = list(found)
     with suppress(psutil.NoSuchProcess):  # it may end by itself just now
         before += found[0].children(recursive=True)
         found[0].kill()
-    until(lambda: not any(alive(one) for one in before), f"the end of {before}", ORPHAN_SECONDS)
+    coordinator.until(lambda: not any(alive(one) for one in before), f"the end of {before}", ORPHAN_SECONDS)
 
 
 def kill_supervisor(coordinator: Coordinator) -> None:
@@ -118,15 +118,14 @@ def outage(postgres: KillablePostgres, seconds: float) -> Fault:
 
 def assert_said(coordinator: Coordinator, word: str) -> None:
     """AssertionError where /readyz does not say within `SAID_SECONDS` that it is not ready, with `word` in the reason."""
-    begin = time.monotonic()
-    answer = None
-    while time.monotonic() - begin < SAID_SECONDS:
-        answer = coordinator.answers("/readyz")
-        if answer is not None and answer.status_code != httpx.codes.OK and word in answer.text:
-            print(f"         said after {time.monotonic() - begin:.1f} s: {answer.json()['problems']}", flush=True)
-            return
-        time.sleep(0.1)
-    raise AssertionError(f"/readyz did not name the {word} within {SAID_SECONDS} s: {answer and answer.text}")
+    answers: list[httpx.Response] = []
+
+    def said() -> bool:
+        answers[:] = filter(None, [coordinator.answers("/readyz")])
+        return any(one.status_code != httpx.codes.OK and word in one.text for one in answers)
+
+    took = coordinator.until(said, f"that /readyz names the {word}", SAID_SECONDS)
+    print(f"         said after {took}: {answers[0].json()['problems']}", flush=True)
 
 
 def asleep(coordinator: Coordinator) -> None:
@@ -150,7 +149,7 @@ def and_ready_again(fault: Fault) -> Fault:
 
     def both(coordinator: Coordinator) -> None:
         fault(coordinator)
-        print(f"         ready again {coordinator.wait_ready():.1f} s after {fault.__name__}", flush=True)
+        print(f"         ready again {coordinator.wait_ready()} after {fault.__name__}", flush=True)
 
     both.__name__ = fault.__name__
     return both
@@ -195,10 +194,11 @@ class Life:
     def wait_for(self, moment: Moment, accepted: Accepted) -> int | None:
         """Waits for a moment; gives the cells answered by then."""
         since = time.monotonic()
+        patience = Patience(PATIENCE_SECONDS, self.coordinator.family)
         if moment.share is not None:
             while (self.answered(accepted) or 0) < moment.share * self.cells:
                 assert self.coordinator.running, f"the server ended by itself:\n{self.coordinator.told()}"
-                assert time.monotonic() - since < PATIENCE_SECONDS, f"no progress:\n{self.coordinator.told()}"
+                assert not patience.over, f"no progress within {patience.told()}:\n{self.coordinator.told()}"
                 time.sleep(LOOK_SECONDS)
             since = time.monotonic()
         time.sleep(max(0.0, since + moment.seconds - time.monotonic()))
@@ -228,22 +228,22 @@ def live(coordinator: Coordinator, plan: Sequence[tuple[Moment, Fault]], expecte
             answered = life.wait_for(moment, accepted)
             life.tell(f"{fault.__name__} at {answered} of {life.cells} cells")
             fault(coordinator)
-    life.tell(f"ready again {coordinator.wait_ready(READY_SECONDS):.1f} s after the last fault")
+    life.tell(f"ready again {coordinator.wait_ready()} after the last fault")
     wait_until_ended(coordinator, accepted)
     life.tell(f"all has ended; {len(accepted.evaluations)} single evaluations were accepted")
     assert_as_without_faults(coordinator, accepted, expected)
-    life.tell(f"SIGTERM ended it in {coordinator.terminate():.1f} s")
+    life.tell(f"SIGTERM ended it in {coordinator.terminate()}")
     return life
 
 
 def wait_until_ended(coordinator: Coordinator, accepted: Accepted, seconds: float = PATIENCE_SECONDS) -> None:
     """Waits for the end of everything that was accepted."""
     left = [*accepted.campaigns.values(), *(answers[0] for answers in accepted.evaluations.values())]
-    deadline = time.monotonic() + seconds
+    patience = Patience(seconds, coordinator.family)
     while left:
         with suppress(DrivecalError), coordinator.database.read() as connection:
             left = [one for one in left if not campaigns.get(connection, one).state.ended]
-        assert time.monotonic() < deadline, f"{len(left)} of them do not end:\n{coordinator.told()}"
+        assert not patience.over, f"{len(left)} of them do not end within {patience.told()}:\n{coordinator.told()}"
         assert coordinator.running, f"the server ended by itself:\n{coordinator.told()}"
         time.sleep(0.1)
 

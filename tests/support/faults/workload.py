@@ -43,7 +43,7 @@ ANALYSING: dict[str, Any] = {
 }
 """Every stage there is. Its vehicle is another one, so that what it finds does not depend on how far the other campaign is."""
 SINGLE: dict[str, Any] = {"scenario": "S3", "vehicle": {"parameters": {"mass": 1700}}}
-PATIENCE_SECONDS = 120.0
+PATIENCE_SECONDS = 600.0
 """In which a request is accepted at last, while a server is killed and comes back."""
 
 
