@@ -55,6 +55,18 @@ class Memory(threading.Thread):
         self.join()
 
 
+def processor_seconds() -> dict[str, float]:
+    """What this process's descendants have used of the processor so far, by role."""
+    used: dict[str, float] = {}
+    for process in psutil.Process().children(recursive=True):
+        try:
+            role, times = _role(process.cmdline()), process.cpu_times()
+        except psutil.Error:
+            continue
+        used[role] = used.get(role, 0.0) + times.user + times.system
+    return used
+
+
 def _role(command: list[str]) -> str:
     line = " ".join(command)
     for word, role in (("ray::", "workers"), ("drivecal.dispatch", "dispatcher"), ("drivecal.api", "api")):
@@ -124,7 +136,9 @@ def main() -> int:
     memory.start()
     with fresh_folder(HOME), coordinator(HOME) as client:
         wait_for_workers(client)
+        before = processor_seconds()
         campaign = run_campaign(client, chosen.population, chosen.iterations)
+        used = {role: seconds - before.get(role, 0.0) for role, seconds in processor_seconds().items()}
         cells = sample_of(client, campaign)
     memory.stop()
     cost = single_process_cost(cells)
@@ -140,6 +154,7 @@ def main() -> int:
         "worker_milliseconds_per_cell": 1000 * campaign.seconds.simulating / simulated,
         "cells_per_second": simulated / wall,
         "efficiency": efficiency,
+        "processor_seconds": used,
         "peak_megabytes": memory.peaks,
     }
     TARGET.parent.mkdir(parents=True, exist_ok=True)
@@ -149,6 +164,7 @@ def main() -> int:
         f"one cell: {1000 * cost:.2f} ms in one process alone, {figures['worker_milliseconds_per_cell']:.2f} ms of CPU in a worker"
     )
     print(f"efficiency {efficiency:.3f} (target {AT_LEAST})")
+    print("processor time, s: " + ", ".join(f"{role} {seconds:.1f}" for role, seconds in sorted(used.items())))
     print("peak memory, MB: " + ", ".join(f"{role} {megabytes:.0f}" for role, megabytes in sorted(memory.peaks.items())))
     return 0 if efficiency >= AT_LEAST else 1
 

@@ -31,7 +31,7 @@ def main(names: Sequence[str]) -> int:
     for name in names or available():
         print(f"\n{name}\n{'=' * len(name)}", flush=True)
         started = time.perf_counter()
-        code = subprocess.run([sys.executable, str(HERE / f"{name}.py")], check=False).returncode
+        code = subprocess.run([sys.executable, "-m", f"tests.benchmarks.{name}"], cwd=HERE.parents[1], check=False).returncode
         ended[name] = (code, time.perf_counter() - started)
     print()
     for name, (code, seconds) in ended.items():
