@@ -20,6 +20,7 @@ from drivecal.domain.errors import RefutedError
 from drivecal.domain.evaluations import Donor, Outcome
 from drivecal.execution.measures import MEASURES
 from drivecal.execution.scheduler import Completed
+from drivecal.plugins.ports import SeriesEvaluator
 from drivecal.reduction.assignment import is_checked
 from drivecal.storage import evaluations, leases, runs
 from drivecal.storage.evaluations import COPIES, Answer, NewEvaluation, PendingEvaluation
@@ -282,6 +283,7 @@ class Ledger:
             stage=cell.stage,
             iteration=cell.iteration,
             individual=cell.individual,
+            from_series=isinstance(self._view.bench.evaluator, SeriesEvaluator),
         )
 
 

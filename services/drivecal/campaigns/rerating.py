@@ -9,7 +9,7 @@ from drivecal.campaigns.planning import View, ensure_setups
 from drivecal.domain.evaluations import FAILED_RATING, Rating
 from drivecal.domain.parameters import ParameterSet
 from drivecal.domain.scenarios import Manoeuvre
-from drivecal.plugins.ports import Evaluator
+from drivecal.plugins.ports import Evaluator, SeriesEvaluator
 from drivecal.storage import parameter_sets, ratings
 from drivecal.storage.database import Database
 from drivecal.storage.ratings import UnratedRun
@@ -25,7 +25,8 @@ def rate_stored_runs(database: Database, view: View, only: ParameterSet | None =
 
     With `only`, those of one parameter set. To be done before anything is planned: then the campaign sees a rating of every run that its
     evaluator can rate, and what other campaigns do meanwhile adds none. Failed runs score 0 whoever rates. Runs that lack what the
-    evaluator asks for stay without its rating, and are simulated when needed. Resumable: what is rated is not asked for again.
+    evaluator asks for stay without its rating, and are simulated when needed; so do all that did not fail where it needs their series.
+    Resumable: what is rated is not asked for again.
     """
     with database.transaction() as connection:
         setup_ids = ensure_setups(connection, view.bench)
@@ -45,6 +46,7 @@ def rate_stored_runs(database: Database, view: View, only: ParameterSet | None =
                     upto=view.watermark,
                     limit=chunk,
                     parameter_set_id=number,
+                    only_failed=isinstance(evaluator, SeriesEvaluator),
                 )
             if not found:
                 break
@@ -55,6 +57,27 @@ def rate_stored_runs(database: Database, view: View, only: ParameterSet | None =
     if total or missing:
         log.info("%s rated %d stored runs; %d lack what it asks for", evaluator_id, total, missing)
     return total
+
+
+def note_of(database: Database, view: View) -> str | None:
+    """What the campaign's evaluator makes of the stored runs of others, in words; None where there is nothing to say. To be asked when
+    they are rated (`rate_stored_runs`); the same whenever the campaign is taken up."""
+    bench = view.bench
+    with database.transaction() as connection:
+        found = ratings.standing(
+            connection, list(ensure_setups(connection, bench).values()), bench.evaluator_id, view.watermark
+        )
+    parts = []
+    if found.anew:
+        parts.append(f"{found.anew:,} are rated by what is stored of them, without a simulation")
+    if found.again:
+        parts.append(f"{found.again:,} were simulated again for it before")
+    if found.missing:
+        lacking = "it needs their time series, which is not stored"
+        if not isinstance(bench.evaluator, SeriesEvaluator):
+            lacking = "they lack metrics that it asks for"
+        parts.append(f"{found.missing:,} are simulated again where they are asked for: {lacking}")
+    return f"stored runs that {bench.evaluator_id} did not rate at first: {'; '.join(parts)}" if parts else None
 
 
 def _rating(evaluator: Evaluator, manoeuvre: Manoeuvre, run: UnratedRun) -> Rating | None:

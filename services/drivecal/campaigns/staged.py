@@ -10,7 +10,7 @@ from drivecal.campaigns.ledger import Work
 from drivecal.campaigns.maps import check_basis, stored_map
 from drivecal.campaigns.planning import View
 from drivecal.campaigns.problem import CalibrationProblem
-from drivecal.campaigns.rerating import rate_stored_runs
+from drivecal.campaigns.rerating import note_of, rate_stored_runs
 from drivecal.campaigns.robustness import RobustnessStage
 from drivecal.campaigns.sensitivity import Sensitivity
 from drivecal.campaigns.validation import ValidationStage
@@ -32,32 +32,41 @@ class StagedCampaign:
         self._view = View(
             campaign.sequence, campaign.watermark or 0, problem.bench, checked_certificates=problem.checked_certificates
         )
-        self._rated = False
+        self._begun = False
         self._sequence = campaign.sequence
         every = list(Stage)
         self._ahead = every if campaign.stage is None else every[every.index(campaign.stage) :]
         self.stage = campaign.stage
         """In which it is, None before the first."""
-        self._stage = self._next(campaign)
+        self._stage: AnyStage | None = None
 
     @property
     def finished(self) -> bool:
         """Whether nothing is left to do."""
-        return self._stage is None
+        return self._begun and self._stage is None
 
     def work(self) -> list[Work]:
         """What to simulate next; empty where answers are awaited or everything is `finished`."""
-        if not self._rated:
-            rate_stored_runs(self._database, self._view)
-            self._rated = True
+        if not self._begun:
+            self._begin()
         while self._stage is not None:
             work = self._stage.work()
             if work or not self._stage.finished:
                 return work
-            with self._database.read() as connection:
-                campaign = campaigns.by_sequence(connection, self._sequence)
-            self._stage = self._next(campaign)
+            self._stage = self._next(self._campaign())
         return []
+
+    def _begin(self) -> None:
+        rate_stored_runs(self._database, self._view)
+        note = note_of(self._database, self._view)
+        if note is not None:
+            self._problem = replace(self._problem, notes=(*self._problem.notes, note))
+        self._stage = self._next(self._campaign())
+        self._begun = True
+
+    def _campaign(self) -> StoredCampaign:
+        with self._database.read() as connection:
+            return campaigns.by_sequence(connection, self._sequence)
 
     def record(self, completed: Sequence[Completed]) -> list[Work]:
         """Writes results down; gives what is to be simulated instead."""

@@ -96,7 +96,8 @@ def contradictions(
             stored_key,
             (stored_key.c.index_id == index.c.id)
             & (stored_key.c.key == evaluations.c.reference_key)
-            & (stored_key.c.run_id <= watermark),
+            & (stored_key.c.run_id <= watermark)
+            & (stored_key.c.since <= watermark),
         )
         .outerjoin(stored, (stored.c.run_id == stored_key.c.run_id) & (stored.c.evaluator == evaluator))
     )

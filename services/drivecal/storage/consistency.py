@@ -25,6 +25,7 @@ from sqlalchemy import (
 
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.parameters import ParameterSet
+from drivecal.storage.runs import largest_id
 from drivecal.storage.schema import REVISION_TABLE
 from drivecal.storage.tables import (
     metadata,
@@ -81,7 +82,7 @@ def check_numbers(connection: Connection) -> Iterator[str]:
     for name, last in last_numbers(connection, tables).items():
         if name in metadata.tables:
             [column] = metadata.tables[name].primary_key
-            largest = connection.scalar(select(func.max(column))) or 0
+            largest = largest_id(connection) if name == "runs" else connection.scalar(select(func.max(column))) or 0
             if largest > last:
                 yield f"the next row of {name} would get number {last + 1}, but {largest} is taken"
 

@@ -25,6 +25,7 @@ from drivecal.domain.campaigns import CampaignState, Stage
 from drivecal.domain.evaluations import Outcome
 from drivecal.storage.consistency import Check
 from drivecal.storage.evaluations import COPIES, DONORS
+from drivecal.storage.runs import largest_id
 from drivecal.storage.tables import (
     campaigns,
     evaluations,
@@ -136,7 +137,7 @@ def check_references(connection: Connection) -> Iterator[str]:
         count, first = connection.execute(select(func.count(), func.min(runs.c.id)).where(broken)).one()
         if count:
             yield f"{count:,} runs {sentence}, the first of them run {first}"
-    newest = connection.scalar(select(func.max(runs.c.id))) or 0
+    newest = largest_id(connection)
     for name, watermark in connection.execute(
         select(campaigns.c.id, campaigns.c.watermark).where(campaigns.c.watermark > newest).limit(5)
     ):
@@ -155,6 +156,8 @@ def check_key_copies(connection: Connection) -> Iterator[str]:
         ratings.c.run_id.is_(None),
         runs.c.id.is_(None),
         key.run_id > reference_indexes.c.run_id,
+        key.since > reference_indexes.c.run_id,
+        key.since != ratings.c.since,
         key.evaluation_id != runs.c.evaluation_id,
         key.score != ratings.c.score,
         key.rating != ratings.c.rating,

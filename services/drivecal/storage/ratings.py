@@ -1,7 +1,7 @@
 """Ratings of stored runs by other evaluators than the one that rated them first.
 
 They follow from the metrics that are stored with a run, so that whether an evaluator has an opinion of a run does not depend on when,
-or for which campaign, it was asked.
+or for which campaign, it was asked. (Ratings that a run is simulated again for are written down by `runs.insert_results`.)
 """
 
 from __future__ import annotations
@@ -9,11 +9,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from sqlalchemy import Connection, exists, select
+from sqlalchemy import Connection, case, exists, func, select
 
 from drivecal.domain.evaluations import Rating
+from drivecal.storage.membership import among
 from drivecal.storage.membership import insert as insert_into
-from drivecal.storage.tables import ratings, runs
+from drivecal.storage.tables import campaigns, ratings, runs
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +35,7 @@ def unrated(
     upto: int,
     limit: int,
     parameter_set_id: int | None = None,
+    only_failed: bool = False,
 ) -> list[UnratedRun]:
     """At most `limit` of a setup's runs, `after` < id <= `upto`, that `evaluator` ("name version") has not rated, ordered by id;
     with `parameter_set_id` only that of this parameter set."""
@@ -46,7 +48,42 @@ def unrated(
     )
     if parameter_set_id is not None:
         query = query.where(runs.c.parameter_set_id == parameter_set_id)
+    if only_failed:
+        query = query.where(runs.c.failure.is_not(None))
     return [UnratedRun(row.id, row.metrics, row.failure) for row in connection.execute(query)]
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """How many runs that were simulated for other evaluators this one has rated by what is stored of them (`anew`), how many runs were
+    simulated again for it (`again`), and how many it has not rated (`missing`)."""
+
+    anew: int
+    again: int
+    missing: int
+
+
+def standing(connection: Connection, setup_ids: Sequence[int], evaluator: str, watermark: int) -> Standing:
+    """Of the runs in these setups and their ratings by `evaluator` ("name version"), both up to `watermark`."""
+    seen, later = ratings.c.since <= watermark, ratings.c.since > 0
+    joined = runs.outerjoin(ratings, (ratings.c.run_id == runs.c.id) & (ratings.c.evaluator == evaluator) & seen)
+    query = (
+        select(runs.c.campaign_sequence, func.count(), func.count(ratings.c.run_id), func.count(case((later, 1))))
+        .select_from(joined)
+        .where(runs.c.setup_id.in_(setup_ids), runs.c.id <= watermark)
+        .group_by(runs.c.campaign_sequence)
+    )
+    counted = connection.execute(query).all()
+    anew, again, missing = 0, 0, 0
+    used: dict[int, str] = {}
+    for condition in among(connection, campaigns.c.sequence, [row[0] for row in counted]):
+        rows = connection.execute(select(campaigns.c.sequence, campaigns.c.resolution).where(condition))
+        used |= {sequence: (resolution or {}).get("evaluator", evaluator) for sequence, resolution in rows}
+    for sequence, every, rated, repeated in counted:
+        anew += rated - repeated if used.get(sequence) != evaluator else 0
+        again += repeated
+        missing += every - rated
+    return Standing(anew, again, missing)
 
 
 def insert(connection: Connection, evaluator: str, found: Sequence[tuple[int, Rating]]) -> None:

@@ -3,13 +3,15 @@
 Which reference answers a key must not depend on when keys were computed, nor on what other campaigns store meanwhile: of the runs up
 to a campaign's watermark, the first in the order of (campaign, stage, iteration, individual) wins. Runs are stored in the order in
 which workers finish, so the first one may come late. Therefore a key keeps each run that comes before all runs of a smaller id: the
-last of those up to the watermark is the winner, for every watermark.
+last of those up to the watermark is the winner, for every watermark. A run whose rating is younger than itself has, in all of this, the
+number of its rating (`since`) in place of its id.
 
 What a donor gives (evaluation, score, rating, failure) is copied to its key, since neither a run nor its ratings ever change: so a look-up
 reads one tree only, and not the rows of runs, which are ten times as large and lie all over the table.
 
 Keys are indexed for each evaluator apart, of the runs that it has rated: one that it cannot rate answers nothing, and must not hide a
-later one that it can. Which it can rate follows from the stored metrics (`runs.insert_results`), so it is the same for everybody.
+later one that it can. Which it can rate follows from what is stored up to a campaign's watermark (`runs.insert_results`), so it is the same
+for everybody.
 """
 
 from __future__ import annotations
@@ -39,24 +41,27 @@ _ORIGIN = (
     runs.c.iteration,
     runs.c.individual,
 )
-_COPIED = (runs.c.evaluation_id, ratings.c.score, ratings.c.rating, runs.c.failure)
+_COPIED = (runs.c.evaluation_id, ratings.c.score, ratings.c.rating, runs.c.failure, ratings.c.since)
 
 
 def look_up(
     connection: Connection, influence_map_sequence: int, setup_id: int, keys: Sequence[bytes], evaluator: str, watermark: int
 ) -> dict[bytes, Donor]:
-    """The first references of `keys` among the runs up to `watermark` that `evaluator` rated. To be called after `sync`."""
+    """The first references of `keys` among the runs that `evaluator` rated, both up to `watermark`. To be called after `sync`."""
     index = connection.scalar(_index(influence_map_sequence, setup_id, evaluator))
-    newest: dict[bytes, Donor] = {}
+    newest: dict[bytes, tuple[int, Donor]] = {}
     if index is None:
-        return newest
+        return {}
     one = reference_keys.c
     for condition in among(connection, one.key, sorted(keys)):  # in the order of the tree
-        query = select(one.key, one.evaluation_id, one.run_id, one.score, one.rating, one.failure)
-        for key, *donor in connection.execute(query.where(one.index_id == index, condition, one.run_id <= watermark)).all():
-            if key not in newest or donor[1] > newest[key].run:
-                newest[key] = Donor(*donor)
-    return newest
+        query = select(one.key, one.since, one.evaluation_id, one.run_id, one.score, one.rating, one.failure).where(
+            one.index_id == index, condition, one.run_id <= watermark, one.since <= watermark
+        )
+        for key, since, *donor in connection.execute(query).all():
+            number = since or donor[1]
+            if key not in newest or number > newest[key][0]:
+                newest[key] = number, Donor(*donor)
+    return {key: donor for key, (_, donor) in newest.items()}
 
 
 def sync(
@@ -91,7 +96,7 @@ def indexes(connection: Connection) -> list[Row[Any]]:
 def wrong_keys(connection: Connection, index: Row[Any], key_function: KeyFunction, every: int, chunk: int = CHUNK) -> int:
     """How many of one index's rows would be other ones if they were made anew; looks at each `every`-th run only.
 
-    A run has to have its row where no run before it comes earlier in the order of origins under the same key, and none elsewhere.
+    A run has to have its row where no run of a smaller number comes earlier in the order of origins under the same key, and none elsewhere.
     """
     wrong = found = after = 0
     while rows := _rated(connection, index.setup_id, index.evaluator, after, index.run_id, chunk, every):
@@ -99,10 +104,11 @@ def wrong_keys(connection: Connection, index: Row[Any], key_function: KeyFunctio
         stored = _stored(connection, index.id, sorted(set(keys)))
         for key, row in zip(keys, rows, strict=True):
             place, others = _place(row), stored.get(key, {})
-            first = all(other > row.id or place < earlier for other, earlier in others.items() if other != row.id)
+            number = _number(row)
+            first = all(at > number or place < earlier for other, (at, earlier) in others.items() if other != row.id)
             wrong += first != (row.id in others)
             found += row.id in others
-        after = rows[-1].id
+        after = _number(rows[-1])
     there = select(func.count()).where(reference_keys.c.index_id == index.id, reference_keys.c.run_id % every == 0)
     return wrong + abs(connection.execute(there).scalar_one() - found)
 
@@ -122,7 +128,7 @@ def _sync_chunk(
                 first[key] = place
                 records.append((index, key, *row[: 1 + len(_COPIED)]))
         _insert(connection, sorted(records))  # no two have the same index, key and run
-    reached = max(rows[-1].id if len(rows) == chunk else upto, since)
+    reached = max(_number(rows[-1]) if len(rows) == chunk else upto, since)
     connection.execute(reference_indexes.update().where(reference_indexes.c.id == index).values(run_id=reached))
     return len(rows)
 
@@ -130,16 +136,25 @@ def _sync_chunk(
 def _rated(
     connection: Connection, setup_id: int, evaluator: str, after: int, upto: int, chunk: int, every: int = 1
 ) -> Sequence[Row[Any]]:
-    """Of the next `chunk` runs that the evaluator rated: id, what their keys copy, origin, parameter set."""
+    """Of the next `chunk` runs that the evaluator rated, in the order of their numbers: id, what their keys copy, origin, parameter set."""
     query = (
         select(runs.c.id, *_COPIED, *_ORIGIN, parameter_sets_table.c.parameter_values)
         .join(parameter_sets_table)
         .join(ratings, (ratings.c.run_id == runs.c.id) & (ratings.c.evaluator == evaluator))
-        .where(runs.c.setup_id == setup_id, runs.c.id > after, runs.c.id <= upto)
-        .order_by(runs.c.id)
+        .where(runs.c.setup_id == setup_id)
         .limit(chunk)
     )
-    return connection.execute(query if every == 1 else query.where(runs.c.id % every == 0)).all()
+    if every != 1:
+        query = query.where(runs.c.id % every == 0)
+    first = query.where(ratings.c.since == 0, runs.c.id > after, runs.c.id <= upto).order_by(runs.c.id)
+    late = query.where(ratings.c.since > 0, ratings.c.since > after, ratings.c.since <= upto).order_by(ratings.c.since)
+    return sorted([*connection.execute(first), *connection.execute(late)], key=_number)[:chunk]
+
+
+def _number(row: Row[Any]) -> int:
+    """From which watermark on a row of `_rated` is seen."""
+    number: int = row.since or row.id
+    return number
 
 
 def _place(row: Row[Any]) -> tuple[int, ...]:
@@ -181,20 +196,20 @@ def _keys(rows: Sequence[Row[Any]], key_function: KeyFunction) -> list[bytes]:
 
 def _first(connection: Connection, index: int, keys: Sequence[bytes]) -> dict[bytes, tuple[int, ...]]:
     """The earliest origin of each key that is there already."""
-    return {key: min(places.values()) for key, places in _stored(connection, index, keys).items()}
+    return {key: min(place for _, place in stored.values()) for key, stored in _stored(connection, index, keys).items()}
 
 
-def _stored(connection: Connection, index: int, keys: Sequence[bytes]) -> dict[bytes, dict[int, tuple[int, ...]]]:
-    """The origins of keys that are there already, by key and run."""
-    found: dict[bytes, dict[int, tuple[int, ...]]] = {}
+def _stored(connection: Connection, index: int, keys: Sequence[bytes]) -> dict[bytes, dict[int, tuple[int, tuple[int, ...]]]]:
+    """The numbers and origins of keys that are there already, by key and run."""
+    found: dict[bytes, dict[int, tuple[int, tuple[int, ...]]]] = {}
     for condition in among(connection, reference_keys.c.key, keys):
         query = (
-            select(reference_keys.c.key, runs.c.id, *_ORIGIN)
+            select(reference_keys.c.key, reference_keys.c.since, runs.c.id, *_ORIGIN)
             .join(runs, runs.c.id == reference_keys.c.run_id)
             .where(reference_keys.c.index_id == index, condition)
         )
-        for key, run_id, *origin in connection.execute(query):
-            found.setdefault(key, {})[run_id] = tuple(origin)
+        for key, since, run_id, *origin in connection.execute(query):
+            found.setdefault(key, {})[run_id] = since or run_id, tuple(origin)
     return found
 
 
@@ -203,11 +218,11 @@ def _insert(connection: Connection, rows: Sequence[tuple[Any, ...]]) -> None:
     if connection.dialect.name == "postgresql":
         driver: Any = connection.connection.driver_connection
         with driver.cursor() as cursor, cursor.copy(f"COPY {_COLUMNS} FROM STDIN (FORMAT BINARY)") as copy:
-            copy.set_types(["int8", "bytea", "int8", "int8", "int4", "float8", "text"])
+            copy.set_types(["int8", "bytea", "int8", "int8", "int4", "float8", "text", "int8"])
             for row in rows:
                 copy.write_row(row)
     elif rows:
-        connection.exec_driver_sql(f"INSERT INTO {_COLUMNS} VALUES (?, ?, ?, ?, ?, ?, ?)", rows)  # noqa: S608  # a constant
+        connection.exec_driver_sql(f"INSERT INTO {_COLUMNS} VALUES (?, ?, ?, ?, ?, ?, ?, ?)", rows)  # noqa: S608  # a constant
 
 
-_COLUMNS = "reference_keys (index_id, key, run_id, evaluation_id, score, rating, failure)"
+_COLUMNS = "reference_keys (index_id, key, run_id, evaluation_id, score, rating, failure, since)"

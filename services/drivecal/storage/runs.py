@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import Connection, func, select
+from sqlalchemy import Connection, func, select, text
 
 from drivecal.domain.campaigns import Stage
 from drivecal.domain.evaluations import Donor
@@ -33,6 +33,8 @@ class NewRun:
     stage: Stage
     iteration: int
     individual: int
+    from_series: bool = False
+    """The rating says what the evaluator saw in the time series, and does not follow from the metrics."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,9 +53,9 @@ class StoredRun:
 def insert_results(connection: Connection, results: Sequence[NewRun]) -> list[StoredRun]:
     """Stores results exactly once and says for each, in order, what is stored for its cell. The first result of a cell stays.
 
-    A rating is stored together with its run or follows from the run's stored metrics (`ratings`), never from another simulation of the
-    same cell. So an evaluator's view of a run is as old as the run, and a campaign that sees the run sees it too, whoever simulates what
-    meanwhile.
+    A rating is stored together with its run, or it follows from the run's stored metrics (`ratings`): then a campaign that sees the run
+    sees it too, whoever simulates what meanwhile. Only a rating `from_series` can be had by simulating a stored run again; where that gave
+    the stored bits, it is kept with a number of its own, so that campaigns see it which begin from now on, and no other.
     """
     if not results:
         return []
@@ -66,41 +68,48 @@ def insert_results(connection: Connection, results: Sequence[NewRun]) -> list[St
         connection.execute(statement, new)
         known = _stored(connection, results)
     stored = [known[one.setup_id, one.parameter_set_id] for one in results]
-    rated = [
-        {"run_id": run.id, "evaluator": one.evaluator, "score": int(one.score), "rating": float(one.rating)}
+    repeats = [
+        run.failure == one.failure and run.metrics == finite(dict(one.metrics))
         for run, one in zip(stored, results, strict=True)
-        if run.id not in before
     ]
-    if rated:
-        connection.execute(insert(connection, ratings).on_conflict_do_nothing(index_elements=["run_id", "evaluator"]), rated)
+    new_ones: dict[tuple[int, str], NewRun] = {}
+    late: dict[tuple[int, str], NewRun] = {}
+    for run, one, same in zip(stored, results, repeats, strict=True):
+        if run.id not in before:
+            new_ones.setdefault((run.id, one.evaluator), one)
+        elif one.from_series and same and one.failure is None:
+            late.setdefault((run.id, one.evaluator), one)
+    _insert_ratings(connection, new_ones, dict.fromkeys(new_ones, 0))
     standing = _ratings(connection, sorted({run.id for run in stored}))
+    missing = [key for key in late if key not in standing]
+    _insert_ratings(connection, late, dict(zip(missing, _numbers(connection, len(missing)), strict=True)))
+    standing |= {key: (late[key].score, late[key].rating) for key in missing}
     return [
         StoredRun(
             id=run.id,
             evaluation_id=run.evaluation_id,
-            agrees=run.failure == one.failure
-            and run.metrics == finite(dict(one.metrics))
-            and standing.get((run.id, one.evaluator), (one.score, one.rating)) == (one.score, one.rating),
+            agrees=same and standing.get((run.id, one.evaluator), (one.score, one.rating)) == (one.score, one.rating),
         )
-        for run, one in zip(stored, results, strict=True)
+        for run, one, same in zip(stored, results, repeats, strict=True)
     ]
 
 
 def largest_id(connection: Connection) -> int:
-    """The id of the newest run, 0 where there is none: the watermark of a campaign that starts now."""
-    return connection.scalar(select(func.max(runs.c.id))) or 0
+    """The number of the newest run, or of the newest rating of an older one: the watermark of a campaign that starts now. 0 for none."""
+    newest = connection.scalar(select(func.max(runs.c.id))) or 0
+    return max(newest, connection.scalar(select(func.max(ratings.c.since)).where(ratings.c.since > 0)) or 0)
 
 
 def look_up_exact(
     connection: Connection, setup_id: int, parameter_set_ids: Sequence[int], evaluator: str, watermark: int
 ) -> dict[int, Donor]:
-    """The stored results of parameter sets in one setup, by parameter set id; of runs up to `watermark` that `evaluator` rated."""
+    """The stored results of parameter sets in one setup, by parameter set id; of runs that `evaluator` rated, both up to `watermark`."""
     found: dict[int, Donor] = {}
     for condition in among(connection, runs.c.parameter_set_id, sorted(int(one) for one in parameter_set_ids)):
         query = (
             select(runs.c.parameter_set_id, runs.c.id, runs.c.evaluation_id, runs.c.failure, ratings.c.score, ratings.c.rating)
             .join(ratings, (ratings.c.run_id == runs.c.id) & (ratings.c.evaluator == evaluator))
-            .where(runs.c.setup_id == setup_id, condition, runs.c.id <= watermark)
+            .where(runs.c.setup_id == setup_id, condition, runs.c.id <= watermark, ratings.c.since <= watermark)
         )
         for parameter_set_id, run, evaluation, failure, score, rating in connection.execute(query).all():
             found[parameter_set_id] = Donor(evaluation, run, score, rating, failure)
@@ -136,6 +145,35 @@ def _row(one: NewRun, created_at: Any) -> dict[str, Any]:
         "individual": int(one.individual),
         "created_at": created_at,
     }
+
+
+def _insert_ratings(
+    connection: Connection, found: Mapping[tuple[int, str], NewRun], since: Mapping[tuple[int, str], int]
+) -> None:
+    rows = [
+        {
+            "run_id": key[0],
+            "evaluator": key[1],
+            "score": int(found[key].score),
+            "rating": float(found[key].rating),
+            "since": number,
+        }
+        for key, number in since.items()
+    ]
+    if rows:
+        connection.execute(insert(connection, ratings).on_conflict_do_nothing(index_elements=["run_id", "evaluator"]), rows)
+
+
+def _numbers(connection: Connection, count: int) -> Sequence[int]:
+    """The next numbers of the sequence that numbers runs: no run will have them."""
+    if count == 0:
+        return ()
+    if connection.dialect.name == "postgresql":
+        query = text("SELECT nextval(pg_get_serial_sequence('runs', 'id')) FROM generate_series(1, :count)")
+        return sorted(connection.scalars(query, {"count": count}))
+    connection.execute(text("UPDATE sqlite_sequence SET seq = seq + :count WHERE name = 'runs'"), {"count": count})
+    last: int = connection.execute(text("SELECT seq FROM sqlite_sequence WHERE name = 'runs'")).scalar_one()
+    return range(last - count + 1, last + 1)
 
 
 def _stored(connection: Connection, results: Sequence[NewRun]) -> dict[tuple[int, int], Any]:

@@ -170,6 +170,9 @@ ratings = Table(
     Column("evaluator", Name, primary_key=True),
     Column("score", Integer, nullable=False),
     Column("rating", Float, nullable=False),
+    # From which watermark on it is seen, where it is younger than its run; 0 where it is as old. Of the same numbers as the ids of runs.
+    Column("since", Identity, nullable=False, server_default="0"),
+    Index(None, "since", sqlite_where=text("since > 0"), postgresql_where=text("since > 0")),
     sqlite_with_rowid=False,
 )
 
@@ -185,6 +188,7 @@ reference_keys = Table(
     Column("score", Integer, nullable=False),
     Column("rating", Float, nullable=False),
     Column("failure", Text),
+    Column("since", Identity, nullable=False, server_default="0"),
     sqlite_with_rowid=False,
 )
 
@@ -268,6 +272,16 @@ studies = Table(  # what the stages after the calibration found
     Column("campaign_sequence", Identity, ForeignKey("campaigns.sequence"), primary_key=True, autoincrement=False),
     Column("stage", StageNumber, primary_key=True, autoincrement=False),
     Column("document", Document, nullable=False),
+)
+
+traces = Table(  # time series of single evaluations, asked for one by one and kept for a while (`storage.traces`)
+    "traces",
+    metadata,
+    Column("evaluation_id", Identity, ForeignKey("evaluations.id"), primary_key=True, autoincrement=False),
+    # The single evaluation that simulates it once more.
+    Column("campaign_sequence", Identity, ForeignKey("campaigns.sequence"), nullable=False),
+    Column("content", LargeBinary),
+    Column("created_at", UtcDateTime, nullable=False),
 )
 
 events = Table(

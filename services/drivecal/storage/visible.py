@@ -36,14 +36,14 @@ class VisibleSets:
 def stored_sets(
     connection: Connection, setup_id: int, evaluator: str, watermark: int, names: Sequence[str], chunk: int = CHUNK
 ) -> Iterator[VisibleSets]:
-    """The sets of a setup's runs up to `watermark` that `evaluator` rated. Sets of other parameters than `names` are left out: they
+    """The sets of a setup's runs that `evaluator` rated, both up to `watermark`. Sets of other parameters than `names` are left out: they
     are of another function."""
     origin = (runs.c.campaign_sequence, type_coerce(runs.c.stage, SmallInteger), runs.c.iteration, runs.c.individual)
     query = (
         select(runs.c.evaluation_id, *origin, parameter_sets.c.parameter_values)
         .join(parameter_sets)
         .join(ratings, (ratings.c.run_id == runs.c.id) & (ratings.c.evaluator == evaluator))
-        .where(runs.c.setup_id == setup_id, runs.c.id <= watermark)
+        .where(runs.c.setup_id == setup_id, runs.c.id <= watermark, ratings.c.since <= watermark)
         .order_by(runs.c.id)
     )
     yield from _chunks(connection, query, names, chunk)

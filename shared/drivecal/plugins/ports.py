@@ -201,8 +201,8 @@ class Series:
 class SeriesEvaluator(Protocol):
     """What an evaluator offers besides where it needs the time series of a run: then `rate_series` rates, in workers, instead of `rate`.
 
-    Its `rate` serves stored runs, of which there are metrics only, and raises ValueError where these do not suffice: such runs keep
-    what others rated and are simulated again when this evaluator's opinion is needed.
+    Its `rate` raises ValueError: stored runs, of which there are metrics only, keep what others rated and are simulated again, once, when
+    this evaluator's opinion is needed. Runs that failed score 0 without it.
     """
 
     def rate_series(self, manoeuvre: Manoeuvre, series: Series) -> Rating:

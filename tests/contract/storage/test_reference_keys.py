@@ -115,6 +115,46 @@ def test_a_run_that_an_evaluator_cannot_rate_hides_no_reference_from_it(database
                 assert [donor.run for donor in found.values()] == [one for _, one in sorted(seen)[:1]]
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_rating_that_is_younger_than_its_run_is_seen_from_its_own_number_on(database: Database, seed: int) -> None:
+    """Runs that are new, and runs of others that are simulated again for this evaluator, in any order."""
+    chance = random.Random(seed)
+    sets = [ParameterSet.of({"P1": decimal("0.4"), "P2": decimal(number)}) for number in range(14)]  # all of one key
+    with database.transaction() as connection:
+        setup = setup_id(connection)
+        stored = random_runs(chance, len(sets), setup, parameter_sets.ensure(connection, sets))
+        runs.insert_results(connection, stored[:7])
+        learned = [replace(one, evaluator="learned 1", from_series=True) for one in stored]
+        chance.shuffle(learned)
+        numbers: list[tuple[int, NewRun, int]] = []
+        for one in learned:
+            [run] = runs.insert_results(connection, [replace(one, evaluation_id=1, campaign_sequence=9)])
+            numbers.append((runs.largest_id(connection), one, run.id))
+        last = runs.largest_id(connection)
+    assert len({number for number, _, _ in numbers}) == len(sets)
+    chunk = chance.choice([1, 2, 3, 100])
+    counts = [
+        reference_keys.sync(database, 1, setup, "learned 1", upto, keys_of, chunk=chunk) for upto in (last - 9, last, last)
+    ]
+    assert sum(counts) == len(sets)
+    assert counts[-1] == 0
+    [key] = set(keys_of_sets(sets))
+    again = {one.parameter_set_id for one in stored[:7]}
+    with database.read() as connection:
+        [index] = reference_keys.indexes(connection)
+        assert reference_keys.wrong_keys(connection, index, keys_of, every=1, chunk=chunk) == 0
+        for watermark in range(last + 1):
+            seen = [
+                (origin(one if one.parameter_set_id in again else replace(one, campaign_sequence=9)), run)
+                for number, one, run in numbers
+                if number <= watermark
+            ]
+            found = reference_keys.look_up(connection, 1, setup, [key], "learned 1", watermark)
+            assert [donor.run for donor in found.values()] == [one for _, one in sorted(seen)[:1]]
+            exact = runs.look_up_exact(connection, setup, [one.parameter_set_id for one in stored], "learned 1", watermark)
+            assert sorted(donor.run for donor in exact.values()) == sorted(run for _, run in seen)
+
+
 class CrashError(Exception):
     """Stands for a crash in the middle."""
 

@@ -95,6 +95,40 @@ def test_a_later_simulation_adds_no_rating_to_a_run_that_campaigns_may_see_alrea
         assert runs.insert_results(connection, [replace(again, score=4)]) == [replace(stored, agrees=False)]
 
 
+def test_what_was_seen_in_the_series_of_a_run_simulated_again_is_kept_for_campaigns_that_begin_afterwards(
+    database: Database,
+) -> None:
+    with database.transaction() as connection:
+        setup, sets = setup_id(connection), sample_set_ids(connection, 5)
+        stored = runs.insert_results(connection, [new_run(setup, one) for one in sets[:4]])
+        before = runs.largest_id(connection)
+        seen = [
+            new_run(setup, one, evaluator="learned 1", score=3, rating=3.0, campaign_sequence=2, evaluation=2)
+            for one in sets[:4]
+        ]
+        seen = [replace(one, from_series=True) for one in seen]
+        seen[1] = replace(seen[1], metrics={"offset_m": 1.0})  # another run than the one that is stored
+        seen[2] = replace(seen[2], failure="collision")
+        found = runs.insert_results(connection, [*seen, replace(seen[0], score=4)])
+        assert found == [
+            stored[0],
+            *(replace(one, agrees=False) for one in stored[1:3]),
+            stored[3],
+            replace(stored[0], agrees=False),
+        ]
+        assert runs.insert_results(connection, seen[:1]) == stored[:1]
+        after = runs.largest_id(connection)
+        assert runs.look_up_exact(connection, setup, sets, "learned 1", before) == {}
+        assert runs.look_up_exact(connection, setup, sets, "learned 1", after) == {
+            sets[0]: Donor(1, stored[0].id, 3, 3.0, None),
+            sets[3]: Donor(1, stored[3].id, 3, 3.0, None),
+        }
+        assert ratings.standing(connection, [setup], "learned 1", before) == ratings.Standing(0, 0, 4)
+        assert ratings.standing(connection, [setup], "learned 1", after) == ratings.Standing(0, 2, 2)
+        [new] = runs.insert_results(connection, [new_run(setup, sets[4])])
+        assert new.id > after
+
+
 def test_metrics_without_a_number_are_stored_as_null_and_agree_with_themselves(database: Database) -> None:
     with database.transaction() as connection:
         one = new_run(setup_id(connection), *sample_set_ids(connection, 1))

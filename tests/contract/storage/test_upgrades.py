@@ -22,7 +22,7 @@ from drivecal.storage import campaigns, events, reference_keys, results, runs, s
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.database import Database
 
-REVISIONS = ("0001", "0002", "0003", "0004")
+REVISIONS = ("0001", "0002", "0003", "0004", "0005")
 RELEASED = ("0001", "0003")
 
 

@@ -1,0 +1,122 @@
+"""Whole campaigns whose evaluator needs the time series: what it is given without a simulation, what is simulated again, and that once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import pytest
+from tests.support.computed import ComputedBackend
+from tests.support.runs import WITH_ANALYSIS, dispatcher, everything, get, influenced, run
+
+from drivecal.api import submission
+from drivecal.api.dependencies import Limits
+from drivecal.campaigns.verification import verify
+from drivecal.configuration.settings import load_settings
+from drivecal.contracts.specification import CampaignSpecification, RerunSpecification
+from drivecal.contracts.work import Cell, CellResult
+from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.evaluations import Rating
+from drivecal.domain.scenarios import Manoeuvre
+from drivecal.plugins import registry
+from drivecal.plugins.ports import Evaluator, Series
+from drivecal.storage import campaigns
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.database import Database
+
+LIMITS = Limits.of(load_settings())
+MAPPED = WITH_ANALYSIS | {"sensitivity": {"intervals": 2, "samples": 4, "threshold": 0.02}}
+
+
+@dataclass(frozen=True)
+class Seeing:
+    """Rates half of what the simulation did, and only what it sees."""
+
+    name: str = "seeing"
+    version: str = "1"
+
+    def rate(self, manoeuvre: Manoeuvre, metrics: Mapping[str, float]) -> Rating:
+        raise ValueError(f"{manoeuvre} with {len(metrics)} metrics cannot be rated")
+
+    def rate_series(self, manoeuvre: Manoeuvre, series: Series) -> Rating:
+        raise AssertionError(f"asked of the coordinator: {manoeuvre}, {series}")
+
+
+def seen(scenario: str, cell: Cell) -> CellResult:
+    """What a worker with that evaluator gives."""
+    usual = influenced(scenario, cell)
+    if usual.failure or usual.rating is None:
+        return usual
+    return replace(usual, rating=usual.rating / 2, score=round(usual.rating / 2))
+
+
+@pytest.fixture(autouse=True)
+def seeing(monkeypatch: pytest.MonkeyPatch) -> None:
+    installed = registry.evaluator
+
+    def evaluator(name: str, field: str = "evaluator") -> Evaluator:
+        return Seeing() if name == "seeing" else installed(name, field)
+
+    monkeypatch.setattr(registry, "evaluator", evaluator)
+
+
+def rerun(database: Database, first: StoredCampaign, evaluator: str, backend: ComputedBackend) -> StoredCampaign:
+    changes = RerunSpecification(weights={}, evaluator=evaluator)
+    return run(database, submission.rerun(database, LIMITS, first.id, changes, None), backend)
+
+
+def fresh(path: Path) -> tuple[Database, StoredCampaign]:
+    """A database with a campaign by the reference scale."""
+    opened = Database.open(f"sqlite:///{path}")
+    opened.upgrade()
+    specification = CampaignSpecification.model_validate(MAPPED)
+    return opened, run(opened, submission.submit(opened, LIMITS, specification, None), ComputedBackend(answer=influenced))
+
+
+def test_runs_are_simulated_again_for_it_once_and_nothing_is_for_who_rates_by_metrics(database: Database) -> None:
+    specification = CampaignSpecification.model_validate(MAPPED)
+    first = run(database, submission.submit(database, LIMITS, specification, None), ComputedBackend(answer=influenced))
+    again = rerun(database, first, "seeing", ComputedBackend(answer=seen))
+    asked = again.cells.simulated + again.sensitivity_cells.simulated
+    assert asked > 100
+    assert again.cells.unrepeatable == 0
+    [note] = again.notes
+    assert "stored runs that seeing 1 did not rate at first" in note
+    assert "are rated by what is stored of them" in note, "the failed ones"
+    assert "simulated again where they are asked for: it needs their time series" in note
+    third = rerun(database, again, "seeing", ComputedBackend(answer=seen))
+    assert third.influence_map_id == again.influence_map_id
+    assert third.cells.simulated == third.cells.failed == 0, "the same search on the same ratings"
+    assert third.best is not None
+    assert again.best is not None
+    assert third.best.objective == again.best.objective
+    assert "were simulated again for it before" in third.notes[0]
+    back = rerun(database, again, "reference", ComputedBackend(answer=influenced))
+    assert back.sensitivity_cells.simulated == 0
+    assert back.best == first.best
+    assert [verdict for verdict in verify(database, full=True) if verdict.problems] == []
+
+
+def test_what_another_campaign_has_simulated_again_meanwhile_is_not_seen(tmp_path: Path) -> None:
+    """Nor does a dispatcher's end change anything, nor the order in which workers answer."""
+    found = []
+    for accompanied in (False, True):
+        opened, first = fresh(tmp_path / f"{accompanied}.db")
+        slow = submission.rerun(opened, LIMITS, first.id, RerunSpecification(weights={}, evaluator="seeing"), None)
+        one = dispatcher(opened, ComputedBackend(accompanied, seen))
+        one.step()
+        with opened.transaction() as connection:
+            campaigns.request_action(connection, slow.id, "pause")
+        while get(opened, slow).state is not CampaignState.PAUSED:
+            one.step()
+        if accompanied:
+            fast = rerun(opened, first, "seeing", ComputedBackend(5, seen))
+            assert fast.cells.simulated > 0
+        with opened.transaction() as connection:
+            campaigns.request_action(connection, slow.id, "resume")
+        run(opened, slow, ComputedBackend(9 + accompanied, seen))
+        cells, figures, counts, best, rates, notes = everything(opened, slow)
+        found.append(([cell[:-1] for cell in cells], figures, counts, best, rates, notes))
+        opened.dispose()
+    assert found[0] == found[1]
