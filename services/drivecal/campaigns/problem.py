@@ -56,6 +56,10 @@ class Bench:
     vehicle_parameters: Mapping[str, float]
     evaluator: Evaluator
 
+    def __post_init__(self) -> None:
+        """Raises UnavailableError where a part lacks what it was shipped with: reading its version, it finds out."""
+        self.driving_function.version, self.vehicle.version, self.evaluator.version  # noqa: B018  reading is what may fail
+
     @cached_property
     def setups(self) -> dict[str, Setup]:
         """The setup of each scenario."""

@@ -21,6 +21,7 @@ from drivecal.domain.errors import DrivecalError, SupersededError, UnavailableEr
 from drivecal.execution.backend import BackendLostError, WorkerInfo
 from drivecal.execution.measures import MEASURES
 from drivecal.execution.pool import WorkPool
+from drivecal.plugins.arrays import DamagedArraysError
 from drivecal.storage import campaigns, events
 from drivecal.storage.campaigns import CampaignHeading
 from drivecal.storage.database import Database
@@ -173,6 +174,8 @@ class Dispatcher:
         """What is wrong with one campaign, its rows included, fails that one and no other."""
         try:
             act()
+        except DamagedArraysError as error:  # waiting does not mend what a plug-in was shipped with, and others do not need it
+            self._end(active, CampaignState.FAILED, str(error))
         except (UnavailableError, SupersededError, BackendLostError):
             raise
         except DrivecalError as error:

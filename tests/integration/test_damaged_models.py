@@ -1,0 +1,66 @@
+"""A learned part whose file is damaged: whoever asks for it is told which file and why, and nobody else notices."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.support.computed import ComputedBackend
+from tests.support.runs import SMALL, dispatcher, get, submit
+from tests.support.server import serving
+
+from drivecal.comfort import learned
+from drivecal.comfort.learned import LEARNED
+from drivecal.domain.campaigns import CampaignState
+from drivecal.storage.database import Database
+from drivecal.vehicle import hybrid, residual
+from drivecal.vehicle.hybrid import HYBRID
+
+CHOICES: dict[str, dict[str, Any]] = {"hybrid.npz": {"vehicle": {"model": "hybrid"}}, "learned.npz": {"evaluator": "learned"}}
+MIDDLE = {"P1": 0, "P2": 1, "P3": 100, "P4": 1000, "P5": 750, "P6": 0.5, "P7": 100, "P8": 1000, "P9": 5, "P10": 10, "P11": 100}
+
+
+def damage(folder: Path, patch: pytest.MonkeyPatch) -> None:
+    """Both files lack their ends, and nobody has read them yet."""
+    copies = [folder / residual.FILE.name, folder / learned.FILE.name]
+    for file, copy in zip((residual.FILE, learned.FILE), copies, strict=True):
+        copy.write_bytes(file.read_bytes()[:-40])
+    patch.setattr(hybrid, "shipped", lambda: residual.read(copies[0]))
+    patch.setattr(learned, "shipped", lambda: learned.read(copies[1]))
+    for plugin in (HYBRID, LEARNED):
+        patch.delitem(vars(plugin), "version", raising=False)
+
+
+def test_what_needs_a_damaged_file_is_refused_by_its_name_and_nothing_is_stored(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    damage(tmp_path, monkeypatch)
+    with serving(f"sqlite:///{tmp_path / 'drivecal.db'}") as api:
+        for name, choice in CHOICES.items():
+            small = SMALL | choice
+            for path, body in (
+                ("campaigns", small),
+                ("campaigns?validate_only=true", small),
+                ("evaluations", {"parameters": MIDDLE} | choice),
+            ):
+                answer = api.http.post(f"/api/v1/{path}", json=body)
+                assert answer.status_code == 503, answer.text
+                assert f"{name} cannot be used: it cannot be read" in answer.json()["detail"]
+        assert api.http.get("/api/v1/campaigns").json()["items"] == []
+        assert api.http.post("/api/v1/campaigns?validate_only=true", json=SMALL).status_code == 200
+
+
+@pytest.mark.parametrize("name", CHOICES)
+def test_a_campaign_whose_file_was_damaged_after_its_submission_fails_and_no_other_one(
+    database: Database, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    broken, sound = submit(database, **CHOICES[name]), submit(database, catalogue=["S1"])
+    damage(tmp_path, monkeypatch)
+    one = dispatcher(database, ComputedBackend())
+    while not get(database, sound).state.ended:
+        one.step()
+    assert get(database, sound).state is CampaignState.SUCCEEDED
+    ended = get(database, broken)
+    assert ended.state is CampaignState.FAILED
+    assert f"{name} cannot be used" in (ended.error or "")
