@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from drivecal.cli import compared
 from drivecal.cli.commands import CampaignArgument, JsonOption, UrlOption, app, code_of_state, connect, full_id, tell
 from drivecal.cli.output import parameters_text, print_columns, print_json
 from drivecal.cli.watching import follow
@@ -30,11 +31,17 @@ def robustness(
     eta: Annotated[float, typer.Option(help="What the condition allows.")] = 1.0,
     condition: Annotated[str, typer.Option(help="max, mean or per_factor.")] = "max",
     refinements: Annotated[int, typer.Option(min=0, max=30, help="Halvings of the last step.")] = 0,
+    vehicle: Annotated[
+        str | None, typer.Option(help="Make the study in this vehicle model too, and show what changes.")
+    ] = None,
+    compare: Annotated[str | None, typer.Option(help="Another campaign's study: show what changes.")] = None,
     again: AgainOption = False,
     url: UrlOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Rank the best sets of a campaign by how far the vehicle may differ; drives them in other vehicles where that was not done yet."""
+    if vehicle is not None and compare is not None:
+        raise typer.BadParameter("name a vehicle model or another campaign, not both")
     wanted = {
         "solutions": solutions,
         "delta": delta,
@@ -50,10 +57,20 @@ def robustness(
         if not rows:
             made = _make(client, campaign, "robustness", {"robustness": wanted | {"of": campaign.id}})
             rows = client.robustness(made.id)
+        elif campaign.spec.get("robustness"):
+            wanted = campaign.spec["robustness"]
+        others = None
+        if vehicle is not None:
+            driven = {"vehicle": campaign.spec["vehicle"] | {"model": vehicle}, "robustness": wanted | {"of": campaign.id}}
+            others = client.robustness(_make(client, campaign, f"robustness in {vehicle}", driven).id)
+        elif compare is not None:
+            others = client.robustness(full_id(client, compare))
     if as_json:
-        print_json([row.model_dump(mode="json") for row in rows])
-    else:
+        print_json([row.model_dump(mode="json") for row in rows] if others is None else compared.document(rows, others))
+    elif others is None:
         print_robustness(rows)
+    else:
+        compared.print_difference(rows, others)
 
 
 @app.command()
