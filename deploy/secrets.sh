@@ -11,13 +11,21 @@
 # others than you. The folder is deploy/secrets, or DRIVECAL_SECRETS.
 set -eu
 cd "$(dirname "$0")/.."
-folder=${DRIVECAL_SECRETS:-deploy/secrets}
 
+setting() { # NAME DEFAULT: from the environment, else from .env
+    eval "value=\${$1:-}"
+    [ -n "$value" ] || [ ! -f .env ] || value=$(sed -n "s/^$1=\(.*\)/\1/p" .env | tail -n 1)
+    printf '%s' "${value:-$2}"
+}
 random() { od -An -tx1 -N32 /dev/urandom | tr -d ' \n'; }
 make() { # FILE CONTENT: in one step, so that nobody ever reads half a secret
-    [ -e "$folder/$1" ] || { printf '%s\n' "$2" >"$folder/$1.$$" && chmod 644 "$folder/$1.$$" && mv "$folder/$1.$$" "$folder/$1"; }
+    [ -e "$folder/$1" ] && return
+    printf '%s\n' "$2" >"$folder/$1.$$"
+    chmod 644 "$folder/$1.$$"
+    mv "$folder/$1.$$" "$folder/$1"
 }
 
+folder=$(setting DRIVECAL_SECRETS deploy/secrets)
 umask 077
 mkdir -p "$folder"
 chmod 700 "$folder"
@@ -25,5 +33,6 @@ make postgres_password "$(random)"
 make ray_token "$(random)"
 make tokens "me write $(random)"
 
-echo "export DRIVECAL_URL=http://127.0.0.1:${DRIVECAL_PORT:-8000}"
-sed -n 's/^ *[^#][^ ]* write \([^ ]*\).*/export DRIVECAL_TOKEN=\1/p' "$folder/tokens" | head -n 1
+echo "export DRIVECAL_URL=http://127.0.0.1:$(setting DRIVECAL_PORT 8000)"
+sed -n 's/^[[:space:]]*[A-Za-z0-9][^[:space:]]*[[:space:]]\{1,\}write[[:space:]]\{1,\}\([^[:space:]]*\).*/export DRIVECAL_TOKEN=\1/p' \
+    "$folder/tokens" | head -n 1

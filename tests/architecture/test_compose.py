@@ -1,0 +1,188 @@
+"""What the compose files promise: limits, health, no privileges, nothing published but the API, and images from the lock."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from tests.support.tree import PROJECT
+
+from drivecal.configuration.settings import Settings
+
+COMPOSE = PROJECT / "docker-compose.yml"
+WORKERS = PROJECT / "deploy" / "docker-compose.worker.yml"
+MACHINES = PROJECT / "deploy" / "docker-compose.machines.yml"
+IMAGES = PROJECT / "deploy" / "images"
+OURS = ("migrate", "api", "ray-head", "ray-worker", "dispatcher")
+ROLES = ("api", "dispatcher", "ray-head", "ray-worker")
+OF_CLIENTS = {"url", "token"}
+FIXED = {"home", "database_url", "database_password_file", "tokens_file", "ray_address"}
+"""Settings that the compose file gives its services itself."""
+
+
+@cache
+def document(path: Path = COMPOSE) -> dict[str, Any]:
+    found: dict[str, Any] = yaml.safe_load(path.read_text())
+    return found
+
+
+def services() -> list[tuple[str, dict[str, Any]]]:
+    here = list(document()["services"].items())
+    return here + [(f"{name} elsewhere", one) for name, one in document(WORKERS)["services"].items()]
+
+
+every_service = pytest.mark.parametrize(
+    ("name", "service"), services(), ids=lambda value: value if isinstance(value, str) else ""
+)
+
+
+def test_the_cluster_has_the_services_it_says() -> None:
+    assert set(document()["services"]) == {"db", *OURS}
+
+
+@every_service
+def test_a_service_has_limits_and_a_health_check_and_comes_back(name: str, service: dict[str, Any]) -> None:
+    assert {"cpus", "memory", "pids"} <= service["deploy"]["resources"]["limits"].keys()
+    assert service["init"]
+    assert service["logging"]["options"]["max-size"]
+    if name == "migrate":
+        assert (service["restart"], service["healthcheck"]) == ("no", {"disable": True})
+    else:
+        assert service["restart"] == "unless-stopped"
+        assert {"test", "interval", "timeout", "retries", "start_period"} <= service["healthcheck"].keys()
+
+
+@every_service
+def test_a_service_may_gain_nothing_and_is_in_networks_that_lead_nowhere(name: str, service: dict[str, Any]) -> None:
+    assert service["security_opt"] == ["no-new-privileges:true"]
+    assert "privileged" not in service
+    assert "network_mode" not in service
+    assert ("ports" in service) == (name == "api")
+    if name not in {"api", "ray-worker elsewhere"}:
+        assert all(document()["networks"][network]["internal"] for network in service["networks"])
+    if name != "db":  # the official image gives its rights up by itself
+        assert service["read_only"]
+        assert service["cap_drop"] == ["ALL"]
+        assert "user" not in service
+
+
+def test_the_api_is_published_on_loopback_unless_somebody_says_otherwise() -> None:
+    assert document()["services"]["api"]["ports"] == ["${DRIVECAL_BIND:-127.0.0.1}:${DRIVECAL_PORT:-8000}:8000"]
+    assert document()["services"]["api"]["environment"]["DRIVECAL_TOKENS_FILE"] == "/run/secrets/tokens"
+
+
+@every_service
+def test_secrets_are_files_and_no_environment_holds_one(name: str, service: dict[str, Any]) -> None:
+    environment = service.get("environment", {})
+    for setting, value in environment.items():
+        if re.search(r"PASSWORD|TOKEN|SECRET", setting) and not str(value).startswith("/run/secrets/"):
+            assert setting.endswith("MODE"), setting
+    if "ray_token" in service["secrets"]:
+        assert environment["RAY_AUTH_MODE"] == "token"
+        assert service["shm_size"] == "128m"
+    assert ("ray_token" in service["secrets"]) == (name.removesuffix(" elsewhere") in {"ray-head", "ray-worker", "dispatcher"})
+
+
+def test_nothing_starts_before_the_database_is_at_its_revision() -> None:
+    found = document()["services"]
+    assert found["migrate"]["depends_on"] == {"db": {"condition": "service_healthy"}}
+    assert found["api"]["depends_on"] == {"migrate": {"condition": "service_completed_successfully"}}
+    assert found["dispatcher"]["depends_on"] == {name: {"condition": "service_healthy"} for name in ("api", "ray-head")}
+    assert found["ray-worker"]["depends_on"] == {"ray-head": {"condition": "service_healthy"}}
+
+
+def test_a_node_elsewhere_is_the_same_as_a_node_here() -> None:
+    here, there = dict(document()["services"]["ray-worker"]), dict(document(WORKERS)["services"]["ray-worker"])
+    for differing in ("build", "command", "depends_on", "healthcheck"):
+        here.pop(differing, None)
+        there.pop(differing, None)
+    assert there == here
+
+
+def variables(*paths: Path) -> set[str]:
+    return {name for path in paths for name in re.findall(r"\$\{(DRIVECAL_[A-Z_]+)", path.read_text())}
+
+
+def test_the_example_of_settings_has_each_of_them_with_its_default() -> None:
+    text = (PROJECT / ".env.example").read_text()
+    given = dict(re.findall(r"^(?:# )?(DRIVECAL_[A-Z_]+)=(.*)$", text, flags=re.MULTILINE))
+    assert set(given) == variables(COMPOSE, WORKERS, MACHINES)
+    defaults = dict(re.findall(r"\$\{(DRIVECAL_[A-Z_]+):-([^}]*)\}", COMPOSE.read_text()))
+    assert {name: given[name] for name in defaults} == defaults
+
+
+def test_every_setting_of_the_server_can_be_made_in_the_cluster() -> None:
+    passed = {name.removeprefix("DRIVECAL_").lower() for name in variables(COMPOSE)}
+    assert set(Settings.model_fields) - OF_CLIENTS - FIXED <= passed
+
+
+@cache
+def locked(path: Path) -> dict[str, frozenset[str]]:
+    """The hashes of each requirement."""
+    lines = path.read_text().replace("\\\n", " ").splitlines()
+    entries = [line.split("--hash=") for line in lines if line.strip() and not line.lstrip().startswith("#")]
+    return {entry[0].split(";")[0].strip(): frozenset(one.strip() for one in entry[1:]) for entry in entries}
+
+
+@pytest.mark.parametrize("role", [*ROLES, "build"])
+def test_an_image_holds_what_is_locked_and_nothing_else(role: str) -> None:
+    mine, all_of_them = locked(IMAGES / f"{role}.lock"), locked(PROJECT / "deploy" / "requirements.lock")
+    assert mine
+    assert {name for name, hashes in mine.items() if not hashes or hashes != all_of_them.get(name)} == set()
+    names = {line.split("[")[0] for line in (IMAGES / f"{role}.in").read_text().splitlines() if not line.startswith("#")}
+    assert names <= {name.partition("==")[0].split("[")[0] for name in mine}
+
+
+@pytest.mark.parametrize(
+    ("role", "absent"),
+    [
+        ("api", {"ray", "libsumo", "numba"}),
+        ("dispatcher", {"fastapi", "uvicorn", "libsumo", "numba"}),
+        ("ray-head", {"numpy", "libsumo", "numba", "sqlalchemy", "fastapi"}),
+        ("ray-worker", {"sqlalchemy", "psycopg", "fastapi", "uvicorn", "scipy"}),
+    ],
+)
+def test_a_role_lacks_what_it_has_no_use_for(role: str, absent: set[str]) -> None:
+    assert not absent & {name.partition("==")[0].split("[")[0] for name in locked(IMAGES / f"{role}.lock")}
+
+
+def test_the_images_are_of_debian_slim_and_not_of_root() -> None:
+    stages = re.split(r"(?m)^FROM ", (IMAGES / "Dockerfile").read_text())
+    assert "ARG BASE=python:3.11-slim-bookworm" in stages[0]
+    by_name = {re.match(r"\S+ AS (\S+)", stage)[1]: stage for stage in stages[1:]}  # type: ignore[index]  # each has a name
+    assert set(ROLES) <= by_name.keys()
+    for role in ROLES:
+        users = re.findall(r"(?m)^USER (\S+)", by_name["role"] + by_name[role])
+        assert users[-1] == "10001:10001"
+        assert by_name[role].startswith("role AS")
+
+
+def test_secrets_are_made_once_are_the_owners_alone_and_tell_how_to_reach_the_cluster(tmp_path: Path) -> None:
+    def run(**environment: str) -> str:
+        script = str(PROJECT / "deploy" / "secrets.sh")
+        given = {"PATH": "/usr/bin:/bin", "DRIVECAL_SECRETS": str(tmp_path / "secrets"), **environment}
+        return subprocess.run([script], env=given, capture_output=True, text=True, check=True).stdout
+
+    said = run(DRIVECAL_PORT="8123")
+    folder = tmp_path / "secrets"
+    made = {path.name: path.read_text() for path in folder.iterdir()}
+    assert set(made) == {"postgres_password", "ray_token", "tokens"}
+    assert folder.stat().st_mode & 0o777 == 0o700
+    assert {path.stat().st_mode & 0o777 for path in folder.iterdir()} == {0o644}
+    token = made["tokens"].split()[2]
+    assert said == f"export DRIVECAL_URL=http://127.0.0.1:8123\nexport DRIVECAL_TOKEN={token}\n"
+    assert len({made["postgres_password"].strip(), made["ray_token"].strip(), token}) == 3
+    assert len(token) == 64
+    assert run(DRIVECAL_PORT="8123") == said
+    assert {path.name: path.read_text() for path in folder.iterdir()} == made
+
+
+def test_no_secret_gets_into_an_image_or_into_the_repository() -> None:
+    allowed = [line[1:] for line in (PROJECT / ".dockerignore").read_text().splitlines() if line.startswith("!")]
+    assert set(allowed) == {"deploy/images", "pyproject.toml", "README.md", "LICENSE", "shared", "services", "workers"}
+    assert {"deploy/secrets/", ".env"} <= set((PROJECT / ".gitignore").read_text().splitlines())

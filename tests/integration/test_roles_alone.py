@@ -1,0 +1,82 @@
+"""Each role by itself, as it runs in a container: what it says where something is missing."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from tests.support.serve import until
+from tests.support.server import free_port
+
+from drivecal.api.readiness import judge
+from drivecal.storage import processes
+from drivecal.storage.database import Database
+from drivecal.storage.types import now
+
+TOKEN = "0123456789abcdef"
+
+
+def environment(folder: Path, **settings: str) -> dict[str, str]:
+    kept = {name: value for name, value in os.environ.items() if not name.startswith(("DRIVECAL_", "RAY_"))}
+    return kept | {"HOME": str(folder), "DRIVECAL_HOME": str(folder), **settings}
+
+
+def run(folder: Path, *words: str, **settings: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", *words]
+    return subprocess.run(
+        command, env=environment(folder, **settings), cwd=folder, capture_output=True, text=True, timeout=60, check=False
+    )
+
+
+def test_a_missing_password_ends_a_role_with_one_line_that_names_the_file(tmp_path: Path) -> None:
+    url = "postgresql://drivecal@127.0.0.1:9/drivecal"
+    done = run(
+        tmp_path, "drivecal.dispatch", DRIVECAL_DATABASE_URL=url, DRIVECAL_DATABASE_PASSWORD_FILE=str(tmp_path / "password")
+    )
+    assert done.returncode == 1
+    assert f"database_password_file: {tmp_path / 'password'} cannot be read: No such file" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_an_api_for_everybody_names_the_file_of_tokens_that_is_missing(tmp_path: Path) -> None:
+    words = ("drivecal.api", "--host", "0.0.0.0", "--port", str(free_port()))
+    done = run(tmp_path, *words, DRIVECAL_TOKENS_FILE=str(tmp_path / "tokens"))
+    assert done.returncode == 1
+    assert f"{tmp_path / 'tokens'}: it cannot be read: No such file" in done.stderr
+
+
+def test_a_dispatcher_does_not_begin_on_a_database_that_is_not_migrated(tmp_path: Path) -> None:
+    done = run(tmp_path, "drivecal.dispatch")
+    assert done.returncode == 1
+    assert "run `drivecal db upgrade`" in done.stderr or "`drivecal db upgrade` creates it" in done.stderr
+
+
+@pytest.mark.parametrize("words", [("head",), ("worker", "127.0.0.1:9")], ids=lambda words: words[0])
+def test_a_node_without_the_clusters_token_ends_with_one_line_that_says_so(tmp_path: Path, words: tuple[str, ...]) -> None:
+    done = run(tmp_path, "drivecal.cluster", *words, RAY_AUTH_TOKEN_PATH=str(tmp_path / "ray_token"))
+    assert done.returncode == 1
+    assert f"the cluster's token cannot be read from {tmp_path / 'ray_token'}: No such file" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_a_dispatcher_without_the_clusters_token_waits_for_it_and_says_so_where_it_is_asked(tmp_path: Path) -> None:
+    database = Database.open(f"sqlite:///{tmp_path / 'drivecal.db'}")
+    database.upgrade()
+
+    def problems() -> str:
+        with database.read() as connection:
+            return " ".join(judge(processes.read(connection, processes.DISPATCHER), now()).problems)
+
+    settings = {"DRIVECAL_RAY_ADDRESS": f"127.0.0.1:{free_port()}", "RAY_AUTH_TOKEN_PATH": str(tmp_path / "ray_token")}
+    process = subprocess.Popen([sys.executable, "-m", "drivecal.dispatch"], env=environment(tmp_path, **settings), cwd=tmp_path)
+    try:
+        until(lambda: "waiting for Ray: RAY_AUTH_TOKEN_PATH: the cluster's token cannot be read" in problems(), "the reason")
+        (tmp_path / "ray_token").write_text(TOKEN)
+        until(lambda: "does not answer: Connection refused" in problems(), "that the token is there now")
+    finally:
+        process.terminate()
+        assert process.wait(20) == 0
+    database.dispose()
