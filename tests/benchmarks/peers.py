@@ -70,11 +70,12 @@ def cells_of(trials: Sequence[tuple[int, Sequence[float]]], cells_per_trial: int
 
 def _optuna_storage(kind: str, folder: str) -> Any:
     import optuna
+    from optuna.storages.journal import JournalFileBackend
 
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     if kind == "database":
         return optuna.storages.RDBStorage(f"sqlite:///{folder}/optuna.db", engine_kwargs={"connect_args": {"timeout": 120}})
-    return optuna.storages.JournalStorage(optuna.storages.journal.JournalFileBackend(f"{folder}/optuna.log"))
+    return optuna.storages.JournalStorage(JournalFileBackend(f"{folder}/optuna.log"))
 
 
 def _optuna_worker(kind: str, folder: str, trials: int, cells_per_trial: int, seed: int, barrier: Barrier) -> None:
@@ -122,7 +123,7 @@ def ray_tune(trials: int, cells_per_trial: int) -> tuple[float, Cells]:
     import ray
     from ray import tune
 
-    class Evaluation(tune.Trainable):  # type: ignore[misc]  # ray ships no types
+    class Evaluation(tune.Trainable):
         def setup(self, config: dict[str, int]) -> None:
             warm_up()
             self.reset_config(config)
@@ -135,6 +136,12 @@ def ray_tune(trials: int, cells_per_trial: int) -> tuple[float, Cells]:
         def reset_config(self, new_config: dict[str, int]) -> bool:
             self.config = new_config
             return True
+
+        def save_checkpoint(self, checkpoint_dir: str) -> dict[str, Any]:
+            return {}  # it asks for one before it gives an actor to the next trial
+
+        def load_checkpoint(self, checkpoint: dict[str, Any] | None) -> None:
+            pass
 
     domains: dict[str, Any] = {one.name: tune.randint(0, one.n_values) for one in space()}
     domains["number"] = tune.grid_search(list(range(trials)))
@@ -149,7 +156,7 @@ def ray_tune(trials: int, cells_per_trial: int) -> tuple[float, Cells]:
             ).fit()
         finally:
             ray.shutdown()
-    rows = [one.metrics for one in results]
+    rows: list[dict[str, Any]] = [results[number].metrics or {} for number in range(len(results))]
     wall = max(row["ended"] for row in rows) - min(row["began"] for row in rows)
     return wall, cells_of([(row["config"]["number"], decoded(row["config"])) for row in rows], cells_per_trial)
 
