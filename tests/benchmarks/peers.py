@@ -137,10 +137,10 @@ def ray_tune(trials: int, cells_per_trial: int) -> tuple[float, Cells]:
             self.config = new_config
             return True
 
-        def save_checkpoint(self, checkpoint_dir: str) -> dict[str, Any]:
+        def save_checkpoint(self, _folder: str) -> dict[str, Any]:
             return {}  # it asks for one before it gives an actor to the next trial
 
-        def load_checkpoint(self, checkpoint: dict[str, Any] | None) -> None:
+        def load_checkpoint(self, _checkpoint: dict[str, Any] | None) -> None:
             pass
 
     domains: dict[str, Any] = {one.name: tune.randint(0, one.n_values) for one in space()}
