@@ -15,6 +15,9 @@ from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.database import Database
 from drivecal.storage.types import now
 
+ASSUMED_MILLISECONDS = 8.0
+"""CPU time of one simulation in the built-in scenarios, on a machine of today."""
+
 
 def submit(database: Database, limits: Limits, specification: ComparisonSpecification, key: str | None) -> StoredCampaign:
     """Queues a comparison with its runs. Raises InvalidInputError for one that cannot run, TooLargeError for one that is too large, and
@@ -35,14 +38,14 @@ def expected(database: Database, limits: Limits, specification: ComparisonSpecif
     workers = None
     if dispatcher is not None and not judge(dispatcher, now()).silent:
         workers = len(dispatcher.detail.get("workers", [])) or None
-    known = milliseconds is not None and workers is not None
     return ExpectedComparison(
         runs=len(problem.runs),
         proposed=problem.proposed,
         at_most=problem.at_most,
-        milliseconds=milliseconds,
+        milliseconds=milliseconds or ASSUMED_MILLISECONDS,
+        measured=milliseconds is not None,
         workers=workers,
-        seconds=problem.at_most * (milliseconds or 0.0) / 1000 / (workers or 1) if known else None,
+        seconds=None if workers is None else problem.at_most * (milliseconds or ASSUMED_MILLISECONDS) / 1000 / workers,
         notes=list(dict.fromkeys(note for one in problem.problems for note in one.notes)),
     )
 

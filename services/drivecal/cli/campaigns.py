@@ -8,7 +8,7 @@ import typer
 
 from drivecal.cli.accounts import pays_text, print_accounting, print_error_rates, print_narrowed
 from drivecal.cli.commands import CampaignArgument, ExitCode, JsonOption, UrlOption, app, code_of_state, connect, full_id, tell
-from drivecal.cli.compared import comparison_document, print_comparison
+from drivecal.cli.comparisons import comparison_document, print_comparison
 from drivecal.cli.documents import read_document
 from drivecal.cli.output import print_campaign, print_columns, print_json, saved, when
 from drivecal.cli.watching import follow

@@ -8,7 +8,7 @@ import typer
 
 from drivecal.cli.campaigns import TimeoutOption, WaitOption, submitted
 from drivecal.cli.commands import JsonOption, UrlOption, app, connect
-from drivecal.cli.compared import print_expected
+from drivecal.cli.comparisons import print_expected
 from drivecal.cli.documents import read_document
 from drivecal.cli.output import print_json
 

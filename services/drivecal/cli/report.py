@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, get_args
 
 import typer
 
 from drivecal.cli.commands import CampaignArgument, JsonOption, UrlOption, app, connect, full_id
 from drivecal.cli.output import print_json
-from drivecal.client.client import Client, Table
+from drivecal.client.client import Client, ComparisonTable, Table
 
 if TYPE_CHECKING:
     from drivecal.report.findings import Findings
 
 TABLES: tuple[Table, ...] = ("generations", "solutions", "optima", "influence")
+COMPARISON_TABLES = get_args(ComparisonTable)
 
 
 @app.command()
@@ -25,15 +26,21 @@ def report(
     url: UrlOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Write a campaign's figures (SVG and PNG), tables (CSV) and one self-contained page, index.html."""
+    """Write a campaign's, or a comparison's, figures (SVG and PNG), tables (CSV) and one self-contained page, index.html."""
+    from drivecal.report.comparison import collect_comparison, write_comparison
     from drivecal.report.findings import collect
     from drivecal.report.writing import write_report  # matplotlib's second or two, for this command only
 
     with connect(url) as client:
-        findings = collect(client, full_id(client, identifier))
-        written = write_report(findings, _tables(client, findings), output)
+        campaign = client.campaign(full_id(client, identifier))
+        if campaign.kind == "comparison":
+            tables = {name: client.table(campaign.id, name, "csv") for name in COMPARISON_TABLES}
+            written = write_comparison(collect_comparison(client, campaign), tables, output)
+        else:
+            findings = collect(client, campaign.id)
+            written = write_report(findings, _tables(client, findings), output)
     if as_json:
-        print_json({"campaign": findings.campaign.id, "page": str(written[-1]), "files": [str(path) for path in written]})
+        print_json({"campaign": campaign.id, "page": str(written[-1]), "files": [str(path) for path in written]})
     else:
         typer.echo(f"{written[-1]}: the report, with {len(written) - 1} files beside it")
 

@@ -57,11 +57,14 @@ def by_outcome(connection: Connection, campaign_sequence: int) -> list[CellCosts
 
 
 def recent_milliseconds(connection: Connection, fingerprints: Sequence[str]) -> float | None:
-    """CPU time of one simulation, over the newest ones in each of these setups, which count alike; None where there is none in one."""
+    """CPU time of one simulation, over the newest ones in each of these setups, which count alike; None where there is none in one. Runs
+    that were proved are not among them: they took next to nothing."""
     means = []
     for condition in among(connection, setups.c.fingerprint, fingerprints):
         for setup in connection.scalars(select(setups.c.id).where(condition)):
-            newest = select(runs.c.milliseconds).where(runs.c.setup_id == setup).order_by(runs.c.id.desc()).limit(RECENT_RUNS)
-            found = connection.scalars(newest).all()
+            newest = select(runs.c.milliseconds, runs.c.evaluation_id).where(runs.c.setup_id == setup)
+            recent = newest.order_by(runs.c.id.desc()).limit(RECENT_RUNS).subquery()
+            simulated = select(recent.c.milliseconds).join(evaluations, evaluations.c.id == recent.c.evaluation_id)
+            found = connection.scalars(simulated.where(evaluations.c.proven_by.is_(None))).all()
             means += [fmean(found)] if found else []
     return fmean(means) if fingerprints and len(means) == len(fingerprints) else None

@@ -68,12 +68,14 @@ class ExpectedComparison(Answer):
     runs: int
     proposed: int
     at_most: int
-    milliseconds: float | None
-    """CPU time of one simulation in these setups, as measured; null where none was made yet."""
+    milliseconds: float
+    """CPU time of one simulation."""
+    measured: bool
+    """Whether that was measured in these setups; else none was made yet, and it is assumed."""
     workers: int | None
     """Workers at this moment; null where the dispatcher is silent."""
     seconds: float | None
-    """`at_most` simulations on the `workers`; null where either is not known."""
+    """`at_most` simulations on the `workers`; null where they are not known."""
     notes: list[str] = Field(default_factory=list)
 
 

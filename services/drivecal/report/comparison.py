@@ -1,0 +1,230 @@
+"""The report of a comparison: Table 5, Figures 7 and 8 with all runs, and what a reduction changed and saved."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+from drivecal.client.client import Client
+from drivecal.contracts.campaign import Campaign, Generation
+from drivecal.contracts.comparison import ComparedGroup, ComparedPair, ComparedRun, ReductionEffect
+from drivecal.report.comparison_figures import effects_figure, optima_figure, search_figures
+from drivecal.report.folder import writable
+from drivecal.report.markup import Number, contents, document, files, heading, paragraph, section, table, verbatim
+
+SPECIFICATION = "comparison.json"
+COUNTED = (
+    "Each run sees the results of no other campaign, so what it asks for and finds does not depend on the others, nor on what was stored "
+    "before. Simulations are cells without an answer among the run's own earlier ones: what the run would have taken alone on an empty "
+    "database. What several runs have in common was simulated once, and is counted by each."
+)
+CONVERGED = (
+    "A run has converged in the iteration after which its best objective stayed as it was for at least 10 further ones (Table 5); means "
+    "are over the runs that have. As good as any: runs that found the best objective of the whole comparison."
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Compared:
+    """A comparison with what its runs found; `generations` by the id of the run."""
+
+    campaign: Campaign
+    runs: Sequence[ComparedRun]
+    groups: Sequence[ComparedGroup]
+    pairs: Sequence[ComparedPair]
+    effects: Sequence[ReductionEffect]
+    generations: Mapping[str, Sequence[Generation]]
+
+
+def collect_comparison(client: Client, campaign: Campaign) -> Compared:
+    """Asks for it. Raises whatever the client raises."""
+    runs = client.compared_runs(campaign.id)
+    return Compared(
+        campaign=campaign,
+        runs=runs,
+        groups=client.compared_groups(campaign.id),
+        pairs=client.compared_pairs(campaign.id),
+        effects=client.reduction_effects(campaign.id),
+        generations={one.run: [Generation.model_validate(row) for row in client.rows(one.run, "generations")] for one in runs},
+    )
+
+
+def write_comparison(found: Compared, tables: Mapping[str, Iterable[bytes]], folder: Path) -> list[Path]:
+    """Writes page, figures, the `tables` (CSV by name, in pieces) and the comparison as it was submitted; returns what was written, the
+    page last. Raises InvalidInputError where it cannot be written."""
+    with writable(folder) as target:
+        searches = [target.draw(one) for one in search_figures(found.runs, found.generations)]
+        searches.append(target.draw(optima_figure(found.runs)) if any(one.best is not None for one in found.runs) else "")
+        reduced = target.draw(effects_figure(found.pairs, found.effects)) if found.pairs else ""
+        for name, pieces in tables.items():
+            target.write(f"tables/{name}.csv", pieces)
+        specification = json.dumps(found.campaign.spec, indent=2, ensure_ascii=False)
+        target.write(SPECIFICATION, [specification.encode() + b"\n"])
+        target.write("index.html", [_page(found, searches, reduced, target.files).encode()])
+    return target.written
+
+
+def _page(found: Compared, searches: Sequence[str], reduced: str, names: Sequence[str]) -> str:
+    campaign = found.campaign
+    several = len({one.reduction for one in found.groups}) > 1
+    sections = {
+        "Summary": [paragraph(text, "key") for text in summary(found)],
+        "Problem": [_problem(campaign)],
+        "Optimizers": [_table_5(found.groups, several=several), paragraph(CONVERGED), paragraph(COUNTED), *searches],
+        "Reduction": [_effects(found.effects), reduced, _pairs(found.pairs)] if found.effects else [],
+        "Runs": [_runs(found.runs, several=several)],
+        "Again": [verbatim(f"drivecal compare-optimizers {SPECIFICATION} --wait")],
+        "Files": [files(names)],
+    }
+    kept = {title: parts for title, parts in sections.items() if parts}
+    ended = "" if campaign.ended_at is None else f", ended {campaign.ended_at:%Y-%m-%d %H:%M} UTC"
+    spent = f"{campaign.seconds.wall:,.0f} s, CPU time of all simulations {campaign.seconds.simulating:,.0f} s"
+    parts = [
+        heading(campaign.name),
+        paragraph(f"comparison {campaign.id}, {campaign.state}{ended} after {spent}; drivecal {version('drivecal')}", "sub"),
+        contents(kept),
+        *(paragraph(text, "warn") for text in (campaign.error, campaign.degraded) if text),
+        *(section(title, *listed) for title, listed in kept.items()),
+    ]
+    return document(campaign.name, parts)
+
+
+def summary(found: Compared) -> list[str]:
+    """What the comparison says, in sentences."""
+    told = []
+    best = max((one.best for one in found.runs if one.best is not None), default=None)
+    if best is not None:
+        groups: dict[str, list[ComparedRun]] = {}
+        for one in found.runs:
+            groups.setdefault(one.optimizer, []).append(one)
+        shares = ", ".join(f"{name} in {sum(one.success for one in runs)} of {len(runs)} runs" for name, runs in groups.items())
+        told.append(f"The best objective that any run found is {best:.4f}: {shares}.")
+    for effect in found.effects:
+        overall = effect.optimizer is None or sum(one.reduction == effect.reduction for one in found.effects) == 1
+        if overall:
+            told.append(_told(effect))
+    return told
+
+
+def _told(effect: ReductionEffect) -> str:
+    different = effect.better + effect.worse
+    interval = ""
+    if effect.lower_95 is not None and effect.upper_95 is not None:
+        interval = f" (95 % interval {effect.lower_95:+.4f} to {effect.upper_95:+.4f})"
+    return (
+        f"{effect.reduction} in the place of {effect.base}: in {effect.pairs} pairs of searches with the same seed, {effect.better} ended "
+        f"with a better optimum, {effect.equal} with an equal and {effect.worse} with a worse one; the mean difference is "
+        f"{effect.mean_difference:+.4f}{interval}, the sign test gives p = {effect.sign_test:.3g}"
+        f"{'' if different else f', and at most {effect.different_upper_95:.0%} of such searches end elsewhere (95 %)'}. "
+        f"It took {effect.simulations:,} simulations in the place of {effect.base_simulations:,}, {effect.saved_share:.1%} less."
+    )
+
+
+def _problem(campaign: Campaign) -> str:
+    spec = campaign.spec
+    fields = ("catalogue", "parameters", "fixed", "weights", "driving_function", "vehicle", "evaluator", "sensitivity")
+    settings = [*fields, "optimizers", "populations", "seeds", "iterations", "start", "reductions"]
+    rows = [[name, json.dumps(spec[name], ensure_ascii=False)] for name in settings if spec.get(name) not in (None, {}, [])]
+    return table(["field", "value"], rows, "What was compared", wrap=True)
+
+
+def _table_5(groups: Sequence[ComparedGroup], *, several: bool) -> str:
+    header = [
+        "optimizer",
+        "population",
+        *(["reduction"] if several else []),
+        "seeds",
+        "best",
+        "mean",
+        "min",
+        "rating",
+        "sets at best",
+    ]
+    header += ["simulations", "converged", "iterations", "simulations until then", "as good as any"]
+    rows = [
+        [
+            *(one.optimizer, one.population, *([one.reduction] if several else []), one.seeds),
+            *(_number(value, 4) for value in (one.best, one.mean, one.minimum)),
+            *(_number(one.rating, 3), _number(one.alternatives, 1), _number(one.simulations, 0), one.converged),
+            *(_number(one.iterations_to_converge, 1), _number(one.simulations_to_converge, 0), one.successes),
+        ]
+        for one in groups
+    ]
+    return table(header, rows, "Table 5: final optima over the seeds, and what they took", wrap=True)
+
+
+def _effects(effects: Sequence[ReductionEffect]) -> str:
+    header = ["optimizer", "population", "reduction", "pairs", "mean difference", "95 % interval", "better", "equal", "worse"]
+    rows = [
+        [
+            *(one.optimizer or "all", one.population or "all", f"{one.reduction} - {one.base}", one.pairs),
+            Number(f"{one.mean_difference:+.4f}"),
+            "" if one.lower_95 is None or one.upper_95 is None else f"{one.lower_95:+.4f} to {one.upper_95:+.4f}",
+            *(one.better, one.equal, one.worse, Number(f"{one.sign_test:.3g}"), Number(f"{one.different_upper_95:.1%}")),
+            *(one.base_simulations - one.simulations, Number(f"{one.saved_share:.1%}")),
+        ]
+        for one in effects
+    ]
+    header += ["sign test p", "differ at most", "simulations saved", "share"]
+    return table(header, rows, "Final optimum with a reduction less that without it, run by run with the same seed", wrap=True)
+
+
+def _pairs(pairs: Sequence[ComparedPair]) -> str:
+    header = [
+        "optimizer",
+        "population",
+        "seed",
+        "reduction",
+        "optimum without",
+        "with",
+        "difference",
+        "simulations without",
+        "with",
+        "saved",
+    ]
+    rows = [
+        [
+            *(one.optimizer, one.population, one.seed, one.reduction, _number(one.base_best, 4), _number(one.best, 4)),
+            *(Number(f"{one.difference:+.4f}"), one.base_simulations, one.simulations, one.saved),
+        ]
+        for one in pairs
+    ]
+    return table(header, rows, "All pairs", wrap=True)
+
+
+def _runs(runs: Sequence[ComparedRun], *, several: bool) -> str:
+    header = [
+        "optimizer",
+        "population",
+        "seed",
+        *(["reduction"] if several else []),
+        "state",
+        "best",
+        "rating",
+        "sets at best",
+        "mean",
+    ]
+    header += ["requested", "simulations", "analysis", "converged in", "simulations until then", "run"]
+    rows = [
+        [
+            *(one.optimizer, one.population, one.seed, *([one.reduction] if several else []), one.state),
+            *(
+                _number(one.best, 4),
+                _number(one.rating, 3),
+                one.alternatives,
+                _number(one.mean, 3),
+                one.requested,
+                one.simulations,
+            ),
+            *(one.analysis, one.converged_at, one.simulations_to_converge, one.run[:12]),
+        ]
+        for one in runs
+    ]
+    return table(header, rows, "All runs; each is a campaign of its own, by whose id all of it can be read", wrap=True)
+
+
+def _number(value: float | None, digits: int) -> Number | None:
+    return None if value is None else Number(f"{value:,.{digits}f}")

@@ -1,0 +1,93 @@
+"""Campaigns that are runs of a comparison: hidden, counted as one, and following it."""
+
+from __future__ import annotations
+
+import pytest
+from sqlalchemy import Connection
+
+from drivecal.contracts.campaign import CellCounts, Progress, StageCellCounts
+from drivecal.domain.campaigns import CampaignState, Stage
+from drivecal.domain.errors import ConflictError, OverloadError
+from drivecal.storage import admission, campaigns, comparisons, events, statistics
+from drivecal.storage.campaigns import Snapshot, StoredCampaign
+from drivecal.storage.database import Database
+
+
+def insert(connection: Connection) -> tuple[StoredCampaign, list[StoredCampaign]]:
+    """A comparison with three runs, of which it has started two."""
+    comparison = campaigns.insert(connection, name="compared", spec={}, kind="comparison")
+    for number in range(3):
+        campaigns.insert(connection, name=f"run {number}", spec={}, parent_sequence=comparison.sequence)
+    campaigns.start(connection, comparison.sequence)
+    runs = campaigns.runs_of(connection, comparison.sequence)
+    for one in runs[:2]:
+        campaigns.start(connection, one.sequence)
+    return comparison, campaigns.runs_of(connection, comparison.sequence)
+
+
+def states(connection: Connection, comparison: StoredCampaign) -> list[str]:
+    return [one.state.value for one in campaigns.runs_of(connection, comparison.sequence)]
+
+
+def test_runs_belong_to_their_comparison_and_see_nobody_elses_results(database: Database) -> None:
+    with database.transaction() as connection:
+        comparison, runs = insert(connection)
+        assert [one.name for one in runs] == ["run 0", "run 1", "run 2"]
+        assert [one.watermark for one in runs] == [0, 0, None]
+        assert [one.id for one in campaigns.page(connection)[0]] == [comparison.id]
+        assert [one.id for one in campaigns.active(connection)] == [comparison.id]
+        assert comparisons.comparison_of(connection, runs[0].parent_sequence) == comparison.id
+        assert comparisons.comparison_of(connection, comparison.parent_sequence) is None
+        with pytest.raises(ConflictError, match=f"is a run of the comparison {comparison.id}: pause that"):
+            campaigns.request_action(connection, runs[0].id, "pause")
+
+
+def test_a_comparison_takes_one_place_in_the_queue(database: Database) -> None:
+    with database.transaction() as connection:
+        waiting = campaigns.insert(connection, name="compared", spec={}, kind="comparison")
+        for number in range(3):
+            campaigns.insert(connection, name=f"run {number}", spec={}, parent_sequence=waiting.sequence)
+        admission.admit(connection, 2, None)
+        with pytest.raises(OverloadError):
+            admission.admit(connection, 1, None)
+
+
+def test_runs_rest_go_on_and_end_with_their_comparison(database: Database) -> None:
+    with database.transaction() as connection:
+        comparison, runs = insert(connection)
+        campaigns.end(connection, runs[0].sequence, CampaignState.SUCCEEDED)
+        campaigns.request_action(connection, comparison.id, "pause")
+        assert states(connection, comparison) == ["succeeded", "running", "queued"]
+        campaigns.pause(connection, comparison.sequence)
+        assert states(connection, comparison) == ["succeeded", "paused", "queued"]
+        campaigns.change_state(connection, comparison.sequence, [CampaignState.PAUSED], CampaignState.RUNNING)
+        assert states(connection, comparison) == ["succeeded", "running", "queued"]
+        campaigns.end(connection, comparison.sequence, CampaignState.FAILED, "of its own")
+        assert states(connection, comparison) == ["succeeded", "cancelled", "cancelled"]
+        ended = campaigns.runs_of(connection, comparison.sequence)
+        assert all(one.ended_at is not None for one in ended)
+        told = [one.kind for one in events.since(connection, runs[1].sequence, 0, 10)]
+        assert told == ["queued", "running", "paused", "resumed", "cancelled"]
+
+
+def test_cells_that_a_comparison_sums_up_are_counted_once(database: Database) -> None:
+    snapshot = Snapshot(
+        stage=Stage.CALIBRATION,
+        iteration=0,
+        cells=CellCounts(proposed=5, requested=5, simulated=5),
+        sensitivity_cells=StageCellCounts(),
+        progress=Progress(),
+        error_rate={},
+        best=None,
+        baseline=None,
+        simulating_seconds=2.0,
+        notes=(),
+    )
+    with database.transaction() as connection:
+        comparison, runs = insert(connection)
+        for one in (comparison, runs[0]):
+            campaigns.save_progress(connection, one.sequence, snapshot)
+        found, _ = statistics.read(connection, statistics.Tally())
+    assert sum(found.sums.cells.values()) == 5
+    assert found.sums.simulating_seconds == 2.0
+    assert found.sums.campaigns[statistics.CampaignKey("comparison", "running")] == 1

@@ -1,0 +1,117 @@
+"""Table 5 over seeds, and pairs of runs that differ in their reduction alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivecal.analysis.comparison import Conditions, Course, best_of_all, effects, groups, pairs, succeeds
+
+
+def course(
+    best: Sequence[float | None],
+    optimizer: str = "genetic",
+    seed: int = 1,
+    reduction: str = "exact",
+    simulations: int = 10,
+    *,
+    ended: bool = True,
+) -> Course:
+    """A run that simulated the same number in every iteration."""
+    return Course(
+        Conditions(optimizer, 50, seed, reduction),
+        best=best,
+        ratings=[None if one is None else one + 0.25 for one in best],
+        alternatives=list(range(1, len(best) + 1)),
+        means=best,
+        simulations=[simulations] * len(best),
+        ended=ended,
+    )
+
+
+def test_a_group_sums_its_seeds_up_and_counts_convergence_as_table_5_does() -> None:
+    settled = course([3.0, 3.0, *[4.0] * 11], seed=1)  # best in the third iteration, then ten further ones
+    restless = course([3.0] * 12 + [5.0], seed=2, simulations=20)
+    (group,) = groups([settled, restless])
+    assert (group.seeds, group.best, group.mean, group.minimum) == (2, 5.0, 4.5, 4.0)
+    assert group.rating == 4.75
+    assert group.alternatives == 13
+    assert group.simulations == (130 + 260) / 2
+    assert (group.converged, group.iterations_to_converge, group.simulations_to_converge) == (1, 3.0, 30.0)
+    assert group.successes == 1
+    assert settled.alternatives_converged_at is None
+
+
+def test_runs_without_a_result_count_as_seeds_and_nothing_else() -> None:
+    (group,) = groups([course([], seed=1), course([None, None], seed=2), course([None, 2.0], seed=3)])
+    assert (group.seeds, group.best, group.mean, group.minimum, group.successes) == (3, 2.0, 2.0, 2.0, 1)
+    (empty,) = groups([course([])])
+    assert (empty.best, empty.mean, empty.rating, empty.simulations, empty.successes) == (None, None, None, None, 0)
+
+
+def test_success_is_judged_over_all_optimizers_with_rounding_errors_forgiven() -> None:
+    runs = [course([6.0]), course([6.0 - 1e-12], "swarm"), course([5.9], "random")]
+    best = best_of_all(runs)
+    assert best == 6.0
+    assert [succeeds(one, best) for one in runs] == [True, True, False]
+    assert best_of_all([course([])]) is None
+    assert not succeeds(runs[0], None)
+
+
+def test_only_runs_that_went_to_their_end_are_paired_and_only_with_their_own_seed() -> None:
+    runs = [
+        *(course([4.0], seed=seed) for seed in (1, 2, 3)),
+        course([4.5], seed=1, reduction="influence", simulations=4),
+        course([4.0], seed=2, reduction="influence", ended=False),
+        course([None], seed=3, reduction="influence"),
+        course([4.0], "swarm", seed=1, reduction="influence"),
+    ]
+    (pair,) = pairs(runs)
+    assert (pair.run.conditions.seed, pair.difference, pair.saved) == (1, 0.5, 6)
+    assert pairs([]) == []
+    assert effects([]) == []
+
+
+def paired(differences: Sequence[float], optimizer: str = "genetic") -> list[Course]:
+    without = [course([4.0], optimizer, seed) for seed in range(len(differences))]
+    reduced = [course([4.0 + one], optimizer, seed, "influence", simulations=7) for seed, one in enumerate(differences)]
+    return [*without, *reduced]
+
+
+def test_an_effect_gives_students_interval_the_sign_test_and_what_was_saved() -> None:
+    (effect,) = effects(pairs(paired([0.5, -0.25, 0.5, 0.0, 0.5])))
+    assert (effect.pairs, effect.better, effect.equal, effect.worse) == (5, 3, 1, 1)
+    assert effect.mean_difference == 0.25
+    # standard deviation 0.3535533906 over sqrt(5), Student's quantile 2.7764451052 with 4 degrees of freedom
+    assert effect.upper_95 == pytest.approx(0.25 + 2.7764451052 * 0.3535533906 / 5**0.5)
+    assert effect.lower_95 == pytest.approx(0.5 - (effect.upper_95 or 0))
+    assert effect.sign_test == pytest.approx(2 * (4 + 1) / 2**4)  # 3 or 4 of 4, both sides
+    assert (effect.simulations, effect.base_simulations, effect.saved_share) == (35, 50, 0.3)
+
+
+def test_searches_that_all_end_alike_bound_how_many_may_not() -> None:
+    (effect,) = effects(pairs(paired([0.0] * 10)))
+    assert (effect.mean_difference, effect.lower_95, effect.upper_95, effect.sign_test) == (0.0, 0.0, 0.0, 1.0)
+    assert effect.different_upper_95 == pytest.approx(1 - 0.025 ** (1 / 10))
+    (single,) = effects(pairs(paired([0.0])))
+    assert (single.lower_95, single.upper_95) == (None, None)
+
+
+def test_several_conditions_are_summed_up_over_all_of_them() -> None:
+    found = effects(pairs([*paired([0.5, 0.5]), *paired([-0.5, -0.5], "swarm")]))
+    assert [(one.optimizer, one.mean_difference) for one in found] == [("genetic", 0.5), ("swarm", -0.5), (None, 0.0)]
+    assert (found[2].population, found[2].pairs, found[2].sign_test) == (None, 4, 1.0)
+
+
+@given(st.lists(st.sampled_from([-0.5, 0.0, 0.25]), min_size=1, max_size=12))
+def test_the_interval_holds_the_mean_and_signs_add_up(differences: list[float]) -> None:
+    (effect,) = effects(pairs(paired(differences)))
+    assert effect.better + effect.equal + effect.worse == effect.pairs == len(differences)
+    assert (effect.lower_95 is None) == (len(differences) == 1)
+    if effect.lower_95 is not None and effect.upper_95 is not None:
+        assert effect.lower_95 <= effect.mean_difference <= effect.upper_95
+    assert 0 < effect.sign_test <= 1
+    assert effect.different_upper_95 >= (effect.better + effect.worse) / effect.pairs

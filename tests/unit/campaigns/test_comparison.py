@@ -1,0 +1,92 @@
+"""Which campaigns a comparison consists of."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.support.runs import EXPERT_SPACE
+
+from drivecal.campaigns.comparison import resolve_comparison, runs_of
+from drivecal.contracts.comparison import ComparisonSpecification
+from drivecal.contracts.validation import validated
+from drivecal.domain.errors import InvalidInputError
+from drivecal.optimizers.genetic import pairs_per_generation
+from drivecal.plugins import registry
+
+COMPARED: dict[str, Any] = {
+    "fixed": {"P9": 5, "P10": 10, "P11": 100},
+    "catalogue": ["S3"],
+    "optimizers": [{"kind": "genetic", "mutation": 0.2}, {"kind": "genetic", "label": "wild", "mutation": 0.5}],
+    "populations": [20, 10],
+    "seeds": [3, 1, 2],
+}
+
+
+def specification(**changes: Any) -> ComparisonSpecification:
+    return validated(ComparisonSpecification, COMPARED | changes)
+
+
+def test_runs_come_by_optimizer_population_seed_and_reduction() -> None:
+    runs = runs_of(specification(sensitivity={"map": "m"}, reductions=["off", {"mode": "influence", "audit": 0.1}]))
+    conditions = [tuple(one.conditions) for one in runs]
+    assert conditions[:3] == [
+        ("genetic", 20, 3, "off"),
+        ("genetic", 20, 3, "influence audit=0.1"),
+        ("genetic", 20, 1, "off"),
+    ]
+    assert conditions[-1] == ("wild", 10, 2, "influence audit=0.1")
+    assert len(set(conditions)) == len(runs) == 2 * 2 * 3 * 2
+    last = runs[-1].specification
+    assert last.optimizer is not None
+    chosen = {"kind": "genetic", "mutation": 0.5, "population": 10, "iterations": 80, "start": "halton", "seed": 2}
+    assert last.optimizer.model_dump(exclude={"start_sets"}) == chosen
+    assert (last.reduction.mode, last.reduction.audit) == ("influence", 0.1)
+    assert last.sensitivity is not None
+    assert runs[-2].specification.sensitivity is None, "an analysis that the run does not use would count"
+    assert last.fixed == COMPARED["fixed"]
+
+
+def test_the_cost_is_that_of_all_runs() -> None:
+    problem = resolve_comparison(specification(iterations=5))
+    assert problem.proposed == 2 * 3 * (20 + 10) * 5
+    assert problem.at_most == 2 * 3 * sum(size + 4 * pairs_per_generation(size, 0.8, 0.7) for size in (20, 10))
+
+
+@pytest.mark.parametrize("kind", ["genetic", "swarm", "random", "cma_es", "optuna"])
+@pytest.mark.parametrize("start", ["halton", "lhs"])
+def test_every_optimizer_begins_with_the_population_that_its_size_and_seed_give(kind: str, start: str) -> None:
+    n_values = np.array([59, 201, 201, 2001, 1501, 101, 201, 2001])
+
+    def first(name: str, population: int, seed: int) -> list[list[int]]:
+        plugin = registry.optimizer(name)
+        document = {"kind": name, "population": population, "start": start, "seed": seed}
+        found: list[list[int]] = plugin.create(plugin.settings.model_validate(document), n_values).ask().population.tolist()
+        return found
+
+    assert first(kind, 12, 1) == first("genetic", 12, 1)
+    assert (first(kind, 12, 1) == first(kind, 12, 2)) == (start == "halton")
+
+
+def test_everything_that_is_wrong_is_told_at_once_and_once() -> None:
+    with pytest.raises(InvalidInputError) as refused:
+        resolve_comparison(
+            specification(
+                parameters=EXPERT_SPACE,
+                fixed={"P9": 7},
+                optimizers=[{"kind": "swarm", "c1": 2.0, "c2": -1.0}, {"kind": "genetic", "colour": 1}],
+            )
+        )
+    assert [one.field for one in refused.value.problems] == [
+        "optimizers[0].c1",
+        "optimizers[0].c2",
+        "fixed.P9",
+        "optimizers[1].colour",
+    ]
+
+
+def test_a_reduction_that_cannot_be_is_named_by_its_place() -> None:
+    with pytest.raises(InvalidInputError) as refused:
+        resolve_comparison(specification(reductions=["exact", {"mode": "exact", "narrow": True}]))
+    assert [one.field for one in refused.value.problems] == ["reductions[1].narrow"]
