@@ -138,6 +138,7 @@ def _print_end(campaign: Campaign, folder: Path, seconds: float) -> None:
         f"  {command} list\n"
         f"  {command} show {campaign.id[:8]}\n"
         f"  {command} solutions {campaign.id[:8]} --weights S1=3,S5=0\n"
+        f"  {command} report {campaign.id[:8]} -o report                 # figures, tables and one page\n"
         f"  {command} export {campaign.id[:8]} --table evaluations --format csv -o evaluations.csv\n"
         f"  {command} submit deploy/examples/highway.yaml --wait"
     )
