@@ -142,7 +142,9 @@ def test_a_report_has_the_studies_that_other_campaigns_made(run: Run, api: Runni
     assert [row.model_dump(mode="json") for row in collected.robustness[0].rows] == rows
 
 
-def test_the_optima_are_the_best_solutions_with_their_regions(api: RunningApi, ended: str) -> None:
+def test_the_optima_are_the_best_solutions_with_their_regions(
+    api: RunningApi, ended: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     url = f"/api/v1/campaigns/{ended}"
     campaign, optima = api.http.get(url).json(), api.http.get(f"{url}/optima?limit=1000").json()["items"]
     assert len(optima) == campaign["best"]["alternatives"]
@@ -152,6 +154,9 @@ def test_the_optima_are_the_best_solutions_with_their_regions(api: RunningApi, e
     assert all(one["to_worse"] > 0 for one in optima)
     rows = list(csv.DictReader(io.StringIO(api.http.get(f"{url}/optima?format=csv").text)))
     assert [(int(row["rank"]), int(row["region"])) for row in rows] == [(one["rank"], one["region"]) for one in optima]
+    monkeypatch.setattr("drivecal.campaigns.optima.MOST_BEST", 1)
+    (first,) = api.http.get(f"{url}/optima").json()["items"]
+    assert first["to_worse"] == optima[0]["to_worse"], "sets that are not looked at are not worse"
 
 
 def test_the_setup_tells_versions_and_the_fingerprints_of_the_reference_table(api: RunningApi, ended: str) -> None:

@@ -14,6 +14,8 @@ from drivecal.plugins.ports import Floats
 from drivecal.storage import parameter_sets
 from drivecal.storage.database import Database
 
+MOST_BEST = 10_000
+"""Of the sets with the best objective, so many are looked at, best rated first: the work grows with the square of their number."""
 MOST_WORSE = 20_000
 """Sets of a lower objective among which the nearest is looked for."""
 
@@ -28,9 +30,9 @@ def unit_cube(space: ParameterSpace, sets: Sequence[ParameterSet]) -> Floats:
 
 
 def alternatives(database: Database, ranking: Sequence[Solution], space: ParameterSpace) -> list[Optimum]:
-    """What is known of the first of a `ranking`, best first: of all that share the objective of the very first one."""
-    best = list(takewhile(lambda one: one.objective >= ranking[0].objective - EQUAL, ranking))
-    worse = ranking[len(best) : len(best) + MOST_WORSE]
+    """What is known of the first of a `ranking`, best first: of those that share the objective of the very first one, at most MOST_BEST."""
+    equal = sum(1 for _ in takewhile(lambda one: one.objective >= ranking[0].objective - EQUAL, ranking))
+    best, worse = ranking[: min(equal, MOST_BEST)], ranking[equal : equal + MOST_WORSE]
     with database.read() as connection:
         sets = parameter_sets.load(connection, [one.parameter_set for one in (*best, *worse)])
     places = unit_cube(space, [sets[one.parameter_set] for one in (*best, *worse)])

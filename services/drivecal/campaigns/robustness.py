@@ -11,7 +11,7 @@ from sqlalchemy import Connection
 
 from drivecal.analysis.optima import one_per_region_first, optima
 from drivecal.analysis.robustness import Robustness, RobustnessSettings, RobustnessStudy
-from drivecal.campaigns.optima import MOST_WORSE, unit_cube
+from drivecal.campaigns.optima import MOST_BEST, MOST_WORSE, unit_cube
 from drivecal.campaigns.planning import View, WantedCell
 from drivecal.campaigns.problem import CalibrationProblem
 from drivecal.campaigns.solutions import EQUAL, Standing
@@ -92,8 +92,8 @@ class RobustnessStage(StudyStage):
             standing.add(results.answers(connection, source.sequence, Stage.CALIBRATION))
             ranking = standing.ranking()
             least = ranking[0].objective - self._wanted.within - EQUAL if ranking else 0.0
-            best = [one for one in ranking if one.objective >= least]
-            worse = ranking[len(best) : len(best) + MOST_WORSE]
+            enough = sum(1 for one in ranking if one.objective >= least)
+            best, worse = ranking[: min(enough, MOST_BEST)], ranking[enough : enough + MOST_WORSE]
             sets = parameter_sets.load(connection, [one.parameter_set for one in (*best, *worse)])
         named = list(self._problem.robust_sets)
         found = [sets[one.parameter_set] for one in best]

@@ -37,7 +37,7 @@ def seconds_of(found: Accounting) -> list[tuple[str, float]]:
         ("saved by repeated cells", found.repeated_saved_seconds),
         ("saved by reused cells", found.reused_saved_seconds),
         ("saved by certified cells", found.certified_saved_seconds),
-        ("cost of the sensitivity stage", -found.sensitivity.seconds),
+        ("cost of the sensitivity stage", 0.0 - found.sensitivity.seconds),
         ("net", found.net_seconds),
         ("simulated", found.simulated_seconds),
         ("of these for audits", found.audited_seconds),

@@ -164,10 +164,12 @@ def _sentence(optima: Sequence[OptimumRow]) -> str:
     return f"{_count(len(optima), 'set')} that {share} the best objective, in {_count(regions, 'distinct region')}."
 
 
-def parts(optima: Sequence[OptimumRow], parameters: Sequence[SearchedParameter], drawing: str) -> list[str]:
-    """The section: how many sets and regions, the figure, the regions as a table."""
+def parts(optima: Sequence[OptimumRow], found: int, parameters: Sequence[SearchedParameter], drawing: str) -> list[str]:
+    """The section: how many sets and regions, the figure, the regions as a table. `found`: the sets, of which `optima` are the first."""
     same = constant(optima, searched(parameters))
     text = f"The search found {_sentence(optima)}"
+    if found > len(optima):
+        text = f"The search found {found:,} sets that share the best objective. Of these here: {_sentence(optima)}"
     if len(optima) > 1:
         if same:
             text += f" In all of them {', '.join(f'{name} = {value:g}' for name, value in same.items())}."

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from drivecal.contracts.campaign import Campaign
 from drivecal.report import cells, influence, optima, problem, results, reuse, robustness, search, validation
 from drivecal.report.findings import Findings
-from drivecal.report.markup import bullets, contents, document, files, heading, paragraph, section
+from drivecal.report.markup import bullets, contents, document, files, heading, paragraph, section, verbatim
 from drivecal.report.spider import by_scenario
 
 
@@ -72,8 +72,10 @@ def _search(findings: Findings, drawn: Mapping[str, str]) -> list[str]:
 def _best(findings: Findings, drawn: Mapping[str, str]) -> list[str]:
     if not findings.optima:
         return []
+    best = findings.campaign.best
+    alternatives = len(findings.optima) if best is None else best.alternatives
     return [
-        *optima.parts(findings.optima, findings.setup.parameters, "".join(_figures(drawn, "figure-12-optima"))),
+        *optima.parts(findings.optima, alternatives, findings.setup.parameters, "".join(_figures(drawn, "figure-12-optima"))),
         results.solutions_table(findings.solutions, findings.optima),
     ]
 
@@ -85,7 +87,10 @@ def _robustness(findings: Findings, drawn: Mapping[str, str]) -> list[str]:
         return robustness.parts(findings.robustness, findings.optima, identifier, drawing)
     if not findings.optima:
         return []
-    return [paragraph(f"Not studied. `drivecal robustness {identifier}` drives the best sets in other vehicles.")]
+    return [
+        paragraph("Not studied. This drives the best sets in other vehicles:"),
+        verbatim(f"drivecal robustness {identifier}"),
+    ]
 
 
 def _reuse(findings: Findings, drawn: Mapping[str, str]) -> list[str]:
@@ -103,4 +108,7 @@ def _validation(findings: Findings, drawn: Mapping[str, str]) -> list[str]:
         return validation.parts(findings.validation[0], identifier, by_scenario(findings.influence), drawing)
     if not findings.influence:
         return []
-    return [paragraph(f"Not studied. `drivecal validate {identifier}` compares, by simulation, what the map calls equal.")]
+    return [
+        paragraph("Not studied. This compares, by simulation, what the map calls equal:"),
+        verbatim(f"drivecal validate {identifier}"),
+    ]

@@ -20,7 +20,8 @@ def summary(findings: Findings) -> list[str]:
     if best is None:
         return [bullets(_studies(findings))] if findings.robustness or findings.validation else [_nothing(campaign)]
     regions = len({one.region for one in findings.optima})
-    where = f", in {regions} distinct regions" if regions > 1 else ""
+    least = "at least " * (len(findings.optima) < best.alternatives)
+    where = f", in {least}{regions} distinct regions" if regions > 1 else ""
     share = "1 parameter set has it" if best.alternatives == 1 else f"{best.alternatives:,} parameter sets share it{where}"
     first = f"The best objective is {best.objective:.4f} of 7; {share}."
     if campaign.baseline is not None and campaign.baseline.objective is not None:

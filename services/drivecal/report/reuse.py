@@ -61,7 +61,7 @@ def accounting(found: Accounting | None) -> list[str]:
     """Savings and costs, and when the map pays; nothing before the first answered cell."""
     if found is None:
         return []
-    rows = [[item, Number(f"{seconds:,.1f}")] for item, seconds in seconds_of(found)]
+    rows = [[item, Number(f"{round(seconds, 1) + 0.0:,.1f}")] for item, seconds in seconds_of(found)]
     parts = [paragraph(found.sentence), table(["", "CPU seconds"], rows, "Cost accounting, in CPU time of the workers")]
     even = found.break_even
     if even is not None and even.requested_cells is None:

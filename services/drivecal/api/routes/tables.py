@@ -100,7 +100,8 @@ def list_solutions(campaign_id: str, query: SolutionsQuery, database: DatabaseDe
 
 @router.get("/optima", responses=TABLE_ANSWERS)
 def list_optima(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
-    """The sets that share the best objective, the region of the space in which each lies, and how far the nearest worse set is."""
+    """The sets that share the best objective, the region of the space in which each lies, and how far the nearest worse set is; at
+    most the first 10,000 of them."""
     campaign = _campaign(database, campaign_id)
     begun_with = _pinned(campaign)
     ranked = ranking(database, campaign, begun_with.weights, None)
