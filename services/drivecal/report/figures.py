@@ -19,8 +19,9 @@ def figures(findings: Findings) -> Iterator[Drawn]:
     if any(one.requested for one in findings.generations):
         yield cells.drawn(findings.generations)
     if findings.optima:
-        chosen = next((row.parameters for one in findings.robustness[:1] for row in one.rows if row.recommended), None)
-        yield optima.drawn(findings.optima, findings.solutions, findings.setup.parameters, chosen)
+        chosen = findings.recommended
+        values = None if chosen is None else chosen.parameters
+        yield optima.drawn(findings.optima, findings.solutions, findings.setup.parameters, values)
     if findings.robustness:
         yield from robustness.drawn(findings.robustness)
     if findings.validation:

@@ -47,6 +47,11 @@ class Findings:
     robustness: Sequence[Studied[RobustnessRow]] = ()
     validation: Sequence[Studied[ValidationRow]] = ()
 
+    @property
+    def recommended(self) -> RobustnessRow | None:
+        """The set that the newest robustness study recommends."""
+        return next((row for studied in self.robustness[:1] for row in studied.rows if row.recommended), None)
+
 
 def collect(client: Client, identifier: str) -> Findings:
     """Asks for it. Raises NotFoundError for an unknown campaign, and whatever else the client raises."""

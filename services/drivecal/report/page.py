@@ -24,7 +24,7 @@ def page(findings: Findings, drawn: Mapping[str, str], names: Sequence[str], ver
         "Robustness": _robustness(findings, drawn),
         "Validation": _validation(findings, drawn),
         "Cost": reuse.accounting(findings.accounting),
-        "Versions and repetition": [*problem.versions(findings.setup, version), *problem.again(campaign)],
+        "Versions and repetition": [*problem.versions(findings.setup, version), *problem.again(findings)],
         "Files": [files(names)],
     }
     kept = {title: parts for title, parts in sections.items() if parts}

@@ -6,7 +6,6 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.setup import CampaignSetup
 from drivecal.report.findings import Findings
 from drivecal.report.markup import Number, paragraph, subheading, table, verbatim
@@ -77,8 +76,9 @@ def versions(setup: CampaignSetup, version: str) -> list[str]:
     return parts
 
 
-def again(campaign: Campaign) -> list[str]:
-    """The commands that repeat the campaign, and its best set alone."""
+def again(findings: Findings) -> list[str]:
+    """The commands that repeat the campaign, and drive its best and its recommended set alone."""
+    campaign, recommended = findings.campaign, findings.recommended
     commands = [f"drivecal submit {SPECIFICATION} --wait"]
     text = (
         f"The file {SPECIFICATION} beside this page is the campaign's specification with all its defaults. With the versions above and the "
@@ -89,9 +89,15 @@ def again(campaign: Campaign) -> list[str]:
         text += " It names an influence map by its id, which another database does not have: post it there first."
     parts = [subheading("The same again"), paragraph(text)]
     if campaign.best is not None:
-        values = " ".join(f"{name}={value:g}" for name, value in campaign.best.parameters.items())
-        commands.append(f"drivecal evaluate {values}")
+        commands.append(_evaluate("the best set", campaign.best.parameters))
+    if recommended is not None:
+        commands.append(_evaluate("the recommended set", recommended.parameters))
     parts.append(verbatim("\n".join(commands)))
     lines = (f"  {json.dumps(name)}: {json.dumps(value, ensure_ascii=False)}" for name, value in campaign.spec.items())
     document = "{\n" + ",\n".join(lines) + "\n}"
     return parts if len(document) > MOST_CHARACTERS else [*parts, subheading("Specification"), verbatim(document)]
+
+
+def _evaluate(which: str, parameters: Mapping[str, float]) -> str:
+    values = " ".join(f"{name}={value:.10g}" for name, value in parameters.items())
+    return f"drivecal evaluate {values}    # {which}"

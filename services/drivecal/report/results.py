@@ -30,7 +30,7 @@ def summary(findings: Findings) -> list[str]:
     if findings.accounting is not None:
         sentences.append(findings.accounting.sentence)
     sentences += [_errors(campaign), *_studies(findings)]
-    return [bullets(one for one in sentences if one), _compared(campaign, best)]
+    return [bullets(one for one in sentences if one), _compared(findings, best)]
 
 
 def _nothing(campaign: Campaign) -> str:
@@ -50,12 +50,9 @@ def _errors(campaign: Campaign) -> str:
 
 
 def _studies(findings: Findings) -> list[str]:
-    sentences = [
-        f"Recommended after the robustness study: rank {row.rank} of its table, because it has {row.reason}."
-        for studied in findings.robustness[:1]
-        for row in studied.rows
-        if row.recommended
-    ]
+    row, sentences = findings.recommended, []
+    if row is not None:
+        sentences.append(f"Recommended after the robustness study: rank {row.rank} of its table, because it has {row.reason}.")
     for validated in findings.validation[:1]:
         compared, wrong = sum(row.compared for row in validated.rows), sum(row.wrong for row in validated.rows)
         if compared:
@@ -63,13 +60,16 @@ def _studies(findings: Findings) -> list[str]:
     return sentences
 
 
-def _compared(campaign: Campaign, best: Best) -> str:
-    baseline = campaign.baseline
+def _compared(findings: Findings, best: Best) -> str:
+    baseline, recommended = findings.campaign.baseline, findings.recommended
     rows = [_row("best", best.objective, best.scores, best.parameters, best)]
+    caption = "The best set: its score (0 to 7) in each scenario and its parameter values"
+    if recommended is not None:
+        rows.append(_row("recommended", recommended.objective, recommended.scores, recommended.parameters, best))
+        caption += "; beside it the set that the robustness study recommends"
     if baseline is not None:
         rows.append(_row("baseline", baseline.objective, baseline.scores, baseline.parameters, best))
-    header = ["", "objective", *best.scores, *best.parameters]
-    return table(header, rows, "The best set: its score (0 to 7) in each scenario and its parameter values")
+    return table(["", "objective", *best.scores, *best.parameters], rows, caption)
 
 
 def _row(
