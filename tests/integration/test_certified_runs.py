@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from drivecal.certification.memory import Memory
 from drivecal.comfort.plugin import REFERENCE
 from drivecal.domain.evaluations import RunResult
 from drivecal.episode.certified import CertifiedRunner
@@ -32,8 +33,8 @@ def sets(seed: int, families: int, members: int) -> list[list[float]]:
     return found
 
 
-def runner(name: str, room: int = 20_000) -> CertifiedRunner:
-    return CertifiedRunner(HIGHWAY.scenarios[name], FRENET, SINGLE_TRACK.create(NOMINAL), REFERENCE, room)
+def runner(name: str, memory: Memory | None = None) -> CertifiedRunner:
+    return CertifiedRunner(HIGHWAY.scenarios[name], FRENET, SINGLE_TRACK.create(NOMINAL), REFERENCE, memory or Memory())
 
 
 @pytest.mark.parametrize("name", list(HIGHWAY.scenarios))
@@ -66,14 +67,21 @@ def test_what_is_forgotten_is_simulated_again() -> None:
     certifying = runner("S5")
     parameters = sets(seed=1, families=1, members=1)[0]
     certifying.answer(parameters, 1, check=False)
-    before = certifying.remembers
     certifying.forget()
-    assert (before, certifying.remembers) == (True, False)
     assert certifying.answer(parameters, 2, check=False).proven_by is None
 
 
-def test_a_small_memory_forgets_and_stays_right() -> None:
-    certifying = runner("S3", room=450)
-    judge = Runner(HIGHWAY.scenarios["S3"], FRENET, SINGLE_TRACK.create(NOMINAL), REFERENCE)
-    for number, parameters in enumerate(sets(seed=9, families=3, members=12)):
-        assert certifying.answer(parameters, number, check=False).result == judge.run(parameters)
+def test_a_small_memory_forgets_in_all_scenarios_and_stays_right() -> None:
+    memory = Memory(megabytes=1)
+    names = ("S3", "S5")
+    certifying = {name: runner(name, memory) for name in names}
+    judges = {name: Runner(HIGHWAY.scenarios[name], FRENET, SINGLE_TRACK.create(NOMINAL), REFERENCE) for name in names}
+    before, forgot = 0, 0
+    for number, parameters in enumerate(sets(seed=9, families=3, members=6)):
+        for name in names:
+            answered = certifying[name].answer(parameters, number, check=False)
+            assert answered.result == judges[name].run(parameters)
+            assert memory.bytes <= memory.limit
+            forgot += memory.bytes < before
+            before = memory.bytes
+    assert forgot

@@ -18,7 +18,7 @@ def workers(url: UrlOption = None, as_json: JsonOption = False) -> None:
         print_json(page)
         return
     now = datetime.now(UTC)
-    header = ["worker", "node", "state", "cells", "cells/s", "simulates"]
+    header = ["worker", "node", "state", "cells", "cells/s", "remembers", "simulates"]
     rows = [
         [
             one.id,
@@ -26,6 +26,7 @@ def workers(url: UrlOption = None, as_json: JsonOption = False) -> None:
             one.state,
             one.cells,
             None if one.cells_per_second is None else f"{one.cells_per_second:.1f}",
+            remembering(one),
             doing(one, now),
         ]
         for one in page.items
@@ -40,6 +41,13 @@ def doing(worker: WorkerAnswer, now: datetime) -> str | None:
     if worker.scenario is None or worker.since is None:
         return worker.scenario
     return f"{worker.scenario} for {duration(max(0.0, (now - worker.since) / timedelta(seconds=1)))}"
+
+
+def remembering(worker: WorkerAnswer) -> str | None:
+    """What a worker keeps to certify runs."""
+    if worker.states is None or worker.state_mb is None or worker.state_mb_at_most is None:
+        return None
+    return f"{worker.states:,} states, {worker.state_mb:.0f} of {worker.state_mb_at_most:.0f} MB"
 
 
 def remarks(page: WorkerPage, now: datetime) -> list[str]:

@@ -71,7 +71,7 @@ def serve(settings: Settings, stop: threading.Event) -> None:
 def _dispatch(settings: Settings, database: Database, pulse: Pulse, stop: threading.Event) -> None:
     address = settings.ray_address
     pulse.tell((), "Ray is being started" if address is None else f"waiting for the Ray cluster at {address}")
-    options = RayOptions(address, settings.workers)
+    options = RayOptions(address, settings.workers, certificates_mb=settings.certificates_mb)
     backend = _awaited("Ray", lambda: RayBackend(options, trial()), stop, lambda words: pulse.tell((), words))
     if backend is None:
         return

@@ -8,6 +8,7 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 
+from drivecal.contracts.work import Remembered
 from drivecal.execution.backend import WorkerInfo
 
 RECENT_BATCHES = 20
@@ -22,6 +23,7 @@ class _Desk:
     since: float = 0.0
     recent: deque[tuple[int, float]] = field(default_factory=lambda: deque(maxlen=RECENT_BATCHES))
     """Cells and seconds of what it finished last."""
+    remembered: Remembered | None = None
 
 
 class Activity:
@@ -38,10 +40,12 @@ class Activity:
             desk.since = self._clock()
         desk.batches[batch_id] = scenario
 
-    def finished(self, worker: str, batch_id: int, cells: int, seconds: float) -> None:
-        """A batch came back; it took the worker so many seconds."""
+    def finished(self, worker: str, batch_id: int, cells: int, seconds: float, remembered: Remembered | None = None) -> None:
+        """A batch came back; it took the worker so many seconds, and this is what it keeps since to certify other runs."""
         if self._take(worker, batch_id) and cells and seconds > 0:
             self._desks[worker].recent.append((cells, seconds))
+        if worker in self._desks and remembered is not None:
+            self._desks[worker].remembered = remembered
 
     def lost(self, worker: str, batch_id: int) -> None:
         """A batch does not come back."""
@@ -63,6 +67,9 @@ class Activity:
         desk = self._desks.get(worker.id)
         if desk is None:
             return worker
+        kept = desk.remembered
+        if kept is not None:
+            worker = replace(worker, states=kept.states, state_mb=kept.bytes / 2**20, state_mb_at_most=kept.limit / 2**20)
         cells, seconds = sum(one for one, _ in desk.recent), sum(one for _, one in desk.recent)
         speed = cells / seconds if seconds else None
         if not desk.batches:

@@ -55,7 +55,8 @@ class Slot:
 class WorkerInfo:
     """One worker: `state` is `starting`, `idle` or `busy`; `cells` counts what it has finished. No other process ever has its `id`.
 
-    The pool adds what it is doing: the `scenario` that it simulates, `since` when (UTC, ISO 8601), and how fast it was lately."""
+    The pool adds what it is doing: the `scenario` that it simulates, `since` when (UTC, ISO 8601), and how fast it was lately; and how many
+    planning states it remembers to certify runs, in how much memory (MB) of how much."""
 
     id: str
     node: str
@@ -65,6 +66,9 @@ class WorkerInfo:
     scenario: str | None = None
     since: str | None = None
     cells_per_second: float | None = None
+    states: int | None = None
+    state_mb: float | None = None
+    state_mb_at_most: float | None = None
 
 
 class Backend(Protocol):

@@ -39,7 +39,7 @@ class Observer:
         broken = breakdowns(dispatch, event)
         if isinstance(event, Finished):
             result = event.result
-            self._activity.finished(dispatch.worker, dispatch.batch_id, len(result.results), result.seconds)
+            self._activity.finished(dispatch.worker, dispatch.batch_id, len(result.results), result.seconds, result.remembered)
             if result.refusal is None:
                 MEASURES.observe("batch", result.seconds)
             for one in result.results:

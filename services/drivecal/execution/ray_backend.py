@@ -56,6 +56,8 @@ class RayOptions:
     deadline_seconds: float = DEADLINE_SECONDS
     deadline_factor: float = DEADLINE_FACTOR
     start_seconds: float = 180.0
+    certificates_mb: int = 1024
+    """Memory of each worker for what certifies other runs."""
 
 
 @dataclass(slots=True)
@@ -244,7 +246,9 @@ class RayBackend:
 
     def _start(self, actor: _Actor) -> None:
         actor.incarnation += 1
-        actor.handle = self._actor_class.options(**self._bound_to(actor.home)).remote(actor.name)
+        actor.handle = self._actor_class.options(**self._bound_to(actor.home)).remote(
+            actor.name, certificates_mb=self._options.certificates_mb
+        )
         actor.warming = actor.handle.warm.remote(self._trial)
         actor.deadline = time.monotonic() + self._options.start_seconds
 

@@ -69,10 +69,6 @@ class CertifiablePlanner(Planner, Protocol):
         """A power of two that most of these numbers are non-negative multiples of: those are stored in two bytes, others in twelve."""
 
     @property
-    def most_plans(self) -> int:
-        """Plans of one run, at most."""
-
-    @property
     def state_digest(self) -> int:
         """Of all features of the last plan, 64 bits: two plans with the same digest are in the same state."""
 

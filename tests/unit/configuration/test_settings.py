@@ -52,7 +52,7 @@ def test_the_file_here_may_move_the_home_folder_but_the_file_at_home_may_not(tmp
     [
         (b"workers = ", "drivecal.toml: the config file cannot be read"),
         (b"\xff\xfe", "drivecal.toml: the config file cannot be read"),
-        (b"worker = 2", "worker: there is no such setting; one of database_password_file, .*home, "),
+        (b"worker = 2", "worker: there is no such setting; one of certificates_mb, database_password_file, .*home, "),
         (b"workers = 0", "workers: 0 does not fit.*greater than or equal to 1.*DRIVECAL_WORKERS"),
         (b"workers = 1e30", "workers: "),
         (b"url = 'localhost:8000'", "url: 'localhost:8000' does not fit: it is no web address"),

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from drivecal.contracts.work import Remembered
 from drivecal.execution.activity import RECENT_BATCHES, Activity
 from drivecal.execution.backend import WorkerInfo
 
@@ -32,6 +33,15 @@ def test_the_speed_is_that_of_the_last_batches() -> None:
         activity.sent("worker-1", batch, "S1")
         activity.finished("worker-1", batch, 8, 1.0)
     assert activity.describe([WORKER])[0].cells_per_second == 8.0
+
+
+def test_a_worker_remembers_what_it_said_last() -> None:
+    activity = Activity()
+    for batch in (1, 2):
+        activity.sent("worker-1", batch, "S1")
+        activity.finished("worker-1", batch, 1, 1.0, Remembered(100 * batch, 3 * 2**20, 512 * 2**20))
+    (one,) = activity.describe([WORKER])
+    assert (one.states, one.state_mb, one.state_mb_at_most) == (200, 3.0, 512.0)
 
 
 def test_late_and_unknown_batches_and_workers_change_nothing() -> None:

@@ -34,13 +34,11 @@ def test_the_cost_of_a_stored_candidate_is_that_of_the_plan(seed: int, n_longitu
     packed = (values * 256).astype(np.uint16)
     rows = np.zeros(n + 1, dtype=np.int64), np.array([n, *([0] * n)], dtype=np.int32)
     none = np.zeros(n + 1, dtype=np.int32), np.zeros(n + 1, dtype=np.int32), np.zeros(0, dtype=np.int32), np.zeros(0)
-    known = np.zeros((n + 1, n), dtype=np.bool_)
-    known[0] = infeasible
     first = np.array([1, *([-1] * n)], dtype=np.int32)
     siblings = np.array([-1, *range(2, n + 1), -1], dtype=np.int32)
     decision = np.array([-1, *range(n)], dtype=np.int32)
-    candidate = np.arange(n, dtype=np.uint16)
-    reached = deciding.walk(weights, 1 / 256, packed, candidate, *rows, *none, known, first, siblings, decision)
+    candidate = (np.arange(n) + deciding.INFEASIBLE * infeasible).astype(np.uint16)
+    reached = deciding.walk(weights, 1 / 256, packed, candidate, *rows, *none, first, siblings, decision)
     assert reached == expected + 1
 
 

@@ -23,14 +23,24 @@ Integers = npt.NDArray[np.int32]
 NONE = -1
 BESIDE = 65535
 """Stands for a feature that is kept beside."""
-ROWS_PER_NODE, BESIDE_PER_NODE = 64, 16
-"""Room for contenders, and for features that do not fit into two bytes, on average."""
+INFEASIBLE = 32768
+"""Added to the number of a candidate that is known to be."""
 
 
 @compiled
-def pack(features: Any, scale: float, packed: Any, places: Any, values: Any) -> int:
-    """Writes `features`, shape (n, k), as multiples of 1 / `scale`. Those that are none go to `places` and `values`: how many, or -1
-    where these have too little room."""
+def count_beside(features: Any, scale: float) -> int:
+    """How many of `features`, shape (n, k), are no multiples of 1 / `scale` that fit into two bytes."""
+    beside = 0
+    for value in features.ravel():
+        multiple = value * scale
+        if not (0.0 <= multiple < BESIDE and multiple == np.floor(multiple)):
+            beside += 1
+    return beside
+
+
+@compiled
+def pack(features: Any, scale: float, packed: Any, places: Any, values: Any) -> None:
+    """Writes `features`, shape (n, k), as multiples of 1 / `scale`; those that are none go to `places` and `values`."""
     beside = 0
     n, k = features.shape
     for row in range(n):
@@ -40,13 +50,10 @@ def pack(features: Any, scale: float, packed: Any, places: Any, values: Any) -> 
             if 0.0 <= multiple < BESIDE and multiple == np.floor(multiple):
                 packed[row, column] = np.uint16(multiple)
             else:
-                if beside == len(places):
-                    return -1
                 packed[row, column] = BESIDE
                 places[beside] = row * k + column
                 values[beside] = value
                 beside += 1
-    return beside
 
 
 @compiled
@@ -96,66 +103,84 @@ def contenders(features: Any, lowest: Any, highest: Any, infeasible: Any, chosen
     return np.flatnonzero(stays)
 
 
+@compiled
+def visit(node: int, parent: Any, visited: Any, clock: int) -> None:
+    """Notes in a node and all its ancestors that they were visited."""
+    while node >= 0:
+        visited[node] = clock
+        node = parent[node]
+
+
+@compiled
+def move(starts: Any, counts: Any, old: Any, new: Any) -> None:
+    """Copies the `counts` entries from each of `starts` on from `old` to `new`, one after the other; `starts` becomes where they are."""
+    place = 0
+    for node in range(len(starts)):
+        start = starts[node]
+        starts[node] = place
+        for index in range(start, start + counts[node]):
+            new[place] = old[index]
+            place += 1
+
+
+@compiled
+def link(parent: Any, first_child: Any, next_sibling: Any) -> None:
+    """Children of all nodes from their parents."""
+    first_child[:] = NONE
+    next_sibling[:] = NONE
+    for node in range(1, len(parent)):
+        next_sibling[node] = first_child[parent[node]]
+        first_child[parent[node]] = node
+
+
 class Nodes:
-    """One row per node in arrays of fixed room; row 0 is the state in which every run begins. A child's number is larger than its parent's.
+    """One row per node; row 0 is the state in which every run begins. A child's number is larger than its parent's. Arrays grow."""
 
-    The room is virtual memory until rows are written.
-    """
-
-    def __init__(self, n_values: int, n_candidates: int, grid: float, room: int) -> None:
+    def __init__(self, n_values: int, n_candidates: int, grid: float) -> None:
         """`n_values` numbers describe a candidate for its cost, of `n_candidates`; `grid`: a power of two that most of these numbers are
-        multiples of; `room`: nodes."""
-        self.room, self.grid = room, grid
-        self.packed: npt.NDArray[np.uint16] = np.zeros((room * ROWS_PER_NODE, n_values), dtype=np.uint16)
+        multiples of. Raises ValueError for more candidates than can be numbered."""
+        if n_candidates > INFEASIBLE:
+            raise ValueError(f"{n_candidates} candidates are too many to be certified; at most {INFEASIBLE}")
+        self.grid, self.n_candidates = grid, n_candidates
+        self.packed: npt.NDArray[np.uint16] = np.zeros((0, n_values), dtype=np.uint16)
         """The contenders of all nodes, one row each."""
-        self.candidate: npt.NDArray[np.uint16] = np.zeros(room * ROWS_PER_NODE, dtype=np.uint16)
-        """Which candidate a row is."""
-        self.row_start: npt.NDArray[np.int64] = np.zeros(room, dtype=np.int64)
-        self.row_count: Integers = np.zeros(room, dtype=np.int32)
+        self.candidate: npt.NDArray[np.uint16] = np.zeros(0, dtype=np.uint16)
+        """Which candidate a row is, plus INFEASIBLE where it is known to be."""
+        self.row_start: npt.NDArray[np.int64] = np.zeros(0, dtype=np.int64)
+        self.row_count: Integers = np.zeros(0, dtype=np.int32)
         """0: the node is not described yet."""
-        self.infeasible: npt.NDArray[np.bool_] = np.zeros((room, n_candidates), dtype=np.bool_)
-        """Candidates that are known to be infeasible in a node."""
-        self.digest: npt.NDArray[np.int64] = np.zeros(room, dtype=np.int64)
+        self.digest: npt.NDArray[np.int64] = np.zeros(0, dtype=np.int64)
         """Of the whole planning state."""
-        self.parent: Integers = np.zeros(room, dtype=np.int32)
-        self.decision: Integers = np.zeros(room, dtype=np.int32)
+        self.visited: npt.NDArray[np.int64] = np.zeros(0, dtype=np.int64)
+        """When it, or a node below it, was last."""
+        self.parent: Integers = np.zeros(0, dtype=np.int32)
+        self.decision: Integers = np.zeros(0, dtype=np.int32)
         """The candidate that led from the parent to this node."""
-        self.first_child: Integers = np.zeros(room, dtype=np.int32)
-        self.next_sibling: Integers = np.zeros(room, dtype=np.int32)
-        self.leaf: Integers = np.zeros(room, dtype=np.int32)
+        self.first_child: Integers = np.zeros(0, dtype=np.int32)
+        self.next_sibling: Integers = np.zeros(0, dtype=np.int32)
+        self.leaf: Integers = np.zeros(0, dtype=np.int32)
         """The number of the run that ended here; NONE where none did."""
-        self.beside_start: Integers = np.zeros(room, dtype=np.int32)
-        self.beside_count: Integers = np.zeros(room, dtype=np.int32)
-        self.places: Integers = np.zeros(room * BESIDE_PER_NODE, dtype=np.int32)
-        self.values: Floats = np.zeros(room * BESIDE_PER_NODE)
+        self.beside_start: npt.NDArray[np.int64] = np.zeros(0, dtype=np.int64)
+        self.beside_count: Integers = np.zeros(0, dtype=np.int32)
+        self.places: Integers = np.zeros(0, dtype=np.int32)
+        self.values: Floats = np.zeros(0)
         self.count = self.rows = self.beside = 0
         self.add(NONE, NONE)
+        self._per_node = sum(getattr(self, name).itemsize for name in _OF_NODES)
 
     @property
     def bytes(self) -> int:
         """Memory in use."""
-        per_row = self.packed[0].nbytes + self.candidate.itemsize
-        per_beside = self.places.itemsize + self.values.itemsize
-        rest = (self.row_start, self.row_count, self.infeasible, self.digest, self.parent, self.decision, self.first_child)
-        per_node = sum(array[0].nbytes for array in (*rest, self.next_sibling, self.leaf, self.beside_start, self.beside_count))
-        return self.count * per_node + self.rows * per_row + self.beside * per_beside
-
-    def has_room(self, nodes: int) -> bool:
-        """Whether so many more fit, if their contenders are as many as a state can have."""
-        most = nodes * self.infeasible.shape[1]
-        return (
-            self.room - self.count >= nodes
-            and len(self.candidate) - self.rows >= min(most, len(self.candidate) // 10)
-            and len(self.places) - self.beside >= len(self.places) // 10
-        )
+        per_row = self.packed.itemsize * (self.packed.shape[1] + 1)
+        return self.count * self._per_node + self.rows * per_row + self.beside * (self.places.itemsize + self.values.itemsize)
 
     def add(self, parent: int, decision: int) -> int:
-        """A new node, not described yet. Raises IndexError where there is no room."""
+        """A new node, not described yet."""
         node = self.count
-        self.parent[node], self.decision[node] = parent, decision
+        self._grow(_OF_NODES, node + 1)
+        self.parent[node], self.decision[node], self.visited[node] = parent, decision, 0
         self.first_child[node] = self.next_sibling[node] = self.leaf[node] = NONE
-        self.row_count[node] = 0
-        self.infeasible[node] = False
+        self.row_count[node] = self.beside_count[node] = 0
         if parent != NONE:
             self.next_sibling[node], self.first_child[parent] = self.first_child[parent], node
         self.count += 1
@@ -168,71 +193,93 @@ class Nodes:
             child = int(self.next_sibling[child])
         return child
 
-    def describe(self, node: int, candidates: npt.NDArray[np.int64], features: Floats, digest: int) -> bool:
-        """Keeps the contenders of a state, shape (n,), with their features, shape (n, n_values), in place of what was kept; False where
-        there is no room."""
+    def describe(
+        self,
+        node: int,
+        candidates: npt.NDArray[np.int64],
+        features: Floats,
+        infeasible: npt.NDArray[np.bool_],
+        digest: int,
+    ) -> None:
+        """Keeps the contenders of a state, shape (n,), with their features, shape (n, n_values), in place of what was kept. `infeasible`,
+        shape (n_candidates,): those known to be."""
         start, stop = self.rows, self.rows + len(candidates)
-        if stop > len(self.candidate):
-            return False
-        places, values = self.places[self.beside :], self.values[self.beside :]
-        count = pack(features, 1.0 / self.grid, self.packed[start:stop], places, values)
-        if count < 0:
-            return False
-        self.candidate[start:stop] = candidates
+        beside = count_beside(features, 1.0 / self.grid)
+        self._grow(_OF_ROWS, stop)
+        self._grow(_OF_BESIDE, self.beside + beside)
+        pack(features, 1.0 / self.grid, self.packed[start:stop], self.places[self.beside :], self.values[self.beside :])
+        self.candidate[start:stop] = candidates + INFEASIBLE * infeasible[candidates]
         self.row_start[node], self.row_count[node] = start, len(candidates)
-        self.beside_start[node], self.beside_count[node] = self.beside, count
+        self.beside_start[node], self.beside_count[node] = self.beside, beside
         self.digest[node] = digest
-        self.rows, self.beside = stop, self.beside + count
-        return True
+        self.rows, self.beside = stop, self.beside + beside
 
-    def contenders(self, node: int) -> tuple[npt.NDArray[np.uint16], Floats]:
-        """The contenders of a described node, shape (n,), and their features, shape (n, n_values)."""
+    def contenders(self, node: int) -> tuple[npt.NDArray[np.uint16], npt.NDArray[np.bool_], Floats]:
+        """The contenders of a described node, shape (n,), which of them are infeasible, and their features, shape (n, n_values)."""
         start, stop = self.row_start[node], self.row_start[node] + self.row_count[node]
         found = np.empty((stop - start, self.packed.shape[1]))
         beside = slice(self.beside_start[node], self.beside_start[node] + self.beside_count[node])
         unpack(self.packed[start:stop], self.grid, self.places[beside], self.values[beside], found)
-        return self.candidate[start:stop], found
+        candidates = self.candidate[start:stop]
+        return candidates % INFEASIBLE, candidates >= INFEASIBLE, found
 
-    def keep(self, wanted: npt.NDArray[np.bool_]) -> Integers:
-        """Forgets the nodes that are not `wanted`, shape (count,): with a node all its ancestors must be. Gives the new number of each
-        old node, NONE for those that are gone."""
-        old = np.flatnonzero(wanted).astype(np.int32)
+    def infeasible(self, node: int) -> npt.NDArray[np.bool_]:
+        """The contenders of a node that are known to be infeasible, as candidates, shape (n_candidates,)."""
+        candidates = self.candidate[self.row_start[node] : self.row_start[node] + self.row_count[node]]
+        found = np.zeros(self.n_candidates, dtype=np.bool_)
+        found[candidates[candidates >= INFEASIBLE] - INFEASIBLE] = True
+        return found
+
+    def keep(self, wanted: npt.NDArray[np.bool_]) -> None:
+        """Forgets the nodes that are not `wanted`, shape (count,): with a node all its ancestors must be. The others get new numbers, in
+        the order of the old ones; the memory of those that are gone is given back."""
+        old = np.flatnonzero(wanted)
         number = np.full(self.count, NONE, dtype=np.int32)
         number[old] = np.arange(len(old), dtype=np.int32)
-        parents = self.parent[old]
-        self._move_rows(old)
-        for array in (self.infeasible, self.digest, self.decision, self.leaf):
-            array[: len(old)] = array[old]
+        for name in _OF_NODES:
+            setattr(self, name, getattr(self, name)[old])
+        self.parent[1:] = number[self.parent[1:]]
+        link(self.parent, self.first_child, self.next_sibling)
         self.count = len(old)
-        self.parent[: len(old)] = np.where(parents == NONE, NONE, number[parents])
-        self.first_child[: len(old)] = self.next_sibling[: len(old)] = NONE
-        for node in range(1, len(old)):
-            parent = self.parent[node]
-            self.next_sibling[node], self.first_child[parent] = self.first_child[parent], node
-        return number
+        self._move(_OF_ROWS, "row_start", int(self.row_count.sum()))
+        self._move(_OF_BESIDE, "beside_start", int(self.beside_count.sum()))
+        self.rows, self.beside = len(self.candidate), len(self.places)
 
-    def _move_rows(self, old: Integers) -> None:
-        """In the order in which they lie, so that none is overwritten before it was moved."""
-        rows, beside = 0, 0
-        starts, counts = self.row_start[old], self.row_count[old]
-        beside_starts, beside_counts = self.beside_start[old], self.beside_count[old]
-        for place in np.argsort(starts, kind="stable").tolist():
-            start, count = int(starts[place]), int(counts[place])
-            if not count:
-                continue
-            self.packed[rows : rows + count] = self.packed[start : start + count].copy()
-            self.candidate[rows : rows + count] = self.candidate[start : start + count].copy()
-            starts[place] = rows
-            rows += count
-            start, count = int(beside_starts[place]), int(beside_counts[place])
-            self.places[beside : beside + count] = self.places[start : start + count].copy()
-            self.values[beside : beside + count] = self.values[start : start + count].copy()
-            beside_starts[place] = beside
-            beside += count
-        n = len(old)
-        self.row_start[:n], self.row_count[:n] = starts, counts
-        self.beside_start[:n], self.beside_count[:n] = beside_starts, beside_counts
-        self.rows, self.beside = rows, beside
+    def _move(self, names: tuple[str, ...], starts: str, length: int) -> None:
+        before = getattr(self, starts)
+        counts = self.row_count if starts == "row_start" else self.beside_count
+        for name in names:
+            array = getattr(self, name)
+            moved, places = np.empty((length, *array.shape[1:]), dtype=array.dtype), before.copy()
+            move(places, counts, array, moved)
+            setattr(self, name, moved)
+        setattr(self, starts, places)
+
+    def _grow(self, names: tuple[str, ...], length: int) -> None:
+        if length <= len(getattr(self, names[0])):
+            return
+        for name in names:
+            array = getattr(self, name)
+            larger = np.zeros((max(64, length + length // 2), *array.shape[1:]), dtype=array.dtype)
+            larger[: len(array)] = array
+            setattr(self, name, larger)
+
+
+_OF_NODES = (
+    "row_start",
+    "row_count",
+    "digest",
+    "visited",
+    "parent",
+    "decision",
+    "first_child",
+    "next_sibling",
+    "leaf",
+    "beside_start",
+    "beside_count",
+)
+_OF_ROWS = ("packed", "candidate")
+_OF_BESIDE = ("places", "values")
 
 
 def walk(nodes: Nodes, costs: Callable[[npt.NDArray[np.uint16], Floats], Floats]) -> int:
@@ -243,10 +290,9 @@ def walk(nodes: Nodes, costs: Callable[[npt.NDArray[np.uint16], Floats], Floats]
     """
     node = 0
     while nodes.row_count[node]:
-        candidates, features = nodes.contenders(node)
+        candidates, infeasible, features = nodes.contenders(node)
         found = costs(candidates, features)
-        known = nodes.infeasible[node]
-        allowed = found if known.all() else np.where(known[candidates], np.inf, found)
+        allowed = found if infeasible.all() else np.where(infeasible, np.inf, found)
         child = nodes.child(node, int(candidates[np.argmin(allowed)]))
         if child == NONE:
             return node

@@ -11,17 +11,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from drivecal.certification.nodes import NONE, Nodes
+from drivecal.certification.memory import Memory
+from drivecal.certification.nodes import NONE, Floats, Nodes, visit
 from drivecal.domain.errors import DrivecalError
-from drivecal.plugins.ports import CertifiablePlanner, Floats, Observation
+from drivecal.plugins.ports import CertifiablePlanner, Observation
 
 Result = TypeVar("Result")
-KEPT = 0.5
-"""Share of a full trie that survives an eviction: the states that were visited last."""
+BYTES_PER_RESULT = 4000
+"""Roughly, of what is kept of a run: its metrics by name, mostly."""
 
 
 class NotDeterministicError(DrivecalError):
@@ -39,18 +40,18 @@ class Proof(Generic[Result]):
 class Trie(Generic[Result]):
     """Of one scenario in one setup, in one process. A cache: what it forgets is simulated again."""
 
-    def __init__(self, planner: CertifiablePlanner, room: int) -> None:
-        """`room`: nodes, at least the number of plans in two runs."""
+    def __init__(self, planner: CertifiablePlanner, memory: Memory) -> None:
+        """`memory`: shared with the other tries of the process."""
         self._planner = planner
-        self._nodes = Nodes(planner.n_values, planner.n_candidates, planner.grid, room)
+        self._nodes = Nodes(planner.n_values, planner.n_candidates, planner.grid)
         self._results: list[Proof[Result]] = []
-        self._used = np.zeros(room, dtype=np.int64)
-        self._clock = 0
+        self._memory = memory
+        memory.join(self)
 
     @property
     def bytes(self) -> int:
-        """Memory of the nodes in use."""
-        return self._nodes.bytes
+        """Memory in use."""
+        return self._nodes.bytes + BYTES_PER_RESULT * len(self._results)
 
     @property
     def nodes(self) -> int:
@@ -62,17 +63,21 @@ class Trie(Generic[Result]):
         """Runs that can prove others."""
         return len(self._results)
 
+    @property
+    def visited(self) -> Any:
+        """When each node was visited last, by the memory's clock, shape (nodes,)."""
+        return self._nodes.visited[: self._nodes.count]
+
     def prove(self, parameters: Sequence[float]) -> Proof[Result] | None:
         """The stored run that these parameters would repeat; None where that is not proved."""
         node = self._planner.walk(self._nodes, parameters)
-        self._touch(node)
+        self._visit(node)
         leaf = int(self._nodes.leaf[node])
         return None if leaf == NONE else self._results[leaf]
 
     def record(self) -> Recording[Result]:
         """Takes part in a run, as its planner, and learns from it."""
-        if not self._nodes.has_room(self._planner.most_plans):
-            self._evict()
+        self._memory.settle()
         return Recording(self._planner, self._nodes, self)
 
     def learn(self, end: int, result: Result, run: int) -> None:
@@ -80,27 +85,22 @@ class Trie(Generic[Result]):
         if self._nodes.leaf[end] == NONE:
             self._nodes.leaf[end] = len(self._results)
             self._results.append(Proof(result, run))
-        self._touch(end)
+        self._visit(end)
+        self._memory.settle()
 
-    def _touch(self, node: int) -> None:
-        self._clock += 1
-        while node != NONE:
-            self._used[node] = self._clock
-            node = int(self._nodes.parent[node])
-
-    def _evict(self) -> None:
-        """Forgets the states that were not visited for longest. A state was visited whenever one below it was, so what stays is a trie."""
-        count = self._nodes.count
-        used = self._used[:count]
-        threshold = np.partition(used, int((1.0 - KEPT) * count))[int((1.0 - KEPT) * count)]
-        wanted = used > threshold
+    def forget_until(self, clock: int) -> None:
+        """Forgets the states that were not visited after this. A state is visited whenever one below it is, so what stays is a trie."""
+        nodes = self._nodes
+        wanted = self.visited > clock
         wanted[0] = True
-        self._nodes.keep(wanted)
-        self._used[: self._nodes.count] = used[wanted]
-        leaves = self._nodes.leaf[: self._nodes.count]
-        kept = np.flatnonzero(leaves != NONE)
-        self._results = [self._results[leaf] for leaf in leaves[kept].tolist()]
-        leaves[kept] = np.arange(len(kept), dtype=np.int32)
+        nodes.keep(wanted)
+        kept = np.flatnonzero(nodes.leaf != NONE)
+        self._results = [self._results[leaf] for leaf in nodes.leaf[kept].tolist()]
+        nodes.leaf[kept] = np.arange(len(kept), dtype=np.int32)
+
+    def _visit(self, node: int) -> None:
+        self._memory.clock += 1
+        visit(node, self._nodes.parent, self._nodes.visited, self._memory.clock)
 
 
 class Recording(Generic[Result]):
@@ -120,24 +120,23 @@ class Recording(Generic[Result]):
         """See `ports.Planner`. Raises NotDeterministicError where the state is not what the same decisions led to before."""
         trajectory = self._planner.plan(observation)
         nodes, node, planner = self._nodes, self._node, self._planner
-        if node == NONE:
-            return trajectory
-        known, digest = nodes.infeasible[node], planner.state_digest
+        infeasible, digest = planner.infeasible, planner.state_digest
         described = bool(nodes.row_count[node])
         if described and nodes.digest[node] != digest:
             raise NotDeterministicError(
                 f"the same decisions led to another state at {observation.time} s: certified reuse is not possible with this setup"
             )
-        if not described or (planner.infeasible & ~known).any():  # who cannot be driven keeps nobody else out
-            known |= planner.infeasible
-            if not nodes.describe(node, *planner.contenders(known), digest):
-                self._node = NONE  # no room: this run proves nothing
-                return trajectory
+        if not described:
+            nodes.describe(node, *planner.contenders(infeasible), infeasible, digest)
+        elif infeasible.any():  # who cannot be driven keeps nobody else out
+            known = nodes.infeasible(node)
+            if (infeasible & ~known).any():
+                known |= infeasible
+                nodes.describe(node, *planner.contenders(known), known, digest)
         child = nodes.child(node, planner.chosen)
-        self._node = child if child != NONE else NONE if nodes.count == nodes.room else nodes.add(node, planner.chosen)
+        self._node = child if child != NONE else nodes.add(node, planner.chosen)
         return trajectory
 
     def finish(self, result: Result, run: int) -> None:
         """The run is over; `run` is the number by which it is known."""
-        if self._node != NONE:
-            self._trie.learn(self._node, result, run)
+        self._trie.learn(self._node, result, run)

@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from drivecal.certification.memory import Memory
 from drivecal.certification.trie import NotDeterministicError, Trie
 from drivecal.domain.evaluations import Answered, RunResult
 from drivecal.domain.scenarios import Scenario
 from drivecal.episode.runner import Runner
 from drivecal.plugins.ports import DrivingFunction, Evaluator, VehicleModel
-
-ROOM = 60_000
-"""Planning states that are kept of one scenario: 60 to 180 MB where all of it is used."""
 
 
 class CertifiedRunner(Runner):
@@ -24,12 +22,12 @@ class CertifiedRunner(Runner):
         driving_function: DrivingFunction,
         vehicle: VehicleModel,
         evaluator: Evaluator,
-        room: int = ROOM,
+        memory: Memory,
     ) -> None:
-        """See `Runner`; `room`: planning states."""
+        """See `Runner`; `memory`: for what is remembered."""
         super().__init__(scenario, driving_function, vehicle, evaluator)
         self._certifiable = driving_function.certifiable
-        self._room = room
+        self._memory = memory
         self._trie: Trie[RunResult] | None = None
 
     def answer(self, parameters: Sequence[float], number: int, *, check: bool) -> Answered:
@@ -39,7 +37,7 @@ class CertifiedRunner(Runner):
             return Answered(self.run(parameters))
         if self._trie is None:
             planner: Any = self.planner  # a driving function that is `certifiable` makes `CertifiablePlanner`s
-            self._trie = Trie(planner, self._room)
+            self._trie = Trie(planner, self._memory)
         proof = self._trie.prove(parameters)
         if proof is not None and not check:
             return Answered(proof.result, proof.proven_by)
@@ -55,8 +53,3 @@ class CertifiedRunner(Runner):
     def forget(self) -> None:
         """Gives the memory back; what comes is simulated again."""
         self._trie = None
-
-    @property
-    def remembers(self) -> bool:
-        """Whether it holds decisions."""
-        return self._trie is not None

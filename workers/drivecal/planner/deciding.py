@@ -16,6 +16,9 @@ from numba import njit
 
 compiled = njit(cache=True, error_model="numpy")
 
+INFEASIBLE = 32768
+"""As in `drivecal.certification.nodes`."""
+
 TERM = np.array([0, 1, 3, 5, 6, 9, 0, 1, 0, 2, 4, 7, 8, 10, 11])
 """Which weight each row of `lateral`, `longitudinal` and `combined` is multiplied by, one after the other."""
 
@@ -64,7 +67,7 @@ def values_of(lateral: Any, longitudinal: Any, combined: Any, candidates: Any, v
 @compiled
 def walk(
     weights: Any, grid: float, packed: Any, candidate: Any, row_start: Any, row_count: Any, beside_start: Any, beside_count: Any,
-    places: Any, values: Any, infeasible: Any, first_child: Any, next_sibling: Any, decision: Any,
+    places: Any, values: Any, first_child: Any, next_sibling: Any, decision: Any,
 ) -> int:  # fmt: skip
     """Decides again from node to node, as `plan` does, see `ports.CertifiablePlanner.walk`. Gives the node where the way ends.
 
@@ -102,10 +105,11 @@ def walk(
                 + weights[10] * v[13]
                 + weights[11] * v[14]
             )
+            number = int(candidate[row])
             if cost < lowest_of_all:
-                best_of_all, lowest_of_all = int(candidate[row]), cost
-            if cost < lowest and not infeasible[node, candidate[row]]:
-                best, lowest = int(candidate[row]), cost
+                best_of_all, lowest_of_all = number % INFEASIBLE, cost
+            if cost < lowest and number < INFEASIBLE:
+                best, lowest = number, cost
         chosen = best if best >= 0 else best_of_all
         child = first_child[node]
         while child >= 0 and decision[child] != chosen:

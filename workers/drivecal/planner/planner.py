@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -29,7 +28,7 @@ CURB = 0.1
 LOWEST = weights([float(parameter.lower) for parameter in HIGHWAY])
 HIGHEST = weights([float(parameter.upper) for parameter in HIGHWAY])
 """The weights that a certificate holds for, shape (12,): those of the parameters of Table 6."""
-LEADERS = 16
+LEADERS = 48
 """Good candidates that every other one is compared with, to find out whether it could ever win."""
 MARGIN = 1e-6
 """Of costs: rounding errors are a thousand times smaller."""
@@ -84,7 +83,6 @@ class FrenetPlanner:
         self._longitudinal = np.zeros((2, n_longitudinal))
         self._combined = np.zeros((7, n_longitudinal, n_lateral))
         self._by_term = np.zeros((self.n_candidates, 12))
-        self.most_plans = math.ceil(scenario.duration / PERIOD)
         self.infeasible: npt.NDArray[np.bool_] = np.zeros(self.n_candidates, dtype=np.bool_)
         """The candidates of the last plan that were cheaper than the chosen one but cannot be driven, shape (n_candidates,)."""
         self.chosen = -1
@@ -192,7 +190,6 @@ class FrenetPlanner:
             nodes.beside_count,
             nodes.places,
             nodes.values,
-            nodes.infeasible,
             nodes.first_child,
             nodes.next_sibling,
             nodes.decision,

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, Protocol
 
+from drivecal.certification.memory import Memory
 from drivecal.contracts.work import SetupRequest
 from drivecal.domain.errors import ConflictError, DrivecalError, InvalidInputError, Problem, UnavailableError
 from drivecal.domain.evaluations import Answered, RunResult
@@ -35,13 +36,6 @@ class Runner(Protocol):
         """As `run`, or without one where it would provably repeat an earlier one; `number`: under which it is known to later ones;
         `check`: simulated in any case."""
 
-    def forget(self) -> None:
-        """Gives the memory back that it keeps for certificates."""
-
-    @property
-    def remembers(self) -> bool:
-        """Whether it keeps any."""
-
     def trace(self, parameters: Sequence[float]) -> dict[str, Any]:
         """The same run with its time series, as plain data."""
 
@@ -55,12 +49,12 @@ class _Installed:
 
 
 class _EpisodeRunner:
-    def __init__(self, request: SetupRequest, installed: _Installed) -> None:
+    def __init__(self, request: SetupRequest, installed: _Installed, memory: Memory) -> None:
         from drivecal.episode.certified import CertifiedRunner as Episode  # libsumo and numba, in workers only
 
         self.parameters = tuple(parameter.name for parameter in next(iter(installed.function.spaces.values())))
         model = installed.vehicle.create(request.vehicle_parameters)
-        self._episode = Episode(installed.scenario, installed.function, model, installed.evaluator)
+        self._episode = Episode(installed.scenario, installed.function, model, installed.evaluator, memory)
 
     def run(self, parameters: Sequence[float]) -> RunResult:
         return self._episode.run(parameters)
@@ -68,19 +62,12 @@ class _EpisodeRunner:
     def answer(self, parameters: Sequence[float], number: int, *, check: bool) -> Answered:
         return self._episode.answer(parameters, number, check=check)
 
-    def forget(self) -> None:
-        self._episode.forget()
-
-    @property
-    def remembers(self) -> bool:
-        return self._episode.remembers
-
     def trace(self, parameters: Sequence[float]) -> dict[str, Any]:
         return self._episode.trace(parameters).to_json()
 
 
-def make_runner(request: SetupRequest) -> Runner:
-    """The runner of a setup.
+def make_runner(request: SetupRequest, memory: Memory) -> Runner:
+    """The runner of a setup; `memory` is for what it remembers to certify other runs.
 
     Raises RefusedError where a plug-in or the simulator is not usable here, or is another version than the coordinator's (results of
     both must not mix), or lacks what it was shipped with. What else the plug-ins raise while they are put together goes through: another
@@ -93,7 +80,7 @@ def make_runner(request: SetupRequest) -> Runner:
     except Exception as error:  # what a package may raise that is installed badly
         raise RefusedError(f"a plug-in cannot be loaded: {type(error).__name__}: {error}") from error
     try:
-        return _EpisodeRunner(request, installed)
+        return _EpisodeRunner(request, installed, memory)
     except UnavailableError as error:
         raise RefusedError(str(error)) from error
 
