@@ -1,6 +1,6 @@
 # drivecal: `make help` lists what can be made. Everything runs in .venv, which is installed on first use.
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-faults check bench train format lock networks clean
+.PHONY: help demo test test-faults test-compose check bench train format lock networks clean
 BIN := .venv/bin
 INSTALLED := .venv/.installed
 # Containers often set it. Every process that a server or a test starts would compile all that it imports: half of a start's time.
@@ -22,11 +22,15 @@ test-faults: $(INSTALLED) ## kill, stop and starve everything there is, at rando
 	@$(BIN)/pytest tests/faults -m faults
 	@DRIVECAL_LONG=1 $(BIN)/pytest tests/integration/test_api_schema.py
 
+test-compose: $(INSTALLED) ## build, start, break, scale and restore the cluster of docker-compose.yml on a Docker engine (minutes)
+	@$(BIN)/pytest tests/compose -m compose -s
+
 check: $(INSTALLED) ## lint, formatting, types and import rules
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports
+	@if docker compose version >/dev/null 2>&1; then docker compose config -q; else echo "no docker compose here: docker-compose.yml is not checked"; fi
 
 bench: $(INSTALLED) ## run the benchmarks; tables on the screen, figures in .drivecal/bench/*.json
 	@$(BIN)/python tests/benchmarks/run.py

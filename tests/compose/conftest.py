@@ -1,0 +1,31 @@
+"""What the suite needs: the compose file on whatever Docker engine there is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+from tests.support.compose import Cluster, cluster_on_engine, engine
+
+MARK = "compose"
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leaves these tests out unless they are asked for by their marker: they build images, and need an engine."""
+    if MARK in config.option.markexpr:
+        return
+    ours = [one for one in items if one.get_closest_marker(MARK)]
+    if ours:
+        config.hook.pytest_deselected(items=ours)
+        items[:] = [one for one in items if not one.get_closest_marker(MARK)]
+
+
+@pytest.fixture(scope="session")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
+    """The cluster of `docker-compose.yml` in a project of its own, built and started as the README says; nothing is left of it."""
+    found = engine()
+    if found is None:
+        pytest.exit("there is no Docker engine with Compose 2: start one, or name one by DOCKER_HOST", returncode=2)
+    print(f"\nDocker {found}", flush=True)
+    with cluster_on_engine(tmp_path_factory.mktemp("cluster")) as running:
+        yield running

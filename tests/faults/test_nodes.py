@@ -1,0 +1,90 @@
+"""Nodes of a Ray cluster come and go while a campaign runs. Several on this machine, by Ray's own means."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.support.faults.coordinator import Coordinator, coordinator
+from tests.support.faults.findings import Found, assert_equal, assert_sound, found
+from tests.support.faults.lives import wait_until_ended
+from tests.support.faults.workload import BOLD_MAP, REUSING, post, submit
+
+from drivecal.cluster.settings import ALERT, OBJECT_STORE_BYTES, QUIET, VERSION_LABEL
+
+START_SECONDS = 120.0
+NOTICED_SECONDS = 10.0
+"""In which a lost node is known, and its cells are elsewhere."""
+SETTINGS = {"RAY_AUTH_MODE": "disabled", "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", **QUIET, **ALERT}
+"""Despite its name the second one makes Ray on Linux, too, listen on 127.0.0.1 only."""
+
+
+@pytest.fixture
+def cluster(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    """A head without workers; nodes are added and removed."""
+    for name, value in SETTINGS.items():
+        monkeypatch.setenv(name, value)
+    from ray.cluster_utils import Cluster  # reads the environment
+
+    head = {
+        "num_cpus": 0,
+        "object_store_memory": OBJECT_STORE_BYTES,
+        "include_dashboard": False,
+        "node_ip_address": "127.0.0.1",
+    }
+    running: Any = Cluster(initialize_head=True, head_node_args=head)
+    yield running
+    running.shutdown()
+
+
+def workers(server: Coordinator) -> dict[str, dict[str, Any]]:
+    """As the API shows them, by name."""
+    answer = server.answers("/api/v1/workers")
+    return {} if answer is None else {worker["id"]: worker for worker in answer.json()["items"]}
+
+
+def problems(server: Coordinator) -> str:
+    answer = server.answers("/readyz")
+    return "" if answer is None else " ".join(answer.json()["problems"])
+
+
+def cells(server: Coordinator, name: str) -> int:
+    return int(workers(server).get(name, {"cells": 0})["cells"])
+
+
+def add(cluster: Any, **more: Any) -> Any:
+    return cluster.add_node(num_cpus=1, object_store_memory=OBJECT_STORE_BYTES, node_ip_address="127.0.0.1", **more)
+
+
+@pytest.mark.faults
+@pytest.mark.timeout(1200)
+def test_nodes_come_and_go_in_a_campaign_and_nothing_changes(
+    tmp_path: Path, cluster: Any, without_faults: dict[str, Found]
+) -> None:
+    settings = {"DRIVECAL_RAY_ADDRESS": cluster.address, "DRIVECAL_WORKERS": "", **SETTINGS}
+    with coordinator(tmp_path, settings=settings) as server:
+        server.start()
+        server.until(lambda: "has no node with workers; start some" in problems(server), "that nobody works", START_SECONDS)
+        first = add(cluster)
+        server.wait_ready()
+        assert list(workers(server)) == ["worker-1"]
+        map_id = post(server.url, "/api/v1/influence-maps", BOLD_MAP)
+        accepted = submit(server.url, {"reusing": REUSING | {"sensitivity": {"map": map_id}}})
+        server.until(lambda: cells(server, "worker-1") > 0, "work for the first node", START_SECONDS)
+
+        add(cluster)
+        server.until(lambda: cells(server, "worker-2") > 0, "work for a node that came later", START_SECONDS)
+        cluster.remove_node(first, allow_graceful=False)
+        took = server.until(lambda: "worker-1" not in workers(server), "that a node is gone", NOTICED_SECONDS)
+        print(f"\n         a lost node was gone from the workers after {took}", flush=True)
+
+        add(cluster, labels={VERSION_LABEL: "0.0.1"})
+        server.until(lambda: "has drivecal 0.0.1; install the same release on both" in problems(server), "that a version is refused", START_SECONDS)
+        assert list(workers(server)) == ["worker-2"]
+        wait_until_ended(server, accepted)
+        assert_sound(server, accepted)
+        assert_equal("reusing", found(server, accepted.campaigns["reusing"]), without_faults["reusing"])
+        assert cells(server, "worker-2") > 0
+        server.terminate()
