@@ -121,7 +121,8 @@ class ReferencePage(Answer):
 
 class WorkerAnswer(Answer):
     """A worker as the dispatcher last saw it; `cells` counts what it has finished. A busy one simulates `scenario`, this batch of it
-    `since` then; `cells_per_second` is its speed in the last batches, null before the first."""
+    `since` then; `cells_per_second` is its speed in the last batches, null before the first. To certify runs it remembers `states` planning
+    states in `state_mb` megabytes, `state_mb_at_most` at most."""
 
     id: str
     node: str | None = None
@@ -130,6 +131,9 @@ class WorkerAnswer(Answer):
     scenario: str | None = None
     since: datetime | None = None
     cells_per_second: float | None = None
+    states: int | None = None
+    state_mb: float | None = None
+    state_mb_at_most: float | None = None
 
 
 class WorkerPage(Answer):

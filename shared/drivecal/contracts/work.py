@@ -64,6 +64,15 @@ class CellResult:
 
 
 @dataclass(frozen=True, slots=True)
+class Remembered:
+    """What a worker keeps to certify runs, of all setups: planning states, and the memory (bytes) that they take of what they may."""
+
+    states: int
+    bytes: int
+    limit: int
+
+
+@dataclass(frozen=True, slots=True)
 class BatchResult:
     """The results of a batch, in its order, and the worker that gave them."""
 
@@ -73,3 +82,4 @@ class BatchResult:
     """Wall-clock time on the worker, loading the setup included: what batches are sized by."""
     refusal: str | None = None
     """Why this worker cannot run the setup at all, in words; there are no results then. Another worker may be able to."""
+    remembered: Remembered | None = None

@@ -9,13 +9,13 @@ from typing import Any
 
 import pytest
 
-from drivecal.contracts.work import Batch, Cell, CellResult, SetupRequest
+from drivecal.contracts.work import Batch, Cell, CellResult, Remembered, SetupRequest
 from drivecal.domain.errors import ConflictError, UnavailableError
 from drivecal.domain.evaluations import Answered, Failure, Rating, RunResult
 from drivecal.plugins import registry
 from drivecal.plugins.setups import setup_of, simulator
 from drivecal.runtime import compilation
-from drivecal.runtime.worker import LONGEST_DETAIL, MOST_REMEMBERING, MOST_RUNNERS, Worker
+from drivecal.runtime.worker import LONGEST_DETAIL, MOST_RUNNERS, Worker
 
 SETUP = SetupRequest("highway", "S1", "frenet", "single_track", {}, "reference", "a fingerprint")
 
@@ -47,13 +47,6 @@ class ScriptedRunner:
             return Answered(result, self.known[second][0], first != 7.0)
         self.known[second] = number, result
         return Answered(result)
-
-    def forget(self) -> None:
-        self.known.clear()
-
-    @property
-    def remembers(self) -> bool:
-        return bool(self.known)
 
     def trace(self, parameters: Sequence[float]) -> dict[str, Any]:
         raise NotImplementedError
@@ -282,15 +275,6 @@ def test_without_leave_nothing_is_certified() -> None:
     assert [one.metrics["runs"] for one in run(worker, (0.0, 3.0), (0.0, 3.0))] == [1, 2]
 
 
-def test_only_so_many_setups_keep_what_certificates_need() -> None:
-    runners: dict[str, ScriptedRunner] = {}
-
-    def make(setup: SetupRequest) -> ScriptedRunner:
-        return runners.setdefault(setup.run_fingerprint, ScriptedRunner())
-
-    worker = Worker("w", make)
-    for number in range(MOST_REMEMBERING + 3):
-        certified(worker, Cell(number, {"a": 0.0, "b": 1.0}), setup=replace(SETUP, run_fingerprint=f"setup {number}"))
-    assert [runner.remembers for runner in runners.values()] == [False] * 3 + [True] * MOST_REMEMBERING
-    again = certified(worker, Cell(99, {"a": 0.0, "b": 1.0}), setup=replace(SETUP, run_fingerprint="setup 3"))
-    assert again[0].proven_by == 3
+def test_a_worker_says_what_it_remembers_of_what_it_may() -> None:
+    worker = Worker("w", lambda _: ScriptedRunner(), certificates_mb=7)
+    assert worker.run(Batch(SETUP, ())).remembered == Remembered(0, 0, 7 * 2**20)

@@ -10,10 +10,12 @@ import traceback
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult, SetupRequest
+from drivecal.certification.memory import DEFAULT_MEGABYTES, Memory
+from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult, Remembered, SetupRequest
 from drivecal.domain.errors import ConflictError, DrivecalError, UnavailableError
 from drivecal.domain.evaluations import Answered, Breakdown
 from drivecal.runtime.compilation import prepare_cache
@@ -21,8 +23,6 @@ from drivecal.runtime.runners import RefusedError, Runner, make_runner
 
 MOST_RUNNERS = 32
 """Runners kept at a time; the least recently used goes first. Studies of vehicle parameters go through hundreds of setups."""
-MOST_REMEMBERING = 6
-"""Of these, how many keep what certificates need, the most recently used: half a gigabyte or less."""
 LONGEST_DETAIL = 500
 """Characters."""
 
@@ -38,9 +38,16 @@ class WorkerFacts:
 class Worker:
     """Lives in a process of its own (a Ray actor), because a process can hold one SUMO simulation only."""
 
-    def __init__(self, name: str, make: Callable[[SetupRequest], Runner] = make_runner) -> None:
+    def __init__(
+        self,
+        name: str,
+        make: Callable[[SetupRequest], Runner] | None = None,
+        certificates_mb: int = DEFAULT_MEGABYTES,
+    ) -> None:
+        """`make` makes runners, those of the registry where it is not given; `certificates_mb`: memory for what certifies other runs."""
         self._name = name
-        self._make = make
+        self._memory = Memory(certificates_mb)
+        self._make = make or partial(make_runner, memory=self._memory)
         self._runners: OrderedDict[tuple[object, ...], Runner] = OrderedDict()
 
     def warm(self, trial: Batch) -> WorkerFacts:
@@ -65,7 +72,8 @@ class Worker:
             results = tuple(self._run_cell(batch.setup, cell) for cell in batch.cells)
         except RefusedError as error:
             refusal = describe(error)
-        return BatchResult(self._name, results, time.perf_counter() - start, refusal)
+        seconds, memory = time.perf_counter() - start, self._memory
+        return BatchResult(self._name, results, seconds, refusal, Remembered(memory.states, memory.bytes, memory.limit))
 
     def trace(self, setup: SetupRequest, cell: Cell) -> dict[str, Any]:
         """One cell with its time series, as plain data. Raises ConflictError saying why where it gives no result."""
@@ -109,9 +117,6 @@ class Worker:
             if len(self._runners) > MOST_RUNNERS:
                 self._runners.popitem(last=False)
         self._runners.move_to_end(key)
-        remembering = [runner for runner in self._runners.values() if runner.remembers]
-        for runner in remembering[: -MOST_REMEMBERING if self._runners[key].remembers else 1 - MOST_REMEMBERING]:
-            runner.forget()
         return self._runners[key]
 
     def _broken(self, setup: SetupRequest, cell: Cell, cause: Breakdown, error: BaseException, start: int) -> CellResult:
