@@ -11,10 +11,12 @@ from typing import Any
 import pytest
 import typer
 
+from drivecal.campaigns.comparison import resolve_comparison
 from drivecal.campaigns.maps import resolve_map
 from drivecal.campaigns.problem import resolve
 from drivecal.cli.documents import read_document
 from drivecal.cli.main import app
+from drivecal.contracts.comparison import ComparisonSpecification
 from drivecal.contracts.specification import CampaignSpecification, InfluenceMapSpecification
 from drivecal.contracts.validation import validated
 
@@ -73,6 +75,8 @@ def test_every_example_file_can_be_used(file: Path) -> None:
     document = read_document(str(file))
     if "scenarios" in document:
         assert resolve_map(validated(InfluenceMapSpecification, document)).influence_map.scenarios
+    elif "optimizers" in document:
+        assert resolve_comparison(validated(ComparisonSpecification, document)).runs
     else:
         assert resolve(validated(CampaignSpecification, document)).scenarios
 

@@ -39,7 +39,7 @@ class Compared:
     def pairs(self) -> list[ComparedPair]:
         """One row per pair of runs that differ in the reduction alone."""
         ids = {course.conditions: one.id for one, course in zip(self.campaigns, self.courses, strict=True)}
-        return [_pair(one, ids[one.run.conditions], ids[one.base.conditions]) for one in analysis.pairs(self.courses)]
+        return [pair_row(one, ids[one.run.conditions], ids[one.base.conditions]) for one in analysis.pairs(self.courses)]
 
     def effects(self) -> list[ReductionEffect]:
         """What the pairs say together."""
@@ -93,7 +93,8 @@ def _run(campaign: StoredCampaign, course: Course, best: float | None) -> Compar
     )
 
 
-def _pair(pair: Pair, run: str, base_run: str) -> ComparedPair:
+def pair_row(pair: Pair, run: str, base_run: str) -> ComparedPair:
+    """One pair as it is answered; `run` and `base_run` are the ids of its runs."""
     conditions = pair.run.conditions
     return ComparedPair(
         optimizer=conditions.optimizer,

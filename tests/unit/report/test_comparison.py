@@ -1,0 +1,133 @@
+"""The report of a comparison: every run is drawn, and the page needs nothing else."""
+
+from __future__ import annotations
+
+import re
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+from matplotlib.lines import Line2D
+from tests.unit.report.rows import generation
+
+from drivecal.analysis import comparison as analysis
+from drivecal.campaigns.compared import Compared as Rows
+from drivecal.campaigns.compared import pair_row
+from drivecal.contracts.campaign import Best, Campaign
+from drivecal.contracts.comparison import ComparedRun
+from drivecal.plugins.ports import Floats
+from drivecal.report.comparison import Compared, summary, write_comparison
+from drivecal.report.comparison_figures import effects_figure, optima_figure, search_figures
+
+OPTIMIZERS, POPULATIONS, SEEDS, REDUCTIONS = ("genetic", "swarm"), (10, 20), (1, 2, 3), ("exact", "influence")
+ITERATIONS = 4
+
+
+def findings() -> Compared:
+    """All swarms end at 6, genetic searches at 7; with the map the third seed of the latter ends at 6.5."""
+    runs, courses, listed = [], [], {}
+    for number, one in enumerate(product(OPTIMIZERS, POPULATIONS, SEEDS, REDUCTIONS)):
+        conditions = analysis.Conditions(*one)
+        optimum = 6.0 if conditions.optimizer == "swarm" else 6.5 if conditions[2:] == (3, "influence") else 7.0
+        taken = conditions.population if conditions.reduction == "exact" else conditions.population // 2
+        figures = [
+            generation(i, best=5.0 if i == 0 else optimum, rating=optimum + 0.1, requested=taken, repeated=0, reused=0)
+            for i in range(ITERATIONS)
+        ]
+        listed[f"{number:032x}"] = figures
+        bests = [one.best for one in figures]
+        courses.append(analysis.Course(conditions, bests, bests, [1] * ITERATIONS, bests, [taken] * ITERATIONS, ended=True))
+        runs.append(
+            ComparedRun(
+                run=f"{number:032x}",
+                **conditions._asdict(),
+                state="succeeded",
+                iterations=ITERATIONS,
+                requested=taken * ITERATIONS,
+                simulations=taken * ITERATIONS,
+                analysis=0,
+                best=optimum,
+                rating=optimum + 0.1,
+                alternatives=1,
+                mean=5.0,
+                converged_at=2 if number == 0 else None,
+                simulations_to_converge=20 if number == 0 else None,
+                alternatives_converged_at=None,
+                success=optimum == 7.0,
+            )
+        )
+    rows = Rows([], courses)
+    best = Best(objective=7.0, parameters={"P1": 1.0}, scores={"S3": 7}, alternatives=1)
+    campaign = Campaign(
+        id="c" * 32,
+        name="a <comparison>",
+        kind="comparison",
+        state="succeeded",
+        best=best,
+        spec={"catalogue": ["S3"], "seeds": [1, 2, 3]},
+    )
+    pairs = analysis.pairs(courses)
+    told = {one.conditions: run.run for one, run in zip(courses, runs, strict=True)}
+    return Compared(
+        campaign,
+        runs,
+        rows.groups(),
+        [pair_row(one, told[one.run.conditions], told[one.base.conditions]) for one in pairs],
+        rows.effects(),
+        listed,
+    )
+
+
+def points(line: Line2D) -> Floats:
+    """Shape (n, 2)."""
+    return np.asarray(line.get_xydata(), dtype=np.float64)
+
+
+def test_figures_7_and_8_show_every_run_and_not_only_the_best() -> None:
+    found = findings()
+    genetic, swarm = search_figures(found.runs, found.generations)
+    assert (genetic.name, swarm.name) == ("search-genetic", "search-swarm")
+    assert genetic.caption.startswith("Figure 8. ")
+    assert swarm.caption.startswith("Figure 7. ")
+    for drawn in (genetic, swarm):
+        left, right = drawn.figure.axes
+        assert len([one for one in left.lines if len(points(one)) == ITERATIONS]) == 12
+        assert len(right.lines) == 12
+        np.testing.assert_equal(points(right.lines[0])[:, 0], [10, 20, 30, 40])
+    heights = {round(float(points(one)[-1, 1]), 9) for one in swarm.figure.axes[0].lines}
+    assert len(heights) == 12, "lines of equal value lie beside each other"
+    assert max(abs(one - 6.0) for one in heights) < 0.2
+
+
+def test_final_optima_and_pairs_have_a_mark_for_each_run() -> None:
+    found = findings()
+    for panel in optima_figure(found.runs).figure.axes:
+        assert sum(len(points(one)) for one in panel.lines) == len(found.runs)
+    left, right = effects_figure(found.pairs, found.effects).figure.axes
+    assert sum(len(points(one)) for one in right.lines) == len(found.pairs) == 12
+    assert {-0.5, 0.0} == {float(x) for one in left.lines if one.get_marker() == "o" for x in points(one)[:, 0]}
+
+
+def test_the_page_says_what_was_found_and_needs_nothing_else(tmp_path: Path) -> None:
+    found = findings()
+    sentences = summary(found)
+    assert sentences[0] == "The best objective that any run found is 7.0000: genetic in 10 of 12 runs, swarm in 0 of 12 runs."
+    assert (
+        "in 12 pairs of searches with the same seed, 0 ended with a better optimum, 10 with an equal and 2 with a worse one"
+        in sentences[1]
+    )
+    assert "50.0% less" in sentences[1]
+    written = write_comparison(found, {"comparison": [b"run\n", b"1\n"]}, tmp_path)
+    names = [path.relative_to(tmp_path).as_posix() for path in written]
+    assert names[-1] == "index.html"
+    assert {"figures/search-genetic.svg", "figures/reduction.png", "tables/comparison.csv", "comparison.json"} <= set(names)
+    page = written[-1].read_text()
+    assert "a &lt;comparison&gt;" in page
+    assert not re.search(r"<script|https?://(?!www\.w3\.org)", page)
+    assert "drivecal compare-optimizers comparison.json --wait" in page
+    assert all(f'href="{name}"' in page for name in names[:-1])
+
+
+def test_a_comparison_without_any_result_has_a_report(tmp_path: Path) -> None:
+    empty = Compared(Campaign(id="c" * 32, name="queued", kind="comparison", state="queued"), [], [], [], [], {})
+    assert "queued" in write_comparison(empty, {}, tmp_path)[-1].read_text()
