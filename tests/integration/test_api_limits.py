@@ -28,7 +28,9 @@ PLACES = 5
 
 @pytest.fixture(params=["sqlite", "postgresql"])
 def api(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
-    with serving(new_database(request, request.param, tmp_path_factory.mktemp("limits")), queued_campaigns=PLACES) as running:
+    with serving(
+        new_database(request, request.param, tmp_path_factory.mktemp("limits")), queued_campaigns=PLACES, posted_maps=PLACES
+    ) as running:
         yield running
 
 
@@ -93,6 +95,18 @@ def test_the_client_waits_for_room_as_long_as_it_is_asked_to_and_then_gives_up(
         with pytest.raises(UnavailableError, match="wait already"):
             client.submit(SMALL)
     assert waits == [30.0, 30.0]
+
+
+def test_influence_maps_are_kept_up_to_a_limit_however_many_come_at_once(api: RunningApi) -> None:
+    document = {"scenarios": {"S1": {"P1": {"influential": False}}}}
+    with ThreadPoolExecutor(10) as pool:
+        responses = list(pool.map(lambda _: post(api, document, path="influence-maps"), range(10)))
+    assert sorted(response.status_code for response in responses) == [201] * PLACES + [413] * (10 - PLACES)
+    refused = next(response for response in responses if response.status_code == 413)
+    said = problem(refused, 413)["detail"]
+    assert "5 posted influence maps are kept already" in said
+    assert "DRIVECAL_POSTED_MAPS" in said
+    assert len(api.http.get("/api/v1/influence-maps").json()["items"]) == PLACES
 
 
 @pytest.fixture(scope="module")

@@ -34,6 +34,7 @@ class Limits:
 
     queued_campaigns: int
     largest_campaign: int
+    posted_maps: int
     event_streams: Places
     large_bodies: CapacityLimiter
     waiting_bodies: Places
@@ -43,7 +44,14 @@ class Limits:
         """Those that the settings give, with nothing taken yet. To be called in the event loop that they are for."""
         streams = Places(settings.event_streams, "event streams are open", retry_seconds=10)
         bodies = Places(WAITING_BODIES, "large documents are being read", retry_seconds=5)
-        return cls(settings.queued_campaigns, settings.largest_campaign, streams, CapacityLimiter(LARGE_BODIES), bodies)
+        return cls(
+            settings.queued_campaigns,
+            settings.largest_campaign,
+            settings.posted_maps,
+            streams,
+            CapacityLimiter(LARGE_BODIES),
+            bodies,
+        )
 
 
 async def _limits(request: Request) -> Limits:

@@ -69,7 +69,7 @@ RESPONSES: dict[int | str, dict[str, Any]] = {
         405: "The method is not possible here",
         408: "The body did not arrive in time",
         409: "The request contradicts the state or an earlier request",
-        413: "The body, or the campaign that it describes, is too large",
+        413: "The body, or the campaign that it describes, is too large, or there are too many influence maps",
         414: "The address is too long",
         415: "The body is not declared as JSON, or is compressed",
         421: "The Host is none that a server without tokens answers to",

@@ -21,6 +21,9 @@ from drivecal.storage import influence_maps
 from drivecal.storage.influence_maps import StoredInfluenceMap
 from drivecal.storage.types import finite
 
+EXPERT = "expert"
+"""The source of the maps that users post."""
+
 
 @dataclass(frozen=True, slots=True)
 class PostedMap:
@@ -64,7 +67,7 @@ def store_posted_map(connection: Connection, posted: PostedMap) -> StoredInfluen
     return influence_maps.insert(
         connection,
         name=posted.specification.name,
-        source="expert",
+        source=EXPERT,
         driving_function=posted.specification.driving_function,
         parameters=space_to_document(posted.space),
         scenarios=map_to_document(posted.influence_map),

@@ -49,6 +49,8 @@ class Settings(BaseSettings):
     """How many campaigns and evaluations may wait to be started before further ones are refused (429)."""
     largest_campaign: Annotated[int, Field(ge=1, le=10**12)] = 10_000_000
     """Cells that one campaign may propose, those of its sensitivity analysis included, before it is refused (413)."""
+    posted_maps: Annotated[int, Field(ge=1, le=1_000_000)] = 1000
+    """Influence maps of users that are kept before further ones are refused (413)."""
     event_streams: Annotated[int, Field(ge=1, le=10_000)] = 100
     """How many event streams may be open at once before further ones are refused (429)."""
     ray_address: Line | None = None

@@ -1,11 +1,11 @@
-"""Whether there is room for one more in the queue."""
+"""Whether there is room for one more in the queue, or among the maps of users."""
 
 from __future__ import annotations
 
 from sqlalchemy import Connection, func, select, text
 
-from drivecal.domain.errors import OverloadError
-from drivecal.storage.tables import campaigns
+from drivecal.domain.errors import OverloadError, Problem, TooLargeError
+from drivecal.storage.tables import campaigns, influence_maps
 
 KEY = 0x64726332
 """First key of the advisory lock on PostgreSQL; the second is a hash of the schema."""
@@ -18,8 +18,7 @@ def admit(connection: Connection, most: int, idempotency_key: str | None) -> Non
 
     A request whose key is known inserts nothing and is always admitted.
     """
-    if connection.dialect.name == "postgresql":  # on SQLite a transaction that writes is alone from its start
-        connection.execute(text("SELECT pg_advisory_xact_lock(:key, hashtext(current_schema()))"), {"key": KEY})
+    _alone(connection)
     if idempotency_key is not None:
         known = select(campaigns.c.sequence).where(campaigns.c.idempotency_key == idempotency_key)
         if connection.execute(known).first() is not None:
@@ -33,3 +32,19 @@ def admit(connection: Connection, most: int, idempotency_key: str | None) -> Non
             f"{waiting:,} campaigns and evaluations wait already, as many as this server takes; try again later, or cancel some"
         )
         raise OverloadError(message, RETRY_SECONDS)
+
+
+def admit_map(connection: Connection, most: int, source: str) -> None:
+    """Raises TooLargeError where `most` influence maps of a source are kept already; otherwise as `admit`."""
+    _alone(connection)
+    kept = connection.scalar(select(func.count()).where(influence_maps.c.source == source)) or 0
+    if kept >= most:
+        instead = "use one of those (GET /influence-maps), or let the server keep more (DRIVECAL_POSTED_MAPS)"
+        raise TooLargeError(
+            Problem("", f"{kept:,} posted influence maps are kept already, as many as this server takes", instead)
+        )
+
+
+def _alone(connection: Connection) -> None:
+    if connection.dialect.name == "postgresql":  # on SQLite a transaction that writes is alone from its start
+        connection.execute(text("SELECT pg_advisory_xact_lock(:key, hashtext(current_schema()))"), {"key": KEY})

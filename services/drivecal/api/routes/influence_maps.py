@@ -7,24 +7,27 @@ from fastapi.responses import JSONResponse
 
 from drivecal.api.answers import ROOT
 from drivecal.api.bodies import StrictRoute
-from drivecal.api.dependencies import Accept, DatabaseDependency
+from drivecal.api.dependencies import Accept, DatabaseDependency, LimitsDependency
 from drivecal.api.influence import COLUMNS, map_rows
 from drivecal.api.queries import FormQuery, PageQuery, form_of
 from drivecal.api.tables import TABLE_ANSWERS, download
-from drivecal.campaigns.maps import resolve_map, store_posted_map
+from drivecal.campaigns.maps import EXPERT, resolve_map, store_posted_map
 from drivecal.contracts.inventory import InfluenceMapAnswer, InfluenceMapPage
 from drivecal.contracts.specification import InfluenceMapSpecification
-from drivecal.storage import influence_maps
+from drivecal.storage import admission, influence_maps
 from drivecal.storage.influence_maps import StoredInfluenceMap
 
 router = APIRouter(prefix="/influence-maps", tags=["influence maps"], route_class=StrictRoute)
 
 
 @router.post("", status_code=201)
-def post(specification: InfluenceMapSpecification, response: Response, database: DatabaseDependency) -> InfluenceMapAnswer:
+def post(
+    specification: InfluenceMapSpecification, response: Response, database: DatabaseDependency, limits: LimitsDependency
+) -> InfluenceMapAnswer:
     """Stores a map, its bounds checked against the grid of its parameters. Campaigns name it in `sensitivity: {map: ID}`."""
     posted = resolve_map(specification)
     with database.transaction() as connection:
+        admission.admit_map(connection, limits.posted_maps, EXPERT)
         stored = store_posted_map(connection, posted)
     answer = _answer(stored, with_rows=True)
     response.headers["Location"] = answer.links["self"]
