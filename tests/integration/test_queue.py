@@ -319,10 +319,14 @@ def test_campaigns_start_by_priority_then_age_and_only_so_many_run(database: Dat
     for _ in range(3):
         fresh.step()
     assert _states(database, submitted)[3] == "paused", "there is no room for it yet"
-    more = limited(1)
-    for _ in range(3):
-        more.step()
-    assert _states(database, submitted)[:2] == ["running", "running"], "they ran before the restart"
+    with database.transaction() as connection:
+        submitted.append(campaigns.insert(connection, name="urgent", spec=submitted[0].spec, priority=9))
+    for most in (1, 2):
+        more = limited(most)
+        for _ in range(3):
+            more.step()
+        assert _states(database, submitted)[:2] == ["running", "running"], "they ran before the restart"
+        assert _states(database, submitted)[4] == "queued", "it takes no place of theirs"
 
 
 def test_a_campaign_whose_rows_are_damaged_fails_alone(databases: Callable[[], Database]) -> None:

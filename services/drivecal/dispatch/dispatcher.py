@@ -22,7 +22,7 @@ from drivecal.execution.backend import BackendLostError, WorkerInfo
 from drivecal.execution.measures import MEASURES
 from drivecal.execution.pool import WorkPool
 from drivecal.plugins.arrays import DamagedArraysError
-from drivecal.storage import campaigns, events
+from drivecal.storage import campaigns, events, traces
 from drivecal.storage.campaigns import CampaignHeading
 from drivecal.storage.database import Database
 from drivecal.storage.types import now
@@ -32,6 +32,7 @@ LOOK_SECONDS = 0.25
 TELL_SECONDS = 0.5
 POLL_SECONDS = 0.1
 TIDY_SECONDS = 60.0
+TRACES_KEPT, MOST_TRACES = timedelta(days=1), 200
 RETRY_SECONDS = 5.0
 """Until a campaign is taken up again whose cells somebody else seems to have."""
 
@@ -103,12 +104,15 @@ class Dispatcher:
     def _tidy(self) -> None:
         with self._database.transaction() as connection:
             events.prune(connection, now() - self._event_age)
+            traces.prune(connection, now() - TRACES_KEPT, MOST_TRACES)
 
     def _look(self) -> None:
         """Starts what is queued, takes up what was running, does what was requested."""
         with self._database.read() as connection:
             found = campaigns.active(connection)
-        for campaign in found:
+        running = (CampaignState.RUNNING, CampaignState.CANCELLING)
+        # those that ran before a restart have their places, whatever is queued; all others in their order
+        for campaign in sorted(found, key=lambda one: one.state not in running):
             with logs.about(campaign=campaign.id, campaign_name=campaign.name):
                 self._look_at(campaign)
 
@@ -134,7 +138,9 @@ class Dispatcher:
             case CampaignState.PAUSED if campaign.requested_action == "resume" and self._has_room(campaign):
                 self._resume(campaign)
             case CampaignState.RUNNING | CampaignState.CANCELLING:
-                self._active[campaign.sequence] = Active(campaign, stopping=CampaignState.CANCELLED if cancelled else None)
+                pause = CampaignState.PAUSED if campaign.requested_action == "pause" else None
+                stopping = CampaignState.CANCELLED if cancelled else pause  # before anything of it is sent
+                self._active[campaign.sequence] = Active(campaign, stopping=stopping)
 
     def _has_room(self, campaign: CampaignHeading) -> bool:
         """To be asked in the order in which campaigns are to be started."""
