@@ -37,6 +37,8 @@ GETS = [
     "/api/v1/campaigns/{}/studies",
     "/api/v1/evaluations/{}",
     "/api/v1/evaluations/{}/explain",
+    "/api/v1/evaluations/{}/trace",
+    "/api/v1/scenarios/{}",
     "/api/v1/influence-maps/{}",
 ]
 many = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

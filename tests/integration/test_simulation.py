@@ -20,6 +20,7 @@ from drivecal.domain.roads import Floats, reference_line, to_cartesian
 from drivecal.domain.scenarios import Scenario, SpeedKnot, TrafficVehicle
 from drivecal.episode.loop import ClosedLoop
 from drivecal.episode.runner import Runner
+from drivecal.episode.trace import EGO_COLUMNS
 from drivecal.plugins.ports import Observation, VehicleModel
 from drivecal.scenarios.plugin import HIGHWAY
 from drivecal.traffic.simulation import SimulationError, simulation
@@ -216,6 +217,21 @@ def test_tracing_changes_nothing() -> None:
     plain = subject.run(changes_lane(S1))
     assert subject.trace(changes_lane(S1)).result == plain
     assert subject.run(changes_lane(S1)) == plain
+
+
+def test_a_trace_holds_what_the_run_was_rated_by() -> None:
+    trace = runner(S1).trace(changes_lane(S1))
+    ego = dict(zip(EGO_COLUMNS, trace.ego.T, strict=True))
+    metrics = trace.result.metrics
+    for axis in ("lateral", "longitudinal"):
+        assert np.abs(ego[f"{axis}_jerk_mps3"]).max() == pytest.approx(metrics[f"peak_{axis}_jerk_mps3"], rel=0.15, abs=0.05)
+        assert np.abs(ego[f"{axis}_acceleration_mps2"]).max() >= 0.9 * metrics[f"peak_{axis}_acceleration_mps2"]
+    line = reference_line(S1.road)
+    for place, (s, d) in zip(trace.ego, trace.frenet, strict=True):
+        assert to_cartesian(line, s, d)[:2] == pytest.approx(place[:2], abs=1e-6)
+    for rows in trace.neighbours.values():
+        steps = np.hypot(*np.diff(rows[:, 4:6], axis=0).T)
+        assert steps == pytest.approx(rows[1:, 2] * S1.step, abs=0.3)
 
 
 def test_a_trace_is_plain_data() -> None:

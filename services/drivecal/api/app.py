@@ -27,6 +27,7 @@ from drivecal.api.routes import (
     inventory,
     metrics,
     tables,
+    traces,
 )
 from drivecal.api.streams import EventHub
 from drivecal.configuration.settings import Settings
@@ -64,7 +65,7 @@ def create_app(settings: Settings) -> FastAPI:
     app.add_middleware(Requests)
     app.add_middleware(RequestRecords, meters=meters)  # the last one is the first that a request meets
     problems.install(app)
-    for noun in (campaigns, comparisons, events, tables, background, evaluations, influence_maps, inventory):
+    for noun in (campaigns, comparisons, events, tables, background, evaluations, traces, influence_maps, inventory):
         app.include_router(noun.router, prefix=ROOT)
     app.include_router(health.router)
     app.include_router(metrics.router)

@@ -18,7 +18,8 @@ from drivecal.storage.database import Database
 
 
 class SingleEvaluation:
-    """Gives and takes work as `Calibration` does. Answers come from equal parameter sets or from a simulation, never by reuse."""
+    """Gives and takes work as `Calibration` does. Answers come from equal parameter sets or from a simulation, never by reuse; from a
+    simulation of its own where its time series are wanted."""
 
     def __init__(self, database: Database, campaign: StoredCampaign, problem: EvaluationProblem, view: View) -> None:
         self._database = database
@@ -33,15 +34,19 @@ class SingleEvaluation:
         """What to simulate; empty where answers are awaited or everything is `finished`."""
         work: list[Work] = []
         if not self._loaded:
-            rate_stored_runs(self._database, self._view, only=self._problem.parameter_set)
+            traced = self._view.traced
+            if not traced:
+                rate_stored_runs(self._database, self._view, only=self._problem.parameter_set)
             with self._database.transaction() as connection:
                 if self._campaign.cells.proposed == 0:
                     wanted = [
                         WantedCell(0, scenario, self._problem.parameter_set) for scenario in self._problem.bench.scenarios
                     ]
-                    cells = plan_cells(connection, self._view, Policy("exact"), Stage.CALIBRATION, 0, wanted)
+                    cells = plan_cells(
+                        connection, self._view, Policy("off" if traced else "exact"), Stage.CALIBRATION, 0, wanted
+                    )
                     self._ledger.request(connection, cells, carried_over=0)
-                work = self._ledger.load(connection, share_runs=True)
+                work = self._ledger.load(connection, share_runs=not traced)
                 campaigns.save_progress(connection, self._campaign.sequence, self._snapshot())
             self._loaded = True
         self.finished = self._ledger.waiting == 0

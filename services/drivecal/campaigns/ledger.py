@@ -22,7 +22,7 @@ from drivecal.execution.measures import MEASURES
 from drivecal.execution.scheduler import Completed
 from drivecal.plugins.ports import SeriesEvaluator
 from drivecal.reduction.assignment import is_checked
-from drivecal.storage import evaluations, leases, runs
+from drivecal.storage import evaluations, leases, runs, traces
 from drivecal.storage.evaluations import COPIES, Answer, NewEvaluation, PendingEvaluation
 from drivecal.storage.runs import NewRun, StoredRun
 
@@ -129,6 +129,8 @@ class Ledger:
         stored = runs.insert_results(connection, [self._new_run(cell, one) for cell, one in finished])
         for (cell, one), run in zip(finished, stored, strict=True):
             self._simulated(cell, one, run, answers)
+            if one.result.trace is not None:
+                traces.fill(connection, self._view.campaign, one.result.trace)
         _store(connection, answers)
         evaluations.simulate_instead(connection, [one.id for one in orphans])
         return self._work([*again, *orphans])
@@ -163,7 +165,7 @@ class Ledger:
         """An audited cell is simulated in any case, and checks a certificate on the way."""
         share = self._view.checked_certificates
         if share is None:
-            return Cell(one.id, one.parameters.floats)
+            return Cell(one.id, one.parameters.floats, trace=self._view.traced)
         check = one.audited or is_checked(self._view.campaign, one.scenario, one.parameters.key, share)
         return Cell(one.id, one.parameters.floats, certify=True, check=check)
 

@@ -45,6 +45,8 @@ class View:
     influence_map_sequence: int | None = None
     checked_certificates: float | None = None
     """The share of certified cells that are simulated all the same; None: nothing is certified."""
+    traced: bool = False
+    """The time series of its cells are wanted."""
 
     @cached_property
     def names(self) -> tuple[str, ...]:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import time
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from drivecal.cli import traces
 from drivecal.cli.commands import ExitCode, JsonOption, UrlOption, WaitTimedOutError, app, code_of_state, connect, tell
 from drivecal.cli.output import parameters_text, print_columns, print_json
 from drivecal.client.client import Client
 from drivecal.contracts.assignments import assignments
-from drivecal.contracts.evaluation import Evaluation
+from drivecal.contracts.evaluation import Evaluation, TraceAnswer
 from drivecal.domain.campaigns import CampaignState
 
 SECONDS_BETWEEN_QUESTIONS = 0.3
@@ -22,6 +24,10 @@ def evaluate(
     parameters: Annotated[list[str], typer.Argument(metavar="P1=VALUE...", help="One value for each parameter.")],
     scenario: Annotated[str | None, typer.Option(help="One scenario; else all of the catalogue.")] = None,
     catalogue: Annotated[str, typer.Option(help="The scenario catalogue.")] = "highway",
+    trace: Annotated[
+        Path | None,
+        typer.Option(help="Write the run's time series there: .csv or .parquet (one row per step) or .json (all of it)."),
+    ] = None,
     timeout: Annotated[float | None, typer.Option(min=0, help="Seconds to wait at most; then exit status 6.")] = None,
     url: UrlOption = None,
     as_json: JsonOption = False,
@@ -30,8 +36,13 @@ def evaluate(
     specification: dict[str, object] = {"parameters": assignments(parameters, "parameters"), "catalogue": catalogue}
     if scenario is not None:
         specification["scenario"] = scenario
+    if trace is not None and (scenario is None or trace.suffix not in traces.SUFFIXES):
+        raise typer.BadParameter(f"--trace needs one --scenario and a file that ends in {', '.join(traces.SUFFIXES)}")
     with connect(url) as client:
         evaluation = _ended(client, client.evaluate(specification), timeout)
+        if trace is not None:
+            traces.save(_trace(client, evaluation, timeout), trace)
+            tell(f"time series: {trace}")
     if as_json:
         print_json(evaluation)
     else:
@@ -51,6 +62,18 @@ def _ended(client: Client, evaluation: Evaluation, timeout: float | None) -> Eva
         tell(f"detached: evaluation {evaluation.id} goes on; end it with `drivecal cancel {evaluation.id}`")
         raise typer.Exit(ExitCode.INTERRUPTED) from error
     return evaluation
+
+
+def _trace(client: Client, evaluation: Evaluation, timeout: float | None) -> TraceAnswer:
+    """Has it driven once more."""
+    deadline = None if timeout is None else time.monotonic() + timeout
+    while (found := client.trace(evaluation.id)) is None:
+        if deadline is not None and time.monotonic() > deadline:
+            raise WaitTimedOutError(
+                f"the time series of evaluation {evaluation.id} are not there after {timeout:g} s; ask again"
+            )
+        time.sleep(SECONDS_BETWEEN_QUESTIONS)
+    return found
 
 
 def _print(evaluation: Evaluation) -> None:

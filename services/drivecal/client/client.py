@@ -20,7 +20,7 @@ from drivecal.client.following import READ_SECONDS, Following, Sent, Told
 from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns, SolutionPage
 from drivecal.contracts.comparison import ComparedGroup, ComparedPair, ComparedRun, ExpectedComparison, ReductionEffect
-from drivecal.contracts.evaluation import Evaluation
+from drivecal.contracts.evaluation import Evaluation, TraceAnswer
 from drivecal.contracts.events import PROGRESS, CampaignEvent, CampaignProgress
 from drivecal.contracts.explanation import Explanation
 from drivecal.contracts.inventory import InfluenceMapAnswer, InfluenceMapPage, InfluenceRow, ScenarioPage, WorkerPage
@@ -244,6 +244,12 @@ class Client:
     def evaluation(self, identifier: str) -> Evaluation:
         """A single evaluation by the id that `evaluate` gave."""
         return self._get(_path("evaluations", identifier), Evaluation, kind="evaluation", identifier=identifier)
+
+    def trace(self, evaluation: str) -> TraceAnswer | None:
+        """The time series of an evaluation, by its number or by the id of a single one in one scenario; None while they are being made."""
+        response = self._request("GET", _path("evaluations", evaluation, "trace"))
+        raise_for(response, "evaluation", evaluation)
+        return None if response.status_code == 202 else self._answer(response, TraceAnswer)
 
     def post_influence_map(self, specification: Mapping[str, Any]) -> InfluenceMapAnswer:
         """Stores an influence map."""

@@ -18,7 +18,7 @@ from drivecal.contracts.validation import validated
 from drivecal.domain.campaigns import CampaignState, Stage
 from drivecal.domain.errors import ConflictError
 from drivecal.execution.scheduler import Completed
-from drivecal.storage import campaigns
+from drivecal.storage import campaigns, traces
 from drivecal.storage.campaigns import CampaignHeading, StoredCampaign
 from drivecal.storage.database import Database
 
@@ -82,7 +82,10 @@ def _alone(database: Database, campaign: StoredCampaign) -> StagedCampaign | Sin
     problem = problem_of(campaign)
     _pin(database, campaign, problem.resolution())
     if isinstance(problem, EvaluationProblem):
-        return SingleEvaluation(database, campaign, problem, View(campaign.sequence, campaign.watermark or 0, problem.bench))
+        with database.read() as connection:
+            traced = traces.is_made_by(connection, campaign.sequence)
+        view = View(campaign.sequence, campaign.watermark or 0, problem.bench, traced=traced)
+        return SingleEvaluation(database, campaign, problem, view)
     return StagedCampaign(database, campaign, problem)
 
 

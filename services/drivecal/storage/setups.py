@@ -14,6 +14,14 @@ from drivecal.storage.tables import runs, setups
 
 
 @dataclass(frozen=True, slots=True)
+class StoredSetup:
+    """A setup as it is stored."""
+
+    fingerprint: str
+    document: Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
 class SetupCount:
     """How many simulated results the reference table holds for a setup."""
 
@@ -48,6 +56,12 @@ def counts(connection: Connection) -> list[SetupCount]:
         .order_by(setups.c.scenario, setups.c.id)
     )
     return [SetupCount(row.id, row.fingerprint, row.scenario, row.document, row.runs) for row in connection.execute(query)]
+
+
+def by_id(connection: Connection, setup_id: int) -> StoredSetup:
+    """One setup, which must be there."""
+    row = connection.execute(select(setups).where(setups.c.id == setup_id)).one()
+    return StoredSetup(row.fingerprint, row.document)
 
 
 def documents(connection: Connection, fingerprints: Sequence[str]) -> dict[str, Mapping[str, Any]]:

@@ -25,6 +25,34 @@ class EvaluatedCell(Answer):
     """The measured metrics, their units in their names; null is one that this run does not define."""
 
 
+class PendingTrace(Answer):
+    """The time series of an evaluation are being made."""
+
+    evaluation: int
+    state: str
+    degraded: str | None = None
+    links: dict[str, str] = Field(default_factory=dict)
+
+
+class TraceAnswer(Answer):
+    """One run step by step; lists have one value for each of `time_s`, the moments after each step. SI units, in the names.
+
+    `ego`: s_m, d_m (Frenet), x_m, y_m, heading_rad, speed_mps, side_slip_rad, yaw_rate_radps, accelerations (longitudinal and lateral) and
+    their jerks over the last 0.5 s. `neighbours`: by vehicle, s_m, d_m, s_dot_mps, d_dot_mps, x_m, y_m, heading_rad. `plans`: each
+    trajectory that the driving function decided for, when it was made (`made_at_s`), rounded to six decimals.
+    """
+
+    scenario: str
+    score: int
+    rating: float
+    failure: str | None
+    metrics: dict[str, float]
+    time_s: list[float]
+    ego: dict[str, list[float]]
+    neighbours: dict[str, dict[str, list[float]]]
+    plans: list[dict[str, float | list[float]]]
+
+
 class Evaluation(Answer):
     """A single evaluation. Asked for in one scenario, that scenario's answer is at the top level as well."""
 

@@ -33,6 +33,8 @@ class Cell:
     parameters: Mapping[str, float]
     certify: bool = False
     check: bool = False
+    trace: bool = False
+    """It is simulated in any case, and its time series are wanted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +63,8 @@ class CellResult:
     agrees: bool | None = None
     """Of a cell that was certified and simulated all the same: whether both are the same. False without `proven_by`: the simulation of
     this setup turned out not to be deterministic."""
+    trace: bytes | None = None
+    """The time series that were wanted, as gzipped JSON."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import gzip
+import json
 import os
 import pickle
 from collections.abc import Sequence
@@ -10,7 +12,7 @@ from typing import Any
 import pytest
 
 from drivecal.contracts.work import Batch, Cell, CellResult, Remembered, SetupRequest
-from drivecal.domain.errors import ConflictError, UnavailableError
+from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Answered, Failure, Rating, RunResult
 from drivecal.plugins import registry
 from drivecal.plugins.setups import setup_of, simulator
@@ -140,16 +142,23 @@ def test_only_so_many_setups_are_kept() -> None:
 
 def test_a_trace_is_the_same_run_with_its_time_series() -> None:
     worker = Worker("w")
-    [result] = worker.run(Batch(_request(), (Cell(1, MIDDLE),))).results
-    trace = worker.trace(_request(), Cell(1, MIDDLE))
-    assert (trace["score"], trace["rating"], trace["metrics"]) == (result.score, result.rating, result.metrics)
+    plain, traced = worker.run(Batch(_request(), (Cell(1, MIDDLE), Cell(2, MIDDLE, trace=True)))).results
+    assert plain.trace is None
+    assert traced.trace is not None
+    trace = json.loads(gzip.decompress(traced.trace))
+    assert (traced.score, traced.rating, traced.metrics) == (plain.score, plain.rating, plain.metrics)
+    assert (trace["score"], trace["rating"], trace["metrics"]) == (plain.score, plain.rating, plain.metrics)
     assert len(trace["ego"]["s_m"]) == len(trace["time_s"]) > 100
-    pickle.dumps(trace)
+    assert len(traced.trace) < 400_000, "what the server says that it keeps of a run"
+    [again] = worker.run(Batch(_request(), (Cell(3, MIDDLE, trace=True),))).results
+    assert again.trace == traced.trace
 
 
 def test_a_cell_without_a_result_has_no_trace() -> None:
-    with pytest.raises(ConflictError, match=r"KeyError: 'P1' \(worker.py:"):
-        Worker("w").trace(_request(), Cell(1, {}))
+    [result] = Worker("w").run(Batch(_request(), (Cell(1, {}, trace=True),))).results
+    assert result.trace is None
+    assert result.detail is not None
+    assert "KeyError: 'P1' (worker.py:" in result.detail
 
 
 def _request(**document: object) -> SetupRequest:

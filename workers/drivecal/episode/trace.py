@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from math import atan2
 from typing import Any
 
 import numpy as np
 
 from drivecal.domain.evaluations import RunResult
-from drivecal.domain.roads import Floats
+from drivecal.domain.roads import Floats, reference_line, to_cartesian
 from drivecal.domain.scenarios import Scenario
-from drivecal.episode.loop import Drive
+from drivecal.episode.loop import SAMPLE_TIME, Drive
 
 EGO_COLUMNS = (
     "x_m",
@@ -21,17 +22,22 @@ EGO_COLUMNS = (
     "yaw_rate_radps",
     "longitudinal_acceleration_mps2",
     "lateral_acceleration_mps2",
+    "longitudinal_jerk_mps3",
+    "lateral_jerk_mps3",
 )
 PLAN_COLUMNS = ("time_s", "x_m", "y_m", "heading_rad", "curvature_1pm", "speed_mps", "acceleration_mps2")
-NEIGHBOUR_COLUMNS = ("s_m", "d_m", "s_dot_mps", "d_dot_mps")
+NEIGHBOUR_COLUMNS = ("s_m", "d_m", "s_dot_mps", "d_dot_mps", "x_m", "y_m", "heading_rad")
+PLAN_DIGITS = 6
+JERK_SECONDS = 0.5
+"""Over which jerk is averaged, as the reference scale averages its peaks."""
 
 
 @dataclass(frozen=True, slots=True)
 class Trace:
     """One run step by step; rows are the moments after each step. SI units.
 
-    `times`: (n,) s. `ego`: (n, 8), `EGO_COLUMNS`. `frenet`: (n, 2), s and d. `plans`: by the time when each was made, (m, 7),
-    `PLAN_COLUMNS`. `neighbours`: by vehicle id, (n, 4), `NEIGHBOUR_COLUMNS`.
+    `times`: (n,) s. `ego`: (n, 10), `EGO_COLUMNS`. `frenet`: (n, 2), s and d. `plans`: by the time when each was made, (m, 7),
+    `PLAN_COLUMNS`. `neighbours`: by vehicle id, (n, 7), `NEIGHBOUR_COLUMNS`.
     """
 
     scenario: str
@@ -43,7 +49,7 @@ class Trace:
     result: RunResult
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data: one list per quantity."""
+        """Plain data: one list per quantity; plans are rounded to `PLAN_DIGITS` digits."""
         rating = self.result.rating
         return {
             "scenario": self.scenario,
@@ -54,7 +60,9 @@ class Trace:
             "time_s": self.times.tolist(),
             "ego": _columns(("s_m", "d_m"), self.frenet) | _columns(EGO_COLUMNS, self.ego),
             "neighbours": {name: _columns(NEIGHBOUR_COLUMNS, rows) for name, rows in self.neighbours.items()},
-            "plans": [{"made_at_s": time} | _columns(PLAN_COLUMNS, plan) for time, plan in self.plans.items()],
+            "plans": [
+                {"made_at_s": time} | _columns(PLAN_COLUMNS, plan.round(PLAN_DIGITS)) for time, plan in self.plans.items()
+            ],
         }
 
 
@@ -81,13 +89,32 @@ class Recorder:
     def trace(self, drive: Drive, result: RunResult) -> Trace:
         """What was noted. A last step that left the road has no row, because SUMO never saw it."""
         n = len(self._poses)
-        neighbours = np.array(self._neighbours).reshape(n, len(self.scenario.traffic), 4)
+        neighbours = self._placed(np.array(self._neighbours).reshape(n, len(self.scenario.traffic), 4))
         return Trace(
             scenario=self.scenario.id,
             times=np.arange(1, n + 1, dtype=np.float64) * self.scenario.step,
-            ego=np.array(self._poses).reshape(n, len(EGO_COLUMNS)),
+            ego=np.hstack([np.array(self._poses).reshape(n, len(EGO_COLUMNS) - 2), self._jerks(drive.dynamics, n)]),
             frenet=drive.motion[1 : n + 1, [0, 3]].copy(),
             plans=self._plans,
             neighbours={vehicle.id: neighbours[:, index] for index, vehicle in enumerate(self.scenario.traffic)},
             result=result,
         )
+
+    def _placed(self, frenet: Floats) -> Floats:
+        """Neighbours with their poses on the plane; a vehicle's heading is that of the road and its own way across it."""
+        line = reference_line(self.scenario.road)
+        placed = np.empty((*frenet.shape[:2], len(NEIGHBOUR_COLUMNS)))
+        placed[:, :, :4] = frenet
+        for step, vehicle in np.ndindex(*frenet.shape[:2]):
+            s, d, along, across = frenet[step, vehicle].tolist()
+            x, y, heading = to_cartesian(line, s, d)
+            placed[step, vehicle, 4:] = x, y, heading + (atan2(across, along) if along > 1.0 else 0.0)
+        return placed
+
+    def _jerks(self, dynamics: Floats, n: int) -> Floats:
+        """Of longitudinal and lateral acceleration over the last `JERK_SECONDS`, after each of n steps, shape (n, 2)."""
+        samples = round(self.scenario.step / SAMPLE_TIME)
+        ends = np.arange(1, n + 1) * samples - 1
+        begins = np.maximum(ends - round(JERK_SECONDS / SAMPLE_TIME), 0)
+        seconds = (ends - begins)[:, None] * SAMPLE_TIME
+        return np.asarray((dynamics[ends, 1:3] - dynamics[begins, 1:3]) / np.maximum(seconds, SAMPLE_TIME))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gzip
+import json
 import math
 import os
 import socket
@@ -23,6 +25,8 @@ from drivecal.runtime.runners import RefusedError, Runner, make_runner
 
 MOST_RUNNERS = 32
 """Runners kept at a time; the least recently used goes first. Studies of vehicle parameters go through hundreds of setups."""
+LARGEST_TRACE = 8_000_000
+"""Bytes; the built-in scenarios stay far below."""
 LONGEST_DETAIL = 500
 """Characters."""
 
@@ -75,20 +79,13 @@ class Worker:
         seconds, memory = time.perf_counter() - start, self._memory
         return BatchResult(self._name, results, seconds, refusal, Remembered(memory.states, memory.bytes, memory.limit))
 
-    def trace(self, setup: SetupRequest, cell: Cell) -> dict[str, Any]:
-        """One cell with its time series, as plain data. Raises ConflictError saying why where it gives no result."""
-        try:
-            runner = self._runner(setup)
-            return runner.trace([cell.parameters[name] for name in runner.parameters])
-        except (Exception, SystemExit) as error:  # noqa: BLE001  # see `_run_cell`
-            self._runners.pop(_key(setup), None)
-            raise ConflictError(describe(error)) from None
-
     def _run_cell(self, setup: SetupRequest, cell: Cell) -> CellResult:
         start = time.thread_time_ns()
         try:
             runner = self._runner(setup)
             parameters = [cell.parameters[name] for name in runner.parameters]
+            if cell.trace:
+                return _traced(cell, runner.trace(parameters), start)
             done = runner.answer(parameters, cell.id, check=cell.check) if cell.certify else Answered(runner.run(parameters))
             rating = _finite("the rating", done.result.rating.rating)
             metrics = {name: _finite(name, value) for name, value in done.result.metrics.items()}
@@ -137,6 +134,17 @@ def describe(error: BaseException) -> str:
     words = " ".join(words.split())
     text = words[: LONGEST_DETAIL - len(place)] + place
     return "".join(character if character.isprintable() else "?" for character in text)
+
+
+def _traced(cell: Cell, document: Mapping[str, Any], start: int) -> CellResult:
+    """The result of a run with its time series."""
+    content = gzip.compress(json.dumps(document, separators=(",", ":"), allow_nan=False).encode(), mtime=0)
+    if len(content) > LARGEST_TRACE:
+        raise ConflictError(
+            f"the time series take {len(content):,} bytes, more than the {LARGEST_TRACE:,} that are kept of a run"
+        )
+    rating, score, metrics, failure = (document[name] for name in ("rating", "score", "metrics", "failure"))
+    return CellResult(cell.id, rating, score, metrics, failure, _milliseconds(start), trace=content)
 
 
 def _key(setup: SetupRequest) -> tuple[object, ...]:

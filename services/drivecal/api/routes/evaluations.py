@@ -62,10 +62,10 @@ def explain_evaluation(evaluation_id: str, database: DatabaseDependency) -> Expl
     """Why a cell was answered from the reference table, or why it was not: by its number in a campaign's table, or by the id of a single
     evaluation in one scenario."""
     with database.read() as connection:
-        return explain(connection, _number(connection, evaluation_id))
+        return explain(connection, number_of(connection, evaluation_id))
 
 
-def _number(connection: Connection, evaluation_id: str) -> int:
+def number_of(connection: Connection, evaluation_id: str) -> int:
     """The number of the one cell that an id names. Raises NotFoundError, and ConflictError where it names none yet, or several."""
     if _is_number(evaluation_id):
         return int(evaluation_id)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import numpy as np
 from fastapi import APIRouter
 
 from drivecal.api.dependencies import DatabaseDependency
@@ -12,12 +15,18 @@ from drivecal.contracts.inventory import (
     ParameterSpacePage,
     ReferenceAnswer,
     ReferencePage,
+    RoadAnswer,
     ScenarioAnswer,
+    ScenarioDetail,
     ScenarioPage,
+    VehicleAnswer,
     WorkerAnswer,
     WorkerPage,
 )
+from drivecal.domain.errors import NotFoundError
 from drivecal.domain.parameters import Parameter
+from drivecal.domain.roads import reference_line
+from drivecal.domain.scenarios import Scenario
 from drivecal.domain.setups import Setup
 from drivecal.plugins import registry
 from drivecal.storage import processes, setups
@@ -26,25 +35,30 @@ from drivecal.storage.types import now
 
 router = APIRouter(tags=["inventory"])
 
+SPACING = 5.0
+"""Metres between the points of a drawn line: at a radius of 300 m they miss the curve by 1 cm."""
+DIGITS = 6
+
 
 @router.get("/scenarios")
 def scenarios() -> ScenarioPage:
     """The scenarios of all installed catalogues."""
     return ScenarioPage(
         items=[
-            ScenarioAnswer(
-                id=scenario.id,
-                catalogue=catalogue.name,
-                title=scenario.title,
-                manoeuvre=scenario.manoeuvre,
-                duration=scenario.duration,
-                step=scenario.step,
-                vehicles=len(scenario.traffic),
-            )
+            ScenarioAnswer.model_validate(_heading(catalogue.name, scenario))
             for catalogue in registry.catalogues()
             for scenario in catalogue.scenarios.values()
         ]
     )
+
+
+@router.get("/scenarios/{scenario_id}")
+def scenario(scenario_id: str, catalogue: str | None = None) -> ScenarioDetail:
+    """One scenario with its road, so that its traces can be drawn; `catalogue` where several have one of this id."""
+    for one in registry.catalogues():
+        if catalogue in {None, one.name} and scenario_id in one.scenarios:
+            return _detail(one.name, one.scenarios[scenario_id])
+    raise NotFoundError("scenario", scenario_id)
 
 
 @router.get("/parameters")
@@ -79,6 +93,51 @@ def workers(database: DatabaseDependency) -> WorkerPage:
         dispatcher_seen_at=None if dispatcher is None else dispatcher.heartbeat_at,
         fresh=not judgement.silent,
         degraded="; ".join(judgement.problems) or None,
+    )
+
+
+def _heading(catalogue: str, one: Scenario) -> dict[str, Any]:
+    return {
+        "id": one.id,
+        "catalogue": catalogue,
+        "title": one.title,
+        "manoeuvre": one.manoeuvre,
+        "duration": one.duration,
+        "step": one.step,
+        "vehicles": len(one.traffic),
+    }
+
+
+def _detail(catalogue: str, one: Scenario) -> ScenarioDetail:
+    road, ego, task = one.road, one.ego, one.task
+    line = reference_line(road, SPACING)
+    across = [road.right_edge + number * road.lane_width for number in range(road.lanes + 1)]
+    left = np.column_stack([-np.sin(line[:, 3]), np.cos(line[:, 3])])
+    return ScenarioDetail(
+        **_heading(catalogue, one),
+        road=RoadAnswer(
+            length_m=road.length,
+            lanes=road.lanes,
+            lane_width_m=road.lane_width,
+            reference_line=line.round(DIGITS).tolist(),
+            boundaries=[(line[:, 1:3] + d * left).round(DIGITS).tolist() for d in across],
+            limits=[[knot.s, knot.speed] for knot in road.limits],
+        ),
+        ego=VehicleAnswer(id=None, s_m=ego.s, d_m=ego.d, speed_mps=ego.speed, length_m=ego.length, width_m=ego.width),
+        traffic=[
+            VehicleAnswer(
+                id=other.id,
+                s_m=other.s,
+                d_m=other.lane * road.lane_width,
+                speed_mps=other.speed,
+                length_m=other.length,
+                width_m=other.width,
+            )
+            for other in one.traffic
+        ],
+        start_lane=task.start_lane,
+        target_lane=task.target_lane,
+        speeds=[[knot.s, knot.speed] for knot in task.speeds],
     )
 
 

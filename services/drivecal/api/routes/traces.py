@@ -1,0 +1,66 @@
+"""The time series of one evaluation, for people to look at."""
+
+from __future__ import annotations
+
+import gzip
+from hashlib import sha256
+from typing import Annotated
+
+from fastapi import APIRouter, Header, Response
+
+from drivecal.api.bodies import StrictRoute
+from drivecal.api.dependencies import DatabaseDependency, LimitsDependency
+from drivecal.api.routes.evaluations import number_of
+from drivecal.campaigns.tracing import no_trace, request_trace
+from drivecal.contracts.evaluation import PendingTrace, TraceAnswer
+from drivecal.domain.errors import ConflictError
+from drivecal.storage import admission, traces
+
+router = APIRouter(prefix="/evaluations", tags=["evaluations"], route_class=StrictRoute)
+
+SECONDS_BETWEEN_POLLS = 1
+ANSWERS: dict[int | str, dict[str, object]] = {
+    200: {"model": TraceAnswer},
+    202: {"model": PendingTrace, "description": "it is being made; ask again after `Retry-After` seconds"},
+    304: {"description": "it is what `If-None-Match` names"},
+}
+
+
+@router.get("/{evaluation_id}/trace", response_model=None, responses=ANSWERS)
+def read_trace(
+    evaluation_id: str,
+    database: DatabaseDependency,
+    limits: LimitsDependency,
+    if_none_match: Annotated[str | None, Header()] = None,
+    accept_encoding: Annotated[str, Header()] = "",
+) -> Response:
+    """The time series of an evaluation, by its number in a campaign's table or by the id of a single evaluation in one scenario. The first
+    to ask has it driven once more (202); it is kept for a day after that."""
+    with database.read() as connection:
+        number = number_of(connection, evaluation_id)
+        found = traces.find(connection, number)
+    if found is not None and found.content is not None:
+        return _answer(found.content, if_none_match, accept_encoding)
+    with database.transaction() as connection:
+        if found is None:
+            admission.admit(connection, limits.queued_campaigns, None)
+        made = request_trace(connection, number)
+        again = traces.find(connection, number)
+        if again is not None and again.content is not None:
+            return _answer(again.content, if_none_match, accept_encoding)
+        if made.state.ended:
+            raise ConflictError(f"there is no trace of evaluation {number}: {no_trace(connection, made)}")
+    location = f"/api/v1/evaluations/{evaluation_id}/trace"
+    body = PendingTrace(evaluation=number, state=made.state, degraded=made.degraded, links={"self": location})
+    headers = {"Location": location, "Retry-After": str(SECONDS_BETWEEN_POLLS)}
+    return Response(body.model_dump_json(), 202, headers=headers, media_type="application/json")
+
+
+def _answer(content: bytes, if_none_match: str | None, accept_encoding: str) -> Response:
+    tag = f'"{sha256(content).hexdigest()[:32]}"'
+    headers = {"ETag": tag, "Vary": "Accept-Encoding"}
+    if if_none_match is not None and tag in if_none_match:
+        return Response(status_code=304, headers=headers)
+    if "gzip" in accept_encoding:
+        return Response(content, headers=headers | {"Content-Encoding": "gzip"}, media_type="application/json")
+    return Response(gzip.decompress(content), headers=headers, media_type="application/json")

@@ -1,0 +1,35 @@
+"""Time series as files."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from drivecal.contracts.evaluation import TraceAnswer
+
+SUFFIXES = (".csv", ".parquet", ".json")
+
+
+def columns_of(trace: TraceAnswer) -> dict[str, list[float]]:
+    """One value for each step: the time, the ego vehicle's columns, and those of every neighbour with its name in front."""
+    columns = {"time_s": trace.time_s, **trace.ego}
+    for vehicle, series in trace.neighbours.items():
+        columns |= {f"{vehicle}_{name}": values for name, values in series.items()}
+    return columns
+
+
+def save(trace: TraceAnswer, file: Path) -> None:
+    """Writes what the file's suffix says: a table with a row per step, or everything, plans and metrics included."""
+    columns = columns_of(trace)
+    if file.suffix == ".json":
+        file.write_text(trace.model_dump_json(indent=1), encoding="utf-8")
+    elif file.suffix == ".parquet":
+        pq.write_table(pa.table(columns), file)
+    else:
+        with file.open("w", newline="", encoding="utf-8") as out:
+            writer = csv.writer(out)
+            writer.writerow(columns)
+            writer.writerows(zip(*columns.values(), strict=True))

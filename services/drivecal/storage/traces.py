@@ -1,0 +1,57 @@
+"""Time series of evaluations that somebody asked for: made once more by a single evaluation, and kept for a while."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+
+from sqlalchemy import Connection, delete, exists, insert, select, update
+
+from drivecal.storage.tables import campaigns, evaluations, traces
+from drivecal.storage.types import now
+
+
+@dataclass(frozen=True, slots=True)
+class StoredTrace:
+    """`campaign_sequence`: the single evaluation that makes it; `content`: as the worker packed it, None while there is none."""
+
+    campaign_sequence: int
+    content: bytes | None
+
+
+def find(connection: Connection, evaluation_id: int, *, for_update: bool = False) -> StoredTrace | None:
+    """The trace of an evaluation, None where nobody asked for it lately. `for_update`: until the end of the transaction nobody else
+    finds out."""
+    if for_update:
+        connection.execute(select(evaluations.c.id).where(evaluations.c.id == evaluation_id).with_for_update())
+    row = connection.execute(select(traces).where(traces.c.evaluation_id == evaluation_id)).one_or_none()
+    return None if row is None else StoredTrace(row.campaign_sequence, row.content)
+
+
+def ask(connection: Connection, evaluation_id: int, campaign_sequence: int) -> None:
+    """Writes down who makes the trace of an evaluation."""
+    row = {"evaluation_id": evaluation_id, "campaign_sequence": campaign_sequence, "created_at": now()}
+    connection.execute(insert(traces).values(row))
+
+
+def is_made_by(connection: Connection, campaign_sequence: int) -> bool:
+    """Whether a single evaluation is there to make a trace."""
+    return connection.scalar(select(exists().where(traces.c.campaign_sequence == campaign_sequence))) or False
+
+
+def fill(connection: Connection, campaign_sequence: int, content: bytes) -> None:
+    """Stores what a single evaluation has made."""
+    connection.execute(update(traces).where(traces.c.campaign_sequence == campaign_sequence).values(content=content))
+
+
+def forget(connection: Connection, evaluation_id: int) -> None:
+    """Lets the trace of an evaluation be asked for anew."""
+    connection.execute(delete(traces).where(traces.c.evaluation_id == evaluation_id))
+
+
+def prune(connection: Connection, before: datetime, most: int) -> None:
+    """Forgets what was asked for before a moment, and all but the newest `most`; not what is still being made."""
+    ended = select(campaigns.c.sequence).where(campaigns.c.ended_at.is_not(None))
+    newest = select(traces.c.evaluation_id).order_by(traces.c.created_at.desc(), traces.c.evaluation_id.desc()).limit(most)
+    old = (traces.c.created_at < before) | traces.c.evaluation_id.not_in(newest)
+    connection.execute(delete(traces).where(traces.c.campaign_sequence.in_(ended), old))

@@ -1,0 +1,191 @@
+"""Time series of evaluations: asked for over HTTP, driven once more by whoever drives everything else, kept for a while."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from datetime import timedelta
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pyarrow.parquet as pq
+import pytest
+from tests.support.computed import ComputedBackend, computed
+from tests.support.runs import dispatcher, get, run, submit
+from tests.support.server import RunningApi, serving
+
+from drivecal.cli import traces as files
+from drivecal.contracts.evaluation import TraceAnswer
+from drivecal.contracts.work import Cell, CellResult
+from drivecal.plugins import registry
+from drivecal.storage import campaigns, results, traces
+from drivecal.storage.types import now
+
+MIDDLE = {"P1": 0, "P2": 1, "P3": 100, "P4": 1000, "P5": 750, "P6": 0.5, "P7": 100, "P8": 1000, "P9": 5, "P10": 10, "P11": 100}
+SERIES = {"s_m": [0.1, 3.0], "speed_mps": [30.0, 29.5]}
+
+
+def document(result: CellResult) -> dict[str, Any]:
+    return {
+        "scenario": "S1",
+        "score": result.score,
+        "rating": result.rating,
+        "failure": result.failure,
+        "metrics": dict(result.metrics),
+        "time_s": [0.1, 0.2],
+        "ego": SERIES,
+        "neighbours": {"slow": SERIES},
+        "plans": [{"made_at_s": 0.0, "time_s": [0.0, 0.1]}],
+    }
+
+
+def traced(scenario: str, cell: Cell) -> CellResult:
+    """What a worker gives: time series where they are wanted; for P9 = 7 nothing."""
+    result = computed(scenario, cell)
+    if cell.parameters["P9"] == 7:
+        return CellResult(cell.id, None, None, {}, None, 7.0, "error", "the driving function gave up")
+    return replace(result, trace=gzip.compress(json.dumps(document(result)).encode(), mtime=0)) if cell.trace else result
+
+
+@pytest.fixture
+def api(tmp_path: Path) -> Iterator[RunningApi]:
+    with serving(f"sqlite:///{tmp_path / 'drivecal.db'}") as running:
+        yield running
+
+
+def work(api: RunningApi) -> ComputedBackend:
+    """Everything that waits is carried out."""
+    backend = ComputedBackend(answer=traced)
+    one = dispatcher(api.database, backend)
+    while True:
+        with api.database.read() as connection:
+            if not campaigns.active(connection):
+                return backend
+        one.step()
+
+
+def evaluated(api: RunningApi, **changes: Any) -> dict[str, Any]:
+    answer = api.http.post("/api/v1/evaluations", json={"parameters": MIDDLE | changes, "scenario": "S1"})
+    work(api)
+    found: dict[str, Any] = api.http.get(answer.headers["location"]).json()
+    return found
+
+
+def ask(api: RunningApi, evaluation: object, **headers: str) -> httpx.Response:
+    return api.http.get(f"/api/v1/evaluations/{evaluation}/trace", headers=headers)
+
+
+def test_the_first_to_ask_has_it_driven_once_more_and_all_get_the_same(api: RunningApi) -> None:
+    evaluation = evaluated(api)
+    number = evaluation["items"][0]["id"]
+    first = ask(api, evaluation["id"])
+    assert first.status_code == 202
+    assert first.headers["location"] == f"/api/v1/evaluations/{evaluation['id']}/trace"
+    assert int(first.headers["retry-after"]) > 0
+    assert first.json()["evaluation"] == number
+    assert ask(api, number).status_code == 202
+    assert len(work(api).sent) == 1, "both wait for one simulation"
+    found = ask(api, number)
+    assert found.status_code == 200
+    assert (found.json()["score"], found.json()["rating"]) == (evaluation["score"], evaluation["rating"])
+    assert found.json()["ego"] == SERIES
+    tag = found.headers["etag"]
+    assert ask(api, evaluation["id"], **{"If-None-Match": tag}).status_code == 304
+    plain = ask(api, number, **{"Accept-Encoding": "identity"})
+    assert "content-encoding" not in plain.headers
+    assert plain.content == found.content
+    assert work(api).sent == []
+    again = api.http.get(f"/api/v1/evaluations/{evaluation['id']}").json()
+    assert again == evaluation, "nothing of the evaluation itself has changed"
+
+
+def test_a_cell_of_a_campaign_is_driven_in_the_very_vehicle_that_it_had(api: RunningApi) -> None:
+    mass = registry.vehicle("single_track").parameters[0]
+    heavy = {"model": "single_track", "parameters": {mass.name: mass.maximum}}
+    campaign = run(api.database, submit(api.database, vehicle=heavy), ComputedBackend())
+    with api.database.read() as connection:
+        row = next(one for one in results.stream(connection, campaign.sequence) if one.scenario == "S3")
+    assert ask(api, row.id).status_code == 202
+    with api.database.read() as connection:
+        wanted = traces.find(connection, row.id)
+        assert wanted is not None
+        made = campaigns.by_sequence(connection, wanted.campaign_sequence)
+    work(api)
+    assert ask(api, row.id).status_code == 200
+    assert made.spec["vehicle"]["parameters"][mass.name] == mass.maximum
+    with api.database.read() as connection:
+        [cell], _ = results.page(connection, made.sequence)
+    assert (cell.setup_id, cell.parameter_set_id, cell.scenario) == (row.setup_id, row.parameter_set_id, "S3")
+    assert (cell.score, cell.run_id) == (row.score, row.run_id) or row.outcome == "reused"
+    assert get(api.database, made).cells.unrepeatable == 0
+    assert api.http.get("/api/v1/campaigns").json()["items"][0]["id"] == campaign.id, "the list shows campaigns only"
+
+
+def test_what_cannot_be_driven_again_says_why(api: RunningApi, monkeypatch: pytest.MonkeyPatch) -> None:
+    failed = evaluated(api, P9=7)
+    number = failed["items"][0]["id"]
+    assert ask(api, number).status_code == 202
+    work(api)
+    answer = ask(api, number)
+    assert answer.status_code == 409
+    assert "could not be driven again: the driving function gave up" in answer.json()["detail"]
+    assert ask(api, 10**6).status_code == 404
+    assert ask(api, "nobody").status_code == 404
+    other = evaluated(api)["items"][0]["id"]
+    monkeypatch.setattr(type(registry.driving_function("frenet")), "version", "another")
+    answer = ask(api, other)
+    assert answer.status_code == 409
+    assert "driven with another driving_function_version than is installed now" in answer.json()["detail"]
+
+
+def test_traces_are_forgotten_after_a_while_and_made_anew(api: RunningApi) -> None:
+    numbers = [evaluated(api, P9=value)["items"][0]["id"] for value in (1, 2, 3)]
+    for number in numbers:
+        ask(api, number)
+    with api.database.transaction() as connection:
+        traces.prune(connection, now() + timedelta(days=1), 0)
+        assert all(traces.find(connection, number) for number in numbers), "they are still being made"
+        made = traces.find(connection, numbers[0])
+        assert made is not None
+        cancelled = campaigns.by_sequence(connection, made.campaign_sequence)
+        campaigns.request_action(connection, cancelled.id, "cancel")
+    assert ask(api, numbers[0]).status_code == 202, "somebody else cancelled it"
+    work(api)
+    with api.database.transaction() as connection:
+        traces.prune(connection, now() - timedelta(days=1), 2)
+        assert sum(traces.find(connection, number) is not None for number in numbers) == 2
+        traces.prune(connection, now() + timedelta(days=1), 2)
+        assert not any(traces.find(connection, number) for number in numbers)
+    assert ask(api, numbers[1]).status_code == 202
+    work(api)
+    assert ask(api, numbers[1]).status_code == 200
+
+
+def test_time_series_are_saved_as_what_the_file_is_called(tmp_path: Path) -> None:
+    trace = TraceAnswer.model_validate(document(computed("S1", Cell(1, MIDDLE))))
+    for suffix in files.SUFFIXES:
+        files.save(trace, tmp_path / f"run{suffix}")
+    with (tmp_path / "run.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [float(row["slow_speed_mps"]) for row in rows] == SERIES["speed_mps"]
+    table = pq.read_table(tmp_path / "run.parquet")
+    assert table.column_names == list(rows[0]) == ["time_s", "s_m", "speed_mps", "slow_s_m", "slow_speed_mps"]
+    assert TraceAnswer.model_validate_json((tmp_path / "run.json").read_text()) == trace
+
+
+def test_a_scenario_has_what_one_needs_to_draw_it(api: RunningApi) -> None:
+    found = api.http.get("/api/v1/scenarios/S6").json()
+    scenario = registry.catalogue("highway").scenarios["S6"]
+    road = found["road"]
+    assert (found["id"], found["target_lane"], road["lanes"]) == ("S6", scenario.task.target_lane, scenario.road.lanes)
+    assert len(road["boundaries"]) == scenario.road.lanes + 1
+    for right, left in zip(road["boundaries"], road["boundaries"][1:], strict=False):
+        for (x, y), (other_x, other_y) in zip(right, left, strict=True):
+            assert (other_x - x) ** 2 + (other_y - y) ** 2 == pytest.approx(scenario.road.lane_width**2, rel=1e-5)
+    assert [vehicle["id"] for vehicle in found["traffic"]] == [vehicle.id for vehicle in scenario.traffic]
+    assert api.http.get("/api/v1/scenarios/S9").status_code == 404
+    assert api.http.get("/api/v1/scenarios/S6?catalogue=other").status_code == 404
