@@ -16,7 +16,7 @@ from tests.support.computed import ComputedBackend
 from tests.support.runs import dispatcher, nothing_matters, post_map
 from tests.support.server import RunningApi, serving
 
-SMALL: dict[str, Any] = TWO_OPTIMIZERS | {"name": "small", "populations": [6], "iterations": 5}
+SMALL: dict[str, Any] = TWO_OPTIMIZERS | {"name": "small", "populations": [6]}
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +79,7 @@ def test_every_run_is_a_campaign_that_can_be_read_but_not_steered(run: Run, api:
     assert campaign["name"] == "genetic, population 6, seed 1, exact"
     assert campaign["links"]["run_of"] == f"/api/v1/campaigns/{ended['id']}"
     assert campaign["cells"]["simulated"] == first["simulations"]
-    assert len(api.http.get(campaign["links"]["generations"]).json()["items"]) == 5
+    assert len(api.http.get(campaign["links"]["generations"]).json()["items"]) == 3
     refused = api.http.post(f"/api/v1/campaigns/{first['run']}/cancel")
     assert (refused.status_code, f"is a run of the comparison {ended['id']}" in refused.text) == (409, True)
     for table in ("solutions", "accounting", "setup"):
@@ -107,9 +107,9 @@ def test_a_dry_run_says_how_long_it_takes_at_most(run: Run, ended: dict[str, Any
     del ended  # its runs tell what one takes
     result = run("compare-optimizers", "-", "--dry-run", stdin=json.dumps(SMALL))
     assert result.exit_code == 0, result.output
-    assert "6 runs propose 360 cells" in result.stdout
+    assert "6 runs propose 216 cells" in result.stdout
     expected = json.loads(run("compare-optimizers", "-", "--dry-run", "--json", stdin=json.dumps(SMALL)).stdout)
-    assert expected["at_most"] == 3 * 2 * ((6 + 4 * 1) + 5 * 6)
+    assert expected["at_most"] == 3 * 2 * ((6 + 2 * 1) + 3 * 6)
     assert expected["milliseconds"] == 7.0
 
 

@@ -16,9 +16,9 @@ TWO_OPTIMIZERS: dict[str, Any] = {
     "parameters": EXPERT_SPACE,
     "catalogue": ["S1", "S2"],
     "optimizers": [{"kind": "genetic", "mutation": 0.2}, {"kind": "swarm"}],
-    "populations": [8, 12],
+    "populations": [6, 9],
     "seeds": [1, 2, 3],
-    "iterations": 4,
+    "iterations": 3,
 }
 
 
