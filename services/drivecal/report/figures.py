@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from drivecal.report import cells, optima, population, robustness, validation
+from drivecal.report import cells, optima_figure, population, robustness_figure, validation
 from drivecal.report.drawing import Drawn
 from drivecal.report.findings import Findings
 from drivecal.report.spider import by_scenario, overview_figures, scenario_figure
@@ -21,9 +21,9 @@ def figures(findings: Findings) -> Iterator[Drawn]:
     if findings.optima:
         chosen = findings.recommended
         values = None if chosen is None else chosen.parameters
-        yield optima.drawn(findings.optima, findings.solutions, findings.setup.parameters, values)
+        yield optima_figure.drawn(findings.optima, findings.solutions, findings.setup.parameters, values)
     if findings.robustness:
-        yield from robustness.drawn(findings.robustness)
+        yield from robustness_figure.drawn(findings.robustness)
     if findings.validation:
         yield from validation.drawn(findings.validation[0].rows)
 

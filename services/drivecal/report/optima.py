@@ -1,41 +1,23 @@
-"""Figure 12, left: the sets that share the best objective in parallel coordinates, and the regions in which they lie."""
+"""The sets that share the best objective: how many, what they have in common, and the regions in which they lie (Section IV-C)."""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from itertools import groupby
 
-import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-
+from drivecal.analysis.optima import NEIGHBOURS
 from drivecal.contracts.campaign import Solution
 from drivecal.contracts.setup import SearchedParameter
 from drivecal.contracts.studies import OptimumRow
-from drivecal.plugins.ports import Floats
-from drivecal.report.drawing import INK, KINDS, RULE, Drawn, style
 from drivecal.report.markup import Number, paragraph, table
 
-MOST_BEST, MOST_OTHERS = 200, 200
-"""Lines that are drawn of the best sets and of those that rank next."""
 MOST_REGIONS = 12
 """Regions that are listed."""
-OTHER_REGIONS = "#555555"
-WORSE = "#D0D0D0"
 
 
 def searched(parameters: Iterable[SearchedParameter]) -> list[SearchedParameter]:
     """Those that are not held."""
     return [one for one in parameters if one.fixed is None]
-
-
-def positions(sets: Sequence[Solution], parameters: Sequence[SearchedParameter]) -> Floats:
-    """Where the values lie in the parameters' ranges, from 0 to 1, shape (n_sets, n_parameters)."""
-    rows = [[(one.parameters[each.name] - each.lower) / (each.upper - each.lower) for each in parameters] for one in sets]
-    return np.array(rows, dtype=np.float64).reshape(len(sets), len(parameters))
 
 
 def constant(sets: Sequence[Solution], parameters: Iterable[SearchedParameter]) -> dict[str, float]:
@@ -46,130 +28,24 @@ def constant(sets: Sequence[Solution], parameters: Iterable[SearchedParameter]) 
     return {name: next(iter(found)) for name, found in values.items() if len(found) == 1}
 
 
-def drawn(
-    optima: Sequence[OptimumRow],
-    solutions: Sequence[Solution],
-    parameters: Sequence[SearchedParameter],
-    recommended: Mapping[str, float] | None = None,
-) -> Drawn:
-    """Figure 12, left. `solutions`: the best of the ranking, `optima` among them; `recommended`: the values of the set that a robustness
-    study recommends."""
-    axes = searched(parameters)
-    worse = [one for one in solutions if one.rank > len(optima)][:MOST_OTHERS]
-    same = constant(optima, axes)
-    shown = f"the first {MOST_BEST} of the {len(optima)} sets" if len(optima) > MOST_BEST else _count(len(optima), "set")
-    caption = (
-        f"Figure 12, left. {shown[0].upper()}{shown[1:]} with the best objective, each a line through its values, from the lower to the "
-        f"upper bound of each searched parameter; lines of one kind lie in one region."
-    )
-    if worse:
-        caption += f" Grey: the {len(worse)} sets that rank next."
-    if same:
-        caption += " A diamond marks an axis on which all sets with the best objective have the same value."
-    if recommended is not None:
-        caption += " Black with dots: the set that the robustness study recommends."
-    alt = f"Parallel coordinates of {_sentence(optima)}"
-    if same:
-        alt += " All have " + ", ".join(f"{name} = {value:g}" for name, value in same.items()) + "."
-    return Drawn("figure-12-optima", caption, optima_figure(optima[:MOST_BEST], worse, axes, same, recommended), alt=alt)
-
-
-def optima_figure(
-    best: Sequence[OptimumRow],
-    worse: Sequence[Solution],
-    parameters: Sequence[SearchedParameter],
-    same: Mapping[str, float],
-    recommended: Mapping[str, float] | None = None,
-) -> Figure:
-    """Parallel coordinates over the searched `parameters`; `same`: the axes on which all best sets have one value."""
-    places = np.arange(len(parameters))
-    with style():
-        figure = Figure(figsize=(max(7.4, 0.55 * len(parameters)), 3.7), layout="constrained")
-        axes = figure.subplots()
-        axes.grid(visible=False)
-        for spine in axes.spines.values():
-            spine.set_visible(False)
-        axes.vlines(places, 0, 1, color=RULE, linewidth=0.8, zorder=1)
-        _lines(axes, positions(worse, parameters), WORSE, "-", 0.5, "optima.worse", 2)
-        handles = _regions(axes, best, parameters)
-        if recommended is not None:
-            heights = [(recommended[one.name] - one.lower) / (one.upper - one.lower) for one in parameters]
-            (line,) = axes.plot(
-                places, heights, color=INK, linewidth=1.0, marker="o", markersize=3.5, zorder=5.5, gid="recommended"
-            )
-            line.set_label("recommended")
-            handles.append(line)
-        if worse:
-            handles.append(Line2D([], [], color=WORSE, linewidth=1.2, label="ranked next"))
-        for place, one in enumerate(parameters):
-            for height, value, side in ((1.03, one.upper, "bottom"), (-0.03, one.lower, "top")):
-                axes.text(place, height, _value(value), ha="center", va=side, fontsize=6.5, color="#555555")
-            if one.name in same:
-                height = (same[one.name] - one.lower) / (one.upper - one.lower)
-                axes.vlines(place, 0, 1, color=INK, linewidth=2.2, zorder=4)
-                axes.plot(
-                    place, height, "D", color="white", markeredgecolor=INK, markersize=6, zorder=6, gid=f"same.{one.name}"
-                )
-        labels = [_name(one, same.get(one.name)) for one in parameters]
-        axes.set_xticks(places, labels)
-        axes.tick_params(axis="x", length=0, pad=11)
-        axes.set_yticks([])
-        axes.set(xlim=(-0.4, len(parameters) - 0.6), ylim=(-0.04, 1.04))
-        figure.legend(handles=handles, loc="outside lower left", ncols=4, handlelength=3.2)
-    return figure
-
-
-def _regions(axes: Axes, best: Sequence[OptimumRow], parameters: Sequence[SearchedParameter]) -> list[Line2D]:
-    """Draws the best sets, the first on top; returns the legend's entries: one per region, one for all without a kind of their own."""
-    counts = Counter(min(one.region, len(KINDS)) for one in best)
-    handles = []
-    for region in sorted(counts):
-        members = [one for one in best if min(one.region, len(KINDS)) == region]
-        if region < len(KINDS):
-            (colour, dashes), label = KINDS[region], f"region {region}: {_count(len(members), 'set')}"
-        else:
-            others = len({one.region for one in members})
-            colour, dashes, label = OTHER_REGIONS, "-", f"{_count(others, 'other region')}: {_count(len(members), 'set')}"
-        width = 1.5 if region < len(KINDS) else 0.7
-        _lines(axes, positions(members, parameters), colour, dashes, width, f"optima.{region}", 5 - 0.01 * region)
-        handles.append(Line2D([], [], color=colour, linestyle=dashes, linewidth=width, label=label))
-    return handles
-
-
-def _lines(axes: Axes, heights: Floats, colour: str, dashes: object, width: float, gid: str, order: float) -> None:
-    if not len(heights):
-        return
-    across = np.broadcast_to(np.arange(heights.shape[1], dtype=np.float64), heights.shape)
-    lines = LineCollection(np.stack([across, heights], axis=2), colors=colour, linestyles=dashes, linewidths=width)  # type: ignore[arg-type]
-    lines.set(zorder=order, gid=gid)
-    axes.add_collection(lines)
-
-
-def _name(one: SearchedParameter, same: float | None) -> str:
-    unit = "" if one.unit in {"", "1"} else f"\n{one.unit}"
-    return f"{one.name}{unit}" if same is None else f"{one.name} = {_value(same)}{unit}"
-
-
-def _value(value: float) -> str:
-    return f"{value:g}".replace("-", "\N{MINUS SIGN}")
-
-
-def _count(number: int, what: str) -> str:
+def count(number: int, what: str) -> str:
+    """`1 set`, `2 sets`."""
     return f"{number:,} {what}{'' if number == 1 else 's'}"
 
 
-def _sentence(optima: Sequence[OptimumRow]) -> str:
+def summary(optima: Sequence[OptimumRow]) -> str:
+    """How many sets, in how many regions."""
     regions = len({one.region for one in optima})
     share = "shares" if len(optima) == 1 else "share"
-    return f"{_count(len(optima), 'set')} that {share} the best objective, in {_count(regions, 'distinct region')}."
+    return f"{count(len(optima), 'set')} that {share} the best objective, in {count(regions, 'distinct region')}."
 
 
 def parts(optima: Sequence[OptimumRow], found: int, parameters: Sequence[SearchedParameter], drawing: str) -> list[str]:
     """The section: how many sets and regions, the figure, the regions as a table. `found`: the sets, of which `optima` are the first."""
     same = constant(optima, searched(parameters))
-    text = f"The search found {_sentence(optima)}"
+    text = f"The search found {summary(optima)}"
     if found > len(optima):
-        text = f"The search found {found:,} sets that share the best objective. Of these here: {_sentence(optima)}"
+        text = f"The search found {found:,} sets that share the best objective. Of these here: {summary(optima)}"
     if len(optima) > 1:
         if same:
             text += f" In all of them {', '.join(f'{name} = {value:g}' for name, value in same.items())}."
@@ -183,8 +59,8 @@ def regions_table(optima: Sequence[OptimumRow]) -> str:
     found = [(region, list(members)) for region, members in groupby(sorted(optima, key=lambda one: one.region), key=_region)]
     rows = [[region, len(members), members[0].rank, *_to_worse(members)] for region, members in found[:MOST_REGIONS]]
     caption = (
-        "Regions: chains of sets that are at most 0.1 apart (root mean square, in shares of the searched ranges). A set that lies far "
-        "from every worse one bears small changes of its parameters"
+        f"Regions: chains of sets that are at most {NEIGHBOURS:g} apart (root mean square, in shares of the searched ranges). A set that "
+        "lies far from every worse one bears small changes of its parameters"
     )
     if len(found) > MOST_REGIONS:
         caption += f"; the first {MOST_REGIONS} of {len(found)}, all in optima.csv"
