@@ -1,4 +1,4 @@
-"""The disk under the database is full for a while."""
+"""The disk under the database is full for a while, or cannot be written to when the server starts."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pathlib import Path
 
 import httpx
 import pytest
-from tests.support.faults.coordinator import Coordinator, coordinator
+from tests.support.faults.coordinator import READY_SECONDS, Coordinator, coordinator
 from tests.support.faults.findings import Found
 from tests.support.faults.lives import Moment, and_ready_again, live
 
@@ -75,3 +75,28 @@ def test_a_full_disk_stops_campaigns_only_as_long_as_it_is_full(tmp_path: Path, 
             [(Moment(0.2, 0.0), and_ready_again(disk_full)), (Moment(0.6, 0.0), and_ready_again(disk_full))],
             without_faults,
         )
+
+
+@pytest.mark.faults
+@pytest.mark.timeout(3600)
+def test_a_read_only_disk_is_refused_at_the_start_and_costs_nothing(tmp_path: Path, without_faults: dict[str, Found]) -> None:
+    with (
+        _small_disk(tmp_path / "disk") as disk,
+        coordinator(tmp_path / "server", f"sqlite:///{disk / 'drivecal.db'}") as server,
+    ):
+
+        def read_only(coordinator: Coordinator) -> None:
+            coordinator.terminate()
+            _remount(disk, "ro")
+            coordinator.start()
+            coordinator.until(lambda: not coordinator.running, "the end of a server that cannot write", READY_SECONDS)
+            assert "Read-only file system" in coordinator.told()
+            coordinator.wait_gone()
+            _remount(disk, "rw")
+            coordinator.start()
+
+        live(server, [(Moment(0.4, 0.0), read_only)], without_faults)
+
+
+def _remount(folder: Path, mode: str) -> None:
+    subprocess.run(["mount", "-o", f"remount,{mode}", str(folder)], check=True)
