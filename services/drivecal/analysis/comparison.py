@@ -133,8 +133,9 @@ class Pair:
 
     @property
     def difference(self) -> float:
-        """The optimum with the reduction less the one without."""
-        return (self.run.optimum or 0.0) - (self.base.optimum or 0.0)
+        """The optimum with the reduction less the one without; 0 where they are equal but for rounding."""
+        found = (self.run.optimum or 0.0) - (self.base.optimum or 0.0)
+        return 0.0 if abs(found) <= EQUAL else found
 
     @property
     def saved(self) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import accumulate
+from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -16,13 +17,16 @@ from drivecal.report.drawing import BLUE, INK, KINDS, RULE, Dashes, Drawn, style
 
 PAPER = {"swarm": "Figure 7. ", "genetic": "Figure 8. "}
 MARKERS = "osv^DPX*"
-SPREAD = 0.012
-"""Between lines of equal value, in shares of the range that is drawn: they would hide each other."""
+SPREAD = 0.06
+"""In shares of the range that is drawn: between the outermost of lines of equal value, which would hide each other."""
+Kind = tuple[int, str]
+"""Of a run of one optimizer: population and reduction."""
 
 
 def search_figures(runs: Sequence[ComparedRun], generations: Mapping[str, Sequence[Generation]]) -> Iterator[Drawn]:
-    """One figure per optimizer, every run a line: the best objective over iterations, and the best rating over simulations."""
-    populations = list(dict.fromkeys(one.population for one in runs))
+    """One figure per optimizer, every run a line: the best objective over the iterations, and over the simulations; where all runs have the
+    same best objective all the time, the rating of the best set over the simulations."""
+    kinds = list(dict.fromkeys((one.population, one.reduction) for one in runs))
     values = [one.best for listed in generations.values() for one in listed if one.best is not None]
     if not values:
         return
@@ -30,29 +34,17 @@ def search_figures(runs: Sequence[ComparedRun], generations: Mapping[str, Sequen
     margin = 0.1 * (high - low) or 0.5
     for optimizer in dict.fromkeys(one.optimizer for one in runs):
         mine = [one for one in runs if one.optimizer == optimizer and generations.get(one.run)]
-        if not mine:
-            continue
-        with style():
-            figure = Figure(figsize=(7.4, 3.2), layout="constrained")
-            left, right = figure.subplots(1, 2)
-            _draw_runs(left, right, mine, generations, populations, SPREAD * (high - low + 2 * margin))
-            left.set_ylim(low - margin, high + margin)
-            left.set(xlabel="iteration", ylabel="best objective", title=optimizer)
-            right.set(xlabel="simulations", ylabel="rating of the best set", title=optimizer)
-            whole_numbers(left)
-            sizes = [
-                Line2D([], [], color=_kind(populations, one)[0], linestyle=_kind(populations, one)[1]) for one in populations
-            ]
-            title = f"{optimizer}: individuals per iteration"
-            figure.legend(sizes, [f"{one:,}" for one in populations], loc="outside lower center", ncols=8, title=title)
-        caption = (
-            f"{PAPER.get(optimizer, '')}All runs of {optimizer}. Left: the best objective by iteration; lines of equal value are drawn "
-            "beside each other, a dot marks where a run had converged. Right: the weighted continuous rating of the best set, which goes "
-            "on where the objective cannot, over the simulations that the run took."
-        )
-        best = max(one.best for one in mine if one.best is not None)
-        alt = f"{len(mine)} runs of {optimizer}; the best objective found is {best:.3f}."
-        yield Drawn(f"search-{_slug(optimizer)}", caption, figure, alt=alt)
+        if mine:
+            with style():
+                figure = Figure(figsize=(7.4, 3.2), layout="constrained")
+                left, right = figure.subplots(1, 2)
+                _draw_runs(left, right, mine, generations, kinds, SPREAD * (high - low + 2 * margin), by_rating=low == high)
+                for axes in (left, right) if low < high else (left,):
+                    axes.set_ylim(low - margin, high + margin)
+                _label(figure, left, right, optimizer, kinds, by_rating=low == high)
+            best = max(one.best for one in mine if one.best is not None)
+            alt = f"{len(mine)} runs of {optimizer}; the best objective found is {best:.3f}."
+            yield Drawn(f"search-{_slug(optimizer)}", _caption(optimizer, by_rating=low == high), figure, alt=alt)
 
 
 def _draw_runs(
@@ -60,21 +52,47 @@ def _draw_runs(
     right: Axes,
     runs: Sequence[ComparedRun],
     generations: Mapping[str, Sequence[Generation]],
-    populations: Sequence[int],
+    kinds: Sequence[Kind],
     spread: float,
+    *,
+    by_rating: bool,
 ) -> None:
     for place, run in enumerate(runs):
         listed = generations[run.run]
-        colour, dashes = _kind(populations, run.population)
-        offset = (place - (len(runs) - 1) / 2) * spread
-        numbers = [one.iteration + 1 for one in listed]
+        colour, dashes = _look(kinds, (run.population, run.reduction))
+        look: dict[str, Any] = {"color": colour, "linestyle": dashes, "linewidth": 1.0, "drawstyle": "steps-post"}
+        offset = spread * ((place + 0.5) / len(runs) - 0.5)
         heights = [float("nan") if one.best is None else one.best + offset for one in listed]
-        left.plot(numbers, heights, color=colour, linestyle=dashes, linewidth=1.0, drawstyle="steps-post")
+        left.plot([one.iteration + 1 for one in listed], heights, **look)
         if run.converged_at is not None:
             left.plot(run.converged_at, heights[run.converged_at - 1], marker="o", markersize=3, color=colour)
         taken = list(accumulate(one.requested - one.repeated - one.reused for one in listed))
         ratings = [float("nan") if one.rating is None else one.rating for one in listed]
-        right.plot(taken, ratings, color=colour, linestyle=dashes, linewidth=1.0, drawstyle="steps-post")
+        right.plot(taken, ratings if by_rating else heights, **look)
+
+
+def _label(figure: Figure, left: Axes, right: Axes, optimizer: str, kinds: Sequence[Kind], *, by_rating: bool) -> None:
+    left.set(xlabel="iteration", ylabel="best objective")
+    right.set(xlabel="simulations", ylabel="rating of the best set" if by_rating else "best objective")
+    whole_numbers(left)
+    several = len({reduction for _, reduction in kinds}) > 1
+    names = [f"{population:,}, {reduction}" if several else f"{population:,}" for population, reduction in kinds]
+    lines = [Line2D([], [], color=_look(kinds, one)[0], linestyle=_look(kinds, one)[1]) for one in kinds]
+    title = f"{optimizer}: individuals per iteration{', reduction' if several else ''}"
+    figure.legend(lines, names, loc="outside lower center", ncols=4, title=title)
+
+
+def _caption(optimizer: str, *, by_rating: bool) -> str:
+    over = (
+        "Right: since all runs have the same best objective, the weighted continuous rating of the best set, over the simulations that the "
+        "run took."
+        if by_rating
+        else "Right: the same over the simulations that the run took."
+    )
+    return (
+        f"{PAPER.get(optimizer, '')}All runs of {optimizer}. Left: the best objective by iteration; lines of equal value are drawn beside "
+        f"each other, a dot marks where a run had converged. {over}"
+    )
 
 
 def optima_figure(runs: Sequence[ComparedRun]) -> Drawn:
@@ -101,8 +119,8 @@ def optima_figure(runs: Sequence[ComparedRun]) -> Drawn:
                 axes.plot(across, [float("nan") if one is None else one for one in values], color=colour, label=label, **look)
         for axes, what in zip(panels, ("best objective", "rating of the best set", "simulations"), strict=True):
             axes.set_xticks(range(len(populations)), [f"{one:,}" for one in populations])
-            axes.set(xlabel="individuals per iteration", ylabel=what)
-        panels[-1].set_ylim(bottom=0)
+            axes.set(xlabel="individuals per iteration", ylabel=what, xlim=(-0.6, len(populations) - 0.4))
+        panels[-1].set_ylim(0, 1.08 * max(one.simulations for one in runs))
         figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     caption = (
         "Final optima of all runs with the ratings of their best sets, and the simulations that each took; one mark per seed."
@@ -142,8 +160,8 @@ def effects_figure(pairs: Sequence[ComparedPair], effects: Sequence[ReductionEff
     return Drawn("reduction", caption, figure, alt=f"{equal} of {every} pairs end with equal optima.")
 
 
-def _kind(populations: Sequence[int], population: int) -> tuple[str, Dashes]:
-    return KINDS[populations.index(population) % len(KINDS)]
+def _look(kinds: Sequence[Kind], kind: Kind) -> tuple[str, Dashes]:
+    return KINDS[kinds.index(kind) % len(KINDS)]
 
 
 def _slug(text: str) -> str:

@@ -96,6 +96,8 @@ def test_searches_that_all_end_alike_bound_how_many_may_not() -> None:
     (effect,) = effects(pairs(paired([0.0] * 10)))
     assert (effect.mean_difference, effect.lower_95, effect.upper_95, effect.sign_test) == (0.0, 0.0, 0.0, 1.0)
     assert effect.different_upper_95 == pytest.approx(1 - 0.025 ** (1 / 10))
+    (rounded,) = effects(pairs(paired([1e-15, 0.0])))
+    assert (rounded.mean_difference, rounded.equal) == (0.0, 2)
     (single,) = effects(pairs(paired([0.0])))
     assert (single.lower_95, single.upper_95) == (None, None)
 

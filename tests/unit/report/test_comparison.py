@@ -96,7 +96,7 @@ def test_figures_7_and_8_show_every_run_and_not_only_the_best() -> None:
         np.testing.assert_equal(points(right.lines[0])[:, 0], [10, 20, 30, 40])
     heights = {round(float(points(one)[-1, 1]), 9) for one in swarm.figure.axes[0].lines}
     assert len(heights) == 12, "lines of equal value lie beside each other"
-    assert max(abs(one - 6.0) for one in heights) < 0.2
+    assert max(abs(one - 6.0) for one in heights) < 0.1
 
 
 def test_final_optima_and_pairs_have_a_mark_for_each_run() -> None:
