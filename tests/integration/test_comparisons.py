@@ -176,15 +176,21 @@ def test_a_reduction_is_compared_seed_by_seed(database: Database) -> None:
         stored_map,
         optimizers=[{"kind": "genetic"}],
         populations=[9],
-        reductions=["exact", {"mode": "influence", "audit": 0.0}],
+        reductions=["exact", {"mode": "influence", "audit": 0.4}],
     )
     ended = run(database, comparison)
     runs = runs_of(database, ended)
-    assert [one.name.rpartition(", ")[2] for one in runs[:2]] == ["exact", "influence audit=0.0"]
+    assert [one.name.rpartition(", ")[2] for one in runs[:2]] == ["exact", "influence audit=0.4"]
     assert [one.influence_map_id for one in runs[:2]] == [None, stored_map]
     exact, reduced = runs[0::2], runs[1::2]
     assert all(one.cells.reused > 0 for one in reduced)
     assert all(two.cells.simulated < one.cells.simulated for one, two in zip(exact, reduced, strict=True))
+    rate = ended.error_rate["S1"]
+    assert rate.audited == sum(one.error_rate["S1"].audited for one in reduced) > 0
+    assert rate.upper_95 is not None
+    assert rate.stopped == any(one.error_rate["S1"].stopped for one in reduced)
+    assert len(ended.notes) == sum(len(one.notes) for one in reduced)
+    assert all(note.startswith("genetic, population 9, seed ") for note in ended.notes)
     with database.read() as connection:
         figures, _ = generations.page(connection, exact[0].sequence, limit=10)
     assert all(one.rating is not None and one.best is not None for _, one in figures)

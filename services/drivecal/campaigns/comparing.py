@@ -15,8 +15,9 @@ from functools import partial
 from drivecal.campaigns.comparison import ComparisonProblem
 from drivecal.campaigns.ledger import Work
 from drivecal.campaigns.pace import Pace
+from drivecal.campaigns.selfcheck import clopper_pearson
 from drivecal.campaigns.staged import StagedCampaign
-from drivecal.contracts.campaign import Best, CellCounts, StageCellCounts
+from drivecal.contracts.campaign import Best, CellCounts, ErrorRate, StageCellCounts
 from drivecal.domain.campaigns import CampaignState, Stage
 from drivecal.domain.errors import DrivecalError, NoResultError, RefutedError, SupersededError, UnavailableError
 from drivecal.domain.events import EventKind
@@ -27,6 +28,7 @@ from drivecal.storage.database import Database
 
 SECONDS_BETWEEN_SUMS = 1.0
 """A comparison's own row is that much behind its runs at most."""
+MOST_NOTES = 20
 TOLD = 5
 """Of the runs that failed, in the comparison's error."""
 
@@ -167,11 +169,11 @@ class Comparison:
                 cells=CellCounts(**_sums([one.cells for one in runs])),
                 sensitivity_cells=StageCellCounts(**_sums([one.sensitivity_cells for one in runs])),
                 progress=self._pace.progress(done, max(self._expected, done)),
-                error_rate={},
+                error_rate=_error_rates(runs),
                 best=_best(runs),
                 baseline=next((one.baseline for one in runs if one.baseline is not None), None),
                 simulating_seconds=sum(one.simulating_seconds for one in runs),
-                notes=(),
+                notes=_notes(runs),
             )
             campaigns.save_progress(connection, self._sequence, snapshot)
 
@@ -186,6 +188,39 @@ def _done(runs: Sequence[StoredCampaign]) -> int:
 
 def _sums(counts: Sequence[CellCounts] | Sequence[StageCellCounts]) -> dict[str, int]:
     return {name: sum(getattr(one, name) for one in counts) for name in type(counts[0]).model_fields}
+
+
+def _error_rates(runs: Sequence[StoredCampaign]) -> dict[str, ErrorRate]:
+    """The audits of all runs together, by scenario; none where none was made. What runs have in common counts for each of them."""
+    found: dict[str, list[ErrorRate]] = {}
+    for one in runs:
+        for scenario, rate in one.error_rate.items():
+            found.setdefault(scenario, []).append(rate)
+    return {scenario: _together(rates) for scenario, rates in found.items() if any(one.audited for one in rates)}
+
+
+def _together(rates: Sequence[ErrorRate]) -> ErrorRate:
+    audited, different, wrong = (sum(getattr(one, name) for one in rates) for name in ("audited", "different", "wrong"))
+    stopped, contradictions = any(one.stopped for one in rates), sum(one.contradictions for one in rates)
+    upper = clopper_pearson(wrong, audited)[1]
+    return ErrorRate(
+        audited=audited, different=different, wrong=wrong, upper_95=upper, stopped=stopped, contradictions=contradictions
+    )
+
+
+def _notes(runs: Sequence[StoredCampaign]) -> list[str]:
+    """What the runs note: once where all do, else with the run's name, of very many the first."""
+    by_note: dict[str, list[str]] = {}
+    for one in runs:
+        for note in one.notes:
+            by_note.setdefault(note, []).append(one.name)
+    begun = sum(one.started_at is not None for one in runs)
+    told = [
+        line
+        for note, names in by_note.items()
+        for line in ([note] if len(names) == begun else [f"{name}: {note}" for name in names])
+    ]
+    return told[:MOST_NOTES]
 
 
 def _best(runs: Sequence[StoredCampaign]) -> Best | None:

@@ -86,7 +86,7 @@ def _page(found: Compared, searches: Sequence[str], reduced: str, names: Sequenc
         heading(campaign.name),
         paragraph(f"comparison {campaign.id}, {campaign.state}{ended} after {spent}; drivecal {version('drivecal')}", "sub"),
         contents(kept),
-        *(paragraph(text, "warn") for text in (campaign.error, campaign.degraded) if text),
+        *(paragraph(text, "warn") for text in (campaign.error, campaign.degraded, *campaign.notes) if text),
         *(section(title, *listed) for title, listed in kept.items()),
     ]
     return document(campaign.name, parts)
@@ -127,33 +127,35 @@ def _problem(campaign: Campaign) -> str:
     spec = campaign.spec
     fields = ("catalogue", "parameters", "fixed", "weights", "driving_function", "vehicle", "evaluator", "sensitivity")
     settings = [*fields, "optimizers", "populations", "seeds", "iterations", "start", "reductions"]
-    rows = [[name, json.dumps(spec[name], ensure_ascii=False)] for name in settings if spec.get(name) not in (None, {}, [])]
+    rows = [[name, _plain(spec[name])] for name in settings if spec.get(name) not in (None, {}, [])]
     return table(["field", "value"], rows, "What was compared", wrap=True)
 
 
+def _plain(value: object) -> str:
+    """As in a file, without what is not given."""
+    if isinstance(value, str):
+        return value
+    if isinstance(value, list):
+        return ", ".join(_plain(one) for one in value)
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{name}: {_plain(one)}" for name, one in value.items() if one not in (None, {}, [])) + "}"
+    return json.dumps(value)
+
+
 def _table_5(groups: Sequence[ComparedGroup], *, several: bool) -> str:
-    header = [
-        "optimizer",
-        "population",
-        *(["reduction"] if several else []),
-        "seeds",
-        "best",
-        "mean",
-        "min",
-        "rating",
-        "sets at best",
-    ]
-    header += ["simulations", "converged", "iterations", "simulations until then", "as good as any"]
+    header = ["optimizer", "size", *(["reduction"] if several else []), "best", "mean", "min", "rating", "sets at best"]
+    header += ["simulations", "converged", "in iteration", "after simulations", "as good as any"]
     rows = [
         [
-            *(one.optimizer, one.population, *([one.reduction] if several else []), one.seeds),
+            *(one.optimizer, one.population, *([one.reduction] if several else [])),
             *(_number(value, 4) for value in (one.best, one.mean, one.minimum)),
-            *(_number(one.rating, 3), _number(one.alternatives, 1), _number(one.simulations, 0), one.converged),
-            *(_number(one.iterations_to_converge, 1), _number(one.simulations_to_converge, 0), one.successes),
+            *(_number(one.rating, 3), _number(one.alternatives, 1), _number(one.simulations, 0)),
+            *(f"{one.converged} of {one.seeds}", _number(one.iterations_to_converge, 1)),
+            *(_number(one.simulations_to_converge, 0), f"{one.successes} of {one.seeds}"),
         ]
         for one in groups
     ]
-    return table(header, rows, "Table 5: final optima over the seeds, and what they took", wrap=True)
+    return table(header, rows, "Table 5: final optima over the seeds, by population size, and what they took", wrap=True)
 
 
 def _effects(effects: Sequence[ReductionEffect]) -> str:

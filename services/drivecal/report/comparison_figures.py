@@ -60,15 +60,15 @@ def _draw_runs(
     for place, run in enumerate(runs):
         listed = generations[run.run]
         colour, dashes = _look(kinds, (run.population, run.reduction))
-        look: dict[str, Any] = {"color": colour, "linestyle": dashes, "linewidth": 1.0, "drawstyle": "steps-post"}
+        look: dict[str, Any] = {"color": colour, "linestyle": dashes, "linewidth": 1.0}
         offset = spread * ((place + 0.5) / len(runs) - 0.5)
         heights = [float("nan") if one.best is None else one.best + offset for one in listed]
-        left.plot([one.iteration + 1 for one in listed], heights, **look)
+        left.plot([one.iteration + 1 for one in listed], heights, drawstyle="steps-mid", **look)
         if run.converged_at is not None:
             left.plot(run.converged_at, heights[run.converged_at - 1], marker="o", markersize=3, color=colour)
         taken = list(accumulate(one.requested - one.repeated - one.reused for one in listed))
         ratings = [float("nan") if one.rating is None else one.rating for one in listed]
-        right.plot(taken, ratings if by_rating else heights, **look)
+        right.plot(taken, ratings if by_rating else heights, drawstyle="steps-post", **look)
 
 
 def _label(figure: Figure, left: Axes, right: Axes, optimizer: str, kinds: Sequence[Kind], *, by_rating: bool) -> None:
