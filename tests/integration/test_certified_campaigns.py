@@ -11,10 +11,11 @@ from tests.support.runs import SMALL, WITH_ANALYSIS, get, influenced, nothing_ma
 from tests.support.runs import dispatcher as dispatching
 
 from drivecal.campaigns.explaining import explain
+from drivecal.campaigns.pinned import pinned
 from drivecal.contracts.work import Cell
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.evaluations import Outcome
-from drivecal.storage import generations, results, runs
+from drivecal.storage import audits, generations, results, runs
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.database import Database
 
@@ -148,3 +149,18 @@ def test_who_does_not_want_certificates_gets_none(database: Database) -> None:
     ended = run(database, submit(database, **simple(reduction={"mode": "exact", "certified": False})), certifying())
     assert ended.cells.certified == ended.cells.checked == 0
     assert ended.cells.simulated > 0
+
+
+@pytest.mark.parametrize("right", [True, False])
+def test_certificates_say_of_reused_cells_whether_the_reference_was_right(database: Database, *, right: bool) -> None:
+    scenarios = nothing_matters()
+    scenarios["S1"] |= {"P1": {"influential": True}} | ({"P2": {"influential": True, "upper": 0.5}} if right else {})
+    scenarios["S2"]["P3"] = {"influential": True}
+    changes = {"catalogue": ["S1", "S2"], "reduction": {"mode": "influence", "audit": 0.4, "max_error": 0.9}}
+    ended = run(database, submit(database, stored_map=post_map(database, scenarios), **changes), certifying())
+    with database.read() as connection:
+        found = {one.scenario: one for one in audits.proofs(connection, ended.sequence, pinned(ended).evaluator)}
+        rows = [row for row in results.stream(connection, ended.sequence) if row.outcome is Outcome.REUSED]
+    assert 0 < sum(one.audited for one in found.values()) <= len(rows) == ended.cells.reused
+    assert bool(found["S1"].different) is not right
+    assert found["S2"].different == 0

@@ -71,12 +71,19 @@ class ComputedBackend:
         if self.class_of is None or not cell.certify or found.breakdown is not None:
             return found
         kind = (setup.run_fingerprint, self.class_of(setup.scenario, cell))
-        if kind not in self._first:
-            self._first[kind] = found
-            return found
-        proof = self._first[kind]
+        proof = self._first.setdefault(kind, found)
+        if proof is found:
+            return replace(found, probed=self._probed(setup, cell))
         agrees = (proof.score, proof.rating) == (found.score, found.rating) and self.proofs_hold if cell.check else None
-        return replace(found if cell.check else proof, id=cell.id, proven_by=proof.id, agrees=agrees)
+        answered = found if cell.check else proof
+        return replace(answered, id=cell.id, proven_by=proof.id, agrees=agrees, probed=self._probed(setup, cell))
+
+    def _probed(self, setup: SetupRequest, cell: Cell) -> tuple[tuple[int, int], ...]:
+        if self.class_of is None:
+            return ()
+        kinds = {one.id: self.class_of(setup.scenario, Cell(one.id, one.parameters)) for one in cell.probes}
+        known = {one: self._first.get((setup.run_fingerprint, kind)) for one, kind in kinds.items()}
+        return tuple((one, proof.id) for one, proof in known.items() if proof is not None)
 
     def slots(self) -> list[Slot]:
         return [Slot(self._name, idle=True)] * max(0, 8 - len(self._outstanding))

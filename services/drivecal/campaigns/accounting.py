@@ -13,6 +13,7 @@ from math import ceil
 from drivecal.contracts.accounting import Accounting, BreakEven, MapCost, ScenarioAccount, SensitivityCost
 from drivecal.domain.campaigns import Stage
 from drivecal.domain.evaluations import Outcome
+from drivecal.storage.audits import AuditCount
 from drivecal.storage.costs import CellCosts
 
 ROUNDING = 1e-9
@@ -30,11 +31,21 @@ class MapOrigin:
 
 
 def account(
-    campaign: str, state: str, scenarios: Iterable[str], costs: Sequence[CellCosts], origin: MapOrigin | None
+    campaign: str,
+    state: str,
+    scenarios: Iterable[str],
+    costs: Sequence[CellCosts],
+    origin: MapOrigin | None,
+    proofs: Iterable[AuditCount] = (),
 ) -> Accounting:
-    """The account of a campaign from its `costs`; `scenarios` in the order in which they are to be listed."""
+    """The account of a campaign from its `costs`; `scenarios` in the order in which they are to be listed; `proofs`: what certificates say
+    of reused cells."""
+    proved = {one.scenario: one for one in proofs}
     rows = [
-        _scenario(name, [one for one in costs if one.stage is Stage.CALIBRATION and one.scenario == name]) for name in scenarios
+        _scenario(
+            name, [one for one in costs if one.stage is Stage.CALIBRATION and one.scenario == name], proved.get(name, _NOTHING)
+        )
+        for name in scenarios
     ]
     sensitivity = sensitivity_cost(costs)
     used = None if origin is None else _map_cost(origin, campaign)
@@ -64,6 +75,7 @@ def account(
     return found.model_copy(update={"sentence": _sentence(found)})
 
 
+_NOTHING = AuditCount("", 0, 0, 0)
 _SECONDS = ("simulated_seconds", "audited_seconds", "repeated_saved_seconds", "reused_saved_seconds", "certified_saved_seconds")
 
 
@@ -92,7 +104,7 @@ def break_even(map_seconds: float, reused_saved_seconds: float, requested: int) 
     return BreakEven(requested_cells=ceil(campaigns * requested - ROUNDING), campaigns=whole, reruns=whole - 1)
 
 
-def _scenario(name: str, costs: Sequence[CellCosts]) -> ScenarioAccount:
+def _scenario(name: str, costs: Sequence[CellCosts], proved: AuditCount) -> ScenarioAccount:
     cells = _cells(costs)
     simulated = [one for one in costs if one.outcome is Outcome.SIMULATED]
     mean = _mean_seconds(simulated)
@@ -115,6 +127,9 @@ def _scenario(name: str, costs: Sequence[CellCosts]) -> ScenarioAccount:
         repeated_saved_seconds=cells[Outcome.REPEATED] * worth,
         reused_saved_seconds=cells[Outcome.REUSED] * worth,
         certified_saved_seconds=cells[Outcome.CERTIFIED] * worth,
+        proved=proved.audited,
+        proved_different=proved.different,
+        proved_wrong=proved.wrong,
     )
 
 

@@ -15,7 +15,7 @@ from sqlalchemy import Connection
 
 from drivecal.campaigns.planning import View, ensure_setups
 from drivecal.campaigns.problem import Bench
-from drivecal.contracts.work import Cell, SetupRequest
+from drivecal.contracts.work import Cell, Probe, SetupRequest
 from drivecal.domain.errors import RefutedError
 from drivecal.domain.evaluations import Donor, Outcome
 from drivecal.execution.measures import MEASURES
@@ -57,6 +57,8 @@ class Ledger:
         self._pending: dict[int, PendingEvaluation] = {}
         self._copies: dict[int, list[PendingEvaluation]] = {}
         self._breakdowns: Mapping[int, int] = {}
+        self._proofs: dict[int, int] = {}
+        """What is known of reused cells that wait for their answer, see `_probes`."""
         self._requests: Mapping[int, SetupRequest] = {}
         self._refuted: str | None = None
         self._exclusive = False
@@ -97,14 +99,15 @@ class Ledger:
         }
         self._exclusive = not share_runs
         self._pending = {one.id: one for one in evaluations.pending(connection, self._view.campaign)}
-        self._copies = {}
+        self._copies, self._proofs = {}, {}
         for one in self._pending.values():
             if one.plan in COPIES and one.reference is not None:
                 self._copies.setdefault(one.reference, []).append(one)
         if share_runs:
             self._share_runs(connection)
         self._breakdowns = leases.breakdowns(connection, list(self._pending))
-        return self._work([one for one in self._pending.values() if one.plan is Outcome.SIMULATED])
+        simulated = [one for one in self._pending.values() if one.plan is Outcome.SIMULATED]
+        return self._work(simulated, self._probes(connection, simulated))
 
     def record(self, connection: Connection, completed: Sequence[Completed]) -> list[Work]:
         """Writes down what became of simulated cells, and of those that waited for them; gives what has to be simulated instead.
@@ -126,14 +129,36 @@ class Ledger:
                 finished.append((cell, one))
             else:
                 orphans += self._break_down(cell, one, answers)
+        proofs = dict(pair for _, one in finished for pair in one.result.probed)
+        self._proofs |= proofs
         stored = runs.insert_results(connection, [self._new_run(cell, one) for cell, one in finished])
         for (cell, one), run in zip(finished, stored, strict=True):
             self._simulated(cell, one, run, answers)
             if one.result.trace is not None:
                 traces.fill(connection, self._view.campaign, one.result.trace)
         _store(connection, answers)
+        evaluations.note_proofs(connection, proofs)
         evaluations.simulate_instead(connection, [one.id for one in orphans])
         return self._work([*again, *orphans])
+
+    def _probes(self, connection: Connection, simulated: Sequence[PendingEvaluation]) -> dict[int, tuple[Probe, ...]]:
+        """Spreads the reused cells of an iteration over those of the same setup that are simulated: by their ids."""
+        if self._view.checked_certificates is None or not simulated or not self._view.keys:
+            return {}
+        found: dict[int, list[Probe]] = {}
+        place = simulated[0].stage, simulated[0].iteration
+        waiting = [(one.id, one.setup_id, one.parameters) for one in self._pending.values() if one.plan is Outcome.REUSED]
+        for number, setup_id, parameters in [*evaluations.reused(connection, self._view.campaign, *place), *waiting]:
+            found.setdefault(setup_id, []).append(Probe(number, parameters.floats))
+        carriers: dict[int, list[int]] = {}
+        for one in simulated:
+            carriers.setdefault(one.setup_id, []).append(one.id)
+        return {
+            carrier: tuple(found[setup_id][position :: len(carrying)])
+            for setup_id, carrying in carriers.items()
+            if setup_id in found
+            for position, carrier in enumerate(carrying)
+        }
 
     def _late(self, connection: Connection, completed: Sequence[Completed]) -> set[int]:
         """The cells whose lease was over before their results arrived. A result that was obtained for another cell
@@ -147,10 +172,13 @@ class Ledger:
             )
         return late
 
-    def _work(self, cells: Sequence[PendingEvaluation]) -> list[Work]:
+    def _work(self, cells: Sequence[PendingEvaluation], probes: Mapping[int, tuple[Probe, ...]] | None = None) -> list[Work]:
         by_setup: dict[int, list[Cell]] = {}
         for one in cells:
-            by_setup.setdefault(one.setup_id, []).append(self._cell(one))
+            cell = self._cell(one)
+            if probes and one.id in probes:
+                cell = replace(cell, probes=probes[one.id])
+            by_setup.setdefault(one.setup_id, []).append(cell)
         return [
             Work(
                 self._requests[setup_id],
@@ -222,7 +250,7 @@ class Ledger:
                     milliseconds=None if own is None else own.result.milliseconds,
                     worker=None if own is None else own.worker,
                     attempts=0 if own is None else own.attempts,
-                    proven_by=None if own is None else own.result.proven_by,
+                    proven_by=self._proofs.get(one.id) if own is None else own.result.proven_by,
                     proof_agrees=None if own is None else own.result.agrees,
                 )
             )

@@ -52,6 +52,16 @@ def print_accounting(found: Accounting) -> None:
     if found.audited:
         price = _seconds(found.audited_seconds)
         typer.echo(f"  the self-check simulated {found.audited:,} reusable cells in {price}; they are not counted as saved")
+    proved = sum(one.proved for one in found.scenarios)
+    if proved:
+        off = [
+            f"{one.scenario} {one.proved_different:,} of {one.proved:,}{f', {one.proved_wrong:,} of them wrong' * bool(one.proved_wrong)}"
+            for one in found.scenarios
+            if one.proved_different
+        ]
+        typer.echo(
+            f"  certificates say of {proved:,} reused cells what a simulation would have given; another score: {'; '.join(off) or 'none'}"
+        )
     if found.map is not None and not found.map.paid_here:
         paid = "nobody: it is expert knowledge" if found.map.made_by is None else f"campaign {found.map.made_by}"
         cost = f" ({found.map.runs:,} runs, {_seconds(found.map.seconds)})" if found.map.runs else ""

@@ -65,6 +65,24 @@ def count(connection: Connection, campaign_sequence: int, evaluator: str) -> lis
     return [AuditCount(*row) for row in connection.execute(query)]
 
 
+def proofs(connection: Connection, campaign_sequence: int, evaluator: str) -> list[AuditCount]:
+    """The same without a simulation: scores of reused cells against those of the runs that they would provably repeat, where a worker
+    happened to know one. By scenario; no part of what a campaign repeats to the bit."""
+    proving = _rated(evaluations.join(_donor, _donor.c.id == evaluations.c.proven_by), evaluator)
+    query = (
+        select(evaluations.c.scenario, *_CHANGES)
+        .select_from(proving)
+        .where(
+            evaluations.c.campaign_sequence == campaign_sequence,
+            evaluations.c.outcome == Outcome.REUSED,
+            _TRUSTED.is_not(None),
+        )
+        .group_by(evaluations.c.scenario)
+        .order_by(evaluations.c.scenario)
+    )
+    return [AuditCount(*row) for row in connection.execute(query)]
+
+
 def by_iteration(connection: Connection, campaign_sequence: int, scenario: str, evaluator: str) -> list[tuple[int, AuditCount]]:
     """The same of each iteration alone, of one scenario, in order."""
     query = (

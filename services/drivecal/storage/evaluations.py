@@ -124,6 +124,31 @@ def pending(connection: Connection, campaign_sequence: int) -> list[PendingEvalu
     ]
 
 
+def reused(connection: Connection, campaign_sequence: int, stage: Stage, iteration: int) -> list[tuple[int, int, ParameterSet]]:
+    """The cells of an iteration that have their answer from a reference, and of which nothing more is known: id, setup, parameters."""
+    query = (
+        select(evaluations.c.id, evaluations.c.setup_id, parameter_sets.c.parameter_values)
+        .join(parameter_sets)
+        .where(
+            evaluations.c.campaign_sequence == campaign_sequence,
+            evaluations.c.stage == stage,
+            evaluations.c.iteration == iteration,
+            evaluations.c.outcome == Outcome.REUSED,
+            evaluations.c.proven_by.is_(None),
+        )
+        .order_by(evaluations.c.id)
+    )
+    return [(number, setup, ParameterSet.from_json(values)) for number, setup, values in connection.execute(query)]
+
+
+def note_proofs(connection: Connection, proofs: Mapping[int, int]) -> None:
+    """Which run reused cells would repeat, as the evaluation that it is of, by the cells' ids."""
+    statement = update(evaluations).where(evaluations.c.id == bindparam("evaluation"), evaluations.c.outcome == Outcome.REUSED)
+    rows = [{"evaluation": one, "proof": proof} for one, proof in proofs.items()]
+    if rows:
+        connection.execute(statement.values(proven_by=bindparam("proof")), rows)
+
+
 def answer(connection: Connection, answers: Sequence[Answer]) -> int:
     """Stores answers; says how many. A cell that has its answer keeps it: a late result of an earlier attempt changes nothing. An answered
     cell has no lease any more."""

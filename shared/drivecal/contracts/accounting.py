@@ -28,7 +28,9 @@ class MapCost(Answer):
 
 class ScenarioAccount(Answer):
     """The calibration stage in one scenario. `mean_seconds`: CPU time per simulated cell; where none was simulated, per stored run that
-    answered cells; null where there is neither. Savings are numbers of cells times it."""
+    answered cells; null where there is neither. Savings are numbers of cells times it. `proved`: of the reused cells, those of which a
+    worker happened to know by a certificate what a simulation would have given; `proved_different`: their score is another one,
+    `proved_wrong`: by more than 1 (Eq. 8). Two equal campaigns need not know the same."""
 
     scenario: str
     requested: int
@@ -44,6 +46,9 @@ class ScenarioAccount(Answer):
     repeated_saved_seconds: float
     reused_saved_seconds: float
     certified_saved_seconds: float
+    proved: int = 0
+    proved_different: int = 0
+    proved_wrong: int = 0
 
 
 class BreakEven(Answer):

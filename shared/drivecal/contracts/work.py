@@ -25,6 +25,15 @@ class SetupRequest:
 
 
 @dataclass(frozen=True, slots=True)
+class Probe:
+    """A cell that a reference answers. Where the worker can say without a simulation which run it would repeat, it does: a check of the
+    reference that costs nothing. `id`: its evaluation's."""
+
+    id: int
+    parameters: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True)
 class Cell:
     """One parameter set to simulate: `parameters` by name; `id` is the dispatcher's own. `certify`: it may be answered by a run that it
     provably repeats, and its own run may answer others; `check`: it is simulated even so, to see whether both agree."""
@@ -35,6 +44,8 @@ class Cell:
     check: bool = False
     trace: bool = False
     """It is simulated in any case, and its time series are wanted."""
+    probes: tuple[Probe, ...] = ()
+    """Of the same setup, looked at when this cell is done."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +74,8 @@ class CellResult:
     agrees: bool | None = None
     """Of a cell that was certified and simulated all the same: whether both are the same. False without `proven_by`: the simulation of
     this setup turned out not to be deterministic."""
+    probed: tuple[tuple[int, int], ...] = ()
+    """Of the probes about which something is known: the id, and that of the cell whose run it would repeat."""
     trace: bytes | None = None
     """The time series that were wanted, as gzipped JSON."""
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from drivecal.contracts.work import Batch, Cell, CellResult, Remembered, SetupRequest
+from drivecal.contracts.work import Batch, Cell, CellResult, Probe, Remembered, SetupRequest
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Answered, Failure, Rating, RunResult
 from drivecal.plugins import registry
@@ -49,6 +49,9 @@ class ScriptedRunner:
             return Answered(result, self.known[second][0], first != 7.0)
         self.known[second] = number, result
         return Answered(result)
+
+    def prove(self, parameters: Sequence[float]) -> int | None:
+        return self.known[parameters[1]][0] if parameters[1] in self.known else None
 
     def trace(self, parameters: Sequence[float]) -> dict[str, Any]:
         raise NotImplementedError
@@ -287,3 +290,11 @@ def test_without_leave_nothing_is_certified() -> None:
 def test_a_worker_says_what_it_remembers_of_what_it_may() -> None:
     worker = Worker("w", lambda _: ScriptedRunner(), certificates_mb=7)
     assert worker.run(Batch(SETUP, ())).remembered == Remembered(0, 0, 7 * 2**20)
+
+
+def test_what_a_worker_knows_of_cells_that_a_reference_answered_it_tells_without_a_simulation() -> None:
+    worker = Worker("w", lambda _: ScriptedRunner())
+    probes = (Probe(7, {"a": 9.0, "b": 3.0}), Probe(8, {"a": 0.0, "b": 4.0}))
+    (first,) = certified(worker, Cell(1, {"a": 0.0, "b": 3.0}, probes=probes))
+    assert first.probed == ((7, 1),)
+    assert first.metrics["runs"] == 1

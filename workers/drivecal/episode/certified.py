@@ -50,6 +50,11 @@ class CertifiedRunner(Runner):
         recording.finish(result, number)
         return Answered(result) if proof is None else Answered(result, proof.proven_by, result == proof.result)
 
+    def prove(self, parameters: Sequence[float]) -> int | None:
+        """The number of the run that these parameters would provably repeat; None where that is not known. Simulates nothing."""
+        proof = None if self._trie is None else self._trie.prove(parameters)
+        return None if proof is None else proof.proven_by
+
     def forget(self) -> None:
         """Gives the memory back; what comes is simulated again."""
         self._trie = None

@@ -36,6 +36,9 @@ class Runner(Protocol):
         """As `run`, or without one where it would provably repeat an earlier one; `number`: under which it is known to later ones;
         `check`: simulated in any case."""
 
+    def prove(self, parameters: Sequence[float]) -> int | None:
+        """The number of the run that these parameters would provably repeat; None where that is not known. Nothing is simulated."""
+
     def trace(self, parameters: Sequence[float]) -> dict[str, Any]:
         """The same run with its time series, as plain data."""
 
@@ -61,6 +64,9 @@ class _EpisodeRunner:
 
     def answer(self, parameters: Sequence[float], number: int, *, check: bool) -> Answered:
         return self._episode.answer(parameters, number, check=check)
+
+    def prove(self, parameters: Sequence[float]) -> int | None:
+        return self._episode.prove(parameters)
 
     def trace(self, parameters: Sequence[float]) -> dict[str, Any]:
         return self._episode.trace(parameters).to_json()

@@ -10,14 +10,14 @@ import socket
 import time
 import traceback
 from collections import OrderedDict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from drivecal.certification.memory import DEFAULT_MEGABYTES, Memory
-from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult, Remembered, SetupRequest
+from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult, Probe, Remembered, SetupRequest
 from drivecal.domain.errors import ConflictError, DrivecalError, UnavailableError
 from drivecal.domain.evaluations import Answered, Breakdown
 from drivecal.runtime.compilation import prepare_cache
@@ -90,15 +90,17 @@ class Worker:
             rating = _finite("the rating", done.result.rating.rating)
             metrics = {name: _finite(name, value) for name, value in done.result.metrics.items()}
             failure = done.result.failure.value if done.result.failure else None
+            milliseconds = _milliseconds(start)
             return CellResult(
                 id=cell.id,
                 rating=rating,
                 score=int(done.result.rating.score),
                 metrics=metrics,
                 failure=failure,
-                milliseconds=_milliseconds(start),
+                milliseconds=milliseconds,
                 proven_by=done.proven_by,
                 agrees=done.agrees,
+                probed=_probed(runner, cell.probes),
             )
         except RefusedError:
             raise
@@ -145,6 +147,12 @@ def _traced(cell: Cell, document: Mapping[str, Any], start: int) -> CellResult:
         )
     rating, score, metrics, failure = (document[name] for name in ("rating", "score", "metrics", "failure"))
     return CellResult(cell.id, rating, score, metrics, failure, _milliseconds(start), trace=content)
+
+
+def _probed(runner: Runner, probes: Sequence[Probe]) -> tuple[tuple[int, int], ...]:
+    """What is known of the probes."""
+    found = ((one.id, runner.prove([one.parameters[name] for name in runner.parameters])) for one in probes)
+    return tuple((probe, proof) for probe, proof in found if proof is not None)
 
 
 def _key(setup: SetupRequest) -> tuple[object, ...]:

@@ -15,12 +15,13 @@ from drivecal.api.queries import CampaignsQuery, SubmissionQuery
 from drivecal.api.remembered import Remembered
 from drivecal.api.silence import silence
 from drivecal.campaigns.accounting import MapOrigin, account
+from drivecal.campaigns.pinned import pinned
 from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns
 from drivecal.contracts.specification import CampaignSpecification, RerunSpecification
 from drivecal.domain.campaigns import Stage
 from drivecal.domain.errors import ConflictError
-from drivecal.storage import campaigns, comparisons, costs, glances, influence_maps
+from drivecal.storage import audits, campaigns, comparisons, costs, glances, influence_maps
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.database import Database
 from drivecal.storage.types import now
@@ -97,8 +98,9 @@ def accounting(campaign_id: str, database: DatabaseDependency) -> Accounting:
             raise ConflictError(f"{stored.id} is a single evaluation, which saves nothing; GET {ROOT}/evaluations/{stored.id}")
         found = costs.by_outcome(connection, stored.sequence)
         origin = _map_origin(connection, stored)
+        proofs = audits.proofs(connection, stored.sequence, pinned(stored).evaluator) if stored.resolution else ()
     known = [*stored.error_rate, *(one.scenario for one in found if one.stage is Stage.CALIBRATION)]
-    return account(stored.id, stored.state, dict.fromkeys(known), found, origin)
+    return account(stored.id, stored.state, dict.fromkeys(known), found, origin, proofs)
 
 
 def _map_origin(connection: Connection, campaign: StoredCampaign) -> MapOrigin | None:
