@@ -93,6 +93,7 @@ def test_a_campaign_survives_whatever_is_done_to_the_cluster_and_finds_what_it_f
         cluster.until(lambda: simulated() > before + more, "further cells")
         assert cluster.get(path)["state"] == "running"
 
+    size = database_bytes(cluster)
     still_running()
     victim, other, *_ = cluster.containers("ray-worker")
     cluster.run("docker", "exec", victim, "python", "-c", KILL)
@@ -112,6 +113,12 @@ def test_a_campaign_survives_whatever_is_done_to_the_cluster_and_finds_what_it_f
     still_running(0)
     cluster.until(lambda: cluster.get(path)["state"] not in {"queued", "running"}, "the end of the campaign", 1800.0)
 
+    cells = cluster.get(path)["cells"]["requested"]
+    grown = database_bytes(cluster) - size
+    print(
+        f"the database grew by {grown / 1e6:.0f} MB with {cells:,} cells: {grown / cells / 1e3:.2f} GB per million", flush=True
+    )
+
     file = tmp_path / "drivecal.db"
     backup(cluster, file)
     with serving(f"sqlite:///{file}") as copy:
@@ -122,6 +129,12 @@ def test_a_campaign_survives_whatever_is_done_to_the_cluster_and_finds_what_it_f
     checked = cluster.compose("exec", "-T", "api", "drivecal", "db", "check", "--full")
     assert "is current and whole" in checked
     evaluate(cluster)
+
+
+def database_bytes(cluster: Cluster) -> int:
+    """What the database takes on the disk, its write-ahead log not counted."""
+    query = "SELECT pg_database_size('drivecal')"
+    return int(cluster.compose("exec", "-T", "db", "psql", "-U", "drivecal", "-Atc", query))
 
 
 def restore(cluster: Cluster) -> None:
