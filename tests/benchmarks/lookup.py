@@ -27,6 +27,7 @@ import numpy as np
 import numpy.typing as npt
 import psycopg
 from sqlalchemy import Connection, make_url, text
+from tests.support.postgres import running_postgres
 
 from drivecal.domain.evaluations import Donor
 from drivecal.domain.influence import Influence, InfluenceMap
@@ -184,8 +185,8 @@ def scan(stored: Steps, asked: Steps) -> float:
     return (time.perf_counter() - started) / SCANNED * CELLS
 
 
-def fill(database: Database, stored: Steps) -> None:
-    """One setup's results, as fast as the backend takes them."""
+def fill(database: Database, stored: Steps, setup: tuple[str, str] = ("f", "S1")) -> None:
+    """One setup's results, as fast as the backend takes them; `setup` is its fingerprint and scenario."""
     texts = [ParameterSet(NAMES, tuple(row)).to_json() for row in (stored[:1000] * STEP).tolist()]
     columns = {
         "parameter_sets": "id, key, parameter_values",
@@ -200,7 +201,8 @@ def fill(database: Database, stored: Steps) -> None:
         "ratings": lambda n: (n, EVALUATOR, n % 8, n % 8 + 0.25),
     }
     with database.transaction() as connection:
-        connection.execute(text("INSERT INTO setups (id, fingerprint, scenario, document) VALUES (1, 'f', 'S1', '{}')"))
+        statement = text("INSERT INTO setups (id, fingerprint, scenario, document) VALUES (1, :fingerprint, :scenario, '{}')")
+        connection.execute(statement, dict(zip(("fingerprint", "scenario"), setup, strict=True)))
         for table, row in rows.items():
             insert(connection, table, columns[table], map(row, range(1, len(stored) + 1)))
     if make_url(database.url).get_backend_name() == "postgresql":  # as it does by itself after a while
@@ -238,9 +240,6 @@ def sqlite() -> Iterator[Database]:
 @contextmanager
 def postgresql() -> Iterator[Database]:
     """A new PostgreSQL database on a server of its own."""
-    sys.path.append(str(Path(__file__).parents[2]))
-    from tests.support.postgres import running_postgres
-
     with running_postgres() as url:
         with psycopg.connect(url, autocommit=True) as connection:
             connection.execute("CREATE DATABASE lookup")

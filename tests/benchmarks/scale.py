@@ -1,0 +1,231 @@
+"""Sizes that this machine does not have: `python -m tests.benchmarks.scale [--workers N] [--stored N ...]`, from the project's folder.
+
+1. The real dispatcher and database against pretended workers that take the paper's 10 s for an evaluation. Time is the machine's own while
+   the dispatcher works and jumps while it waits, so what it costs is charged as it would be, and a quarter of an hour takes seconds.
+2. What a cell costs the dispatcher and the database, with workers that answer at once, by how many results are stored already.
+"""
+
+from __future__ import annotations
+
+import argparse
+import heapq
+import json
+import random
+import sys
+import time
+from collections import deque
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from tests.benchmarks.lookup import cells, fill, postgresql, sqlite
+from tests.support.computed import computed
+
+from drivecal.contracts.specification import CampaignSpecification
+from drivecal.contracts.work import Batch, BatchResult
+from drivecal.dispatch.dispatcher import Dispatcher
+from drivecal.dispatch.leasing import StoredLeases
+from drivecal.execution.backend import Finished, Lost, Slot, WorkerInfo
+from drivecal.execution.pool import WorkPool
+from drivecal.plugins import registry
+from drivecal.plugins.setups import setup_of
+from drivecal.storage import campaigns
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.database import Database
+
+TARGET = Path(".drivecal/bench/scale.json")
+BACKENDS = {"sqlite": sqlite, "postgresql": postgresql}
+PAPER_SECONDS = 10.0
+BUSY_AT_LEAST = 0.95
+TOGETHER = "eight campaigns"
+GROWS_AT_MOST = 1.5
+SPEED_UP = 7.0 / 1000
+"""Seconds of processor time that a pretended evaluation tells."""
+
+
+@dataclass
+class PretendedTime:
+    """Goes by itself, and jumps."""
+
+    skipped: float = 0.0
+
+    def __call__(self) -> float:
+        return time.monotonic() + self.skipped
+
+
+@dataclass
+class PretendedWorkers:
+    """`count` workers of a cluster: one evaluation takes `seconds`, give or take a fifth, and has a formula's result."""
+
+    count: int
+    seconds: float
+    now: PretendedTime
+    busy_seconds: float = 0.0
+    _queues: list[deque[tuple[int, Batch]]] = field(init=False)
+    _done: list[int] = field(init=False)
+    _ends: list[tuple[float, int, float]] = field(default_factory=list)
+    """When a worker ends what it does, which, and when it began."""
+
+    def __post_init__(self) -> None:
+        self._queues = [deque() for _ in range(self.count)]
+        self._done = [0] * self.count
+        self._random = random.Random(1)
+
+    def submit(self, worker: str, batch_id: int, batch: Batch, expected_seconds: float | None, *, alone: bool = False) -> None:
+        """Begins at once, or behind the batch that runs."""
+        del expected_seconds, alone
+        place = int(worker)
+        self._queues[place].append((batch_id, batch))
+        if len(self._queues[place]) == 1:
+            self._begin(place, self.now())
+
+    def wait(self, timeout: float) -> list[Finished | Lost]:
+        """Jumps to the next result."""
+        if not self._ends:
+            self.now.skipped += timeout
+            return []
+        ahead = self._ends[0][0] - self.now()
+        if ahead > 0:
+            self.now.skipped += min(ahead, timeout)
+        found: list[Finished | Lost] = []
+        while self._ends and self._ends[0][0] <= self.now():
+            found.append(self._end(*heapq.heappop(self._ends)))
+        return found
+
+    def slots(self) -> list[Slot]:
+        """Every worker has room for one batch behind the one that runs."""
+        idle = [Slot(str(place), idle=True) for place, queue in enumerate(self._queues) if not queue]
+        return idle + [Slot(str(place), idle=False) for place, queue in enumerate(self._queues) if len(queue) == 1]
+
+    def workers(self) -> list[WorkerInfo]:
+        """All of them."""
+        return [
+            WorkerInfo(str(place), "pretended", None, "busy" if queue else "idle", self._done[place])
+            for place, queue in enumerate(self._queues)
+        ]
+
+    def replace(self, worker: str, fault: str | None) -> None:
+        """Nothing breaks here."""
+        raise AssertionError(f"{worker} was to be replaced: {fault}")
+
+    def trouble(self) -> str | None:
+        """Never any."""
+        return None
+
+    def close(self) -> None:
+        """Nothing to end."""
+
+    def _begin(self, place: int, when: float) -> None:
+        batch = self._queues[place][0][1]
+        seconds = sum(self.seconds * self._random.uniform(0.8, 1.2) for _ in batch.cells)
+        heapq.heappush(self._ends, (when + seconds, place, when))
+
+    def _end(self, when: float, place: int, begun: float) -> Finished:
+        batch_id, batch = self._queues[place].popleft()
+        self.busy_seconds += when - begun
+        self._done[place] += len(batch.cells)
+        if self._queues[place]:
+            self._begin(place, when)
+        results = tuple(computed(batch.setup.scenario, cell) for cell in batch.cells)
+        return Finished(batch_id, BatchResult(str(place), results, when - begun))
+
+
+def submit(database: Database, population: int, iterations: int, seed: int) -> StoredCampaign:
+    """Queues a campaign on S1..S6 without analysis and map."""
+    specification = CampaignSpecification.model_validate(
+        {
+            "name": f"scale {seed}",
+            "sensitivity": None,
+            "optimizer": {"kind": "genetic", "population": population, "iterations": iterations, "seed": seed},
+            "reduction": {"mode": "exact", "certified": False},
+        }
+    )
+    with database.transaction() as connection:
+        return campaigns.insert(connection, name=specification.name, spec=specification.model_dump(mode="json"))
+
+
+def carry_out(database: Database, submitted: Sequence[StoredCampaign], workers: PretendedWorkers) -> tuple[float, float, int]:
+    """All campaigns at once, to their end: pretended seconds, seconds of the dispatcher, cells."""
+    pool = WorkPool(workers, StoredLeases(database), clock=workers.now)
+    dispatcher = Dispatcher(database, pool, clock=workers.now)
+    begun, processor, step = workers.now(), time.perf_counter(), 0
+    while True:
+        dispatcher.step()
+        step += 1
+        if step % 20 == 0 or not workers._ends:
+            with database.read() as connection:
+                found = [campaigns.get(connection, one.id) for one in submitted]
+            if all(one.state.ended for one in found):
+                break
+    if any(one.state != "succeeded" for one in found):
+        raise RuntimeError(f"a campaign ended as {[one.error for one in found]}")
+    return workers.now() - begun, time.perf_counter() - processor, sum(one.cells.simulated for one in found)
+
+
+def cluster(backend: str, count: int) -> dict[str, Any]:
+    """Whether `count` workers are kept busy, by one campaign of the paper's size and by as many as run at a time; three iterations each."""
+    rows: dict[str, Any] = {}
+    for name, campaigns_at_once in (("one campaign", 1), (TOGETHER, 8)):
+        with new(backend) as database:
+            workers = PretendedWorkers(count, PAPER_SECONDS, PretendedTime())
+            submitted = [submit(database, 1_000, 3, seed) for seed in range(campaigns_at_once)]
+            pretended, real, done = carry_out(database, submitted, workers)
+        rows[name] = {
+            "cells": done,
+            "pretended_seconds": pretended,
+            "dispatcher_seconds": real,
+            "busy": workers.busy_seconds / (count * pretended),
+        }
+    return rows
+
+
+def new(backend: str) -> AbstractContextManager[Database]:
+    """An empty database."""
+    return BACKENDS[backend]()
+
+
+def cost(backend: str, stored: int) -> float:
+    """Milliseconds of dispatcher and database per cell, with so many results stored in one of its six setups."""
+    catalogue, function, vehicle = (
+        registry.catalogue("highway"),
+        registry.driving_function("frenet"),
+        registry.vehicle("single_track"),
+    )
+    first = setup_of(catalogue.scenarios["S1"], function, vehicle, {})
+    with new(backend) as database:
+        fill(database, cells(stored)[0], (first.fingerprint, "S1"))
+        workers = PretendedWorkers(2, SPEED_UP, PretendedTime())
+        _, seconds, done = carry_out(database, [submit(database, 1_000, 4, 1)], workers)
+    return 1000 * seconds / done
+
+
+def main() -> int:
+    """Measures, prints, writes; 0 where the workers are kept busy and a cell's cost does not grow."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--workers", type=int, default=1000)
+    parser.add_argument("--stored", type=int, nargs="+", default=[1_000, 100_000, 1_000_000])
+    parser.add_argument("--backends", nargs="+", choices=list(BACKENDS), default=list(BACKENDS))
+    chosen = parser.parse_args()
+    figures: dict[str, Any] = {"workers": chosen.workers, "cluster": {}, "milliseconds_per_cell": {}}
+    good = True
+    for backend in chosen.backends:
+        rows = figures["cluster"][backend] = cluster(backend, chosen.workers)
+        for name, row in rows.items():
+            print(
+                f"{backend}: {chosen.workers:,} workers of {PAPER_SECONDS:.0f} s, {name}: {row['cells']:,} cells in"
+                f" {row['pretended_seconds']:.0f} pretended s, busy {row['busy']:.3f}, dispatcher {row['dispatcher_seconds']:.1f} s"
+            )
+        good &= rows[TOGETHER]["busy"] >= BUSY_AT_LEAST
+        costs = figures["milliseconds_per_cell"][backend] = {str(stored): cost(backend, stored) for stored in chosen.stored}
+        for stored, milliseconds in costs.items():
+            print(f"{backend}: {milliseconds:.3f} ms per cell with {int(stored):,} results stored")
+        good &= max(costs.values()) <= GROWS_AT_MOST * costs[str(chosen.stored[0])]
+    TARGET.parent.mkdir(parents=True, exist_ok=True)
+    TARGET.write_text(json.dumps(figures, indent=2) + "\n")
+    return 0 if good else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
