@@ -14,7 +14,7 @@ from drivecal.api.routes.evaluations import number_of
 from drivecal.campaigns.tracing import no_trace, request_trace
 from drivecal.contracts.evaluation import PendingTrace, TraceAnswer
 from drivecal.domain.errors import ConflictError
-from drivecal.storage import admission, traces
+from drivecal.storage import admission, results, traces
 
 router = APIRouter(prefix="/evaluations", tags=["evaluations"], route_class=StrictRoute)
 
@@ -37,7 +37,7 @@ def read_trace(
     """The time series of an evaluation, by its number in a campaign's table or by the id of a single evaluation in one scenario. The first
     to ask has it driven once more (202); it is kept for a day after that."""
     with database.read() as connection:
-        number = number_of(connection, evaluation_id)
+        number = results.by_id(connection, number_of(connection, evaluation_id)).id
         found = traces.find(connection, number)
     if found is not None and found.content is not None:
         return _answer(found.content, if_none_match, accept_encoding)
