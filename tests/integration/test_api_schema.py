@@ -96,7 +96,7 @@ def test_every_answer_is_as_documented(case: schemathesis.Case[Any], api: Runnin
 @schema.include(path_regex="{").parametrize()
 @often
 def test_every_answer_about_what_is_there_is_as_documented(case: schemathesis.Case[Any], api: RunningApi, known: Known) -> None:
-    ids = {"campaign_id": known.campaign, "map_id": known.map, "evaluation_id": known.evaluation}
+    ids = {"campaign_id": known.campaign, "map_id": known.map, "evaluation_id": known.evaluation, "scenario_id": "S1"}
     for name in case.path_parameters:
         case.path_parameters[name] = ids[name]
     # An id that was to be wrong is right now.
