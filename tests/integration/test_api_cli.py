@@ -177,6 +177,8 @@ def test_a_rerun_needs_an_ended_campaign(run: Run, api: RunningApi, submitted: s
     carry_out(api.database, submitted)
     second = json.loads(run("rerun", submitted, "--weights", "S1=2,S4=1", "--name", "heavier", "--json").stdout)
     assert (second["name"], second["rerun_of"], second["spec"]["weights"]) == ("heavier", submitted, {"S1": 2, "S4": 1})
+    third = json.loads(run("rerun", submitted, "--evaluator", "learned", "--json").stdout)
+    assert (third["spec"]["evaluator"], third["rerun_of"]) == ("learned", submitted)
     assert run("rerun", submitted).exit_code == 2
 
 

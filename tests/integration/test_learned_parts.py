@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 
+from drivecal.comfort import learned
 from drivecal.comfort.learned import LEARNED
 from drivecal.comfort.plugin import REFERENCE
 from drivecal.contracts.work import Batch, Cell, SetupRequest
@@ -62,16 +63,19 @@ def test_a_missed_task_scores_0_whatever_the_evaluator() -> None:
     assert result.rating == FAILED_RATING
 
 
-@pytest.fixture
-def damaged(monkeypatch: pytest.MonkeyPatch) -> SetupRequest:
-    """A setup that was asked for before the worker's file was damaged."""
+@pytest.fixture(params=["hybrid.npz", "learned.npz"])
+def damaged(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> tuple[str, SetupRequest]:
+    """A setup that was asked for before the worker's file was damaged, and the file."""
     setup = setup_of(SCENARIOS["S1"], FRENET, HYBRID, {})
+    version, name = LEARNED.version, str(request.param)
 
     def shipped() -> None:
-        raise DamagedArraysError("hybrid.npz", "it cannot be read")
+        raise DamagedArraysError(name, "it cannot be read")
 
-    monkeypatch.setattr(hybrid, "shipped", shipped)
-    return SetupRequest("highway", "S1", "frenet", "hybrid", NOMINAL, "reference", setup.fingerprint, setup.document)
+    monkeypatch.setattr(hybrid if name == "hybrid.npz" else learned, "shipped", shipped)
+    monkeypatch.delitem(vars(LEARNED), "version")
+    document = setup.document
+    return name, SetupRequest("highway", "S1", "frenet", "hybrid", NOMINAL, "learned", setup.fingerprint, document, version)
 
 
 def test_a_worker_with_another_version_of_the_evaluator_refuses_to_rate() -> None:
@@ -86,9 +90,10 @@ def test_a_worker_with_another_version_of_the_evaluator_refuses_to_rate() -> Non
     assert f"is 1.fromelsewhere at the coordinator and {LEARNED.version} at the worker" in answer.refusal
 
 
-def test_a_worker_whose_files_are_damaged_refuses_the_setup_and_blames_no_cell(damaged: SetupRequest) -> None:
+def test_a_worker_whose_files_are_damaged_refuses_the_setup_and_blames_no_cell(damaged: tuple[str, SetupRequest]) -> None:
+    file, request = damaged
     names = [parameter.name for parameter in FRENET.spaces["highway"]]
-    answer = Worker("w").run(Batch(damaged, (Cell(1, dict(zip(names, CALM, strict=True))),)))
+    answer = Worker("w").run(Batch(request, (Cell(1, dict(zip(names, CALM, strict=True))),)))
     assert answer.results == ()
     assert answer.refusal is not None
-    assert "hybrid.npz cannot be used" in answer.refusal
+    assert f"{file} cannot be used" in answer.refusal

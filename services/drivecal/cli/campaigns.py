@@ -43,20 +43,25 @@ def submit(
 def rerun(
     identifier: CampaignArgument,
     weights: Annotated[
-        str, typer.Option(metavar="S1=2,S2=1", help="The new weights; a scenario that is not named has weight 1.")
-    ],
+        str | None, typer.Option(metavar="S1=2,S2=1", help="The new weights; a scenario that is not named has weight 1.")
+    ] = None,
+    evaluator: Annotated[
+        str | None, typer.Option(help="Who rates comfort now: reference, learned or a plug-in; stored runs are rated anew.")
+    ] = None,
     name: Annotated[str | None, typer.Option(help="A name for the rerun.")] = None,
     wait: WaitOption = False,
     timeout: TimeoutOption = None,
     url: UrlOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Run an ended campaign again with other weights, on the results that are there already."""
-    changes: dict[str, object] = {"weights": assignments(weights.split(","), "--weights")}
-    if name is not None:
-        changes["name"] = name
+    """Run an ended campaign again with other weights or another evaluator, on the results that are there already."""
+    if weights is None and evaluator is None:
+        raise typer.BadParameter("say what is to be other than it was: --weights, --evaluator or both")
+    changes: dict[str, object] = {key: one for key, one in (("name", name), ("evaluator", evaluator)) if one is not None}
     with connect(url) as client:
-        submitted(client, client.rerun(full_id(client, identifier), changes), wait, timeout, as_json)
+        first = client.campaign(full_id(client, identifier))
+        changes["weights"] = first.spec["weights"] if weights is None else assignments(weights.split(","), "--weights")
+        submitted(client, client.rerun(first.id, changes), wait, timeout, as_json)
 
 
 @app.command("list")

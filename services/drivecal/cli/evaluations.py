@@ -24,6 +24,8 @@ def evaluate(
     parameters: Annotated[list[str], typer.Argument(metavar="P1=VALUE...", help="One value for each parameter.")],
     scenario: Annotated[str | None, typer.Option(help="One scenario; else all of the catalogue.")] = None,
     catalogue: Annotated[str, typer.Option(help="The scenario catalogue.")] = "highway",
+    vehicle: Annotated[str, typer.Option(help="The vehicle model: single_track, hybrid or a plug-in.")] = "single_track",
+    evaluator: Annotated[str, typer.Option(help="Who rates comfort: reference, learned or a plug-in.")] = "reference",
     trace: Annotated[
         Path | None,
         typer.Option(help="Write the run's time series there: .csv or .parquet (one row per step) or .json (all of it)."),
@@ -33,7 +35,12 @@ def evaluate(
     as_json: JsonOption = False,
 ) -> None:
     """Drive one parameter set and show how comfortable it was."""
-    specification: dict[str, object] = {"parameters": assignments(parameters, "parameters"), "catalogue": catalogue}
+    specification: dict[str, object] = {
+        "parameters": assignments(parameters, "parameters"),
+        "catalogue": catalogue,
+        "vehicle": {"model": vehicle},
+        "evaluator": evaluator,
+    }
     if scenario is not None:
         specification["scenario"] = scenario
     if trace is not None and (scenario is None or trace.suffix not in traces.SUFFIXES):
