@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from itertools import accumulate
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from itertools import accumulate, chain, count
 from typing import Any
 
 from matplotlib.axes import Axes
@@ -32,6 +32,7 @@ def search_figures(runs: Sequence[ComparedRun], generations: Mapping[str, Sequen
         return
     low, high = min(values), max(values)
     margin = 0.1 * (high - low) or 0.5
+    names: set[str] = set()
     for optimizer in dict.fromkeys(one.optimizer for one in runs):
         mine = [one for one in runs if one.optimizer == optimizer and generations.get(one.run)]
         if mine:
@@ -42,9 +43,12 @@ def search_figures(runs: Sequence[ComparedRun], generations: Mapping[str, Sequen
                 for axes in (left, right) if low < high else (left,):
                     axes.set_ylim(low - margin, high + margin)
                 _label(figure, left, right, optimizer, kinds, by_rating=low == high)
-            best = max(one.best for one in mine if one.best is not None)
-            alt = f"{len(mine)} runs of {optimizer}; the best objective found is {best:.3f}."
-            yield Drawn(f"search-{_slug(optimizer)}", _caption(optimizer, by_rating=low == high), figure, alt=alt)
+            best = max((one.best for one in mine if one.best is not None), default=None)
+            found = "nothing is answered yet" if best is None else f"the best objective found is {best:.3f}"
+            name = _unlike(f"search-{_slug(optimizer)}", names)
+            names.add(name)
+            alt = f"{len(mine)} runs of {optimizer}; {found}."
+            yield Drawn(name, _caption(optimizer, by_rating=low == high), figure, alt=alt)
 
 
 def _draw_runs(
@@ -162,6 +166,12 @@ def effects_figure(pairs: Sequence[ComparedPair], effects: Sequence[ReductionEff
 
 def _look(kinds: Sequence[Kind], kind: Kind) -> tuple[str, Dashes]:
     return KINDS[kinds.index(kind) % len(KINDS)]
+
+
+def _unlike(name: str, others: Collection[str]) -> str:
+    """A name of its own: labels that differ may make equal names of files."""
+    numbered = (f"{name}-{number}" for number in count(2))
+    return next(one for one in chain([name], numbered) if one not in others)
 
 
 def _slug(text: str) -> str:

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
+from matplotlib.ticker import NullFormatter, StrMethodFormatter
 
 from drivecal.contracts.inventory import InfluenceRow
 from drivecal.contracts.studies import ValidationRow
@@ -70,6 +71,8 @@ def validation_figure(rows: Sequence[ValidationRow]) -> Figure:
             _panel(axes, rows[place])
             axes.set(yscale="log", ylim=(0.7, 2.5 * top), xlim=(-7.6, 7.6))
             axes.set_xticks(range(-6, 7, 2))
+            axes.yaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
+            axes.yaxis.set_minor_formatter(NullFormatter())
             axes.grid(visible=False, axis="x")
         figure.supxlabel("difference from the basis, points", fontsize=8)
         figure.supylabel("variants", fontsize=8)

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.lines import Line2D
@@ -126,6 +129,34 @@ def test_the_page_says_what_was_found_and_needs_nothing_else(tmp_path: Path) -> 
     assert not re.search(r"<script|https?://(?!www\.w3\.org)", page)
     assert "drivecal compare-optimizers comparison.json --wait" in page
     assert all(f'href="{name}"' in page for name in names[:-1])
+
+
+def renamed(found: Compared, **labels: str) -> Compared:
+    """With other labels of the optimizers."""
+
+    def changed(rows: Sequence[Any]) -> list[Any]:
+        return [one.model_copy(update={"optimizer": labels.get(one.optimizer, one.optimizer)}) for one in rows]
+
+    parts = {name: changed(getattr(found, name)) for name in ("runs", "groups", "pairs", "effects")}
+    return replace(found, **parts)
+
+
+def test_labels_are_text_and_neither_formulas_nor_patterns_nor_names_of_files(tmp_path: Path) -> None:
+    found = renamed(findings(), genetic=r"a $\frac$ \d", swarm=r"A $\frac$ (d)")
+    figures = [path.name for path in write_comparison(found, {}, tmp_path) if path.suffix == ".svg"]
+    assert figures == ["search-a-frac-d.svg", "search-a-frac-d-2.svg", "optima.svg", "reduction.svg"]
+    assert r"a $\frac$ \d: individuals per iteration" in (tmp_path / "figures" / figures[0]).read_text()
+
+
+def test_an_optimizer_of_which_nothing_is_answered_yet_spoils_no_report() -> None:
+    found = findings()
+    begun = [one.model_copy(update={"best": None, "rating": None}) if one.optimizer == "swarm" else one for one in found.runs]
+    first = [generation(0, best=None, rating=None, mean=None, minimum=None)]
+    listed = {one.run: first if one.best is None else found.generations[one.run] for one in begun}
+    assert [one.alt for one in search_figures(begun, listed)] == [
+        "12 runs of genetic; the best objective found is 7.000.",
+        "12 runs of swarm; nothing is answered yet.",
+    ]
 
 
 def test_a_comparison_without_any_result_has_a_report(tmp_path: Path) -> None:
