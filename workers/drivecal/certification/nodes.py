@@ -113,13 +113,14 @@ def visit(node: int, parent: Any, visited: Any, clock: int) -> None:
 
 @compiled
 def move(starts: Any, counts: Any, old: Any, new: Any) -> None:
-    """Copies the `counts` entries from each of `starts` on from `old` to `new`, one after the other; `starts` becomes where they are."""
+    """Copies the `counts` rows from each of `starts` on from `old` to `new`, one after the other; `starts` becomes where they are."""
     place = 0
     for node in range(len(starts)):
         start = starts[node]
         starts[node] = place
         for index in range(start, start + counts[node]):
-            new[place] = old[index]
+            for column in range(old.shape[1]):
+                new[place, column] = old[index, column]
             place += 1
 
 
@@ -251,7 +252,7 @@ class Nodes:
         for name in names:
             array = getattr(self, name)
             moved, places = np.empty((length, *array.shape[1:]), dtype=array.dtype), before.copy()
-            move(places, counts, array, moved)
+            move(places, counts, *(one if one.ndim == 2 else one[:, None] for one in (array, moved)))
             setattr(self, name, moved)
         setattr(self, starts, places)
 
@@ -260,9 +261,8 @@ class Nodes:
             return
         for name in names:
             array = getattr(self, name)
-            larger = np.zeros((max(64, length + length // 2), *array.shape[1:]), dtype=array.dtype)
-            larger[: len(array)] = array
-            setattr(self, name, larger)
+            # in place: large blocks are not copied but mapped anew, so that no second copy has to fit into memory for a moment
+            array.resize((max(64, length + length // 8), *array.shape[1:]), refcheck=False)
 
 
 _OF_NODES = (
