@@ -99,9 +99,11 @@ def test_the_first_to_ask_has_it_driven_once_more_and_all_get_the_same(api: Runn
     assert found.json()["ego"] == SERIES
     tag = found.headers["etag"]
     assert ask(api, evaluation["id"], **{"If-None-Match": tag}).status_code == 304
-    plain = ask(api, number, **{"Accept-Encoding": "identity"})
-    assert "content-encoding" not in plain.headers
-    assert plain.content == found.content
+    assert found.headers["content-encoding"] == "gzip"
+    for refusing in ("identity", "br, gzip;q=0", "gzip; q=0.00"):
+        plain = ask(api, number, **{"Accept-Encoding": refusing})
+        assert "content-encoding" not in plain.headers
+        assert plain.content == found.content
     assert work(api).sent == []
     again = api.http.get(f"/api/v1/evaluations/{evaluation['id']}").json()
     assert again == evaluation, "nothing of the evaluation itself has changed"

@@ -61,6 +61,15 @@ def _answer(content: bytes, if_none_match: str | None, accept_encoding: str) -> 
     headers = {"ETag": tag, "Vary": "Accept-Encoding"}
     if if_none_match is not None and tag in if_none_match:
         return Response(status_code=304, headers=headers)
-    if "gzip" in accept_encoding:
+    if _takes_gzip(accept_encoding):
         return Response(content, headers=headers | {"Content-Encoding": "gzip"}, media_type="application/json")
     return Response(gzip.decompress(content), headers=headers, media_type="application/json")
+
+
+def _takes_gzip(accept_encoding: str) -> bool:
+    """Whether a client named it, other than to refuse it (RFC 9110, Section 12.5.3)."""
+    for part in accept_encoding.lower().split(","):
+        name, *parameters = (word.strip() for word in part.split(";"))
+        if name == "gzip":
+            return not any(one.replace(" ", "").rstrip("0.") == "q=" for one in parameters)
+    return False
