@@ -1,6 +1,6 @@
 # drivecal: `make help` lists what can be made. Everything runs in .venv, which is installed on first use.
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-faults test-compose check bench train format lock networks clean
+.PHONY: help demo test test-faults test-compose check bench train page format lock networks clean
 BIN := .venv/bin
 INSTALLED := .venv/.installed
 # Containers often set it. Every process that a server or a test starts would compile all that it imports: half of a start's time.
@@ -30,6 +30,7 @@ check: $(INSTALLED) ## lint, formatting, types and import rules
 	@$(BIN)/ruff format --check .
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports
+	@$(BIN)/python services/web/build_hook.py check
 	@if docker compose version >/dev/null 2>&1; then docker compose config -q; else echo "no docker compose here: docker-compose.yml is not checked"; fi
 
 bench: $(INSTALLED) ## run the benchmarks; tables on the screen, figures in .drivecal/bench/*.json
@@ -37,6 +38,9 @@ bench: $(INSTALLED) ## run the benchmarks; tables on the screen, figures in .dri
 
 train: $(INSTALLED) ## train the hybrid vehicle and the learned comfort evaluator anew, with the tables of their model cards (minutes)
 	@$(BIN)/python -m drivecal.training
+
+page: $(INSTALLED) ## build the page in the browser anew, where its sources changed; the server shows it at once
+	@$(BIN)/python services/web/build_hook.py
 
 format: $(INSTALLED) ## format the code and mend what the linter can
 	@$(BIN)/ruff check --fix-only .

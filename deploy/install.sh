@@ -36,5 +36,8 @@ else
     .venv/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r deploy/requirements.lock
     .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 fi
+if [ -f services/drivecal/api/static/missing.txt ]; then
+    echo "drivecal: the page in the browser could not be built, everything else works: $(cat services/drivecal/api/static/missing.txt)" >&2
+fi
 touch .venv/.installed
 echo "drivecal: installed in $(($(date +%s) - started)) s" >&2

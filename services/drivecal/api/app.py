@@ -26,6 +26,9 @@ from drivecal.api.routes import (
     influence_maps,
     inventory,
     metrics,
+    page,
+    page_live,
+    page_session,
     tables,
     traces,
 )
@@ -65,8 +68,21 @@ def create_app(settings: Settings) -> FastAPI:
     app.add_middleware(Requests)
     app.add_middleware(RequestRecords, meters=meters)  # the last one is the first that a request meets
     problems.install(app)
-    for noun in (campaigns, comparisons, events, tables, background, evaluations, traces, influence_maps, inventory):
+    for noun in (
+        campaigns,
+        comparisons,
+        events,
+        tables,
+        background,
+        evaluations,
+        traces,
+        influence_maps,
+        inventory,
+        page_session,
+        page_live,
+    ):
         app.include_router(noun.router, prefix=ROOT)
+    app.include_router(page.router)
     app.include_router(health.router)
     app.include_router(metrics.router)
     document.describe(app, asks_for_tokens=tokens is not None)

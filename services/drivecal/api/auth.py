@@ -1,8 +1,9 @@
 """Who may do what: in front of everything else, so that no route, known or not, is ever reached without it.
 
-With a tokens file every request needs `Authorization: Bearer TOKEN`, and every one that changes something a token that may write.
-Without one the server listens on loopback only, and what is left to keep out are web pages that the user's browser has open: those
-that give a name of their own to 127.0.0.1 (DNS rebinding) by the Host header, those that post blindly by the Origin header.
+With a tokens file every request needs `Authorization: Bearer TOKEN`, or the session that the page was given for one, and every one that
+changes something a token that may write; with a session, it also has to come from a page of this very origin. Without a tokens file the
+server listens on loopback only, and what is left to keep out are web pages that the user's browser has open: those that give a name of
+their own to 127.0.0.1 (DNS rebinding) by the Host header, those that post blindly, or open a WebSocket, by the Origin header.
 No answer ever carries a CORS header.
 """
 
@@ -10,9 +11,10 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from starlette.requests import Request
+from starlette.requests import HTTPConnection, Request
 from starlette.types import ASGIApp, Receive, Scope, Send
 
+from drivecal.api import sessions
 from drivecal.api.answers import ROOT
 from drivecal.api.problems import problem_response
 from drivecal.configuration import logs
@@ -21,6 +23,10 @@ from drivecal.configuration.tokens import Token
 
 OPEN = {"/healthz", "/readyz"}
 """For supervisors and load balancers, which have no token: they are told no more than whether the service works."""
+PAGE = "/page/"
+"""Where the files of the page lie, which is shown at `/`: they hold nothing but the program, which asks for a token itself."""
+LIVE = f"{ROOT}/live"
+"""The only WebSocket."""
 READING = {"GET", "HEAD", "OPTIONS"}
 ANYBODY = Token("anybody", may_write=True, digest=b"")
 """Who asks where no tokens are asked for."""
@@ -32,6 +38,9 @@ class Tokens(Protocol):
 
     def find(self, presented: bytes) -> Token | None:
         """Whose token it is; None where it is nobody's."""
+
+    def named(self, name: str) -> Token | None:
+        """The token of this name; None where there is none."""
 
 
 class Authorisation:
@@ -47,8 +56,11 @@ class Authorisation:
         if scope["type"] == "lifespan":
             await self.app(scope, receive, send)
             return
-        if scope["type"] != "http":  # there are no websockets here
-            await send({"type": "websocket.close", "code": 1008})
+        if scope["type"] != "http":
+            if scope["path"] == LIVE and self._admits_live(HTTPConnection(scope)):
+                await self.app(scope, receive, send)
+            else:
+                await send({"type": "websocket.close", "code": 1008})
             return
         request = Request(scope)
         refusal = self._admit_by_origin(request) if self.tokens is None else self._admit_by_token(request, self.tokens)
@@ -58,14 +70,21 @@ class Authorisation:
         else:
             await self.app(scope, receive, send)
 
+    def _admits_live(self, connection: HTTPConnection) -> bool:
+        """Browsers let every page open a WebSocket to everywhere and send cookies along: the origin decides, then who asks."""
+        headers, hosts = connection.headers, connection.headers.getlist("host")
+        if self.tokens is None:
+            connection.state.token = ANYBODY
+            return len(hosts) == 1 and is_loopback_host(hosts[0]) and ("origin" not in headers or sessions.same_origin(headers))
+        connection.state.token = token = _holder(connection, self.tokens)
+        return token is not None and ("origin" not in headers or sessions.same_origin(headers))
+
     def _admit_by_token(self, request: Request, tokens: Tokens) -> tuple[int, str, dict[str, str]] | None:
         """Status, sentence and headers of a refusal; None where the request may go on."""
         given = request.headers.getlist("authorization")
-        presented = _bearer(given[0]) if len(given) == 1 else None
-        token = None if presented is None else tokens.find(presented)
-        request.state.token = token
+        request.state.token = token = _holder(request, tokens)
         logs.note(token=None if token is None else token.name)
-        if request.scope["path"] in OPEN:
+        if _is_open(request):
             return None
         if token is None and not given:
             return 401, "this server asks for a token: send Authorization: Bearer TOKEN", {"WWW-Authenticate": CHALLENGE}
@@ -76,7 +95,11 @@ class Authorisation:
                 "this server does not know that token; it takes Authorization: Bearer TOKEN",
                 {"WWW-Authenticate": wrong},
             )
-        if not token.may_write and request.method not in READING and not _only_checks(request):
+        if request.method in READING or _only_checks(request):
+            return None
+        if not given and not sessions.same_origin(request.headers):
+            return 403, "with a session this server takes changes from its own page only; send Authorization: Bearer TOKEN", {}
+        if not token.may_write and request.scope["path"] != sessions.PATH:
             insufficient = CHALLENGE + ', error="insufficient_scope"'
             detail = f"the token of {token.name} may only read; changing something needs one that may write"
             return 403, detail, {"WWW-Authenticate": insufficient}
@@ -91,6 +114,21 @@ class Authorisation:
         if request.method not in READING and origins and origins not in ([f"http://{hosts[0]}"], [f"https://{hosts[0]}"]):
             return 403, "without tokens this server takes no changes from web pages of other origins", {}
         return None
+
+
+def _holder(connection: HTTPConnection, tokens: Tokens) -> Token | None:
+    """Whose token was shown; where none was shown at all, whose session."""
+    given = connection.headers.getlist("authorization")
+    if not given:
+        session = sessions.presented(connection.headers)
+        return None if session is None else sessions.holder(session, tokens)
+    presented = _bearer(given[0]) if len(given) == 1 else None
+    return None if presented is None else tokens.find(presented)
+
+
+def _is_open(request: Request) -> bool:
+    path = request.scope["path"]
+    return path in OPEN or (request.method in READING and (path == "/" or path.startswith(PAGE)))
 
 
 def _bearer(header: str) -> bytes | None:

@@ -23,6 +23,13 @@ class ClosingGently(asyncio.Transport):
         self._expects_more = expects_more
         self._thrown_away = 0
         self._end: asyncio.TimerHandle | None = None
+        self.gone = False
+        """True once another protocol has it."""
+
+    def handed_on(self) -> asyncio.Transport:
+        """The connection itself, for a protocol that takes it over."""
+        self.gone = True
+        return self._transport
 
     @property
     def lingers(self) -> bool:

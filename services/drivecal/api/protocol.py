@@ -25,6 +25,8 @@ systems, of which the database takes 40 and more."""
 SECONDS_IDLE = 15
 """How long a connection stays open for the next request."""
 SECONDS_TO_STOP = 5
+LARGEST_LIVE_MESSAGE = 4_096
+"""Bytes that a page may send at once over a WebSocket."""
 
 
 class Protocol(H11Protocol):
@@ -45,13 +47,20 @@ class Protocol(H11Protocol):
             self._refuse(503, f"{MOST_CONNECTIONS:,} connections are open already; try again later", "Retry-After: 2\r\n")
         self._expect_a_head()
 
+    def handle_websocket_upgrade(self, event: h11.Request) -> None:
+        """Hands the connection on, with nothing between it and its new protocol."""
+        self._stop_waiting()
+        self.transport = self._gently.handed_on()
+        super().handle_websocket_upgrade(event)
+
     def data_received(self, data: bytes) -> None:
         """Hands on what came in, and watches how long a head takes."""
         if self._gently.lingers:
             self._gently.throw_away(data)
             return
         super().data_received(data)
-        self._expect_a_head()
+        if not self._gently.gone:
+            self._expect_a_head()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Nothing is expected any more."""
@@ -115,7 +124,9 @@ def configuration(app: FastAPI) -> uvicorn.Config:
     return uvicorn.Config(
         app,
         http=Protocol,
-        ws="none",
+        ws="websockets-sansio",
+        ws_max_size=LARGEST_LIVE_MESSAGE,
+        ws_per_message_deflate=False,
         log_config=None,
         access_log=False,
         server_header=False,

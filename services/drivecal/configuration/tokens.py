@@ -114,6 +114,11 @@ class TokenFile:
                 found = token
         return found
 
+    def named(self, name: str) -> Token | None:
+        """The token of this name, None where there is none (any more)."""
+        self._refresh()
+        return next((token for token in self.tokens if token.name == name), None)
+
     def _refresh(self) -> None:
         """Reads the file again if it has changed; a version that is wrong changes nothing and is said once in the log."""
         version = _version(self._path)

@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 from starlette.types import Message, Receive, Scope, Send
 
-from drivecal.api.auth import ANYBODY, Authorisation, Tokens, is_loopback_host
+from drivecal.api import sessions
+from drivecal.api.auth import ANYBODY, LIVE, Authorisation, Tokens, is_loopback_host
 from drivecal.configuration import logs
 from drivecal.configuration.tokens import TokenFile, parse
 
@@ -218,17 +219,98 @@ def test_without_tokens_a_web_page_of_another_origin_changes_nothing(origin: byt
     assert ask(None, "GET", headers=headers)[0] == 200
 
 
-def test_websockets_are_closed() -> None:
+def connects(tokens: Tokens | None, path: str, *headers: Header) -> bool:
+    """Whether a WebSocket is passed on; where it is not, it is closed."""
     sent: list[Message] = []
+    passed: list[Scope] = []
 
     async def send(message: Message) -> None:
         sent.append(message)
 
-    async def never(*_: object) -> Any:
-        raise AssertionError("nothing is passed on")
+    async def app(scope: Scope, receive: Receive, send: Send) -> None:
+        del receive, send
+        passed.append(scope)
 
-    asyncio.run(Authorisation(never, None)({"type": "websocket", "path": "/", "headers": []}, never, send))
-    assert sent == [{"type": "websocket.close", "code": 1008}]
+    async def receive() -> Message:
+        raise AssertionError("nothing is read")
+
+    scope: Scope = {"type": "websocket", "path": path, "headers": list(headers), "query_string": b""}
+    asyncio.run(Authorisation(app, tokens)(scope, receive, send))
+    assert sent == ([] if passed else [{"type": "websocket.close", "code": 1008}])
+    return bool(passed)
+
+
+OWN, FOREIGN = (b"origin", b"http://localhost:8000"), (b"origin", b"http://localhost:9000")
+
+
+def cookie(token: bytes, moment: float | None = None) -> Header:
+    """The session that `token` was given; at `moment`, in seconds since 1970, where that is not now."""
+    found = Fixed().find(token)
+    assert found is not None
+    return b"cookie", f"drivecal-session-8000={sessions.begin(found, moment)}".encode()
+
+
+@pytest.mark.parametrize(
+    ("tokens", "path", "headers", "open_"),
+    [
+        (None, LIVE, [HOST, OWN], True),
+        (None, LIVE, [HOST], True),
+        (None, LIVE, [HOST, FOREIGN], False),
+        (None, LIVE, [(b"host", b"evil.example:8000"), (b"origin", b"http://evil.example:8000")], False),
+        (None, "/", [HOST, OWN], False),
+        (Fixed(), LIVE, [HOST, OWN], False),
+        (Fixed(), LIVE, [HOST, OWN, cookie(PLANT)], True),
+        (Fixed(), LIVE, [HOST, FOREIGN, cookie(PLANT)], False),
+        (Fixed(), LIVE, [HOST, (b"authorization", b"Bearer " + PLANT)], True),
+        (Fixed(), LIVE, [HOST, OWN, cookie(PLANT), (b"authorization", b"Bearer wrong")], False),
+    ],
+)
+def test_the_live_connection_is_for_the_own_page_and_for_who_is_known(
+    tokens: Tokens | None, path: str, headers: list[Header], open_: bool
+) -> None:
+    assert connects(tokens, path, *headers) is open_
+
+
+def test_a_session_stands_for_its_token() -> None:
+    assert ask(Fixed(), headers=[HOST, cookie(PLANT)])[2].name == "plant"
+    assert ask(Fixed(), "POST", "/api/v1/campaigns/x/cancel", [HOST, OWN, cookie(ANNA)])[0] == 200
+    assert ask(Fixed(), "POST", "/api/v1/campaigns/x/cancel", [HOST, OWN, cookie(PLANT)])[0] == 403
+
+
+@pytest.mark.parametrize("origin", [[], [FOREIGN], [(b"origin", b"null")]])
+def test_a_page_of_another_origin_changes_nothing_with_a_session(origin: list[Header]) -> None:
+    """A page on another port of this machine counts as the same site: its requests carry the cookie."""
+    assert ask(Fixed(), "POST", "/api/v1/campaigns/x/cancel", [HOST, *origin, cookie(ANNA)])[0] == 403
+    assert ask(Fixed(), "DELETE", "/api/v1/session", [HOST, *origin, cookie(ANNA)])[0] == 403
+
+
+def forged(name: str, value: str) -> Header:
+    """A cookie that nobody was given."""
+    return b"cookie", f"{name}={value}".encode()
+
+
+def test_a_session_that_was_not_given_or_is_over_is_none() -> None:
+    value = cookie(ANNA)[1].decode().partition("=")[2]
+    end, signature, name = value.split("-", 2)
+    wrong = [
+        cookie(ANNA, 0.0),
+        forged("drivecal-session-9000", value),
+        forged("drivecal-session-8000", f"{int(end) + 1}-{signature}-{name}"),
+        forged("drivecal-session-8000", f"{end}-{signature}-plant"),
+        forged("drivecal-session-8000", f"{end}-{signature}-nobody"),
+        forged("drivecal-session-8000", f"{end}-{'0' * 64}-{name}"),
+        forged("drivecal-session-8000", f"{end}-{'é' * 20}-{name}"),
+        forged("drivecal-session-8000", "x" * 5_000),
+        forged("drivecal-session-8000", "--"),
+    ]
+    assert [ask(Fixed(), headers=[HOST, one])[0] for one in wrong] == [401] * len(wrong)
+    assert ask(Fixed(), headers=[HOST, forged("drivecal-session-8000", value)])[0] == 200
+
+
+def test_who_may_only_read_may_log_in_and_out() -> None:
+    shown = (b"authorization", b"Bearer " + PLANT)
+    assert ask(Fixed(), "POST", "/api/v1/session", [HOST, shown])[0] == 200
+    assert ask(Fixed(), "DELETE", "/api/v1/session", [HOST, OWN, cookie(PLANT)])[0] == 200
 
 
 def test_the_log_is_told_whose_token_it_is_and_never_the_token() -> None:

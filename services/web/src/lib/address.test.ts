@@ -1,0 +1,27 @@
+import { describe, expect, test } from "vitest";
+import { brushText, brushes, parse, write } from "./address";
+
+describe("an address", () => {
+  test("is read as it was written", () => {
+    const place = { path: ["campaigns", "a/b c", "evaluations"], query: { "b.P1": "0:2.5", outcome: "reused,failed", note: "ä & #" } };
+    expect(parse(write(place))).toEqual(place);
+  });
+
+  test("of nothing is the beginning", () => {
+    expect(parse("")).toEqual({ path: [], query: {} });
+    expect(parse("#/")).toEqual({ path: [], query: {} });
+  });
+
+  test("that somebody damaged is read as far as it goes", () => {
+    expect(parse("#/campaigns/%E0%A4%A/x")).toEqual({ path: ["campaigns", "%E0%A4%A", "x"], query: {} });
+  });
+
+  test("holds ranges, open at either end", () => {
+    expect(brushes({ "b.P1": "0:2.5", "b.P2": ":3", "b.score": "4:", "b.P3": "x:1", outcome: "1:2" })).toEqual({
+      P1: [0, 2.5],
+      P2: [-Infinity, 3],
+      score: [4, Infinity],
+    });
+    expect(brushText([0.1 + 0.2, Infinity])).toBe("0.3:");
+  });
+});

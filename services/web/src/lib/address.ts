@@ -1,0 +1,44 @@
+/** Addresses as `#/campaigns/ID/evaluations?outcome=reused&b.P1=0:2.5`. */
+
+export interface Place {
+  path: readonly string[];
+  query: Readonly<Record<string, string>>;
+}
+
+export function parse(hash: string): Place {
+  const [path = "", query = ""] = hash.replace(/^#\/?/, "").split("?", 2);
+  return {
+    path: path.split("/").filter(Boolean).map(decoded),
+    query: Object.fromEntries(new URLSearchParams(query)),
+  };
+}
+
+export function write(place: Place): string {
+  const query = new URLSearchParams(place.query).toString();
+  return `#/${place.path.map(encodeURIComponent).join("/")}${query ? `?${query}` : ""}`;
+}
+
+function decoded(part: string): string {
+  try {
+    return decodeURIComponent(part);
+  } catch {
+    return part;
+  }
+}
+
+/** The ranges in a query: `b.P1=0:2.5`. Either end may be left open. */
+export function brushes(query: Readonly<Record<string, string>>): Record<string, [number, number]> {
+  const found: Record<string, [number, number]> = {};
+  for (const [name, value] of Object.entries(query)) {
+    if (!name.startsWith("b.")) continue;
+    const [low = "", high = ""] = value.split(":", 2);
+    const range: [number, number] = [low === "" ? -Infinity : Number(low), high === "" ? Infinity : Number(high)];
+    if (!range.some(Number.isNaN)) found[name.slice(2)] = range;
+  }
+  return found;
+}
+
+export function brushText([low, high]: readonly [number, number]): string {
+  const end = (value: number): string => (Number.isFinite(value) ? String(Number(value.toPrecision(6))) : "");
+  return `${end(low)}:${end(high)}`;
+}

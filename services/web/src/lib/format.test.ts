@@ -1,0 +1,29 @@
+import { describe, expect, test } from "vitest";
+import { ago, duration, number, percent } from "./format";
+
+test("a part is never rounded to nothing, nor to the whole", () => {
+  expect(percent(0)).toBe("0.0 %");
+  expect(percent(0.00001)).toBe("< 0.1 %");
+  expect(percent(0.315)).toBe("31.5 %");
+  expect(percent(0.99999)).toBe("> 99.9 %");
+  expect(percent(1)).toBe("100.0 %");
+  expect(percent(null)).toBe("–");
+});
+
+test("numbers have the decimals that they need", () => {
+  expect([number(7), number(0.5), number(1 / 3), number(12_345), number(null), number(Number.NaN)]).toEqual(["7", "0.5", "0.333", "12,345", "–", "–"]);
+});
+
+describe("times", () => {
+  test("grow coarser as they grow longer", () => {
+    expect([3.21, 59.6, 119, 600, 7_300].map(duration)).toEqual(["3.2 s", "60 s", "119 s", "10 min", "2 h 2 min"]);
+    expect(duration(null)).toBe("–");
+  });
+
+  test("are told from now", () => {
+    const now = Date.parse("2026-01-02T12:00:00Z");
+    expect(ago("2026-01-02T11:59:40Z", now)).toBe("just now");
+    expect(ago("2026-01-02T11:10:00Z", now)).toBe("50 min ago");
+    expect(ago("2026-01-02T12:00:05Z", now)).toBe("just now");
+  });
+});

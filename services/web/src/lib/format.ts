@@ -1,0 +1,46 @@
+/** Numbers and times for people. */
+
+const grouped = new Intl.NumberFormat("en-GB", { maximumFractionDigits: 0 });
+
+export function count(value: number): string {
+  return grouped.format(value);
+}
+
+/** A number with as many decimals as it needs, at most `digits`. */
+export function number(value: number | null | undefined, digits = 3): string {
+  if (value === null || value === undefined || Number.isNaN(value)) return "–";
+  if (Number.isInteger(value)) return Math.abs(value) >= 10_000 ? grouped.format(value) : String(value);
+  return String(Number(value.toFixed(digits)));
+}
+
+/** A share as a percentage that never rounds something to nothing, or a part to all. */
+export function percent(share: number | null | undefined, digits = 1): string {
+  if (share === null || share === undefined || Number.isNaN(share)) return "–";
+  const least = 10 ** -(digits + 2);
+  if (share > 0 && share < least) return `< ${(least * 100).toFixed(digits)} %`;
+  if (share < 1 && share > 1 - least) return `> ${((1 - least) * 100).toFixed(digits)} %`;
+  return `${(share * 100).toFixed(digits)} %`;
+}
+
+export function duration(seconds: number | null | undefined): string {
+  if (seconds === null || seconds === undefined || !Number.isFinite(seconds)) return "–";
+  if (seconds < 10) return `${Math.max(0, seconds).toFixed(1)} s`;
+  const whole = Math.round(seconds);
+  if (whole < 120) return `${whole} s`;
+  const minutes = Math.round(seconds / 60);
+  if (minutes < 120) return `${minutes} min`;
+  return `${Math.floor(minutes / 60)} h ${minutes % 60} min`;
+}
+
+export function ago(moment: string | null, now: number): string {
+  if (moment === null) return "–";
+  const seconds = Math.max(0, (now - Date.parse(moment)) / 1000);
+  if (seconds < 60) return "just now";
+  if (seconds < 3600) return `${Math.floor(seconds / 60)} min ago`;
+  if (seconds < 86_400) return `${Math.floor(seconds / 3600)} h ago`;
+  return new Date(moment).toLocaleDateString("en-GB", { day: "numeric", month: "short", year: "numeric" });
+}
+
+export function clock(moment: string): string {
+  return new Date(moment).toLocaleTimeString("en-GB");
+}

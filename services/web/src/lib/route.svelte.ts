@@ -1,0 +1,38 @@
+/** The address: everything that one can come back to, or send to somebody, stands behind the `#`. */
+
+import { parse, write, type Place } from "./address";
+
+function read(): Place {
+  return parse(location.hash);
+}
+
+let place = $state.raw<Place>(read());
+window.addEventListener("hashchange", () => (place = read()));
+
+export const route = {
+  get path(): readonly string[] {
+    return place.path;
+  },
+  get query(): Readonly<Record<string, string>> {
+    return place.query;
+  },
+};
+
+export function go(path: readonly string[], query: Record<string, string> = {}): void {
+  location.hash = write({ path, query });
+}
+
+/** Changes parts of the query in place; null takes one out. Going back leads to the view before, not to every step of a slider. */
+export function amend(changes: Record<string, string | null>): void {
+  const query = { ...place.query };
+  for (const [name, value] of Object.entries(changes)) {
+    if (value === null || value === "") delete query[name];
+    else query[name] = value;
+  }
+  place = { path: place.path, query };
+  history.replaceState(null, "", write(place));
+}
+
+export function link(path: readonly string[], query: Record<string, string> = {}): string {
+  return write({ path, query });
+}

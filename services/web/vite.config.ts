@@ -1,0 +1,18 @@
+import { svelte } from "@sveltejs/vite-plugin-svelte";
+import { defineConfig } from "vite";
+import { licences } from "./licences.ts";
+
+// `/` shows the page, everything that belongs to it lies below `/page/`; the API is beside them.
+export default defineConfig({
+  base: "/page/",
+  plugins: [svelte(), licences()],
+  build: {
+    target: "es2022",
+    emptyOutDir: true,
+    // Nothing inline: the content security policy forbids it. No polyfill for preloading, which would be.
+    assetsInlineLimit: 0,
+    modulePreload: { polyfill: false },
+    chunkSizeWarningLimit: 900,
+    reportCompressedSize: false,
+  },
+});

@@ -1,0 +1,164 @@
+"""The page's server side: its files, its session and its live connection over real HTTP."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+from tests.support.computed import ComputedBackend
+from tests.support.runs import run, submit
+from tests.support.server import RunningApi, serving
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import ClientConnection, connect
+
+from drivecal.api.routes import page
+
+WRITE, READ = "writer-0123456789abcdef", "reader-0123456789abcdef"
+SMALL: dict[str, Any] = {"optimizer": {"kind": "genetic", "population": 6, "iterations": 2, "seed": 3}}
+
+
+@pytest.fixture(scope="module")
+def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
+    with serving(f"sqlite:///{tmp_path_factory.mktemp('page') / 'drivecal.db'}") as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def guarded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
+    folder = tmp_path_factory.mktemp("guarded")
+    (folder / "tokens").write_text(f"writer write {WRITE}\nreader read {READ}\n")
+    with serving(f"sqlite:///{folder / 'drivecal.db'}", tokens_file=str(folder / "tokens")) as running:
+        yield running
+
+
+@pytest.fixture
+def built(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A page of two files."""
+    (tmp_path / "assets").mkdir()
+    (tmp_path / "index.html").write_text("<!doctype html><title>it</title>")
+    (tmp_path / "assets" / "it-1.js").write_text("// " + "much " * 200)
+    (tmp_path / "sources.sha256").write_text("of no use to anybody")
+    monkeypatch.setattr(page, "FILES", tmp_path)
+    return tmp_path
+
+
+def test_the_page_is_served_under_a_policy_without_inline_scripts(api: RunningApi, built: Path) -> None:
+    del built
+    answer = api.http.get("/")
+    assert answer.text.endswith("<title>it</title>")
+    policy = dict(part.split(" ", 1) for part in answer.headers["content-security-policy"].split("; "))
+    assert policy["default-src"] == "'none'"
+    assert policy["script-src"] == policy["style-src"] == policy["connect-src"] == "'self'"
+    assert policy["frame-ancestors"] == policy["base-uri"] == "'none'"
+    assert answer.headers["x-content-type-options"] == "nosniff"
+    again = api.http.get("/", headers={"If-None-Match": answer.headers["etag"]})
+    assert (again.status_code, again.content) == (304, b"")
+
+
+def test_files_of_the_page_are_kept_by_browsers_and_sent_compressed(api: RunningApi, built: Path) -> None:
+    answer = api.http.get("/page/assets/it-1.js")
+    assert answer.headers["content-encoding"] == "gzip"
+    assert answer.text == (built / "assets" / "it-1.js").read_text()
+    assert "immutable" in answer.headers["cache-control"]
+    assert answer.headers["content-type"].startswith("text/javascript")
+    plain = api.http.get("/page/assets/it-1.js", headers={"Accept-Encoding": "identity"})
+    assert "content-encoding" not in plain.headers
+    assert plain.content == answer.content
+
+
+@pytest.mark.parametrize(
+    "name", ["sources.sha256", "nothing.js", "../app.py", "%2e%2e/app.py", "assets/../../app.py", "assets"]
+)
+def test_nothing_but_the_page_is_served_as_the_page(api: RunningApi, built: Path, name: str) -> None:
+    del built
+    answer = api.http.get("/page/" + name)
+    assert answer.status_code == 404
+    assert answer.headers["content-type"] == "application/problem+json"
+
+
+def test_where_the_page_was_not_built_it_says_why(api: RunningApi, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(page, "FILES", tmp_path)
+    assert "not built" in api.http.get("/").text
+    (tmp_path / "missing.txt").write_text("there is no node <here>\n")
+    answer = api.http.get("/")
+    assert (answer.status_code, answer.headers["content-type"]) == (200, "text/html; charset=utf-8")
+    assert "there is no node &lt;here&gt;" in answer.text
+
+
+def test_a_token_is_shown_once_and_a_cookie_stands_for_it(guarded: RunningApi) -> None:
+    own = {"Origin": guarded.url}
+    with httpx.Client(base_url=guarded.url) as browser:
+        assert browser.get("/api/v1/session").status_code == 401
+        begun = browser.post("/api/v1/session", headers=own | {"Authorization": f"Bearer {READ}"})
+        assert begun.json() == {"name": "reader", "may_write": False}
+        cookie = begun.headers["set-cookie"]
+        assert READ not in cookie
+        assert {"HttpOnly", "SameSite=strict", "Path=/"} <= set(cookie.split("; "))
+        assert browser.get("/api/v1/session").json() == begun.json()
+        assert browser.get("/api/v1/campaigns").status_code == 200
+        assert browser.post("/api/v1/campaigns", json={}, headers=own).status_code == 403
+        assert browser.delete("/api/v1/session", headers=own).status_code == 204
+        assert browser.get("/api/v1/session").status_code == 401
+
+
+def test_without_tokens_there_is_no_session_to_begin(api: RunningApi) -> None:
+    answer = api.http.post("/api/v1/session")
+    assert (answer.json(), "set-cookie" in answer.headers) == ({"name": None, "may_write": True}, False)
+
+
+def line(api: RunningApi, **headers: str) -> ClientConnection:
+    return connect(api.url.replace("http", "ws") + "/api/v1/live", additional_headers=headers, open_timeout=20)
+
+
+def told(socket: ClientConnection) -> list[dict[str, Any]]:
+    """Everything up to the end of a campaign."""
+    messages: list[dict[str, Any]] = []
+    while not messages or "ended" not in messages[-1]:
+        messages.append(json.loads(socket.recv(timeout=20)))
+    return messages
+
+
+def test_a_page_is_told_of_a_campaign_what_its_event_stream_tells(api: RunningApi) -> None:
+    campaign = run(api.database, submit(api.database, **SMALL), ComputedBackend())
+    with line(api) as socket:
+        socket.send(json.dumps({"follow": campaign.id}))
+        messages = told(socket)
+        events = [one["event"] for one in messages if "event" in one]
+        assert {one["campaign"] for one in messages} == {campaign.id}
+        assert [one["kind"] for one in events][:: len(events) - 1] == ["queued", "succeeded"]
+        assert [one["progress"]["state"] for one in messages if "progress" in one] == ["succeeded"]
+        socket.send(json.dumps({"follow": campaign.id, "after": events[-2]["id"]}))
+        assert [one["event"]["id"] for one in told(socket) if "event" in one] == [events[-1]["id"]]
+    streamed = api.http.get(f"/api/v1/campaigns/{campaign.id}/events").text
+    assert [f"id: {one['id']}" for one in events] == [row for row in streamed.splitlines() if row.startswith("id: ")]
+
+
+def test_a_campaign_that_is_not_there_is_said_and_costs_no_connection(api: RunningApi) -> None:
+    with line(api) as socket:
+        socket.send(json.dumps({"follow": "nothing"}))
+        assert "nothing" in json.loads(socket.recv(timeout=20))["error"]
+        for number in range(21):
+            socket.send(json.dumps({"follow": f"nothing-{number}"}))
+            assert json.loads(socket.recv(timeout=20))["campaign"] == f"nothing-{number}"
+
+
+@pytest.mark.parametrize(
+    "message", ["", "[]", '{"follow": 1}', '{"shout": "x"}', '{"follow": "' + "x" * 2_000 + '"}', "x" * 10_000]
+)
+def test_what_cannot_be_understood_ends_the_connection(api: RunningApi, message: str) -> None:
+    with line(api) as socket:
+        socket.send(message)
+        with pytest.raises(ConnectionClosed):
+            socket.recv(timeout=20)
+    assert api.http.get("/healthz").status_code == 200
+
+
+def test_a_page_of_another_origin_and_one_without_a_session_are_told_nothing(api: RunningApi, guarded: RunningApi) -> None:
+    for server, headers in ((api, {"Origin": "http://evil.example"}), (guarded, {"Origin": guarded.url})):
+        with pytest.raises(InvalidStatus) as refused:
+            line(server, **headers)
+        assert refused.value.response.status_code == 403

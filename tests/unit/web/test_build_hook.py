@@ -1,0 +1,96 @@
+"""The hook that builds the page when drivecal is installed: what it does where it cannot."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+from tests.support.tree import PROJECT
+
+SOURCE = PROJECT / "services" / "web" / "build_hook.py"
+
+
+@pytest.fixture
+def hook(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """The hook for a page that is not this one."""
+    spec = importlib.util.spec_from_file_location("build_hook", SOURCE)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    web, target = tmp_path / "web", tmp_path / "static"
+    (web / "src").mkdir(parents=True)
+    (web / "src" / "main.ts").write_text("export {};")
+    (web / "package-lock.json").write_text("{}")
+    monkeypatch.setattr(module, "WEB", web)
+    monkeypatch.setattr(module, "TARGET", target)
+    return module
+
+
+def stand_in(hook: ModuleType, monkeypatch: pytest.MonkeyPatch, folder: Path, script: str) -> None:
+    """A node that is a shell script."""
+    node = folder / "node"
+    node.write_text(f"#!/bin/sh\n{script}\n")
+    node.chmod(0o755)
+    monkeypatch.setattr(hook, "_node", lambda: (str(node), [str(node)]))
+
+
+def test_without_node_it_says_so_and_installs_the_rest(
+    hook: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    reason = hook.build()
+    assert "no node" in reason
+    assert (hook.TARGET / "missing.txt").read_text() == reason + "\n"
+    assert [path.name for path in hook.TARGET.iterdir()] == ["missing.txt"]
+
+
+def test_an_old_node_is_not_tried(hook: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("node", "npm"):
+        (tmp_path / name).write_text("#!/bin/sh\necho v18.4.0\n")
+        (tmp_path / name).chmod(0o755)
+    monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
+    monkeypatch.setenv("PATH", f"{tmp_path}:/bin:/usr/bin")
+    with pytest.raises(hook.PageError, match=r"node is v18\.4\.0, and at least 20\.19 is needed"):
+        hook._node()
+
+
+def test_libraries_that_cannot_be_fetched_are_the_reason(
+    hook: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stand_in(hook, monkeypatch, tmp_path, "echo 'npm error network no such host' >&2; exit 1")
+    assert hook.build() == "the libraries that it is made of could not be fetched: npm error network no such host"
+
+
+def test_a_build_that_hangs_is_given_up(hook: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(hook, "SECONDS_TO_FETCH", 0.2)
+    stand_in(hook, monkeypatch, tmp_path, "exec sleep 30")
+    assert "longer than 0.2 s" in hook.build()
+
+
+def test_a_page_is_built_once_and_again_when_its_sources_change(
+    hook: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runs = tmp_path / "runs"
+    stand_in(hook, monkeypatch, tmp_path, f'echo "$1" >> {runs}; echo page > {hook.TARGET}/index.html')
+    assert hook.build() is None
+    assert runs.read_text().split() == ["ci", "node_modules/vite/bin/vite.js"]
+    assert hook.build() is None
+    assert len(runs.read_text().split()) == 2
+    (hook.WEB / "src" / "main.ts").write_text("export const other = 1;")
+    assert hook.build() is None
+    assert len(runs.read_text().split()) == 4
+
+
+def test_a_page_that_fails_leaves_nothing_of_the_one_before(
+    hook: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stand_in(hook, monkeypatch, tmp_path, f"echo page > {hook.TARGET}/index.html")
+    hook.build()
+    (hook.WEB / "src" / "main.ts").write_text("export const other = ;")
+    stand_in(hook, monkeypatch, tmp_path, "echo 'syntax error'; exit 1")
+    assert "syntax error" in hook.build()
+    assert [path.name for path in hook.TARGET.iterdir()] == ["missing.txt"]
