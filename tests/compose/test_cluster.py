@@ -29,7 +29,7 @@ CAMPAIGN: dict[str, Any] = {
 KILL = """
 import os, pathlib, signal
 for process in pathlib.Path("/proc").glob("[0-9]*"):
-    if b"ray::Worker" in (process / "cmdline").read_bytes():
+    if (process / "cmdline").read_bytes().startswith(b"ray::"):
         os.kill(int(process.name), signal.SIGKILL)
 """
 """Kills the simulating process of a node; the image has no tool for that."""
