@@ -75,32 +75,41 @@ def contenders(features: Any, lowest: Any, highest: Any, infeasible: Any, chosen
     `infeasible` costs less by more than `margin`, whatever the weights: rounding errors must be smaller than that. `chosen` always stays.
     """
     n, n_terms = features.shape
-    middle = np.zeros(n)
+    columns, rank, number = np.empty((n_terms, n)), np.zeros(n), np.arange(n)
+    for term in range(n_terms):
+        middle = 0.5 * (lowest[term] + highest[term])
+        for candidate in range(n):
+            columns[term, candidate] = features[candidate, term]
+            rank[candidate] += middle * features[candidate, term]
     for candidate in range(n):
-        for term in range(n_terms):
-            middle[candidate] += 0.5 * (lowest[term] + highest[term]) * features[candidate, term]
-    order = np.argsort(middle)
-    leading = np.empty(leaders, dtype=np.int64)
-    leading[0] = chosen
-    found = 0 if infeasible[chosen] else 1
-    stays = np.zeros(n, dtype=np.bool_)
-    stays[chosen] = True
-    for candidate in order:
-        beaten = False
-        for place in range(found):
-            gap = 0.0
-            for term in range(n_terms):
-                difference = features[candidate, term] - features[leading[place], term]
-                gap += difference * (lowest[term] if difference > 0.0 else highest[term])
-            if gap > margin:
-                beaten = True
+        if infeasible[candidate]:
+            rank[candidate] = np.inf
+    gap = np.empty(n)
+    left = n
+    leader = chosen
+    for _ in range(leaders):
+        if rank[leader] == np.inf:
+            leader = int(np.argmin(rank[:left]))
+            if rank[leader] == np.inf:
                 break
-        if not beaten and candidate != chosen:
-            stays[candidate] = True
-            if found < leaders and not infeasible[candidate]:
-                leading[found] = candidate
-                found += 1
-    return np.flatnonzero(stays)
+        rank[leader] = np.inf
+        gap[:left] = 0.0
+        for term in range(n_terms):
+            base, low, high = columns[term, leader], lowest[term], highest[term]
+            for place in range(left):
+                difference = columns[term, place] - base
+                gap[place] += difference * (low if difference > 0.0 else high)
+        stay = 0
+        for place in range(left):
+            if gap[place] <= margin or number[place] == chosen:
+                if stay < place:
+                    number[stay], rank[stay] = number[place], rank[place]
+                    for term in range(n_terms):
+                        columns[term, stay] = columns[term, place]
+                stay += 1
+        left = stay
+        leader = int(np.argmin(rank[:left]))
+    return number[:left]
 
 
 @compiled

@@ -26,11 +26,16 @@ TERM = np.array([0, 1, 3, 5, 6, 9, 0, 1, 0, 2, 4, 7, 8, 10, 11])
 @compiled
 def digest_of(lateral: Any, longitudinal: Any, combined: Any, feature_grid: float) -> int:
     """64 bits of all features: they decide, with the weights, what is planned."""
-    state = np.uint64(14695981039346656037)
+    lanes = np.full(8, np.uint64(14695981039346656037))
     for features in (lateral.ravel(), longitudinal.ravel(), combined.ravel()):
-        for value in features:
-            state = (state ^ np.uint64(np.int64(value * feature_grid))) * np.uint64(1099511628211)
-            state ^= state >> np.uint64(29)
+        for index in range(len(features)):  # side by side, so that one value does not have to wait for the one before
+            lane = index & 7
+            state = (lanes[lane] ^ np.uint64(np.int64(features[index] * feature_grid))) * np.uint64(1099511628211)
+            lanes[lane] = state ^ (state >> np.uint64(29))
+    state = np.uint64(14695981039346656037)
+    for lane in range(8):
+        state = (state ^ lanes[lane]) * np.uint64(1099511628211)
+        state ^= state >> np.uint64(29)
     return int(state >> np.uint64(1))
 
 
