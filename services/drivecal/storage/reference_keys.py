@@ -17,6 +17,7 @@ for everybody.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -141,14 +142,15 @@ def _rated(
         select(runs.c.id, *_COPIED, *_ORIGIN, parameter_sets_table.c.parameter_values)
         .join(parameter_sets_table)
         .join(ratings, (ratings.c.run_id == runs.c.id) & (ratings.c.evaluator == evaluator))
-        .where(runs.c.setup_id == setup_id)
         .limit(chunk)
     )
     if every != 1:
         query = query.where(runs.c.id % every == 0)
-    first = query.where(ratings.c.since == 0, runs.c.id > after, runs.c.id <= upto).order_by(runs.c.id)
-    late = query.where(ratings.c.since > 0, ratings.c.since > after, ratings.c.since <= upto).order_by(ratings.c.since)
-    return sorted([*connection.execute(first), *connection.execute(late)], key=_number)[:chunk]
+    first = query.where(runs.c.setup_id == setup_id, ratings.c.since == 0, runs.c.id > after, runs.c.id <= upto)
+    # "+ 0", or SQLite would go through all runs of the setup in search of the few late ratings, which have an index of their own
+    late = query.where(runs.c.setup_id + 0 == setup_id, ratings.c.since > 0, ratings.c.since > after, ratings.c.since <= upto)
+    both = connection.execute(first.order_by(runs.c.id)), connection.execute(late.order_by(ratings.c.since))
+    return sorted(chain(*both), key=_number)[:chunk]
 
 
 def _number(row: Row[Any]) -> int:

@@ -39,6 +39,7 @@ from drivecal.storage.evaluations import Answer, NewEvaluation
 from drivecal.storage.membership import LARGEST_IN
 from drivecal.storage.statistics import Tally
 from drivecal.storage.types import now
+from drivecal.storage.visible import Integers
 
 ROWS = 4_000
 SMALL = {"reference_indexes", "leases", "processes"}
@@ -65,11 +66,13 @@ def filled(database: Database) -> Database:
                 connection,
                 [Answer(n, Outcome.SIMULATED, 5, 5.25, run.id) for n, run in zip(ids, stored, strict=True) if n % 100],
             )
-    reference_keys.sync(
-        database, 1, setup, EVALUATOR, 10**9, lambda _, values: [KEYS[int(row[0]) // 10_000_000] for row in values]
-    )
+    reference_keys.sync(database, 1, setup, EVALUATOR, 10**9, key_of)
     gather_statistics(database)
     return database
+
+
+def key_of(_: tuple[str, ...], values: Integers) -> list[bytes]:
+    return [KEYS[int(row[0]) // 10_000_000] for row in values]
 
 
 def gather_statistics(database: Database) -> None:
@@ -167,6 +170,13 @@ def test_look_ups_use_their_indexes(filled: Database, subtests: pytest.Subtests)
         with subtests.test("the check for scans finds one"):
             query = text("SELECT count(*) FROM runs WHERE milliseconds > 1")
             assert scanned(plans(connection, lambda one: one.execute(query).all())) == {"runs"}
+
+
+def test_late_ratings_are_not_searched_for_among_all_runs(filled: Database) -> None:
+    with filled.read() as connection:
+        [index] = reference_keys.indexes(connection)
+        plan = plans(connection, lambda one: reference_keys.wrong_keys(one, index, key_of, 1))
+    assert "ix_ratings_since" in plan, plan
 
 
 def test_the_self_check_reads_the_campaigns_own_cells_only(filled: Database, subtests: pytest.Subtests) -> None:
