@@ -56,6 +56,16 @@ def test_audits_are_settled_by_comparing_the_score_with_the_donors(database: Dat
     assert agrees == {equal: True, other: False, later: None, waiting: None}
 
 
+def test_what_certificates_say_of_reused_cells_is_counted_and_noted_once(database: Database) -> None:
+    with database.transaction() as connection:
+        sequence, (equal, other, later, _) = audited(connection)
+        (left,) = evaluations.reused(connection, sequence, Stage.CALIBRATION, 2)
+        assert evaluations.reused(connection, sequence, Stage.CALIBRATION, 1) == []
+        evaluations.note_proofs(connection, {left[0]: later, equal: other})
+        assert evaluations.reused(connection, sequence, Stage.CALIBRATION, 2) == []
+        assert audits.proofs(connection, sequence, EVALUATOR) == [AuditCount("S1", audited=1, different=1, wrong=1)]
+
+
 def test_a_donor_counts_as_the_campaigns_own_evaluator_rates_it(database: Database) -> None:
     """The evaluation that made a run may have been rated by another evaluator: its score is not the one to compare with."""
     with database.transaction() as connection:
