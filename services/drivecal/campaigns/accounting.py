@@ -86,6 +86,7 @@ def sensitivity_cost(costs: Iterable[CellCosts]) -> SensitivityCost:
     return SensitivityCost(
         requested=sum(cells.values()),
         repeated=cells[Outcome.REPEATED],
+        certified=cells[Outcome.CERTIFIED],
         simulated=cells[Outcome.SIMULATED],
         failed=cells[Outcome.FAILED],
         seconds=sum(one.seconds for one in stage),

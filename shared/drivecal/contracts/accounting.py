@@ -10,6 +10,7 @@ class SensitivityCost(Answer):
 
     requested: int = 0
     repeated: int = 0
+    certified: int = 0
     simulated: int = 0
     failed: int = 0
     seconds: float = 0.0

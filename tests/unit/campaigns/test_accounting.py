@@ -10,6 +10,7 @@ from drivecal.campaigns.accounting import MapOrigin, account, break_even
 from drivecal.contracts.accounting import BreakEven
 from drivecal.domain.campaigns import Stage
 from drivecal.domain.evaluations import Outcome
+from drivecal.storage.audits import AuditCount
 from drivecal.storage.costs import CellCosts
 
 
@@ -49,7 +50,14 @@ CALIBRATION = [
 
 def test_the_account_of_a_campaign_with_its_own_map() -> None:
     found = account("c", "succeeded", ["S1", "S2"], ANALYSIS + CALIBRATION, MapOrigin("m", "c", ANALYSIS + CALIBRATION))
-    assert found.sensitivity.model_dump() == {"requested": 622, "repeated": 20, "simulated": 600, "failed": 2, "seconds": 10.0}
+    assert found.sensitivity.model_dump() == {
+        "requested": 622,
+        "repeated": 20,
+        "certified": 0,
+        "simulated": 600,
+        "failed": 2,
+        "seconds": 10.0,
+    }
     first, second = found.scenarios
     assert (first.requested, first.simulated, first.audited) == (500, 100, 10)
     assert first.mean_seconds == pytest.approx(0.01)
@@ -70,6 +78,12 @@ def test_the_account_of_a_campaign_with_its_own_map() -> None:
     assert found.break_even == BreakEven(requested_cells=2223, campaigns=3, reruns=2)
     assert "44.5 % of 1,000" in found.sentence.replace("%", " %")
     assert "net loss of 5.1 s" in found.sentence
+
+
+def test_what_certificates_say_of_reused_cells_stands_in_the_account_of_its_scenario() -> None:
+    found = account("c", "running", ["S1", "S2"], CALIBRATION, None, [AuditCount("S2", 9, 3, 1)])
+    counts = [(one.proved, one.proved_different, one.proved_wrong) for one in found.scenarios]
+    assert counts == [(0, 0, 0), (9, 3, 1)]
 
 
 def test_a_rerun_pays_nothing_for_the_map_and_counts_what_answered_it() -> None:

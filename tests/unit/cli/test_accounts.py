@@ -44,6 +44,14 @@ def test_the_balance_says_what_was_saved_what_it_cost_and_what_is_left(capsys: p
     assert printed.endswith("from 23 such campaigns on\nIt lost 8.4 s.\n")
 
 
+def test_what_certificates_say_of_references_is_told_by_scenario(capsys: pytest.CaptureFixture[str]) -> None:
+    first, *others = ACCOUNT.scenarios
+    proved = first.model_copy(update={"proved": 1200, "proved_different": 30, "proved_wrong": 2})
+    print_accounting(ACCOUNT.model_copy(update={"scenarios": [proved, *others]}))
+    expected = f"of 1,200 reused cells what a simulation would have given; another score: {first.scenario} 30 of 1,200, 2 of them wrong"
+    assert expected in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("made_by", "runs", "expected"),
     [
