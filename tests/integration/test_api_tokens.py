@@ -113,6 +113,9 @@ def test_a_token_that_may_write_submits_and_one_that_may_read_checks_and_reads(a
     assert api.http.post(f"{location}/cancel", headers=bearer(READ)).status_code == 403
     assert api.http.get(location, headers=bearer(WRITE)).json()["state"] == "queued"
     assert api.http.post("/api/v1/campaigns?validate_only=true", json=SMALL, headers=bearer(READ)).status_code == 200
+    compared = {"optimizers": [{"kind": "genetic"}], "populations": [10], "seeds": [1, 2, 3]}
+    assert api.http.post("/api/v1/comparisons?validate_only=true", json=compared, headers=bearer(READ)).status_code == 200
+    assert api.http.post("/api/v1/comparisons", json=compared, headers=bearer(READ)).status_code == 403
 
 
 def test_the_document_says_that_a_token_is_asked_for(api: RunningApi) -> None:

@@ -148,6 +148,20 @@ def test_what_cannot_be_driven_again_says_why(api: RunningApi, monkeypatch: pyte
     assert "driven with another driving_function_version than is installed now" in answer.json()["detail"]
 
 
+def test_who_may_only_read_sees_traces_and_has_none_driven(tmp_path: Path) -> None:
+    (tmp_path / "tokens").write_text("writer write writer-0123456789abcdef\nreader read reader-0123456789abcdef\n")
+    with serving(f"sqlite:///{tmp_path / 'drivecal.db'}", tokens_file=str(tmp_path / "tokens")) as api:
+        api.http.headers["Authorization"] = "Bearer writer-0123456789abcdef"
+        number = evaluated(api)["items"][0]["id"]
+        reader = {"Authorization": "Bearer reader-0123456789abcdef"}
+        refused = ask(api, number, **reader)
+        assert (refused.status_code, "the token of reader may only read" in refused.json()["detail"]) == (403, True)
+        assert work(api).sent == []
+        assert [ask(api, number, **headers).status_code for headers in ({}, reader)] == [202, 202]
+        work(api)
+        assert ask(api, number, **reader).status_code == 200
+
+
 def test_traces_are_forgotten_after_a_while_and_made_anew(api: RunningApi) -> None:
     numbers = [evaluated(api, P9=value)["items"][0]["id"] for value in (1, 2, 3)]
     for number in numbers:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
+from starlette.exceptions import HTTPException
 from starlette.requests import HTTPConnection, Request
 from starlette.types import ASGIApp, Receive, Scope, Send
 
@@ -28,6 +29,8 @@ PAGE = "/page/"
 LIVE = f"{ROOT}/live"
 """The only WebSocket."""
 READING = {"GET", "HEAD", "OPTIONS"}
+CHECKED = {f"{ROOT}/campaigns", f"{ROOT}/comparisons"}
+"""Where `validate_only=true` stores nothing."""
 ANYBODY = Token("anybody", may_write=True, digest=b"")
 """Who asks where no tokens are asked for."""
 CHALLENGE = 'Bearer realm="drivecal"'
@@ -100,9 +103,7 @@ class Authorisation:
         if not given and not sessions.same_origin(request.headers):
             return 403, "with a session this server takes changes from its own page only; send Authorization: Bearer TOKEN", {}
         if not token.may_write and request.scope["path"] != sessions.PATH:
-            insufficient = CHALLENGE + ', error="insufficient_scope"'
-            detail = f"the token of {token.name} may only read; changing something needs one that may write"
-            return 403, detail, {"WWW-Authenticate": insufficient}
+            return _insufficient(token)
         return None
 
     def _admit_by_origin(self, request: Request) -> tuple[int, str, dict[str, str]] | None:
@@ -114,6 +115,20 @@ class Authorisation:
         if request.method not in READING and origins and origins not in ([f"http://{hosts[0]}"], [f"https://{hosts[0]}"]):
             return 403, "without tokens this server takes no changes from web pages of other origins", {}
         return None
+
+
+def refuse_reader(request: Request) -> None:
+    """Raises HTTPException (403) where the token may only read: for what is asked for by GET and changes something all the same."""
+    token: Token = request.state.token
+    if not token.may_write:
+        status, detail, headers = _insufficient(token)
+        raise HTTPException(status, detail, headers)
+
+
+def _insufficient(token: Token) -> tuple[int, str, dict[str, str]]:
+    insufficient = CHALLENGE + ', error="insufficient_scope"'
+    detail = f"the token of {token.name} may only read; changing something needs one that may write"
+    return 403, detail, {"WWW-Authenticate": insufficient}
 
 
 def _holder(connection: HTTPConnection, tokens: Tokens) -> Token | None:
@@ -139,10 +154,8 @@ def _bearer(header: str) -> bytes | None:
 
 def _only_checks(request: Request) -> bool:
     """A post that stores nothing. Compared to the letter, so that nobody reads the query in another way than the route does."""
-    return request.method == "POST" and (request.scope["path"], request.scope["query_string"]) == (
-        f"{ROOT}/campaigns",
-        b"validate_only=true",
-    )
+    checked = request.scope["path"] in CHECKED and request.scope["query_string"] == b"validate_only=true"
+    return request.method == "POST" and checked
 
 
 def is_loopback_host(host: str) -> bool:

@@ -6,8 +6,9 @@ import gzip
 from hashlib import sha256
 from typing import Annotated
 
-from fastapi import APIRouter, Header, Response
+from fastapi import APIRouter, Header, Request, Response
 
+from drivecal.api.auth import refuse_reader
 from drivecal.api.bodies import StrictRoute
 from drivecal.api.dependencies import DatabaseDependency, LimitsDependency
 from drivecal.api.routes.evaluations import number_of
@@ -29,18 +30,21 @@ ANSWERS: dict[int | str, dict[str, object]] = {
 @router.get("/{evaluation_id}/trace", response_model=None, responses=ANSWERS)
 def read_trace(
     evaluation_id: str,
+    request: Request,
     database: DatabaseDependency,
     limits: LimitsDependency,
     if_none_match: Annotated[str | None, Header()] = None,
     accept_encoding: Annotated[str, Header()] = "",
 ) -> Response:
     """The time series of an evaluation, by its number in a campaign's table or by the id of a single evaluation in one scenario. The first
-    to ask has it driven once more (202); it is kept for a day after that."""
+    to ask has it driven once more (202), which takes a token that may write; it is kept for a day after that."""
     with database.read() as connection:
         number = results.by_id(connection, number_of(connection, evaluation_id)).id
         found = traces.find(connection, number)
     if found is not None and found.content is not None:
         return _answer(found.content, if_none_match, accept_encoding)
+    if found is None:
+        refuse_reader(request)
     with database.transaction() as connection:
         if found is None:
             admission.admit(connection, limits.queued_campaigns, None)
