@@ -76,12 +76,18 @@ class Cluster:
             environment=named,
         )
 
-    def up(self, *words: str) -> None:
-        """Starts what does not run, and waits until all of it works. AssertionError with the logs where it does not."""
-        try:
-            self.compose("up", "-d", "--wait", *words)
-        except AssertionError as error:
-            raise AssertionError(f"{error}\n{self.compose('logs', '--tail', '30', check=False)[-8000:]}") from None
+    def up(self, *words: str, attempts: int = 3) -> None:
+        """Starts what does not run, and waits until all of it works; on a machine that has other things to do a container may be late.
+        AssertionError with the logs where it does not work at last."""
+        for attempt in range(1, attempts + 1):
+            try:
+                self.compose("up", "-d", "--wait", *words)
+            except AssertionError as error:
+                if attempt == attempts or "unhealthy" not in str(error):
+                    raise AssertionError(f"{error}\n{self.compose('logs', '--tail', '30', check=False)[-8000:]}") from None
+                print(f"after attempt {attempt}: {str(error).splitlines()[-1]}", flush=True)
+            else:
+                return
 
     def containers(self, service: str) -> list[str]:
         """The ids of a service's containers that run."""

@@ -85,8 +85,9 @@ def wait_for_head(address: str, nodes_of: Callable[[str], Sequence[Node]], pause
 
 
 def head_command(port: int, environment: Mapping[str, str]) -> list[str]:
-    """`ray start` of a head that runs no workers, with no dashboard: that is where Ray's job API would be."""
-    return ["ray", "start", "--head", f"--port={port}", "--num-cpus=0", "--include-dashboard=false", *_common(environment)]
+    """`ray start` of a head that runs no workers and starts no machines, with no dashboard: that is where Ray's job API would be."""
+    own = [f"--port={port}", "--num-cpus=0", "--include-dashboard=false", "--no-monitor"]
+    return ["ray", "start", "--head", *own, *_common(environment)]
 
 
 def worker_command(address: str, cpus: int | None, port: int, environment: Mapping[str, str]) -> list[str]:
@@ -102,6 +103,7 @@ def _common(environment: Mapping[str, str]) -> list[str]:
         f"--labels={VERSION_LABEL}={version('drivecal')}",
         f"--object-store-memory={OBJECT_STORE_BYTES}",
         "--num-gpus=0",
+        "--include-log-monitor=false",  # what workers write goes nowhere else; it would be a process of 80 MB
         "--disable-usage-stats",
         "--block",
     ]
