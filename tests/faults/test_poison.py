@@ -106,7 +106,7 @@ def test_poison_in_a_campaign_is_failed_with_its_cause_and_nothing_else_is(tmp_p
         assert rows is not None
         with server.database.read() as connection:
             attempts = {row.id: row.attempts for row in connection.execute(select(evaluations.c.id, evaluations.c.attempts))}
-            details = dict(connection.execute(select(evaluations.c.id, evaluations.c.detail)).tuples().all())
+            details = {row.id: row.detail for row in connection.execute(select(evaluations.c.id, evaluations.c.detail))}
         server.terminate()
     assert (campaign.json()["state"], campaign.json()["cells"]["failed"]) == ("succeeded", len(CAUSES))
     found = {int(row["dose"]): row for row in rows.json()["items"]}

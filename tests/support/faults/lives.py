@@ -238,14 +238,20 @@ def live(coordinator: Coordinator, plan: Sequence[tuple[Moment, Fault]], expecte
 
 def wait_until_ended(coordinator: Coordinator, accepted: Accepted, seconds: float = PATIENCE_SECONDS) -> None:
     """Waits for the end of everything that was accepted."""
-    left = [*accepted.campaigns.values(), *(answers[0] for answers in accepted.evaluations.values())]
-    patience = Patience(seconds, coordinator.family)
-    while left:
-        with suppress(DrivecalError), coordinator.database.read() as connection:
-            left = [one for one in left if not campaigns.get(connection, one).state.ended]
-        assert not patience.over, f"{len(left)} of them do not end within {patience.told()}:\n{coordinator.told()}"
+
+    def all_ended() -> bool:
         assert coordinator.running, f"the server ended by itself:\n{coordinator.told()}"
-        time.sleep(0.1)
+        return has_ended(coordinator, accepted)
+
+    coordinator.until(all_ended, "the end of all that was accepted", seconds)
+
+
+def has_ended(coordinator: Coordinator, accepted: Accepted) -> bool:
+    """Whether everything that was accepted has ended; not, where the database does not say."""
+    with suppress(DrivecalError), coordinator.database.read() as connection:
+        identifiers = [*accepted.campaigns.values(), *(answers[0] for answers in accepted.evaluations.values())]
+        return all(campaigns.get(connection, one).state.ended for one in identifiers)
+    return False
 
 
 def assert_as_without_faults(coordinator: Coordinator, accepted: Accepted, expected: dict[str, Found]) -> None:

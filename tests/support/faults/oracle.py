@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from tests.support.faults.findings import Found, assert_sound, found
 from tests.support.faults.workload import submit
 from tests.support.runs import dispatcher
-from tests.support.server import RunningApi, serving
+from tests.support.server import serving
 
 from drivecal.contracts.work import Batch
 from drivecal.execution.backend import Finished, Lost, Slot, WorkerInfo
@@ -57,8 +59,7 @@ class InThisProcess:
 
 def undisturbed(folder: Path) -> dict[str, Found]:
     """What the suite's campaigns find, by name; on SQLite. AssertionError where they would not show what they are there to show."""
-    with serving(f"sqlite:///{folder / 'drivecal.db'}") as api:
-        results = _carry_out(api)
+    results = carried_out(folder)
     counts = results["reusing"].campaign["cells"]
     assert min(counts[name] for name in ("repeated", "reused", "simulated", "audited", "carried_over")) > 0, counts
     assert len({row["score"] for row in results["reusing"].tables["evaluations"]}) >= 3
@@ -66,15 +67,17 @@ def undisturbed(folder: Path) -> dict[str, Found]:
     return results
 
 
-def _carry_out(api: RunningApi) -> dict[str, Found]:
-    accepted = submit(api.url)
-    one = dispatcher(api.database, InThisProcess())
-    left = set(accepted.campaigns.values())
-    begin = time.monotonic()
-    while left:
-        one.step()
-        with api.database.read() as connection:
-            left = {identifier for identifier in left if not campaigns.get(connection, identifier).state.ended}
-        assert time.monotonic() - begin < PATIENCE_SECONDS, f"{left} do not end"
-    assert_sound(api, accepted)
-    return {name: found(api, identifier) for name, identifier in accepted.campaigns.items()}
+def carried_out(folder: Path, documents: Mapping[str, Mapping[str, Any]] | None = None) -> dict[str, Found]:
+    """What campaigns find, by name: those of the suite where no others are given; on SQLite."""
+    with serving(f"sqlite:///{folder / 'drivecal.db'}") as api:
+        accepted = submit(api.url, documents)
+        one = dispatcher(api.database, InThisProcess())
+        left = set(accepted.campaigns.values())
+        begin = time.monotonic()
+        while left:
+            one.step()
+            with api.database.read() as connection:
+                left = {identifier for identifier in left if not campaigns.get(connection, identifier).state.ended}
+            assert time.monotonic() - begin < PATIENCE_SECONDS, f"{left} do not end"
+        assert_sound(api, accepted)
+        return {name: found(api, identifier) for name, identifier in accepted.campaigns.items()}
