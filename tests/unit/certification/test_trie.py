@@ -178,6 +178,15 @@ def test_a_full_memory_forgets_what_was_visited_for_longest_ago_whichever_trie_i
     assert memory.states == favoured.nodes + other.nodes
 
 
+def test_a_memory_that_the_first_states_of_many_tries_fill_forgets_all_others() -> None:
+    memory = memory_of(1)
+    tries: list[Trie[bytes]] = [Trie(Linear(seed, 6, 3, 0.0), memory) for seed in range(2 * PLANS)]
+    for trie in tries:
+        simulate_or_prove(trie, (0.0, 0.0, 0.0), 1)
+    assert memory.states == len(tries)
+    assert all(trie.runs == 0 for trie in tries)
+
+
 def test_the_memory_of_a_trie_that_is_gone_is_free() -> None:
     memory = Memory()
     trie: Trie[bytes] = Trie(Linear(1, 6, 3, 0.2), memory)

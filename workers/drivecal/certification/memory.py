@@ -55,6 +55,7 @@ class Memory:
         if self.bytes <= self.limit:
             return
         while self.bytes > self.limit // 2 and any(len(trie.visited) > 1 for trie in self._tries):
-            middle = int(np.median(np.concatenate([trie.visited for trie in self._tries])))
+            # of those that can go: the first of each trie stays, and among many of these no progress would be made
+            middle = int(np.median(np.concatenate([trie.visited[1:] for trie in self._tries])))
             for trie in list(self._tries):
                 trie.forget_until(middle)
