@@ -64,9 +64,9 @@ def note_of(database: Database, view: View) -> str | None:
     they are rated (`rate_stored_runs`); the same whenever the campaign is taken up."""
     bench = view.bench
     with database.transaction() as connection:
-        found = ratings.standing(
-            connection, list(ensure_setups(connection, bench).values()), bench.evaluator_id, view.watermark
-        )
+        setup_ids = list(ensure_setups(connection, bench).values())
+    with database.read() as connection:  # it counts all runs of the setups, and nobody has to wait for that
+        found = ratings.standing(connection, setup_ids, bench.evaluator_id, view.watermark)
     parts = []
     if found.anew:
         parts.append(f"{found.anew:,} are rated by what is stored of them, without a simulation")
