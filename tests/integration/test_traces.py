@@ -21,6 +21,7 @@ from tests.support.server import RunningApi, serving
 from drivecal.cli import traces as files
 from drivecal.contracts.evaluation import TraceAnswer
 from drivecal.contracts.work import Cell, CellResult
+from drivecal.domain.errors import InvalidInputError
 from drivecal.plugins import registry
 from drivecal.storage import campaigns, results, traces
 from drivecal.storage.types import now
@@ -189,6 +190,8 @@ def test_time_series_are_saved_as_what_the_file_is_called(tmp_path: Path) -> Non
     trace = TraceAnswer.model_validate(document(computed("S1", Cell(1, MIDDLE))))
     for suffix in files.SUFFIXES:
         files.save(trace, tmp_path / f"run{suffix}")
+        with pytest.raises(InvalidInputError, match=f"nowhere/run{suffix}: it cannot be written: "):
+            files.save(trace, tmp_path / "nowhere" / f"run{suffix}")
     with (tmp_path / "run.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [float(row["slow_speed_mps"]) for row in rows] == SERIES["speed_mps"]

@@ -9,6 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from drivecal.contracts.evaluation import TraceAnswer
+from drivecal.domain.errors import InvalidInputError, Problem
 
 SUFFIXES = (".csv", ".parquet", ".json")
 
@@ -22,7 +23,16 @@ def columns_of(trace: TraceAnswer) -> dict[str, list[float]]:
 
 
 def save(trace: TraceAnswer, file: Path) -> None:
-    """Writes what the file's suffix says: a table with a row per step, or everything, plans and metrics included."""
+    """Writes what the file's suffix says: a table with a row per step, or everything, plans and metrics included. Raises InvalidInputError
+    where the file cannot be written."""
+    try:
+        _write(trace, file)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise InvalidInputError(Problem(str(file), f"it cannot be written: {reason}", "give another file")) from error
+
+
+def _write(trace: TraceAnswer, file: Path) -> None:
     columns = columns_of(trace)
     if file.suffix == ".json":
         file.write_text(trace.model_dump_json(indent=1), encoding="utf-8")
