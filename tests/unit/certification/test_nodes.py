@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivecal.certification.nodes import NONE, Nodes
+from drivecal.certification.nodes import NONE, Nodes, contenders
 
 GRID = 1 / 256
 numbers = st.one_of(
@@ -43,6 +43,12 @@ def test_what_is_no_number_comes_back_too() -> None:
     nodes = room_for(3)
     describe(nodes, 0, np.array([[np.nan, np.inf, -1.0]]))
     assert np.array_equal(nodes.contenders(0)[2], [[np.nan, np.inf, -1.0]], equal_nan=True)
+
+
+def test_nobody_is_beaten_by_a_difference_that_is_no_number() -> None:
+    features = np.array([[0.0, 0.0], [9.0, 9.0], [np.nan, 9.0]])
+    nobody = np.zeros(3, dtype=np.bool_)
+    assert contenders(features, np.ones(2), np.full(2, 2.0), nobody, 0, 4, 1e-6).tolist() == [0, 2]
 
 
 def test_multiples_of_the_grid_take_two_bytes_and_nothing_beside() -> None:

@@ -101,7 +101,7 @@ def contenders(features: Any, lowest: Any, highest: Any, infeasible: Any, chosen
                 gap[place] += difference * (low if difference > 0.0 else high)
         stay = 0
         for place in range(left):
-            if gap[place] <= margin or number[place] == chosen:
+            if not gap[place] > margin or number[place] == chosen:  # one that is no number beats nobody
                 if stay < place:
                     number[stay], rank[stay] = number[place], rank[place]
                     for term in range(n_terms):
