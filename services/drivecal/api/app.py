@@ -27,6 +27,7 @@ from drivecal.api.routes import (
     inventory,
     metrics,
     page,
+    page_cells,
     page_live,
     page_session,
     tables,
@@ -79,6 +80,7 @@ def create_app(settings: Settings) -> FastAPI:
         influence_maps,
         inventory,
         page_session,
+        page_cells,
         page_live,
     ):
         app.include_router(noun.router, prefix=ROOT)

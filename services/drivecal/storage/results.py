@@ -78,6 +78,17 @@ def by_id(connection: Connection, evaluation_id: int) -> StoredEvaluation:
     return _evaluation(row)
 
 
+def number_at(connection: Connection, campaign_sequence: int, iteration: int, individual: int, scenario: str) -> int:
+    """The number of the cell that a place in the calibration stage names. Raises NotFoundError."""
+    place = (Stage.CALIBRATION, iteration, individual, scenario)
+    wanted = (column == value for column, value in zip(_PLACE, place, strict=True))
+    query = select(evaluations.c.id).where(evaluations.c.campaign_sequence == campaign_sequence, *wanted)
+    found = connection.execute(query).scalar_one_or_none()
+    if found is None:
+        raise NotFoundError("evaluation", f"of individual {individual} in iteration {iteration}, {scenario}")
+    return int(found)
+
+
 def page(
     connection: Connection, campaign_sequence: int, *, limit: int = 100, cursor: str | None = None
 ) -> tuple[list[StoredEvaluation], str | None]:

@@ -1,0 +1,42 @@
+"""From a set in the ranking to the evaluations that it was ranked by."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Query
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints
+
+from drivecal.api.dependencies import DatabaseDependency
+from drivecal.storage import campaigns, results
+
+router = APIRouter(prefix="/campaigns", tags=["page"], include_in_schema=False)
+
+Place = Annotated[int, Field(ge=0, le=2**31 - 1)]
+
+
+class CellOf(BaseModel):
+    """The place of a cell: `iteration` and `individual` of a solution, and a scenario."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    iteration: Place
+    individual: Place
+    scenario: Annotated[str, StringConstraints(min_length=1, max_length=200)]
+
+
+class CellAnswer(BaseModel):
+    """The number of the evaluation that it is."""
+
+    model_config = ConfigDict(frozen=True)
+
+    evaluation: int
+
+
+@router.get("/{campaign_id}/cell")
+def find_cell(campaign_id: str, query: Annotated[CellOf, Query()], database: DatabaseDependency) -> CellAnswer:
+    """The evaluation at a place of the calibration stage."""
+    with database.read() as connection:
+        campaign = campaigns.get(connection, campaign_id)
+        found = results.number_at(connection, campaign.sequence, query.iteration, query.individual, query.scenario)
+    return CellAnswer(evaluation=found)

@@ -1,0 +1,81 @@
+/** Where everything is at a moment of a replay. Metres, seconds, radians. */
+
+export interface Pose {
+  x: number;
+  y: number;
+  heading: number;
+}
+
+export interface Trace {
+  scenario: string;
+  score: number;
+  rating: number;
+  failure: string | null;
+  time_s: number[];
+  ego: Record<string, number[]>;
+  neighbours: Record<string, Record<string, number[]>>;
+  plans: { made_at_s: number; x_m: number[]; y_m: number[] }[];
+}
+
+/** The index of the last of ascending `times` that is not after `moment`; -1 before the first. */
+export function lastBefore(times: readonly number[], moment: number): number {
+  let low = 0;
+  let high = times.length;
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if ((times[middle] as number) <= moment + 1e-9) low = middle + 1;
+    else high = middle;
+  }
+  return low - 1;
+}
+
+/** A series at a moment, between its values as between points of a line; its first and last value beyond its ends. */
+export function at(times: readonly number[], values: readonly number[], moment: number): number {
+  const before = lastBefore(times, moment);
+  if (before < 0) return values[0] ?? Number.NaN;
+  const one = values[before] ?? Number.NaN;
+  const other = values[before + 1];
+  if (other === undefined) return one;
+  const from = times[before] as number;
+  const share = (moment - from) / ((times[before + 1] as number) - from);
+  return one + Math.max(0, share) * (other - one);
+}
+
+export function poseAt(times: readonly number[], series: Record<string, number[]>, moment: number): Pose {
+  const value = (name: string): number => at(times, series[name] ?? [], moment);
+  return { x: value("x_m"), y: value("y_m"), heading: value("heading_rad") };
+}
+
+/** The plan that is followed at a moment: the newest that was made by then. */
+export function planAt<T extends { made_at_s: number }>(plans: readonly T[], moment: number): T | null {
+  return (
+    plans[
+      lastBefore(
+        plans.map((one) => one.made_at_s),
+        moment,
+      )
+    ] ?? null
+  );
+}
+
+/** From the world to a view that looks along the ego's way: `ego` lies at `centre`, ahead is to the right, left is up. */
+export function camera(ego: Pose, scale: number, centre: readonly [number, number], turn: number): (x: number, y: number) => [number, number] {
+  const cos = Math.cos(-turn);
+  const sin = Math.sin(-turn);
+  return (x, y) => {
+    const dx = x - ego.x;
+    const dy = y - ego.y;
+    return [centre[0] + scale * (dx * cos - dy * sin), centre[1] - scale * (dx * sin + dy * cos)];
+  };
+}
+
+/** Round numbers between two ends, about so many. */
+export function ticks(low: number, high: number, about: number): number[] {
+  if (!(high > low)) return [low];
+  const rough = (high - low) / about;
+  const power = 10 ** Math.floor(Math.log10(rough));
+  const step = ([1, 2, 5, 10].find((factor) => factor * power >= rough) ?? 10) * power;
+  const first = Math.ceil(low / step - 1e-9);
+  const last = Math.floor(high / step + 1e-9);
+  return Array.from({ length: last - first + 1 }, (_, index) => Number(((first + index) * step).toPrecision(12)));
+}

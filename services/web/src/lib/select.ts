@@ -1,0 +1,70 @@
+/** Which rows of a table are wanted, and in which order. */
+
+import type { Table } from "./columns";
+
+export interface Wanted {
+  /** By column, the words that are wanted; any where it is not named. */
+  words: Readonly<Record<string, readonly string[]>>;
+  /** By column, the inclusive range; rows without a number are not in it. */
+  ranges: Readonly<Record<string, readonly [number, number]>>;
+}
+
+export function select(table: Table, wanted: Wanted): Uint32Array {
+  const kept = new Uint8Array(table.length).fill(1);
+  for (const [name, words] of Object.entries(wanted.words)) {
+    const column = table.columns[name];
+    if (column?.kind !== "text" || words.length === 0) continue;
+    const fits = column.words.map((word) => words.includes(word));
+    column.codes.forEach((code, row) => {
+      if (fits[code] !== true) kept[row] = 0;
+    });
+  }
+  for (const [name, [low, high]] of Object.entries(wanted.ranges)) {
+    const column = table.columns[name];
+    if (column?.kind !== "number") continue;
+    const { values } = column;
+    for (let row = 0; row < values.length; row++) {
+      const value = values[row] as number;
+      if (!(value >= low && value <= high)) kept[row] = 0;
+    }
+  }
+  let count = 0;
+  for (const one of kept) count += one;
+  const rows = new Uint32Array(count);
+  let at = 0;
+  for (let row = 0; row < kept.length; row++) if (kept[row] === 1) rows[at++] = row;
+  return rows;
+}
+
+/** The rows ordered by a column; those without a value come last, equal ones stay in their order. */
+export function ordered(table: Table, rows: Uint32Array, name: string, descending: boolean): Uint32Array {
+  const column = table.columns[name];
+  if (column === undefined) return rows;
+  const sign = descending ? -1 : 1;
+  const keys = column.kind === "number" ? column.values : ranks(column.words, column.codes);
+  return rows.slice().sort((one, other) => {
+    const a = keys[one] as number;
+    const b = keys[other] as number;
+    if (Number.isNaN(a)) return Number.isNaN(b) ? one - other : 1;
+    if (Number.isNaN(b)) return -1;
+    return a === b ? one - other : sign * (a - b);
+  });
+}
+
+function ranks(words: readonly string[], codes: Int32Array): Float64Array {
+  const inOrder = words.map((_, code) => code).sort((a, b) => (words[a] ?? "").localeCompare(words[b] ?? "", "en", { numeric: true }));
+  const rank = new Float64Array(words.length);
+  inOrder.forEach((code, at) => (rank[code] = at));
+  return Float64Array.from(codes, (code) => (code < 0 ? Number.NaN : (rank[code] as number)));
+}
+
+/** How many rows have each word of a column, in the order of the words. */
+export function tally(table: Table, name: string): [string, number][] {
+  const column = table.columns[name];
+  if (column?.kind !== "text") return [];
+  const counts = new Uint32Array(column.words.length);
+  for (const code of column.codes) if (code >= 0) counts[code] = (counts[code] ?? 0) + 1;
+  return column.words
+    .map((word, code): [string, number] => [word, counts[code] ?? 0])
+    .sort(([a], [b]) => a.localeCompare(b, "en", { numeric: true }));
+}

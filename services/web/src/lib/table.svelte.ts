@@ -1,0 +1,43 @@
+/** A table of a campaign as the page holds it: whole, and read anew when there is more of it. */
+
+import { Refusal, ask } from "./api";
+import { CsvReader, EMPTY, type Table } from "./columns";
+
+export const TEXT: ReadonlySet<string> = new Set(["stage", "scenario", "outcome", "failure", "worker", "audited", "agrees", "reused"]);
+
+export class TableState {
+  table = $state.raw<Table>(EMPTY);
+  /** Rows that were read so far, while it is being read. */
+  reading = $state<number | null>(null);
+  problem = $state("");
+  private abort: AbortController | null = null;
+
+  async load(path: string): Promise<void> {
+    this.abort?.abort();
+    const abort = (this.abort = new AbortController());
+    this.reading = 0;
+    try {
+      const answer = await ask(path, { signal: abort.signal, headers: { Accept: "text/csv" } });
+      const reader = new CsvReader(TEXT);
+      const stream = answer.body?.pipeThrough(new TextDecoderStream()).getReader();
+      for (;;) {
+        const piece = await stream?.read();
+        if (piece === undefined || piece.done) break;
+        reader.push(piece.value);
+        if (this.abort === abort) this.reading = reader.length;
+      }
+      if (this.abort !== abort) return;
+      this.table = reader.finish();
+      this.problem = "";
+    } catch (error) {
+      if (abort.signal.aborted) return;
+      this.problem = error instanceof Refusal ? error.message : `The table broke off: ${String(error)}`;
+    }
+    this.reading = null;
+  }
+
+  stop(): void {
+    this.abort?.abort();
+    this.abort = null;
+  }
+}
