@@ -87,6 +87,7 @@ def test_a_read_only_disk_is_refused_at_the_start_and_costs_nothing(tmp_path: Pa
 
         def read_only(coordinator: Coordinator) -> None:
             coordinator.terminate()
+            coordinator.close_database()
             _remount(disk, "ro")
             coordinator.start()
             coordinator.until(lambda: not coordinator.running, "the end of a server that cannot write", READY_SECONDS)

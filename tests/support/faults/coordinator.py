@@ -203,6 +203,10 @@ class Coordinator:
                 self._cage.stdin.close()
             self._cage.wait(60)
             self._forget_cage()
+        self.close_database()
+
+    def close_database(self) -> None:
+        """Closes the connections of whoever looks at the database; they are opened again when needed."""
         if self._database is not None:
             self._database.dispose()
             self._database = None
