@@ -142,6 +142,7 @@ def test_a_comparison_rests_goes_on_and_ends_with_its_runs(database: Database) -
     resting = step_until(CampaignState.PAUSED)
     assert CampaignState.RUNNING not in resting
     assert resting[CampaignState.PAUSED] > 0
+    assert get(database, comparison).cells.requested == sum(one.cells.requested for one in runs_of(database, comparison)) > 0
     with database.transaction() as connection:
         campaigns.request_action(connection, comparison.id, "resume")
     going = step_until(CampaignState.RUNNING)
@@ -150,6 +151,7 @@ def test_a_comparison_rests_goes_on_and_ends_with_its_runs(database: Database) -
         campaigns.request_action(connection, comparison.id, "cancel")
     ended = step_until(CampaignState.CANCELLED)
     assert set(ended) == {CampaignState.SUCCEEDED, CampaignState.CANCELLED}
+    assert get(database, comparison).cells.requested == sum(one.cells.requested for one in runs_of(database, comparison))
     assert [verdict for verdict in verify(database, full=True) if verdict.problems] == []
 
 

@@ -71,7 +71,7 @@ class Comparison:
         work = self._go_on()
         over = not self._jobs and not self._waiting
         self.goes_on = not work and not self._homes and not over
-        self._save(at_once=over)
+        self._sum_up_when_due(over=over)
         if over:
             self._refuse_failures()
             self.finished = True
@@ -89,7 +89,7 @@ class Comparison:
             if number in self._jobs:  # else it failed meanwhile
                 work += self._guarded(number, partial(_record, mine))
         work += self._go_on()
-        self._save()
+        self._sum_up_when_due()
         return work
 
     def _go_on(self) -> list[Work]:
@@ -155,10 +155,12 @@ class Comparison:
             more = f"; and {len(failed) - TOLD} more" if len(failed) > TOLD else ""
             raise NoResultError(f"{len(failed)} of {len(runs)} runs failed: {listed}{more}")
 
-    def _save(self, *, at_once: bool = False) -> None:
-        """Sums up in the comparison's own row what its runs count, every now and then or `at_once`."""
-        if not at_once and self._clock() < self._next_sum:
-            return
+    def _sum_up_when_due(self, *, over: bool = False) -> None:
+        if over or self._clock() >= self._next_sum:
+            self.sum_up()
+
+    def sum_up(self) -> None:
+        """Sums up in the comparison's own row what its runs count."""
         self._next_sum = self._clock() + SECONDS_BETWEEN_SUMS
         with self._database.transaction() as connection:
             runs = campaigns.runs_of(connection, self._sequence)

@@ -240,6 +240,7 @@ class Dispatcher:
     def _finish_stopping(self, active: Active) -> None:
         if self._pool.held(active.tag) or active.unwritten:
             return
+        active.sum_up()
         if active.stopping is CampaignState.CANCELLED:
             self._end(active, CampaignState.CANCELLED)
             return

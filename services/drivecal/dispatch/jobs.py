@@ -55,6 +55,11 @@ class Active:
         """Whether it has more to do without any result."""
         return isinstance(self.job, Comparison) and self.job.goes_on
 
+    def sum_up(self) -> None:
+        """Has the row of a comparison say what its runs count, where it rests or is cancelled: no later sum would."""
+        if isinstance(self.job, Comparison):
+            self.job.sum_up()
+
     @property
     def priority(self) -> int:
         """Of its cells."""
