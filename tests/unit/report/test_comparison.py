@@ -137,8 +137,13 @@ def renamed(found: Compared, **labels: str) -> Compared:
     def changed(rows: Sequence[Any]) -> list[Any]:
         return [one.model_copy(update={"optimizer": labels.get(one.optimizer, one.optimizer)}) for one in rows]
 
-    parts = {name: changed(getattr(found, name)) for name in ("runs", "groups", "pairs", "effects")}
-    return replace(found, **parts)
+    return replace(
+        found,
+        runs=changed(found.runs),
+        groups=changed(found.groups),
+        pairs=changed(found.pairs),
+        effects=changed(found.effects),
+    )
 
 
 def test_labels_are_text_and_neither_formulas_nor_patterns_nor_names_of_files(tmp_path: Path) -> None:
