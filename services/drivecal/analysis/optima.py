@@ -54,10 +54,14 @@ class Optimum:
 def optima(best: Floats, worse: Floats, neighbours: float = NEIGHBOURS) -> list[Optimum]:
     """Of the best sets, shape (n, n_p), and all others that were evaluated, shape (m, n_p), in the unit cube."""
     found = regions(best, neighbours)
-    away: list[float | None] = [None] * len(best)
-    if len(worse):
-        away = [float(np.sqrt(((worse - point) ** 2).mean(axis=1).min())) for point in best]
-    return [Optimum(int(region), distance) for region, distance in zip(found, away, strict=True)]
+    return [Optimum(int(region), distance) for region, distance in zip(found, to_nearest(best, worse), strict=True)]
+
+
+def to_nearest(points: Floats, others: Floats) -> list[float | None]:
+    """How far, in shares of the ranges, the nearest of `others` lies from each of `points`; None where there are none."""
+    if not len(others):
+        return [None] * len(points)
+    return [float(np.sqrt(((others - point) ** 2).mean(axis=1).min())) for point in points]
 
 
 def one_per_region_first(labels: npt.NDArray[np.int64], most: int) -> list[int]:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import takewhile
 
 import numpy as np
+import numpy.typing as npt
 
-from drivecal.analysis.optima import Optimum, optima
+from drivecal.analysis.optima import Optimum, regions, to_nearest
 from drivecal.campaigns.solutions import EQUAL, Solution
 from drivecal.domain.parameters import ParameterSet, ParameterSpace
 from drivecal.plugins.ports import Floats
@@ -29,11 +31,28 @@ def unit_cube(space: ParameterSpace, sets: Sequence[ParameterSet]) -> Floats:
     return (values.reshape(len(rows), len(lower)) - lower) / (upper - lower)
 
 
-def alternatives(database: Database, ranking: Sequence[Solution], space: ParameterSpace) -> list[Optimum]:
-    """What is known of the first of a `ranking`, best first: of those that share the objective of the very first one, at most MOST_BEST."""
+@dataclass(frozen=True, slots=True)
+class Alternatives:
+    """Sets that share the best objective, in the order of their ranks, and the next worse ones, as points of the unit cube."""
+
+    best: Floats
+    worse: Floats
+    regions: npt.NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.best)
+
+    def shown(self, start: int, stop: int) -> list[Optimum]:
+        """What is known of some; the distances, which take most of the time, are computed for these alone."""
+        away = to_nearest(self.best[start:stop], self.worse)
+        return [Optimum(int(region), one) for region, one in zip(self.regions[start:stop], away, strict=True)]
+
+
+def alternatives(database: Database, ranking: Sequence[Solution], space: ParameterSpace) -> Alternatives:
+    """The first of a `ranking`, best first: those that share the objective of the very first one, at most MOST_BEST."""
     equal = sum(1 for _ in takewhile(lambda one: one.objective >= ranking[0].objective - EQUAL, ranking))
     best, worse = ranking[: min(equal, MOST_BEST)], ranking[equal : equal + MOST_WORSE]
     with database.read() as connection:
         sets = parameter_sets.load(connection, [one.parameter_set for one in (*best, *worse)])
     places = unit_cube(space, [sets[one.parameter_set] for one in (*best, *worse)])
-    return optima(places[: len(best)], places[len(best) :])
+    return Alternatives(places[: len(best)], places[len(best) :], regions(places[: len(best)]))

@@ -108,7 +108,7 @@ def list_optima(campaign_id: str, query: TableQuery, database: DatabaseDependenc
     known, flat = alternatives(database, ranked.ranked, begun_with.space), form_of(query, accept) != "json"
 
     def rows(start: int, stop: int) -> list[Row]:
-        found = zip(ranked.solutions(start, min(stop, len(known))), known[start:stop], strict=True)
+        found = zip(ranked.solutions(start, min(stop, len(known))), known.shown(start, stop), strict=True)
         return [{**_solution_row(one, flat=flat), "region": at.region, "to_worse": at.to_worse} for one, at in found]
 
     def columns() -> list[Column]:
