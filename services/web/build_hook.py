@@ -26,7 +26,7 @@ OLDEST = (20, 19)
 SECONDS_TO_FETCH, SECONDS_TO_BUILD = 180, 180
 FETCHING = (
     "ci", "--ignore-scripts", "--no-audit", "--no-fund", "--no-update-notifier", "--prefer-offline",
-    "--fetch-retries=1", "--fetch-retry-mintimeout=1000", "--fetch-retry-maxtimeout=3000", "--fetch-timeout=20000",
+    "--fetch-retries=1", "--fetch-retry-mintimeout=1000", "--fetch-retry-maxtimeout=3000", "--fetch-timeout=12000",
 )  # fmt: skip
 """A registry that does not answer must not hold up an installation for minutes."""
 ONLY_TO_BUILD = "--omit=dev"

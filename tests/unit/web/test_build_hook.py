@@ -7,19 +7,13 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
-from tests.support.tree import PROJECT
-
-SOURCE = PROJECT / "services" / "web" / "build_hook.py"
+from tests.support.web import hook as load
 
 
 @pytest.fixture
 def hook(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     """The hook for a page that is not this one."""
-    spec = importlib.util.spec_from_file_location("build_hook", SOURCE)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    module = load()
     web, target = tmp_path / "web", tmp_path / "static"
     (web / "src").mkdir(parents=True)
     (web / "src" / "main.ts").write_text("export {};")
