@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -13,9 +13,12 @@ from tests.support.comparisons import runs_of, submit_comparison
 from tests.support.computed import ComputedBackend, computed
 from tests.support.runs import dispatcher, everything, get, nothing_matters, post_map, run, submit
 
+from drivecal.campaigns.ledger import Work
+from drivecal.campaigns.staged import StagedCampaign
 from drivecal.campaigns.verification import verify
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import CampaignState
+from drivecal.execution.scheduler import Completed
 from drivecal.storage import campaigns, generations, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.database import Database
@@ -169,6 +172,27 @@ def test_a_run_that_fails_costs_no_other_one_and_is_named_at_the_end(database: D
     assert ended.state is CampaignState.FAILED
     assert ended.error is not None
     assert ended.error.startswith("3 of 3 runs failed: random, population 6, seed 1: no parameter set has a result")
+
+
+def test_a_run_that_fails_while_its_cells_are_at_workers_leaves_nothing_behind(
+    database: Database, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    comparison = submit_comparison(
+        database, populations=[60], optimizers=[{"kind": "random"}], reductions=["off"], iterations=1
+    )
+    record = StagedCampaign.record
+
+    def fail(job: StagedCampaign, completed: Sequence[Completed]) -> list[Work]:
+        if completed[0].result.id <= 120:  # of the first run
+            raise ValueError("a mistake")
+        return record(job, completed)
+
+    monkeypatch.setattr(StagedCampaign, "record", fail)
+    working = dispatcher(database)
+    while not get(database, comparison).state.ended:
+        working.step()
+    assert [one.state.value for one in runs_of(database, comparison)] == ["failed", "succeeded", "succeeded"]
+    assert [verdict for verdict in verify(database, full=True) if verdict.problems] == []
 
 
 def test_a_reduction_is_compared_seed_by_seed(database: Database) -> None:

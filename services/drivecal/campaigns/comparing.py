@@ -132,6 +132,7 @@ class Comparison:
 
     def _end(self, number: int, state: CampaignState, error: str | None = None) -> None:
         self._jobs.pop(number, None)
+        self._homes = {cell: home for cell, home in self._homes.items() if home != number}
         with self._database.transaction() as connection:
             campaigns.end(connection, number, state, error)
             runs = campaigns.runs_of(connection, self._sequence)

@@ -33,7 +33,10 @@ def follow(connection: Connection, sequence: int, state: CampaignState) -> None:
     statement = update(campaigns).where(mine, campaigns.c.state.in_(list(before))).values(values)
     for run in sorted(connection.execute(statement.returning(campaigns.c.sequence)).scalars()):
         events.add(connection, run, told, {"state": after})
-        if after.ended:
+    if after.ended:  # what of a run waited for workers when it failed was leased all the same
+        for run in connection.scalars(
+            select(campaigns.c.sequence).where(mine, campaigns.c.state != CampaignState.SUCCEEDED)
+        ).all():
             leases.forget(connection, run)
 
 
