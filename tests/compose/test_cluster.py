@@ -11,25 +11,32 @@ from tests.support.compose import PROJECT_NAME, Cluster
 from tests.support.faults.coordinator import coordinator
 from tests.support.faults.findings import Found, assert_equal, found
 from tests.support.faults.lives import wait_until_ended
-from tests.support.faults.workload import BOLD_MAP, Accepted, post
+from tests.support.faults.workload import Accepted, post
 from tests.support.server import RunningApi, serving
 
 pytestmark = [pytest.mark.compose, pytest.mark.timeout(3600)]
 
 NOTICED_SECONDS = 10.0
+SCENARIOS = [f"S{number}" for number in range(1, 7)]
+FINE: list[dict[str, Any]] = [{"name": f"P{number}", "lower": 0, "upper": 1, "step": 0.05} for number in range(1, 7)]
+BOLD_MAP: dict[str, Any] = {
+    "parameters": FINE,
+    "catalogue": SCENARIOS,
+    "scenarios": {name: {parameter: {"influential": False} for parameter in ("P5", "P6")} for name in SCENARIOS},
+}
 CAMPAIGN: dict[str, Any] = {
     "name": "in the cluster",
-    "catalogue": ["S1", "S2", "S5"],
-    "parameters": BOLD_MAP["parameters"],
-    "fixed": {f"P{i}": 0.5 for i in range(7, 12)},
-    "optimizer": {"kind": "genetic", "population": 400, "iterations": 14, "seed": 11, "mutation": 1},
+    "catalogue": SCENARIOS,
+    "parameters": FINE,
+    "fixed": {f"P{number}": 0.5 for number in range(7, 12)},
+    "optimizer": {"kind": "genetic", "population": 1000, "iterations": 12, "seed": 11, "mutation": 1},
     "reduction": {"audit": 0.2, "max_error": 1, "certified": False},
 }
-"""Every way to an answer but certificates, and long enough for what is done to the cluster meanwhile."""
+"""Every way to an answer but certificates, and long enough (two minutes on two idle cores) for what is done to the cluster meanwhile."""
 KILL = """
 import os, pathlib, signal
 for process in pathlib.Path("/proc").glob("[0-9]*"):
-    if (process / "cmdline").read_bytes().startswith(b"ray::"):
+    if (process / "cmdline").read_bytes().startswith(b"ray::Worker"):
         os.kill(int(process.name), signal.SIGKILL)
 """
 """Kills the simulating process of a node; the image has no tool for that."""
@@ -111,6 +118,9 @@ def test_a_campaign_survives_whatever_is_done_to_the_cluster_and_finds_what_it_f
     still_running()
     cluster.compose("restart", "--timeout", "10", "db")
     still_running(0)
+    cluster.run(
+        "docker", "exec", cluster.containers("ray-worker")[-1], "python", "-c", KILL.replace("ray::Worker", "ray::Runtime")
+    )
     cluster.until(lambda: cluster.get(path)["state"] not in {"queued", "running"}, "the end of the campaign", 1800.0)
 
     cells = cluster.get(path)["cells"]["requested"]

@@ -1,7 +1,7 @@
 """Runs one node of a Ray cluster: `python -m drivecal.cluster head`, or `... worker HEAD:PORT` on as many machines as there are.
 
 Looks first whether the node can work at all (token, shared memory, the head, its version), says in a sentence what is wrong, and then
-becomes `ray start`. Nodes may come and go while campaigns run; the dispatcher gives work to whoever is there.
+becomes the guard of `ray start`. Nodes may come and go while campaigns run; the dispatcher gives work to whoever is there.
 
 Settings by environment: `RAY_AUTH_TOKEN_PATH`, a file with the token that all nodes share; `DRIVECAL_NODE_CPUS`, workers of this node
 (default: its CPUs); `DRIVECAL_NODE_ADDRESS`, where other nodes find this one (default: found out).
@@ -120,10 +120,9 @@ def cpus_of(given: int | None, environment: Mapping[str, str]) -> int | None:
 
 
 def _become(command: list[str]) -> int:
-    """Ray's welcome goes nowhere; its errors are on standard error."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    """The guard of the command: this process has loaded all of Ray by now, which nobody needs any more."""
     executable = str(Path(sys.executable).with_name(command[0]))
-    os.execv(executable, [executable, *command[1:]])  # noqa: S606  # no shell is wanted
+    os.execv(sys.executable, [sys.executable, "-m", "drivecal.cluster.guard", executable, *command[1:]])  # noqa: S606  # no shell
 
 
 if __name__ == "__main__":
