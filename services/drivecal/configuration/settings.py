@@ -57,8 +57,9 @@ class Settings(BaseSettings):
     """Of a running Ray cluster; none: the dispatcher starts a local one."""
     workers: Annotated[int, Field(ge=1, le=MOST_WORKERS)] | None = None
     """Simulations at a time; none: one per CPU."""
-    certificates_mb: Annotated[int, Field(ge=1, le=1_000_000)] = 1024
-    """Memory that each worker may use, besides its own 400 MB, to remember what certifies other runs."""
+    certificates_mb: Annotated[int, Field(ge=1, le=1_000_000)] | None = None
+    """Memory that each worker may use, besides its own 400 MB, to remember what certifies other runs; none: 1 GB, or what its machine has
+    for it."""
     log_format: Literal["text", "json"] = "text"
     """How the server writes its log: lines to read, or one JSON document per line."""
     log_level: Literal["debug", "info", "warning", "error"] = "info"

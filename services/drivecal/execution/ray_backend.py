@@ -56,8 +56,8 @@ class RayOptions:
     deadline_seconds: float = DEADLINE_SECONDS
     deadline_factor: float = DEADLINE_FACTOR
     start_seconds: float = 180.0
-    certificates_mb: int = 1024
-    """Memory of each worker for what certifies other runs."""
+    certificates_mb: int | None = None
+    """Memory of each worker for what certifies other runs; None: what its machine has for it."""
 
 
 @dataclass(slots=True)

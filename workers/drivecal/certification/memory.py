@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import os
 from typing import Protocol
 from weakref import WeakSet
 
 import numpy as np
 import numpy.typing as npt
 
-DEFAULT_MEGABYTES = 1024
+MOST_BY_DEFAULT = 1024
+"""Megabytes."""
+
+
+def megabytes_by_default() -> int:
+    """What a worker may take where nobody says how much: a quarter of the memory that the machine has for each CPU, 1 GB at most."""
+    machine = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 2**20
+    return max(1, min(MOST_BY_DEFAULT, machine // (4 * (os.cpu_count() or 1))))
 
 
 class Kept(Protocol):
@@ -29,8 +37,8 @@ class Kept(Protocol):
 class Memory:
     """Of a process. Above its limit, all tries forget what was visited for longest, until half of the limit is free."""
 
-    def __init__(self, megabytes: int = DEFAULT_MEGABYTES) -> None:
-        self.limit = megabytes * 2**20
+    def __init__(self, megabytes: int | None = None) -> None:
+        self.limit = (megabytes or megabytes_by_default()) * 2**20
         """Bytes."""
         self.clock = 0
         """Counts visits."""

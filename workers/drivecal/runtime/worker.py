@@ -16,7 +16,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from drivecal.certification.memory import DEFAULT_MEGABYTES, Memory
+from drivecal.certification.memory import Memory
 from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult, Probe, Remembered, SetupRequest
 from drivecal.domain.errors import ConflictError, DrivecalError, UnavailableError
 from drivecal.domain.evaluations import Answered, Breakdown
@@ -46,7 +46,7 @@ class Worker:
         self,
         name: str,
         make: Callable[[SetupRequest], Runner] | None = None,
-        certificates_mb: int = DEFAULT_MEGABYTES,
+        certificates_mb: int | None = None,
     ) -> None:
         """`make` makes runners, those of the registry where it is not given; `certificates_mb`: memory for what certifies other runs."""
         self._name = name

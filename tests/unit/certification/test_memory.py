@@ -1,0 +1,24 @@
+"""How much memory a worker's certificates may take."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+from drivecal.certification.memory import Memory
+
+
+@pytest.mark.parametrize(
+    ("gigabytes", "cpus", "megabytes"),
+    [(24, 2, 1024), (16, 16, 256), (1, 64, 4), (1, 1000, 1)],
+    ids=["laptop", "node", "small", "tiny"],
+)
+def test_nobody_is_given_more_by_default_than_the_machine_has_for_it(
+    gigabytes: int, cpus: int, megabytes: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    machine = {"SC_PHYS_PAGES": gigabytes * 2**30 // 4096, "SC_PAGE_SIZE": 4096}
+    monkeypatch.setattr(os, "sysconf", machine.__getitem__)
+    monkeypatch.setattr(os, "cpu_count", lambda: cpus)
+    assert Memory().limit == megabytes * 2**20
+    assert Memory(7).limit == 7 * 2**20
