@@ -46,12 +46,18 @@ def guard(command: Sequence[str], look_seconds: float = LOOK_SECONDS) -> int:
         stdout=subprocess.DEVNULL,  # Ray's welcome; its errors are on standard error
         preexec_fn=_end_with_parent,  # noqa: PLW1509  # there are no threads here
     )
+    asked: list[int] = []
+
+    def end(number: int, _frame: object) -> None:
+        asked.append(number)
+        process.terminate()
+
     for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: process.terminate())
+        signal.signal(number, end)
     seen: set[str] = set()
     while process.poll() is None:
         running = vital_parts(process.pid)
-        if seen - running and process.poll() is None:
+        if seen - running and not asked and process.poll() is None:
             log.error("Ray's %s ended, and so does this node", " and ".join(sorted(seen - running)))
             process.terminate()
             try:
