@@ -81,7 +81,11 @@ def test_nodes_come_and_go_in_a_campaign_and_nothing_changes(
         print(f"\n         a lost node was gone from the workers after {took}", flush=True)
 
         add(cluster, labels={VERSION_LABEL: "0.0.1"})
-        server.until(lambda: "has drivecal 0.0.1; install the same release on both" in problems(server), "that a version is refused", START_SECONDS)
+        server.until(
+            lambda: "has drivecal 0.0.1; install the same release on both" in problems(server),
+            "that a version is refused",
+            START_SECONDS,
+        )
         assert list(workers(server)) == ["worker-2"]
         wait_until_ended(server, accepted)
         assert_sound(server, accepted)
