@@ -100,6 +100,7 @@ def test_what_is_selected_stands_in_the_address(shown: Shown, opening: Opening) 
     page.get_by_role("row").nth(3).get_by_role("gridcell").nth(1).click()
     some = rows_shown(page)
     assert 0 < some[0] < some[1] == whole[1]
+    page.wait_for_url(re.compile("row="))
     again = opening(page.url)
     expect(again.locator("[aria-selected=true]")).to_have_count(1)
     assert rows_shown(again) == some

@@ -1,6 +1,6 @@
 import { describe, expect, test } from "vitest";
 import { CsvReader, cell, extent, type Table } from "./columns";
-import { ordered, select, tally } from "./select";
+import { binned, numbered, ordered, select, tally } from "./select";
 
 const TEXT = new Set(["scenario", "failure"]);
 const CSV = `id,scenario,P1,score,failure\n1,S1,0.5,7,\n2,S2,-1.5,,collision\n3,S10,2,0,"off, ""far"" off\nthe road"\n4,S2,2,3,\n`;
@@ -55,5 +55,11 @@ describe("a selection", () => {
     expect([...ordered(table, all, "score", true)]).toEqual([0, 3, 2, 1]);
     expect([...ordered(table, all, "scenario", false)]).toEqual([0, 1, 3, 2]);
     expect([...ordered(table, all, "P1", true)]).toEqual([2, 3, 0, 1]);
+  });
+
+  test("is divided by the size of a value, each row once", () => {
+    const values = Float64Array.of(0, 7, Number.NaN, 3.4, 3.6, 9, -1);
+    expect(binned(numbered(7), values, 0, 7, 2).map((rows) => [...rows])).toEqual([[2], [0, 3, 6], [1, 4, 5]]);
+    expect(binned(numbered(2), null, 0, 0, 2).map((rows) => [...rows])).toEqual([[0, 1], [], []]);
   });
 });

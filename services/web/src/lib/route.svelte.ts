@@ -7,7 +7,14 @@ function read(): Place {
 }
 
 let place = $state.raw<Place>(read());
-window.addEventListener("hashchange", () => (place = read()));
+window.addEventListener("hashchange", () => {
+  clearTimeout(writing);
+  place = read();
+});
+
+/** Browsers take some seven changes of the address per second and drop the rest: a slider that is drawn makes sixty. */
+const WRITE_MILLISECONDS = 200;
+let writing: ReturnType<typeof setTimeout> | undefined;
 
 export const route = {
   get path(): readonly string[] {
@@ -30,7 +37,8 @@ export function amend(changes: Record<string, string | null>): void {
     else query[name] = value;
   }
   place = { path: place.path, query };
-  history.replaceState(null, "", write(place));
+  clearTimeout(writing);
+  writing = setTimeout(() => history.replaceState(null, "", write(place)), WRITE_MILLISECONDS);
 }
 
 export function link(path: readonly string[], query: Record<string, string> = {}): string {

@@ -68,3 +68,31 @@ export function tally(table: Table, name: string): [string, number][] {
     .map((word, code): [string, number] => [word, counts[code] ?? 0])
     .sort(([a], [b]) => a.localeCompare(b, "en", { numeric: true }));
 }
+
+/** The numbers from 0 on. */
+export function numbered(length: number): Uint32Array {
+  const rows = new Uint32Array(length);
+  for (let row = 0; row < length; row++) rows[row] = row;
+  return rows;
+}
+
+/** Rows by the size of a value: first those without one, then `count` equal parts from `lower` to `upper`, each in the order of the rows. */
+export function binned(rows: Uint32Array, values: Float64Array | null, lower: number, upper: number, count: number): Uint32Array[] {
+  const bin = new Uint8Array(rows.length);
+  const sizes = new Uint32Array(count + 1);
+  const scale = count / (upper - lower || 1);
+  for (let at = 0; at < rows.length; at++) {
+    const value = values === null ? Number.NaN : (values[rows[at] as number] as number);
+    const found = Number.isNaN(value) ? 0 : 1 + Math.min(count - 1, Math.max(0, Math.floor((value - lower) * scale)));
+    bin[at] = found;
+    sizes[found] = (sizes[found] as number) + 1;
+  }
+  const bins = Array.from(sizes, (size) => new Uint32Array(size));
+  const filled = new Uint32Array(count + 1);
+  for (let at = 0; at < rows.length; at++) {
+    const found = bin[at] as number;
+    (bins[found] as Uint32Array)[filled[found] as number] = rows[at] as number;
+    filled[found] = (filled[found] as number) + 1;
+  }
+  return bins;
+}
