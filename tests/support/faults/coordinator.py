@@ -115,7 +115,7 @@ class Coordinator:
     def workers(self) -> list[psutil.Process]:
         """The workers' processes that the dispatcher knows, as far as they run, by its last heartbeat; on this machine only."""
         told = self.heartbeat()
-        known = {worker["pid"] for worker in told.detail["workers"]} if told else set()
+        known = {worker["pid"] for worker in told.detail.get("workers", ())} if told else set()
         return [one for one in self.family() if one.pid in known]
 
     def heartbeat(self) -> StoredProcess | None:
@@ -228,7 +228,7 @@ class Coordinator:
 
     @staticmethod
     def _has_worker(told: StoredProcess) -> bool:
-        return any(worker["state"] != "starting" for worker in told.detail["workers"])
+        return any(worker["state"] != "starting" for worker in told.detail.get("workers", ()))
 
 
 @contextmanager
