@@ -58,7 +58,7 @@ def test_a_campaign_is_followed_live_and_through_a_restart_of_the_server(tmp_pat
         working = dispatcher(api.database)
         while get(api.database, campaign).cells.requested < 60:
             working.step()
-        expect(page.get_by_text("Searching: iteration 1.")).to_be_visible()
+        expect(page.get_by_text(re.compile(r"Searching: iteration \d"))).to_be_visible()
     expect(page.get_by_text("Connection lost")).to_be_visible()
     with serving(database, port) as api:
         run(api.database, campaign)
@@ -76,7 +76,8 @@ def test_every_view_can_be_used_by_everybody(shown: Shown, opening: Opening, *, 
     page = opening(f"{shown.api.url}/", dark=dark, phone=phone)
     page.evaluate(AXE.read_text())
     found: dict[str, Any] = {}
-    for address in [f"{shown.api.url}/#/", *(shown.at(tab) for tab in TABS)]:
+    others = ("", "submit", f"compare?a={shown.campaign.id}&b={shown.campaign.id}")
+    for address in [*(f"{shown.api.url}/#/{other}" for other in others), *(shown.at(tab) for tab in TABS)]:
         page.goto(address)
         expect(page.locator("main h1")).to_be_visible()
         expect(page.get_by_role("main")).not_to_contain_text(re.compile("Loading|Reading"))
@@ -146,6 +147,26 @@ def test_other_weights_rank_anew_at_once_and_can_be_searched_with(shown: Shown, 
     page.get_by_role("button", name="Cancel").click()
     page.get_by_role("button", name="Really cancel").click()
     expect(page.get_by_text("cancelled", exact=False).first).to_be_visible()
+
+
+def test_a_campaign_is_submitted_from_a_form_that_says_what_it_costs_and_what_is_wrong(shown: Shown, opening: Opening) -> None:
+    page = opening(f"{shown.api.url}/#/submit", expected=("422",))
+    page.get_by_role("checkbox", name="sensitivity").uncheck()
+    page.get_by_label("population").fill("10")
+    page.get_by_label("iterations").fill("2")
+    page.get_by_label("name").fill("from the form")
+    expect(page.get_by_text("runs for 120 proposed cells")).to_be_visible()
+    page.get_by_label("weights").fill('{"S9": 1}')
+    expect(page.get_by_role("alert")).to_contain_text("S9")
+    expect(page.get_by_role("button", name="Start it")).to_be_disabled()
+    page.get_by_label("weights").fill('{"S1": 3}')
+    page.get_by_role("button", name="Start it").click()
+    expect(page.get_by_role("heading", level=1)).to_have_text("from the form")
+    stored = shown.api.http.get(f"/api/v1/campaigns/{page.url.rpartition('/')[2]}").json()["spec"]
+    assert (stored["sensitivity"], stored["weights"], stored["optimizer"]["population"]) == (None, {"S1": 3}, 10)
+    page.get_by_role("button", name="Cancel").click()
+    page.get_by_role("button", name="Really cancel").click()
+    expect(page.get_by_text("cancelled").first).to_be_visible()
 
 
 def test_tables_and_charts_are_exported(shown: Shown, opening: Opening, tmp_path: Path) -> None:
