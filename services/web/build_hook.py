@@ -137,7 +137,7 @@ def _run(command: list[str], node: str, seconds: float, what: str) -> None:
     except subprocess.TimeoutExpired:
         raise PageError(f"{what}: it took longer than {seconds} s") from None
     if ran.returncode:
-        said = [line for line in (ran.stderr + ran.stdout).splitlines() if line.strip() and "complete log" not in line]
+        said = [line for line in (ran.stderr + ran.stdout).splitlines() if line.strip() and not line.startswith("npm warn")]
         raise PageError(f"{what}: " + " | ".join(said[:4])[:500])
 
 
