@@ -127,7 +127,7 @@ def _lines(axes: Axes, heights: Floats, colour: str, dashes: object, width: floa
     if not len(heights):
         return
     across = np.broadcast_to(np.arange(heights.shape[1], dtype=np.float64), heights.shape)
-    lines = LineCollection(np.stack([across, heights], axis=2), colors=colour, linestyles=dashes, linewidths=width)  # type: ignore[arg-type]
+    lines = LineCollection(list(np.stack([across, heights], axis=2)), colors=colour, linestyles=dashes, linewidths=width)
     lines.set(zorder=order, gid=gid)
     axes.add_collection(lines)
 
