@@ -80,8 +80,10 @@ def test_every_view_can_be_used_by_everybody(shown: Shown, opening: Opening, *, 
     for address in [*(f"{shown.api.url}/#/{other}" for other in others), *(shown.at(tab) for tab in TABS)]:
         page.goto(address)
         expect(page.locator("main h1")).to_be_visible()
-        expect(page.get_by_role("main")).not_to_contain_text(re.compile("Loading|Reading"))
-        violations = page.evaluate("axe.run().then((found) => found.violations)")
+        expect(page.get_by_role("main")).not_to_contain_text(re.compile("Loading|Reading|Counting|Choose two"))
+        # What differs in the dark is contrast, and on a phone the width.
+        rules = "{runOnly: ['color-contrast']}" if dark or phone else "{}"
+        violations = page.evaluate(f"axe.run({rules}).then((found) => found.violations)")
         found[address] = [(one["id"], [node["html"][:150] for node in one["nodes"]][:3]) for one in violations]
         assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth"), address
     assert {address: one for address, one in found.items() if one} == {}
