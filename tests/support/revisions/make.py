@@ -5,8 +5,8 @@
         tests/support/revisions/REVISION.json
 
 To be run once, when a release goes out that made a new revision: 0001 is that of commit 8102bb0, 0003 that of 7dcb5b2. Everything
-that a user may have is in it: an analysis with its campaign, a rerun with other weights, a posted map with a campaign that uses it, a single evaluation, a
-campaign that stopped in the middle, one that is queued and one that was cancelled before it began.
+that a user may have is in it: an analysis with its campaign, a rerun with other weights, a posted map with a campaign that uses it, a
+single evaluation, a campaign that stopped in the middle, one that is queued and one that was cancelled before it began.
 """
 
 from __future__ import annotations
