@@ -16,8 +16,8 @@ demo: $(INSTALLED) ## calibrate the highway planner in S1..S6 through the REST A
 	@$(BIN)/drivecal demo
 
 test: $(INSTALLED) ## run the whole test suite: real SUMO, Ray, HTTP, SQLite and PostgreSQL
-	@$(BIN)/pytest --numprocesses 2 --dist loadfile --ignore tests/faults
-	@$(BIN)/pytest tests/faults
+	@$(BIN)/pytest --numprocesses 2 --dist loadfile --ignore tests/faults --ignore tests/browser
+	@$(BIN)/pytest tests/faults tests/browser
 
 test-faults: $(INSTALLED) ## kill, stop and starve everything there is, at random points: the long forms of the fault suite (hours)
 	@$(BIN)/pytest tests/faults -m faults

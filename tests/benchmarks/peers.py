@@ -1,4 +1,4 @@
-"""What a user would take instead: `python -m tests.benchmarks.peers [--sets N] [--only NAME ...]`, from the project's folder.
+"""What a user would take instead: `python tests/benchmarks/run.py peers`.
 
 The same search space and the same real evaluations on the same machine, one peer after the other: drivecal (reduction off, every result
 durable), Optuna with a database (SQLite, two processes), Optuna with a journal file (two processes), Ray Tune, and pymoo's genetic

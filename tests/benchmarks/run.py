@@ -7,6 +7,7 @@ not stop the others.
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import time
@@ -27,11 +28,15 @@ def main(names: Sequence[str]) -> int:
     if unknown:
         print(f"there is no benchmark {', '.join(unknown)}; available: {', '.join(available())}", file=sys.stderr)
         return 2
+    # benchmarks share parts with each other and with the tests, as `tests.benchmarks` and `tests.support`
+    environment = os.environ | {
+        "PYTHONPATH": os.pathsep.join(filter(None, [str(HERE.parents[1]), os.environ.get("PYTHONPATH")]))
+    }
     ended: dict[str, tuple[int, float]] = {}
     for name in names or available():
         print(f"\n{name}\n{'=' * len(name)}", flush=True)
         started = time.perf_counter()
-        code = subprocess.run([sys.executable, "-m", f"tests.benchmarks.{name}"], cwd=HERE.parents[1], check=False).returncode
+        code = subprocess.run([sys.executable, str(HERE / f"{name}.py")], env=environment, check=False).returncode
         ended[name] = (code, time.perf_counter() - started)
     print()
     for name, (code, seconds) in ended.items():

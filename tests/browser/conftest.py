@@ -15,7 +15,7 @@ Opening = Callable[..., Page]
 expect.set_options(timeout=30_000)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")  # its event loop must not outlive these tests
 def browser() -> Iterator[Browser]:
     """Skips where there is no browser, and where the page was not built."""
     command = chromium()

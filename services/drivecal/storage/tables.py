@@ -81,7 +81,12 @@ campaigns = Table(
     Column("created_at", UtcDateTime, nullable=False),
     Column("started_at", UtcDateTime),
     Column("ended_at", UtcDateTime),
-    Index(None, "parent_sequence"),
+    Index(
+        None,
+        "parent_sequence",
+        sqlite_where=text("parent_sequence IS NOT NULL"),
+        postgresql_where=text("parent_sequence IS NOT NULL"),
+    ),
     Index(  # what the dispatcher asks for all the time: some campaigns among all that ever were
         "ix_campaigns_active",
         "sequence",

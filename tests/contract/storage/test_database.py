@@ -242,4 +242,4 @@ def test_sqlite_waits_for_the_disk_at_every_commit(migrated_sqlite: Path) -> Non
 
 def test_rows_cannot_point_to_rows_that_are_not_there(database: Database) -> None:
     with pytest.raises(Exception, match=r"(?i)foreign key"), database.transaction() as connection:
-        connection.execute(text("INSERT INTO ratings VALUES (1, 'reference 1', 1, 1.0)"))
+        connection.execute(text("INSERT INTO ratings (run_id, evaluator, score, rating) VALUES (1, 'reference 1', 1, 1.0)"))

@@ -18,5 +18,10 @@ def upgrade() -> None:
     parent = sa.ForeignKey("campaigns.sequence", name=op.f("fk_campaigns_parent_sequence"))
     inline = op.get_bind().dialect.name == "sqlite"  # which takes no constraint afterwards, and gives this one no name
     op.add_column("campaigns", sa.Column("parent_sequence", IDENTITY, parent, nullable=True), inline_references=inline)
-    op.create_index(op.f("ix_campaigns_parent_sequence"), "campaigns", ["parent_sequence"])
+    runs = sa.text(
+        "parent_sequence IS NOT NULL"
+    )  # a full index would be taken for "campaigns without a parent", which most are
+    op.create_index(
+        op.f("ix_campaigns_parent_sequence"), "campaigns", ["parent_sequence"], sqlite_where=runs, postgresql_where=runs
+    )
     op.add_column("generations", sa.Column("rating", sa.Float(), nullable=True))
