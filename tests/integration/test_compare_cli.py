@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import threading
 from collections.abc import Iterator
 from typing import Any
 
@@ -13,7 +12,7 @@ import pytest
 from tests.support.command import Run
 from tests.support.comparisons import TWO_OPTIMIZERS
 from tests.support.computed import ComputedBackend
-from tests.support.runs import dispatcher, nothing_matters, post_map
+from tests.support.runs import nothing_matters, post_map, working
 from tests.support.server import RunningApi, serving
 
 SMALL: dict[str, Any] = TWO_OPTIMIZERS | {"name": "small", "populations": [6]}
@@ -21,19 +20,11 @@ SMALL: dict[str, Any] = TWO_OPTIMIZERS | {"name": "small", "populations": [6]}
 
 @pytest.fixture(scope="module")
 def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
-    with serving(f"sqlite:///{tmp_path_factory.mktemp('compared') / 'drivecal.db'}") as running:
-        over = threading.Event()
-        working = dispatcher(running.database, ComputedBackend())
-
-        def work() -> None:
-            while not over.wait(0.005):
-                working.step()
-
-        thread = threading.Thread(target=work)
-        thread.start()
+    with (
+        serving(f"sqlite:///{tmp_path_factory.mktemp('compared') / 'drivecal.db'}") as running,
+        working(running.database, ComputedBackend()),
+    ):
         yield running
-        over.set()
-        thread.join()
 
 
 @pytest.fixture(scope="module")

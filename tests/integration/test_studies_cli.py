@@ -5,14 +5,13 @@ from __future__ import annotations
 import csv
 import io
 import json
-import threading
 from collections.abc import Iterator
 from typing import Any
 
 import pytest
 from tests.support.command import Run
 from tests.support.computed import ComputedBackend
-from tests.support.runs import SMALL, dispatcher, influenced, nothing_matters, post_map
+from tests.support.runs import SMALL, influenced, nothing_matters, post_map, working
 from tests.support.server import RunningApi, serving
 
 from drivecal.client.client import Client
@@ -30,19 +29,11 @@ def fragile(setup: SetupRequest, cell: Cell) -> CellResult:
 
 @pytest.fixture(scope="module")
 def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
-    with serving(f"sqlite:///{tmp_path_factory.mktemp('studies') / 'drivecal.db'}") as running:
-        over = threading.Event()
-        working = dispatcher(running.database, ComputedBackend(driven=fragile))
-
-        def work() -> None:
-            while not over.wait(0.01):
-                working.step()
-
-        thread = threading.Thread(target=work)
-        thread.start()
+    with (
+        serving(f"sqlite:///{tmp_path_factory.mktemp('studies') / 'drivecal.db'}") as running,
+        working(running.database, ComputedBackend(driven=fragile)),
+    ):
         yield running
-        over.set()
-        thread.join()
 
 
 @pytest.fixture(scope="module")

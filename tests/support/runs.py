@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from tests.support.computed import ComputedBackend
@@ -43,6 +46,25 @@ def influenced(scenario: str, cell: Cell) -> CellResult:
     if scenario == "S2" and p["P3"] > 0.95:
         return CellResult(cell.id, 0.0, 0, {"comfort": rating}, "collision", 7.0)
     return CellResult(cell.id, rating, round(rating), {"comfort": rating, "undefined": float("nan")}, None, 7.0)
+
+
+@contextmanager
+def working(database: Database, backend: Backend) -> Iterator[None]:
+    """A dispatcher carries out what is submitted, in a thread of its own, as long as the block lasts."""
+    over = threading.Event()
+    carrying_out = dispatcher(database, backend)
+
+    def work() -> None:
+        while not over.wait(0.005):
+            carrying_out.step()
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
 
 
 def nothing_matters() -> dict[str, Any]:

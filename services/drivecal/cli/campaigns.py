@@ -20,13 +20,15 @@ from drivecal.domain.campaigns import CampaignState
 WaitOption = Annotated[bool, typer.Option("--wait", help="Show the progress until the campaign has ended.")]
 TimeoutOption = Annotated[float | None, typer.Option(min=0, help="Seconds to wait at most; exit status 6 when they are over.")]
 
+DryRunOption = Annotated[bool, typer.Option("--dry-run", help="Check the file and count the runs, submit nothing.")]
+
 
 @app.command()
 def submit(
     file: Annotated[str, typer.Argument(metavar="FILE", help="A campaign file, YAML or JSON; - is standard input.")],
     wait: WaitOption = False,
     timeout: TimeoutOption = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Check the file and count the runs, submit nothing.")] = False,
+    dry_run: DryRunOption = False,
     url: UrlOption = None,
     as_json: JsonOption = False,
 ) -> None:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from drivecal.cli.campaigns import TimeoutOption, WaitOption, submitted
+from drivecal.cli.campaigns import DryRunOption, TimeoutOption, WaitOption, submitted
 from drivecal.cli.commands import JsonOption, UrlOption, app, connect
 from drivecal.cli.comparisons import print_expected
 from drivecal.cli.documents import read_document
@@ -18,7 +18,7 @@ def compare_optimizers(
     file: Annotated[str, typer.Argument(metavar="FILE", help="A comparison file, YAML or JSON; - is standard input.")],
     wait: WaitOption = False,
     timeout: TimeoutOption = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Check the file and count the runs, submit nothing.")] = False,
+    dry_run: DryRunOption = False,
     url: UrlOption = None,
     as_json: JsonOption = False,
 ) -> None:
