@@ -62,6 +62,8 @@ class Ledger:
         self._requests: Mapping[int, SetupRequest] = {}
         self._refuted: str | None = None
         self._exclusive = False
+        self._evaluator_id = view.bench.evaluator_id
+        self._from_series = isinstance(view.bench.evaluator, SeriesEvaluator)
         self.simulating_seconds = simulating_seconds
 
     @property
@@ -136,7 +138,7 @@ class Ledger:
             self._simulated(cell, one, run, answers)
             if one.result.trace is not None:
                 traces.fill(connection, self._view.campaign, one.result.trace)
-        _store(connection, answers)
+        evaluations.answer(connection, answers)
         evaluations.note_proofs(connection, proofs)
         evaluations.simulate_instead(connection, [one.id for one in orphans])
         return self._work([*again, *orphans])
@@ -211,11 +213,11 @@ class Ledger:
         answers: list[Answer] = []
         for setup_id, cells in wanted.items():
             ids = [one.parameter_set_id for one in cells]
-            found = runs.look_up_exact(connection, setup_id, ids, self._view.bench.evaluator_id, watermark=sys.maxsize)
+            found = runs.look_up_exact(connection, setup_id, ids, self._evaluator_id, watermark=sys.maxsize)
             for cell in cells:
                 if cell.parameter_set_id in found:
                     self._answer(cell, found[cell.parameter_set_id], answers)
-        _store(connection, answers)
+        evaluations.answer(connection, answers)
 
     def _simulated(self, cell: PendingEvaluation, one: Completed, run: StoredRun, answers: list[Answer]) -> None:
         if one.result.score is None or one.result.rating is None:
@@ -305,7 +307,7 @@ class Ledger:
             failure=one.result.failure,
             milliseconds=one.result.milliseconds,
             worker=one.worker,
-            evaluator=self._view.bench.evaluator_id,
+            evaluator=self._evaluator_id,
             score=one.result.score,
             rating=one.result.rating,
             evaluation_id=cell.id,
@@ -313,7 +315,7 @@ class Ledger:
             stage=cell.stage,
             iteration=cell.iteration,
             individual=cell.individual,
-            from_series=isinstance(self._view.bench.evaluator, SeriesEvaluator),
+            from_series=self._from_series,
         )
 
 
@@ -325,11 +327,6 @@ def _refutation(cell: PendingEvaluation, one: Completed) -> str:
         f"{where} was to repeat evaluation {one.result.proven_by} bit for bit, but its simulation on {one.worker} gave something else: a"
         " mistake of the driving function's certificates. Run it with reduction.certified: false, and report it"
     )
-
-
-def _store(connection: Connection, answers: Sequence[Answer]) -> None:
-    evaluations.answer(connection, answers)
-    leases.end(connection, [one.id for one in answers])
 
 
 def _storable(words: str) -> str:

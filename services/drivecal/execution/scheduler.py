@@ -25,8 +25,8 @@ from drivecal.execution.standing import Standings
 
 ATTEMPTS = 3
 """After how many breakdowns a cell has failed."""
-MOST_PASSED_OVER = 200
-"""Batches of a quarter of a second, after which a suspect no longer waits until its only worker has nothing else to do."""
+MOST_PASSED_OVER = 100
+"""Batches of half a second, after which a suspect no longer waits until its only worker has nothing else to do."""
 
 
 @dataclass(frozen=True, slots=True)

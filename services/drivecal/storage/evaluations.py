@@ -6,13 +6,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
-from sqlalchemy import Column, ColumnElement, Connection, Select, SmallInteger, bindparam, delete, select, type_coerce, update
+from sqlalchemy import Column, ColumnElement, Connection, Select, SmallInteger, bindparam, select, type_coerce, update
 
 from drivecal.domain.campaigns import Stage
 from drivecal.domain.evaluations import Donor, Outcome
 from drivecal.domain.parameters import ParameterSet
+from drivecal.storage import leases
 from drivecal.storage.membership import among
-from drivecal.storage.tables import evaluations, leases, parameter_sets
+from drivecal.storage.tables import evaluations, parameter_sets
 
 COPIES = (Outcome.REPEATED, Outcome.REUSED)
 DONORS = (Outcome.SIMULATED, Outcome.CERTIFIED)
@@ -161,8 +162,7 @@ def answer(connection: Connection, answers: Sequence[Answer]) -> int:
     )
     rows = [{"evaluation": one.id} | {f"new_{name}": getattr(one, name) for name in _ANSWER} for one in answers]
     answered = connection.execute(statement, rows).rowcount
-    for condition in among(connection, leases.c.evaluation_id, [one.id for one in answers]):
-        connection.execute(delete(leases).where(condition))  # of an earlier attempt, where another cell's run is the answer
+    leases.end(connection, [one.id for one in answers])  # of an earlier attempt too, where another cell's run is the answer
     return answered
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import repeat
 from typing import Any
 
 from sqlalchemy import Connection, func, select, text
@@ -59,39 +60,11 @@ def insert_results(connection: Connection, results: Sequence[NewRun]) -> list[St
     """
     if not results:
         return []
-    created_at = now()
-    statement = insert(connection, runs).on_conflict_do_nothing(index_elements=["setup_id", "parameter_set_id"])
-    known = _stored(connection, results)
-    before = {run.id for run in known.values()}
-    new = [_row(one, created_at) for one in results if (one.setup_id, one.parameter_set_id) not in known]
-    if new:
-        connection.execute(statement, new)
-        known = _stored(connection, results)
-    stored = [known[one.setup_id, one.parameter_set_id] for one in results]
-    repeats = [
-        run.failure == one.failure and run.metrics == finite(dict(one.metrics))
-        for run, one in zip(stored, results, strict=True)
-    ]
-    new_ones: dict[tuple[int, str], NewRun] = {}
-    late: dict[tuple[int, str], NewRun] = {}
-    for run, one, same in zip(stored, results, repeats, strict=True):
-        if run.id not in before:
-            new_ones.setdefault((run.id, one.evaluator), one)
-        elif one.from_series and same and one.failure is None:
-            late.setdefault((run.id, one.evaluator), one)
-    _insert_ratings(connection, new_ones, dict.fromkeys(new_ones, 0))
-    standing = _ratings(connection, sorted({run.id for run in stored}))
-    missing = [key for key in late if key not in standing]
-    _insert_ratings(connection, late, dict(zip(missing, _numbers(connection, len(missing)), strict=True)))
-    standing |= {key: (late[key].score, late[key].rating) for key in missing}
-    return [
-        StoredRun(
-            id=run.id,
-            evaluation_id=run.evaluation_id,
-            agrees=same and standing.get((run.id, one.evaluator), (one.score, one.rating)) == (one.score, one.rating),
-        )
-        for run, one, same in zip(stored, results, repeats, strict=True)
-    ]
+    new = _insert(connection, results)
+    _insert_ratings(connection, {(run, one.evaluator): one for run, one in new.values()}, repeat(0))
+    ids = {id(one): run for run, one in new.values()}
+    compared = iter(_compare(connection, [one for one in results if id(one) not in ids]))
+    return [StoredRun(ids[id(one)], one.evaluation_id, agrees=True) if id(one) in ids else next(compared) for one in results]
 
 
 def largest_id(connection: Connection) -> int:
@@ -130,6 +103,51 @@ def metrics(connection: Connection, run_ids: Sequence[int]) -> dict[int, dict[st
     return found
 
 
+def _insert(connection: Connection, results: Sequence[NewRun]) -> dict[tuple[int, int], tuple[int, NewRun]]:
+    """Stores results of cells that have none: by cell, the run's id and the result that it is."""
+    created_at = now()
+    statement = insert(connection, runs).on_conflict_do_nothing(index_elements=["setup_id", "parameter_set_id"])
+    inserted = connection.execute(
+        statement.returning(runs.c.setup_id, runs.c.parameter_set_id, runs.c.id), [_row(one, created_at) for one in results]
+    )
+    firsts: dict[tuple[int, int], NewRun] = {}
+    for one in results:
+        firsts.setdefault(_key(one), one)
+    return {(setup, parameter_set): (run, firsts[setup, parameter_set]) for setup, parameter_set, run in inserted}
+
+
+def _compare(connection: Connection, results: Sequence[NewRun]) -> list[StoredRun]:
+    """What is stored for cells that had a result already, and whether these agree with it."""
+    if not results:
+        return []
+    known = _stored(connection, results)
+    stored = [known[_key(one)] for one in results]
+    repeats = [
+        run.failure == one.failure and run.metrics == finite(dict(one.metrics))
+        for run, one in zip(stored, results, strict=True)
+    ]
+    late: dict[tuple[int, str], NewRun] = {}
+    for run, one, same in zip(stored, results, repeats, strict=True):
+        if one.from_series and same and one.failure is None:
+            late.setdefault((run.id, one.evaluator), one)
+    standing = _ratings(connection, sorted({run.id for run in stored}))
+    missing = {key: one for key, one in late.items() if key not in standing}
+    _insert_ratings(connection, missing, _numbers(connection, len(missing)))
+    standing |= {key: (one.score, one.rating) for key, one in missing.items()}
+    return [
+        StoredRun(
+            id=run.id,
+            evaluation_id=run.evaluation_id,
+            agrees=same and standing.get((run.id, one.evaluator), (one.score, one.rating)) == (one.score, one.rating),
+        )
+        for run, one, same in zip(stored, results, repeats, strict=True)
+    ]
+
+
+def _key(one: NewRun) -> tuple[int, int]:
+    return one.setup_id, one.parameter_set_id
+
+
 def _row(one: NewRun, created_at: Any) -> dict[str, Any]:
     return {
         "setup_id": one.setup_id,
@@ -147,18 +165,11 @@ def _row(one: NewRun, created_at: Any) -> dict[str, Any]:
     }
 
 
-def _insert_ratings(
-    connection: Connection, found: Mapping[tuple[int, str], NewRun], since: Mapping[tuple[int, str], int]
-) -> None:
+def _insert_ratings(connection: Connection, found: Mapping[tuple[int, str], NewRun], since: Iterable[int]) -> None:
+    """`since`: of each, in order."""
     rows = [
-        {
-            "run_id": key[0],
-            "evaluator": key[1],
-            "score": int(found[key].score),
-            "rating": float(found[key].rating),
-            "since": number,
-        }
-        for key, number in since.items()
+        {"run_id": run, "evaluator": evaluator, "score": int(one.score), "rating": float(one.rating), "since": number}
+        for ((run, evaluator), one), number in zip(found.items(), since, strict=False)
     ]
     if rows:
         connection.execute(insert(connection, ratings).on_conflict_do_nothing(index_elements=["run_id", "evaluator"]), rows)
