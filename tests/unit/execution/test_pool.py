@@ -128,7 +128,7 @@ def test_bad_workers_cost_no_good_cell(workers: int, bad: set[int]) -> None:
         assert int(count) in {BATCHES_WITHOUT_RESULT, BATCHES_WITHOUT_RESULT + 1}
         assert words == "batches in a row gave no result, the last one because: SUMO is gone"
     spoilt = sum(count - 1 for count in backend.attempts.values())
-    assert spoilt < 1000, "bad workers are given little"
+    assert spoilt < 1500, "bad workers are given little"
 
 
 def test_a_worker_that_is_spoilt_comes_back_to_life_by_its_replacement() -> None:
@@ -161,7 +161,7 @@ def test_a_campaign_of_errors_comes_to_its_end_and_costs_few_workers_and_words(c
 def test_refusals_are_no_attempts_and_leave_the_work_to_those_who_can() -> None:
     backend = FakeBackend(3, refusing={1: "it has no frenet", 3: "it has no frenet"})
     pool = WorkPool(backend, clock=lambda: backend.now)
-    pool.submit(setup(), cells([Behaviour.WELL] * 99 + [Behaviour.ERROR, Behaviour.CRASH]), tag="a")
+    pool.submit(setup(), cells([Behaviour.ERROR, *[Behaviour.WELL] * 99, Behaviour.CRASH]), tag="a")
     completed = pool.poll(0.0)
     while "2 workers refuse" not in (pool.trouble() or ""):
         completed += pool.poll(0.01)
@@ -169,7 +169,7 @@ def test_refusals_are_no_attempts_and_leave_the_work_to_those_who_can() -> None:
     completed += drain(pool)
     assert sorted(one.result.id for one in completed) == list(range(1, 102))
     failed = {one.result.id: one.attempts for one in completed if one.result.breakdown is not None}
-    assert failed == {100: WITNESSES, 101: ATTEMPTS}
+    assert failed == {1: WITNESSES, 101: ATTEMPTS}
     assert {one.worker.split(".")[0] for one in completed} == {"worker-2"}
     assert pool.trouble() is None
 
@@ -196,7 +196,7 @@ def test_cells_that_every_worker_refuses_wait_until_one_is_mended(caplog: pytest
     assert backend.now < 7 * PATIENCE_WITH_REFUSALS
 
 
-def test_batches_take_a_quarter_of_a_second_whatever_a_cell_costs() -> None:
+def test_batches_take_half_a_second_whatever_a_cell_costs() -> None:
     backend = FakeBackend(seconds_per_cell={"S1": 0.007, "S2": 0.1, "S3": 3.0, "S4": 0.0001})
     pool = WorkPool(backend)
     for index, scenario in enumerate(("S1", "S2", "S3", "S4")):
@@ -207,10 +207,10 @@ def test_batches_take_a_quarter_of_a_second_whatever_a_cell_costs() -> None:
         scenario: Counter(size for _, one, size in backend.sizes if one == scenario).most_common(1)[0][0]
         for scenario in ("S1", "S2", "S3")
     }
-    assert typical["S1"] in range(30, 41)
-    assert typical["S2"] == 2
+    assert typical["S1"] in range(60, 81)
+    assert typical["S2"] == 4
     assert typical["S3"] == 1
-    assert max(size for _, one, size in backend.sizes if one == "S4") == 64
+    assert max(size for _, one, size in backend.sizes if one == "S4") == 128
     assert next(size for _, one, size in backend.sizes if one == "S1") == 1  # a probe: nothing was known
 
 
