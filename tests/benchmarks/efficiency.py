@@ -1,4 +1,4 @@
-"""How much of the machine a campaign turns into simulation: `python tests/benchmarks/efficiency.py [--population N] [--iterations N]`.
+"""How much of the machine a campaign turns into simulation: `python tests/benchmarks/run.py efficiency [--population N] [--iterations N]`.
 
 A coordinator as a user starts it carries out a campaign with reduction off and without certificates. Efficiency = simulated cells x
 single-process cost of a cell / (wall x cores). The cost is measured in the same run, in one process on the otherwise idle machine, over a

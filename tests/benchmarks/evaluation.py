@@ -1,4 +1,4 @@
-"""What one evaluation costs, beside SUMO alone stepping the same scenarios: `python tests/benchmarks/evaluation.py`.
+"""What one evaluation costs, beside SUMO alone stepping the same scenarios: `python tests/benchmarks/run.py evaluation`.
 
 SUMO alone: the same vehicles, the ego vehicle driven by SUMO as any other, only simulation steps. Both are measured in turn; of each
 run the fastest of several rounds counts, so that what else the machine does disturbs the ratio least. CPU time.

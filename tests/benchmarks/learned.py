@@ -1,4 +1,4 @@
-"""What the learned parts cost and change: `python tests/benchmarks/learned.py [--population N] [--iterations N] [--rounds N]`.
+"""What the learned parts cost and change: `python tests/benchmarks/run.py learned [--population N] [--iterations N] [--rounds N]`.
 
 First the demo's campaign as it is and with both learned parts, one after the other on the same coordinator, in turn; of each the fastest
 counts. Nothing that one has simulated serves the other, for their vehicles differ. Then single evaluations with the hybrid vehicle and

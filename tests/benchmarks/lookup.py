@@ -1,4 +1,4 @@
-"""How long does one look-up for a whole population take? `python tests/benchmarks/lookup.py [--references 10000 1000000]`.
+"""How long does one look-up for a whole population take? `python tests/benchmarks/run.py lookup [--references 10000 1000000]`.
 
 6,000 cells are asked for against tables of stored results, on SQLite and PostgreSQL: by reference key (Figure 6 of the paper), by
 parameter set, and from the cells' values to their donors, keys included. The tables of all sizes stand beside each other and take

@@ -1,4 +1,4 @@
-"""Does the genetic algorithm beat random search on the built-in problem? `python tests/benchmarks/optimizer.py [--seeds 12] [...]`.
+"""Does the genetic algorithm beat random search on the built-in problem? `python tests/benchmarks/run.py optimizer [--seeds 12] [...]`.
 
 Both start from the same Latin hypercube, request equally many cells in every iteration and rate a set by the mean score over all
 scenarios. Per seed: the best objective, and how many different sets reach the better of the two. Of two one-sided Mann-Whitney tests over

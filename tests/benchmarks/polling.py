@@ -1,4 +1,4 @@
-"""What following a campaign costs it: `python tests/benchmarks/polling.py [--seconds N] [--rounds N]`.
+"""What following a campaign costs it: `python tests/benchmarks/run.py polling [--seconds N] [--rounds N]`.
 
 A coordinator as a user starts it carries out one long campaign on real SUMO workers. In turn, nobody looks (A), and 100 clients poll it
 every 5 s with If-None-Match while 10 event streams are open (B): A B A B ... A. Each B is compared with the mean of the two A beside it,

@@ -1,4 +1,4 @@
-"""Could a simulation go on from the last state that it shares with an earlier run? `python tests/benchmarks/prefix.py`.
+"""Could a simulation go on from the last state that it shares with an earlier run? `python tests/benchmarks/run.py prefix`.
 
 In each scenario SUMO saves its state in the middle of a run, the run goes on to its end, then the state is loaded and the same is driven
 again. What the other vehicles do must be the same to the bit for results to be. CPU time of saving and loading beside that of

@@ -1,4 +1,4 @@
-"""Is the built-in problem a real one? `python tests/benchmarks/problem.py [--sets 600] [--lines 20] [--processes N]`.
+"""Is the built-in problem a real one? `python tests/benchmarks/run.py problem [--sets 600] [--lines 20] [--processes N]`.
 
 Latin hypercube sets of Table 6's space give the spread of scores, one-at-a-time lines from other such sets show where each parameter
 matters, and the features of all candidates show whether two terms say the same. Prints tables, checks what a calibration problem

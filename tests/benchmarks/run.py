@@ -1,6 +1,6 @@
-"""Runs the benchmarks beside this file, all or those named: `python tests/benchmarks/run.py [evaluation lookup ...]`.
+"""Runs the benchmarks beside this file, all or those named: `python tests/benchmarks/run.py [NAME ...] [OPTION ...]`.
 
-Each is a program of its own, in a process of its own (a process holds one simulation, and memory figures shall not add up): it prints a
+Options are those of the benchmark: `run.py lookup --help`. Each is a program of its own, in a process of its own (a process holds one simulation, and memory figures shall not add up): it prints a
 table, writes its figures to `.drivecal/bench/NAME.json` and ends with 0 where what it measured is good enough. One that fails does
 not stop the others.
 """
@@ -12,6 +12,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
+from itertools import takewhile
 from pathlib import Path
 
 HERE = Path(__file__).parent
@@ -22,8 +23,14 @@ def available() -> list[str]:
     return sorted(path.stem for path in HERE.glob("*.py") if path.name != Path(__file__).name and not path.stem.startswith("_"))
 
 
-def main(names: Sequence[str]) -> int:
-    """Runs the benchmarks of these names, all where none is given; 0 where every one of them ended with 0, 2 for an unknown name."""
+def main(arguments: Sequence[str]) -> int:
+    """Runs the benchmarks of these names, all where none is given, with the options that follow the names; 0 where every one of them
+    ended with 0, 2 for an unknown name."""
+    names = list(takewhile(lambda one: not one.startswith("-"), arguments))
+    options = arguments[len(names) :]
+    if options and len(names) != 1:
+        print("options are those of one benchmark: run.py NAME OPTION ...", file=sys.stderr)
+        return 2
     unknown = [name for name in names if name not in available()]
     if unknown:
         print(f"there is no benchmark {', '.join(unknown)}; available: {', '.join(available())}", file=sys.stderr)
@@ -36,7 +43,7 @@ def main(names: Sequence[str]) -> int:
     for name in names or available():
         print(f"\n{name}\n{'=' * len(name)}", flush=True)
         started = time.perf_counter()
-        code = subprocess.run([sys.executable, str(HERE / f"{name}.py")], env=environment, check=False).returncode
+        code = subprocess.run([sys.executable, str(HERE / f"{name}.py"), *options], env=environment, check=False).returncode
         ended[name] = (code, time.perf_counter() - started)
     print()
     for name, (code, seconds) in ended.items():

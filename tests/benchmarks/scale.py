@@ -1,4 +1,4 @@
-"""Sizes that this machine does not have: `python -m tests.benchmarks.scale [--workers N] [--stored N ...]`, from the project's folder.
+"""Sizes that this machine does not have: `python tests/benchmarks/run.py scale [--workers N] [--stored N ...]`.
 
 1. The real dispatcher and database against pretended workers that take the paper's 10 s for an evaluation. Time is the machine's own while
    the dispatcher works and jumps while it waits, so what it costs is charged as it would be, and a quarter of an hour takes seconds.

@@ -1,4 +1,4 @@
-"""Does design `lines` find what design `paper` finds? `python tests/benchmarks/sensitivity.py [--samples 16] [--threshold auto] [...]`.
+"""Does design `lines` find what design `paper` finds? `python tests/benchmarks/run.py sensitivity [--samples 16] [--threshold auto] [...]`.
 
 Both analyse S1..S6 with two sets of Sobol' points each. Two maps agree on a (scenario, parameter) pair where it is influential in both or
 in neither and both bounds are within one interval. `lines` is good enough where it agrees with `paper` on as many pairs as `paper` with

@@ -18,7 +18,7 @@ def folder(tmp_path: Path) -> Path:
     shutil.copy(RUNNER, tmp_path)
     (tmp_path / "a_breaks.py").write_text("raise RuntimeError('broken')\n")
     (tmp_path / "b_bad.py").write_text("import sys; print('table of b'); sys.exit(3)\n")
-    (tmp_path / "c_good.py").write_text("print('table of c')\n")
+    (tmp_path / "c_good.py").write_text("import sys; print('table of c', sys.argv[1:])\n")
     return tmp_path
 
 
@@ -50,3 +50,11 @@ def test_an_unknown_benchmark_is_refused_with_those_there_are(folder: Path) -> N
     assert done.returncode == 2
     assert done.stderr == "there is no benchmark nonsense; available: a_breaks, b_bad, c_good\n"
     assert not done.stdout
+
+
+def test_options_go_to_the_one_benchmark_that_is_named(folder: Path) -> None:
+    done = run(folder, "c_good", "--size", "7")
+    assert (done.returncode, "table of c ['--size', '7']" in done.stdout) == (0, True)
+    for arguments in (["--size", "7"], ["b_bad", "c_good", "--size", "7"]):
+        done = run(folder, *arguments)
+        assert (done.returncode, done.stderr) == (2, "options are those of one benchmark: run.py NAME OPTION ...\n")
