@@ -12,9 +12,10 @@
 set -eu
 cd "$(dirname "$0")/.."
 
-setting() { # NAME DEFAULT: from the environment, else from .env
+setting() { # NAME DEFAULT: from the environment, else from .env, without quotes and comment as docker compose takes it
     eval "value=\${$1:-}"
-    [ -n "$value" ] || [ ! -f .env ] || value=$(sed -n "s/^$1=\(.*\)/\1/p" .env | tail -n 1)
+    [ -n "$value" ] || [ ! -f .env ] || value=$(sed -n "s/^$1=\(.*\)/\1/p" .env | tail -n 1 |
+        sed "s/[[:space:]]\{1,\}#.*//; s/[[:space:]]*$//; s/^\"\(.*\)\"$/\1/; s/^'\(.*\)'$/\1/")
     printf '%s' "${value:-$2}"
 }
 random() { od -An -tx1 -N32 /dev/urandom | tr -d ' \n'; }
@@ -33,6 +34,14 @@ make postgres_password "$(random)"
 make ray_token "$(random)"
 make tokens "me write $(random)"
 
-echo "export DRIVECAL_URL=http://127.0.0.1:$(setting DRIVECAL_PORT 8000)"
-sed -n 's/^[[:space:]]*[A-Za-z0-9][^[:space:]]*[[:space:]]\{1,\}write[[:space:]]\{1,\}\([^[:space:]]*\).*/export DRIVECAL_TOKEN=\1/p' \
-    "$folder/tokens" | head -n 1
+quoted() { # for eval: whatever a token or an address holds, the shell takes it as one word and runs nothing
+    printf "'%s'" "$(printf '%s' "$1" | sed "s/'/'\\\\''/g")"
+}
+address=$(setting DRIVECAL_BIND 127.0.0.1)
+case $address in
+0.0.0.0 | '') address=127.0.0.1 ;; # everybody's address is nobody's to call
+esac
+token=$(sed -n 's/^[[:space:]]*[A-Za-z0-9][^[:space:]]*[[:space:]]\{1,\}write[[:space:]]\{1,\}\([^[:space:]]*\).*/\1/p' "$folder/tokens" | head -n 1)
+
+echo "export DRIVECAL_URL=$(quoted "http://$address:$(setting DRIVECAL_PORT 8000)")"
+[ -z "$token" ] || echo "export DRIVECAL_TOKEN=$(quoted "$token")"

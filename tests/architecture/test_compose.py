@@ -175,11 +175,24 @@ def test_secrets_are_made_once_are_the_owners_alone_and_tell_how_to_reach_the_cl
     assert folder.stat().st_mode & 0o777 == 0o700
     assert {path.stat().st_mode & 0o777 for path in folder.iterdir()} == {0o644}
     token = made["tokens"].split()[2]
-    assert said == f"export DRIVECAL_URL=http://127.0.0.1:8123\nexport DRIVECAL_TOKEN={token}\n"
+    assert said == f"export DRIVECAL_URL='http://127.0.0.1:8123'\nexport DRIVECAL_TOKEN='{token}'\n"
     assert len({made["postgres_password"].strip(), made["ray_token"].strip(), token}) == 3
     assert len(token) == 64
     assert run(DRIVECAL_PORT="8123") == said
     assert {path.name: path.read_text() for path in folder.iterdir()} == made
+
+
+@pytest.mark.parametrize(
+    "token", ["it's-a-long'token", "$(touch${IFS}ran);touch${IFS}ran", '"`touch${IFS}ran`"\\&|<>*', "-n%s-and-more-of-it"]
+)
+def test_whatever_a_token_holds_the_shell_takes_it_as_it_is(tmp_path: Path, token: str) -> None:
+    (tmp_path / "tokens").write_text(f"# name may token\nreader read {'r' * 20}\nme write {token}\nother write {'o' * 20}\n")
+    script = PROJECT / "deploy" / "secrets.sh"
+    command = f'eval "$({script})"; printf %s "$DRIVECAL_URL $DRIVECAL_TOKEN"'
+    given = {"PATH": "/usr/bin:/bin", "DRIVECAL_SECRETS": str(tmp_path), "DRIVECAL_BIND": "10.0.0.5", "DRIVECAL_PORT": "8123"}
+    done = subprocess.run(["sh", "-c", command], env=given, cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert done.stdout == f"http://10.0.0.5:8123 {token}"
+    assert not (tmp_path / "ran").exists()
 
 
 def test_no_secret_gets_into_an_image_or_into_the_repository() -> None:

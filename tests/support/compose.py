@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import subprocess
 import time
 from collections.abc import Iterator, Mapping
@@ -42,9 +41,8 @@ class Cluster:
             "DRIVECAL_PORT": str(free_port()),
             "DRIVECAL_TAG": "test",
         }
-        said = self.run(str(PROJECT / "deploy" / "secrets.sh"))
-        exported: dict[str, str] = dict(re.findall(r"export (\w+)=(\S+)", said))
-        self.url, self.token = exported["DRIVECAL_URL"], exported["DRIVECAL_TOKEN"]
+        told = self.run("sh", "-c", 'eval "$(deploy/secrets.sh)"; echo "$DRIVECAL_URL $DRIVECAL_TOKEN"')
+        self.url, self.token = told.split()
         self.http = httpx.Client(base_url=self.url, headers={"Authorization": f"Bearer {self.token}"}, timeout=60.0)
 
     def run(self, *words: str, check: bool = True, environment: Mapping[str, str] | None = None) -> str:

@@ -18,7 +18,7 @@ from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 
-from drivecal.cluster.checks import check_shared_memory, check_token, check_version
+from drivecal.cluster.checks import check_shared_memory, check_token, version_gap
 from drivecal.cluster.members import Node, ask
 from drivecal.cluster.settings import ALERT, OBJECT_STORE_BYTES, PORT, QUIET, VERSION_LABEL
 from drivecal.domain.errors import DrivecalError, InvalidInputError, Problem, UnavailableError
@@ -67,8 +67,8 @@ def main(words: Sequence[str] | None = None) -> int:
 
 
 def wait_for_head(address: str, nodes_of: Callable[[str], Sequence[Node]], pause: Callable[[float], None] = time.sleep) -> None:
-    """Returns once the head answers. Raises NotAuthorisedError where it does not accept our token, ConflictError where its version is
-    another one."""
+    """Returns once the head answers; says so where its version is another one. Raises NotAuthorisedError where it does not accept our
+    token."""
     seconds = 1.0
     while True:
         try:
@@ -80,8 +80,9 @@ def wait_for_head(address: str, nodes_of: Callable[[str], Sequence[Node]], pause
         else:
             break
     for node in nodes:
-        if node.is_head:
-            check_version(node.version, address)
+        gap = version_gap(node.version, address) if node.is_head else None
+        if gap is not None:
+            log.error("%s", gap)
 
 
 def head_command(port: int, environment: Mapping[str, str]) -> list[str]:

@@ -50,10 +50,13 @@ def check_shared_memory(folder: Path = SHARED_MEMORY) -> None:
         )
 
 
-def check_version(theirs: str | None, address: str) -> None:
-    """Raises ConflictError naming both where a head says that it has another drivecal than this process; None: it does not say."""
+def version_gap(theirs: str | None, address: str) -> str | None:
+    """What to say, naming both, where a head has another drivecal than this process; None where it has the same, or does not say. Such a
+    node joins all the same: it gets no work, and the coordinator can tell who asks why."""
     ours = version("drivecal")
-    if theirs not in {None, ours}:
-        raise ConflictError(
-            f"this node has drivecal {ours} and the head at {address} has {theirs}; install the same release on both"
-        )
+    if theirs in {None, ours}:
+        return None
+    return (
+        f"this node has drivecal {ours} and the head at {address} has {theirs}: a coordinator of another release gives it no work;"
+        " install the same release on both"
+    )

@@ -64,7 +64,9 @@ def test_another_version_than_the_heads_is_said_with_both() -> None:
     ours = version("drivecal")
     gap = version_gap("9.9", "h:1")
     assert gap is not None
-    assert gap.startswith(f"this node has drivecal {ours} and the head at h:1 has 9.9: a coordinator of another release gives it no work")
+    assert gap.startswith(
+        f"this node has drivecal {ours} and the head at h:1 has 9.9: a coordinator of another release gives it no work"
+    )
     assert version_gap(ours, "h:1") is None
     assert version_gap(None, "h:1") is None
 
