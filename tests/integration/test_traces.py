@@ -22,12 +22,17 @@ from drivecal.cli import traces as files
 from drivecal.contracts.evaluation import TraceAnswer
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.errors import InvalidInputError
+from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins import registry
 from drivecal.storage import campaigns, results, traces
 from drivecal.storage.types import now
 
 MIDDLE = {"P1": 0, "P2": 1, "P3": 100, "P4": 1000, "P5": 750, "P6": 0.5, "P7": 100, "P8": 1000, "P9": 5, "P10": 10, "P11": 100}
 SERIES = {"s_m": [0.1, 3.0], "speed_mps": [30.0, 29.5]}
+
+
+FAILING: list[Breakdown] = []
+"""The breakdown that traces of P9 = 8 meet at present."""
 
 
 def document(result: CellResult) -> dict[str, Any]:
@@ -47,6 +52,8 @@ def document(result: CellResult) -> dict[str, Any]:
 def traced(scenario: str, cell: Cell) -> CellResult:
     """What a worker gives: time series where they are wanted; for P9 = 7 nothing."""
     result = computed(scenario, cell)
+    if cell.parameters["P9"] == 8 and cell.trace and FAILING:
+        return CellResult(cell.id, None, None, {}, None, 7.0, FAILING[0], "it took too long")
     if cell.parameters["P9"] == 7:
         return CellResult(cell.id, None, None, {}, None, 7.0, "error", "the driving function gave up")
     return replace(result, trace=gzip.compress(json.dumps(document(result)).encode(), mtime=0)) if cell.trace else result
@@ -147,6 +154,24 @@ def test_what_cannot_be_driven_again_says_why(api: RunningApi, monkeypatch: pyte
     answer = ask(api, other)
     assert answer.status_code == 409
     assert "driven with another driving_function_version than is installed now" in answer.json()["detail"]
+
+
+def test_what_failed_for_a_passing_reason_is_driven_again_by_who_asks_later(
+    api: RunningApi, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    FAILING.append(Breakdown.HANG)
+    number = evaluated(api, P9=8)["items"][0]["id"]
+    assert ask(api, number).status_code == 202
+    work(api)
+    answers = [ask(api, number) for _ in range(2)]
+    assert [one.status_code for one in answers] == [409, 409]
+    assert "it took too long. That may have passed: ask again after 30 s" in answers[0].json()["detail"]
+    assert work(api).sent == [], "who polls is told and starts nothing"
+    monkeypatch.setattr("drivecal.campaigns.tracing.AGAIN_AFTER", timedelta(0))
+    FAILING.clear()
+    assert ask(api, number).status_code == 202
+    work(api)
+    assert ask(api, number).status_code == 200
 
 
 def test_who_may_only_read_sees_traces_and_has_none_driven(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from drivecal.api.auth import refuse_reader
 from drivecal.api.bodies import StrictRoute
 from drivecal.api.dependencies import DatabaseDependency, LimitsDependency
 from drivecal.api.routes.evaluations import number_of
-from drivecal.campaigns.tracing import no_trace, request_trace
+from drivecal.campaigns.tracing import is_to_be_made, no_trace, request_trace
 from drivecal.contracts.evaluation import PendingTrace, TraceAnswer
 from drivecal.domain.errors import ConflictError
 from drivecal.storage import admission, results, traces
@@ -37,16 +37,19 @@ def read_trace(
     accept_encoding: Annotated[str, Header()] = "",
 ) -> Response:
     """The time series of an evaluation, by its number in a campaign's table or by the id of a single evaluation in one scenario. The first
-    to ask has it driven once more (202), which takes a token that may write; it is kept for a day after that."""
+    to ask has it driven once more (202), which takes a token that may write; it is kept for a day after that. Where it could not be
+    driven the answer is 409 with the cause; where that may pass (a crash, a hang, a lack of memory), whoever asks half a minute later
+    has it driven anew."""
     with database.read() as connection:
         number = results.by_id(connection, number_of(connection, evaluation_id)).id
         found = traces.find(connection, number)
+        to_be_made = is_to_be_made(connection, found)
     if found is not None and found.content is not None:
         return _answer(found.content, if_none_match, accept_encoding)
-    if found is None:
+    if to_be_made:
         refuse_reader(request)
     with database.transaction() as connection:
-        if found is None:
+        if to_be_made:
             admission.admit(connection, limits.queued_campaigns, None)
         made = request_trace(connection, number)
         again = traces.find(connection, number)
