@@ -11,33 +11,21 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from pydantic import BaseModel, ValidationError
-
-from drivecal.analysis.robustness import check_nominal
+from drivecal.campaigns import parts
 from drivecal.campaigns.findings import Findings
+from drivecal.campaigns.parts import Optimization
 from drivecal.campaigns.spaces import free_values, given_set, search_space, space_to_document
 from drivecal.contracts.campaign import ExpectedRuns
-from drivecal.contracts.specification import (
-    CampaignSpecification,
-    EvaluationSpecification,
-    SensitivitySpecification,
-    SeparateThresholds,
-    VehicleSpecification,
-)
+from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, SensitivitySpecification
 from drivecal.contracts.work import SetupRequest
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.parameters import Parameter, ParameterSet, ParameterSpace, text
 from drivecal.domain.scenarios import Scenario
 from drivecal.domain.setups import Setup
 from drivecal.plugins import registry
-from drivecal.plugins.ports import DrivingFunction, Evaluator, OptimizerPlugin, Vehicle
+from drivecal.plugins.ports import DrivingFunction, Evaluator, Vehicle
 from drivecal.plugins.setups import setup_of
-from drivecal.sensitivity import thresholds
 from drivecal.sensitivity.analysis import SensitivityAnalysis
-from drivecal.sensitivity.settings import SensitivitySettings
-
-MOST_WRONG_SETS = 200
-"""Findings after which further start sets are not looked at."""
 
 
 def evaluator_id(evaluator: Evaluator) -> str:
@@ -93,17 +81,6 @@ class Bench:
 
 
 @dataclass(frozen=True)
-class Optimization:
-    """The chosen optimizer with its checked settings."""
-
-    plugin: OptimizerPlugin
-    settings: BaseModel
-    population: int
-    iterations: int
-    seed: int
-
-
-@dataclass(frozen=True)
 class CalibrationProblem:
     """A campaign that can run."""
 
@@ -126,7 +103,7 @@ class CalibrationProblem:
         wanted = self.specification.sensitivity
         if not isinstance(wanted, SensitivitySpecification):
             return None
-        return _analysis(wanted, self.space, self.scenarios)
+        return parts.plan_analysis(wanted, self.space, self.scenarios)
 
     @property
     def checked_certificates(self) -> float | None:
@@ -204,23 +181,23 @@ def _resolution(bench: Bench, space: Sequence[Parameter]) -> dict[str, Any]:
 def resolve(specification: CampaignSpecification) -> CalibrationProblem:
     """The problem that a specification describes. Raises InvalidInputError with everything that is wrong."""
     findings = Findings()
-    scenarios = _scenarios(specification.catalogue, findings)
+    scenarios = parts.find_scenarios(specification.catalogue, findings)
     function = findings.attempt(lambda: registry.driving_function(specification.driving_function))
-    vehicle, vehicle_parameters = _vehicle(specification.vehicle, findings)
+    vehicle, vehicle_parameters = parts.find_vehicle(specification.vehicle, findings)
     evaluator = findings.attempt(lambda: registry.evaluator(specification.evaluator))
-    optimization = _optimization(specification, findings)
-    weights, notes = _weights(specification.weights, list(scenarios), findings)
+    optimization = parts.choose_optimizer(specification, findings)
+    weights, notes = parts.normalise_weights(specification.weights, list(scenarios), findings)
     space = None if function is None else search_space(specification, function, findings)
     baseline = given_set(specification.baseline, space, "baseline", findings)
-    start_sets = _start_sets(specification, baseline, space, findings)
-    robust_sets = _robustness(specification, vehicle, vehicle_parameters, list(weights), space, findings)
-    _validation(specification, findings)
+    start_sets = parts.find_start_sets(specification, baseline, space, findings)
+    robust_sets = parts.find_robust_sets(specification, vehicle, vehicle_parameters, list(weights), space, findings)
+    parts.check_validation(specification, findings)
     if specification.reduction.narrow and specification.sensitivity is None:
         remedy = "ask for a sensitivity analysis, name a map, or leave `narrow` out"
         findings.add("reduction.narrow", "there is no influence map by which the search space could be narrowed", remedy)
     if space is not None and isinstance(specification.sensitivity, SensitivitySpecification):
         try:
-            _analysis(specification.sensitivity, space, tuple(weights))
+            parts.plan_analysis(specification.sensitivity, space, tuple(weights))
         except InvalidInputError as error:
             findings.problems.extend(error.problems)
     findings.raise_if_any()
@@ -233,14 +210,14 @@ def resolve(specification: CampaignSpecification) -> CalibrationProblem:
 def resolve_evaluation(specification: EvaluationSpecification) -> EvaluationProblem:
     """The cells that a single evaluation asks for. Values need not lie on a grid, only within the driving function's limits."""
     findings = Findings()
-    scenarios = _scenarios(specification.catalogue, findings)
+    scenarios = parts.find_scenarios(specification.catalogue, findings)
     if specification.scenario is not None:
         if specification.scenario in scenarios:
             scenarios = {specification.scenario: scenarios[specification.scenario]}
         elif scenarios:
             findings.add("scenario", f"there is no scenario {specification.scenario!r}", f"one of {', '.join(scenarios)}")
     function = findings.attempt(lambda: registry.driving_function(specification.driving_function))
-    vehicle, vehicle_parameters = _vehicle(specification.vehicle, findings)
+    vehicle, vehicle_parameters = parts.find_vehicle(specification.vehicle, findings)
     evaluator = findings.attempt(lambda: registry.evaluator(specification.evaluator))
     values = {} if function is None else free_values(specification.parameters, function, findings)
     findings.raise_if_any()
@@ -253,146 +230,6 @@ def resolve_evaluation(specification: EvaluationSpecification) -> EvaluationProb
 def catalogue_scenarios(catalogue: str | list[str]) -> dict[str, tuple[str, Scenario]]:
     """The scenarios of a catalogue, or those listed: id to (catalogue's name, scenario). Raises InvalidInputError."""
     findings = Findings()
-    found = _scenarios(catalogue, findings)
+    found = parts.find_scenarios(catalogue, findings)
     findings.raise_if_any()
     return found
-
-
-def _scenarios(catalogue: str | list[str], findings: Findings) -> dict[str, tuple[str, Scenario]]:
-    if isinstance(catalogue, str):
-        try:
-            found = registry.catalogue(catalogue)
-        except InvalidInputError as error:
-            findings.problems.extend(error.problems)
-            return {}
-        return {name: (found.name, scenario) for name, scenario in found.scenarios.items()}
-    every = {name: (one.name, scenario) for one in registry.catalogues() for name, scenario in one.scenarios.items()}
-    for index, name in enumerate(catalogue):
-        if name not in every:
-            findings.add(f"catalogue[{index}]", f"there is no scenario {name!r}", f"installed: {', '.join(every)}")
-    return {name: entry for name, entry in every.items() if name in catalogue}
-
-
-def _vehicle(specification: VehicleSpecification, findings: Findings) -> tuple[Vehicle | None, dict[str, float]]:
-    vehicle = findings.attempt(lambda: registry.vehicle(specification.model))
-    if vehicle is None:
-        return None, {}
-    known = {parameter.name: parameter for parameter in vehicle.parameters}
-    for name in specification.parameters:
-        if name not in known:
-            findings.add(f"vehicle.parameters.{name}", f"{vehicle.name} has no such parameter", f"one of {', '.join(known)}")
-    return vehicle, {name: parameter.nominal for name, parameter in known.items()} | specification.parameters
-
-
-def _optimization(specification: CampaignSpecification, findings: Findings) -> Optimization | None:
-    wanted = specification.optimizer
-    if wanted is None:
-        others = (
-            isinstance(specification.sensitivity, SensitivitySpecification),
-            specification.robustness,
-            specification.validation,
-        )
-        if not any(others):
-            findings.add("optimizer", "there is nothing to do", "choose an optimizer, a sensitivity analysis or another stage")
-        return None
-    plugin = findings.attempt(lambda: registry.optimizer(wanted.kind))
-    if plugin is None:
-        return None
-    try:
-        settings = plugin.settings.model_validate(wanted.model_dump(exclude={"start_sets"}))
-    except ValidationError as error:
-        for detail in error.errors(include_url=False):
-            field = ".".join(["optimizer", *(str(part) for part in detail["loc"])])
-            if detail["type"] == "extra_forbidden":
-                known = ", ".join(plugin.settings.model_fields)
-                findings.add(field, f"{plugin.name} has no such setting", f"one of {known}")
-            else:
-                findings.add(field, detail["msg"])
-        return None
-    return Optimization(plugin, settings, wanted.population, wanted.iterations, wanted.seed)
-
-
-def _start_sets(
-    specification: CampaignSpecification, baseline: ParameterSet | None, space: ParameterSpace | None, findings: Findings
-) -> tuple[ParameterSet, ...]:
-    wanted = specification.optimizer
-    listed = [] if wanted is None else wanted.start_sets
-    found: list[ParameterSet | None] = []
-    for index, one in enumerate(listed):
-        if len(findings.problems) > MOST_WRONG_SETS:
-            break  # who has so many to mend begins with them
-        found.append(given_set(one, space, f"optimizer.start_sets[{index}]", findings))
-    together = tuple(dict.fromkeys(one for one in (baseline, *found) if one is not None))
-    if wanted is not None and len(together) > wanted.population:
-        message = f"{len(together)} sets, the baseline included, do not fit into a population of {wanted.population}"
-        findings.add("optimizer.start_sets", message, "give fewer, or a larger population")
-    return together
-
-
-def _robustness(
-    specification: CampaignSpecification,
-    vehicle: Vehicle | None,
-    nominal: Mapping[str, float],
-    scenarios: Sequence[str],
-    space: ParameterSpace | None,
-    findings: Findings,
-) -> tuple[ParameterSet, ...]:
-    """The sets that are examined in any case; finds what is wrong with the stage."""
-    wanted = specification.robustness
-    if wanted is None:
-        return ()
-    if specification.optimizer is None and not wanted.sets and wanted.of is None:
-        remedy = "choose an optimizer, or name sets in robustness.sets or a campaign in robustness.of"
-        findings.add("robustness", "there are no solutions to examine", remedy)
-    if specification.optimizer is not None and wanted.of is not None:
-        findings.add("robustness.of", "this campaign searches its own solutions", "leave it out, or give optimizer: null")
-    if isinstance(wanted.eta, list) and len(wanted.eta) != len(scenarios):
-        message = f"{len(wanted.eta)} numbers for {len(scenarios)} scenarios"
-        findings.add("robustness.eta", message, f"one number, or one for each of {', '.join(scenarios)}")
-    if vehicle is not None:
-        findings.attempt(lambda: check_nominal(vehicle.parameters, nominal))
-    found = [given_set(one, space, f"robustness.sets[{index}]", findings) for index, one in enumerate(wanted.sets)]
-    return tuple(dict.fromkeys(one for one in found if one is not None))
-
-
-def _validation(specification: CampaignSpecification, findings: Findings) -> None:
-    wanted = specification.validation
-    if wanted is None:
-        return
-    if specification.sensitivity is None:
-        findings.add("validation", "there is no influence map to validate", "ask for a sensitivity analysis, or name a map")
-    if wanted.largest < wanted.samples:
-        message = f"{wanted.largest:,} is less than the first {wanted.samples:,} samples"
-        findings.add("validation.largest", message, "give at least as many")
-
-
-def _analysis(wanted: SensitivitySpecification, space: ParameterSpace, scenarios: Sequence[str]) -> SensitivityAnalysis:
-    threshold = wanted.threshold
-    settings = SensitivitySettings(
-        design=wanted.design,
-        intervals=wanted.intervals,
-        samples=wanted.samples,
-        threshold=thresholds.SeparateThresholds(threshold.mu, threshold.sigma)
-        if isinstance(threshold, SeparateThresholds)
-        else threshold,
-        seed=wanted.seed,
-    )
-    return SensitivityAnalysis(space, scenarios, settings)
-
-
-def _weights(
-    given: Mapping[str, float], scenarios: Sequence[str], findings: Findings
-) -> tuple[dict[str, float], tuple[str, ...]]:
-    for name in given:
-        if scenarios and name not in scenarios:
-            findings.add(f"weights.{name}", f"there is no scenario {name!r} in the catalogue", f"one of {', '.join(scenarios)}")
-    weights = {name: float(given.get(name, 1.0)) for name in scenarios}
-    total = sum(weights.values())
-    if scenarios and total == 0:
-        findings.add(
-            "weights", "all weights are 0, so nothing would be simulated", "give at least one scenario a positive weight"
-        )
-        return {}, ()
-    left_out = [name for name, weight in weights.items() if weight == 0]
-    notes = (f"not simulated because their weight is 0: {', '.join(left_out)}",) if left_out else ()
-    return {name: weight / total for name, weight in weights.items() if weight > 0}, notes
