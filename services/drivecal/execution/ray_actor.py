@@ -1,0 +1,126 @@
+"""One worker of the Ray backend as the coordinator sees it: what it does, until when, and how often it went wrong. No call of Ray."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Any
+
+from drivecal.cluster.members import Node
+from drivecal.domain.evaluations import Breakdown
+from drivecal.execution.backend import Lost
+
+CALLS_PER_ACTOR = 2
+LONGEST_PAUSE = 30.0
+"""Between two attempts to start a worker that does not start, s."""
+
+
+@dataclass(slots=True)
+class Call:
+    """A batch at a worker."""
+
+    batch_id: int
+    cells: int
+    reference: Any
+    seconds: float
+    """Allowed."""
+
+
+@dataclass(slots=True)
+class Actor:
+    """What is known of one worker: where it belongs, its process, its calls, and how it has fared."""
+
+    index: int
+    home: Node | None = None
+    """Where it belongs; None in a local Ray."""
+    incarnation: int = 0
+    handle: Any = None
+    warming: Any = None
+    """Reference to the call of `warm`; None once it has answered."""
+    calls: deque[Call] = field(default_factory=deque)
+    alone: bool = False
+    deadline: float = 0.0
+    """Of the first call, or of the start."""
+    died_at: float | None = None
+    """When its death was noticed, until it is known whether Ray as a whole has died."""
+    start_again_at: float = 0.0
+    failed_starts: int = 0
+    faults: int = 0
+    """Replacements since the last result."""
+    reason: str = ""
+    """What was wrong at last; empty once it has started, or given a result after a fault."""
+    node: str = ""
+    pid: int | None = None
+    cells: int = 0
+
+    @property
+    def name(self) -> str:
+        """With a number from its second process on."""
+        return f"worker-{self.index}" if self.incarnation <= 1 else f"worker-{self.index}.{self.incarnation}"
+
+    def pause(self, times: int) -> None:
+        """Starts again later the more often it went wrong: at once after no time, then after 1, 2, 4 ... seconds."""
+        self.start_again_at = time.monotonic() + (min(LONGEST_PAUSE, 2.0 ** (times - 1)) if times else 0.0)
+
+    @property
+    def place(self) -> str:
+        """Its name, and where it runs, for messages."""
+        return self.name if self.pid is None else f"{self.name} (process {self.pid} on {self.node})"
+
+    @property
+    def ready(self) -> bool:
+        """Whether it has started."""
+        return self.handle is not None and self.warming is None
+
+    @property
+    def state(self) -> str:
+        """As users see it."""
+        return "starting" if not self.ready else "busy" if self.calls else "idle"
+
+    @property
+    def waited_for(self) -> Any:
+        """Reference to what it does; None where it does nothing."""
+        if self.warming is not None:
+            return self.warming
+        return self.calls[0].reference if self.calls else None
+
+    def room(self, *, alone: bool) -> bool:
+        """Whether it can take another call, one without neighbours for `alone`."""
+        if not self.ready:
+            return False
+        return not self.calls or (not alone and not self.alone and len(self.calls) < CALLS_PER_ACTOR)
+
+    def take(self, call: Call, *, alone: bool) -> None:
+        """A further call."""
+        self.calls.append(call)
+        self.alone = alone
+        if len(self.calls) == 1:
+            self.deadline = time.monotonic() + call.seconds
+
+    def started(self, node: str, pid: int) -> None:
+        """It is ready."""
+        self.warming, self.node, self.pid = None, node, pid
+        self.failed_starts = 0
+        if not self.faults:
+            self.reason = ""
+
+    def next_call(self) -> Call:
+        """Takes the running call away; the one behind it is running now."""
+        call = self.calls.popleft()
+        if self.calls:
+            self.deadline = time.monotonic() + self.calls[0].seconds
+        return call
+
+    def busy_seconds(self) -> float:
+        """How long the running call has been running."""
+        begun = self.deadline - self.calls[0].seconds if self.calls else self.deadline
+        return max(0.0, time.monotonic() - begun)
+
+    def lose(self, breakdown: Breakdown, detail: str) -> list[Lost]:
+        """All its calls are gone; only the running one has taken time."""
+        seconds = self.busy_seconds()
+        calls, self.calls = self.calls, deque()
+        return [
+            Lost(call.batch_id, self.name, breakdown, detail, 0.0 if behind else seconds) for behind, call in enumerate(calls)
+        ]
