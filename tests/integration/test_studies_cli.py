@@ -72,6 +72,34 @@ def test_robustness_makes_the_study_of_an_ended_campaign_and_shows_it(run: Run, 
     assert float(table[0]["P1"]) == rows[0]["parameters"]["P1"]
 
 
+def test_a_study_that_was_made_is_shown_and_is_compared_with_the_same_in_another_vehicle(
+    run: Run, api: RunningApi, ended: str
+) -> None:
+    options = ("--steps", "3", "--samples", "4", "--delta", "0.03", "--solutions", "3")
+    assert run("robustness", ended, *options).exit_code == 0
+    study = api.http.get("/api/v1/campaigns?limit=1").json()["items"][0]
+    again = run("robustness", ended, "--delta", "0.03", "--json")
+    assert "makes the study" not in again.stderr, "settings that are not named may be any"
+    assert json.loads(again.stdout) == api.http.get(f"/api/v1/campaigns/{study['id']}/robustness").json()["items"]
+    assert "makes the study" in run("robustness", ended, "--delta", "0.02", "--steps", "1", "--samples", "1").stderr
+
+    result = run("robustness", study["id"], "--vehicle", "hybrid")
+    assert result.exit_code == 0, result.output
+    assert result.stdout.startswith("settings that differ: vehicle single_track ")
+    assert "3 sets in both studies" in result.stdout
+    other = api.http.get("/api/v1/campaigns?limit=1").json()["items"][0]
+    assert other["spec"]["robustness"] == study["spec"]["robustness"], "with all of its settings"
+    assert (study["spec"]["robustness"]["of"], other["spec"]["vehicle"]["model"]) == (ended, "hybrid")
+    assert "makes the study" not in run("robustness", study["id"], "--vehicle", "hybrid").stderr
+    found = json.loads(run("robustness", study["id"], "--compare", other["id"], "--json").stdout)
+    assert list(found["settings"]) == ["vehicle"]
+    first = run("robustness", ended, "--delta", "0.02", "--steps", "1", "--compare", other["id"])
+    assert "settings that differ: delta 0.02 -> 0.03, steps 1 -> 3, samples 1 -> 4" in first.stdout
+    assert "the degrees do not mean the same" in first.stdout
+    posted = api.http.post("/api/v1/campaigns", json=SMALL | {"catalogue": ["S1"]}).json()["id"]
+    assert f"`drivecal robustness {posted}` makes one" in run("robustness", ended, "--compare", posted).stderr
+
+
 def test_validate_shows_tables_1_and_2(run: Run, api: RunningApi, ended: str) -> None:
     result = run("validate", ended, "--samples", "10", "--references", "4")
     assert result.exit_code == 0, result.output

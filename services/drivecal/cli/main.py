@@ -17,8 +17,9 @@ from drivecal.cli import (
     maintenance,
     report,
     results,
+    robustness,
     serve,
-    studies,
+    validation,
     workers,
 )
 from drivecal.cli.commands import app
@@ -37,8 +38,9 @@ __all__ = [
     "maintenance",
     "report",
     "results",
+    "robustness",
     "serve",
-    "studies",
+    "validation",
     "workers",
 ]
 

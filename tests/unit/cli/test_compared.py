@@ -1,10 +1,13 @@
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import pytest
 
-from drivecal.cli.compared import difference, document, print_difference
+from drivecal.cli.compared import MadeStudy, difference, document, print_difference
+from drivecal.contracts.campaign import Campaign
+from drivecal.contracts.setup import CampaignSetup, ScenarioSetup
 from drivecal.contracts.studies import RobustnessRow
 
 
@@ -26,6 +29,18 @@ def row(
         reason="the widest box" if recommended else None,
         trials=[],
     )
+
+
+def made(rows: Sequence[RobustnessRow], vehicle: str = "single_track", **settings: Any) -> MadeStudy:
+    """A study of the sets of campaign `best`."""
+    known = {"delta": 0.01, "steps": 10, "samples": 30, "eta": 1.0, "condition": "max", "of": "best", "sets": [], "seed": 1}
+    spec = {"driving_function": "frenet", "vehicle": {"model": vehicle}, "robustness": known | settings}
+    scenarios = [
+        ScenarioSetup(scenario="S1", weight=0.5, fingerprint="f", vehicle=f"{vehicle} 1"),
+        ScenarioSetup(scenario="S2", weight=0.5, fingerprint="f"),
+    ]
+    setup = CampaignSetup(evaluator="reference 1", parameters=[], scenarios=scenarios, server="1")
+    return MadeStudy(Campaign(id="study", name="study", state="succeeded", spec=spec), setup, rows)
 
 
 PLAIN = [
@@ -58,12 +73,12 @@ def test_nothing_changes_between_a_study_and_itself() -> None:
 
 def test_studies_without_a_common_set_have_nothing_to_compare(capsys: pytest.CaptureFixture[str]) -> None:
     assert difference(PLAIN[:1], HYBRID[3:]).tau is None
-    print_difference(PLAIN[:1], HYBRID[3:])
+    print_difference(made(PLAIN[:1]), made(HYBRID[3:]))
     assert "0 sets in both studies, 2 in one of them alone" in capsys.readouterr().out
 
 
 def test_what_changes_is_printed_and_given_to_programs(capsys: pytest.CaptureFixture[str]) -> None:
-    print_difference(PLAIN, HYBRID)
+    print_difference(made(PLAIN), made(HYBRID, "hybrid"))
     printed = capsys.readouterr().out
     assert "1 -> 2" in printed
     assert ">= 10 -> 6" in printed
@@ -72,5 +87,19 @@ def test_what_changes_is_printed_and_given_to_programs(capsys: pytest.CaptureFix
     assert "degrees: 1 equal, 1 lower, 1 higher; mean 6.33 to 5.33" in printed
     assert "ranking: Kendall's tau 0.33" in printed
     assert "recommended: another set" in printed
-    found = document(PLAIN, HYBRID)
+    assert "settings that differ: vehicle single_track 1 -> hybrid 1\n" in printed
+    assert "do not mean the same" not in printed
+    found = document(made(PLAIN), made(HYBRID, "hybrid"))
     assert len(found["here"]) == 3  # type: ignore[arg-type]
+    assert found["settings"] == {"vehicle": ["single_track 1", "hybrid 1"]}
+
+
+def test_studies_with_other_boxes_are_said_to_mean_other_degrees(capsys: pytest.CaptureFixture[str]) -> None:
+    print_difference(made(PLAIN), made(PLAIN, delta=0.04, samples=15, eta=[1.0, 2.0], of="another", sets=[{"P1": 1}]))
+    differs, meaning, *_ = capsys.readouterr().out.splitlines()
+    assert differs == (
+        "settings that differ: delta 0.01 -> 0.04, samples 30 -> 15, eta 1 -> 1.0, 2.0, of best -> another, sets none -> 1 given"
+    )
+    assert meaning == "the degrees do not mean the same: boxes or condition are others"
+    print_difference(made(PLAIN), made(PLAIN))
+    assert capsys.readouterr().out.startswith("both studies have the same settings\n")

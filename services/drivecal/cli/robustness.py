@@ -1,0 +1,122 @@
+"""`drivecal robustness`: shows a campaign's robustness study, made where nobody made it yet, and what another one says beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+import typer
+
+from drivecal.cli import compared
+from drivecal.cli.commands import CampaignArgument, JsonOption, UrlOption, app, connect, full_id
+from drivecal.cli.compared import MadeStudy
+from drivecal.cli.output import parameters_text, print_columns, print_json
+from drivecal.cli.studies import BENCH, Wanted, known, make, wanted_of
+from drivecal.client.client import Client
+from drivecal.contracts.campaign import Campaign
+from drivecal.contracts.studies import RobustnessRow
+from drivecal.domain.errors import ConflictError
+
+
+@app.command()
+def robustness(
+    identifier: CampaignArgument,
+    solutions: Annotated[int | None, typer.Option(min=1, max=1000, help="The most sets that are examined; else 20.")] = None,
+    delta: Annotated[
+        float | None, typer.Option(help="Half the width of the first box, in shares of the vehicle's ranges; else 0.01.")
+    ] = None,
+    steps: Annotated[int | None, typer.Option(min=1, max=100, help="Boxes; else 10.")] = None,
+    samples: Annotated[int | None, typer.Option(min=1, max=10_000, help="Vehicles in each box; else 30.")] = None,
+    eta: Annotated[float | None, typer.Option(help="What the condition allows; else 1.")] = None,
+    condition: Annotated[str | None, typer.Option(help="max, mean or per_factor; else max.")] = None,
+    refinements: Annotated[int | None, typer.Option(min=0, max=30, help="Halvings of the last step; else none.")] = None,
+    vehicle: Annotated[
+        str | None, typer.Option(help="Make the study in this vehicle model too, and show what changes.")
+    ] = None,
+    compare: Annotated[str | None, typer.Option(help="Another campaign's study: show what changes.")] = None,
+    again: Annotated[bool, typer.Option("--again", help="Make the study anew, even where there is one.")] = False,
+    url: UrlOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Rank the best sets of a campaign by how far the vehicle may differ; drives them in other vehicles where that was not done yet."""
+    if vehicle is not None and compare is not None:
+        raise typer.BadParameter("name a vehicle model or another campaign, not both")
+    given = {
+        "solutions": solutions,
+        "delta": delta,
+        "steps": steps,
+        "samples": samples,
+        "eta": eta,
+        "condition": condition,
+        "refinements": refinements,
+    }
+    with connect(url) as client:
+        campaign = client.campaign(full_id(client, identifier))
+        wanted = wanted_of(campaign, "robustness", given)
+        maker = None if again else known(client, campaign, wanted)
+        if maker is None:
+            settings = {**wanted.settings, "of": _source(campaign)}
+            maker = make(client, campaign, "robustness", {"robustness": settings})
+        here, there = _study(client, maker), None
+        if vehicle is not None:
+            there = _study(client, _in_another_vehicle(client, campaign, maker, vehicle, again=again))
+        elif compare is not None:
+            there = _study(client, _study_of(client, client.campaign(full_id(client, compare))))
+    if as_json:
+        print_json([row.model_dump(mode="json") for row in here.rows] if there is None else compared.document(here, there))
+    elif there is None:
+        print_robustness(here.rows)
+    else:
+        compared.print_difference(here, there)
+
+
+def _source(campaign: Campaign) -> str:
+    """The campaign whose best sets are examined: of a study that another campaign's sets were examined in, that one."""
+    return (campaign.spec.get("robustness") or {}).get("of") or campaign.id
+
+
+def _in_another_vehicle(client: Client, campaign: Campaign, maker: Campaign, model: str, *, again: bool) -> Campaign:
+    """The same study, with all its settings, in another vehicle model."""
+    settings: dict[str, Any] = {**maker.spec["robustness"], "of": _source(maker)}
+    bench = {name: maker.spec.get(name) for name in BENCH} | {"vehicle": maker.spec["vehicle"] | {"model": model}}
+    source = campaign if campaign.id == settings["of"] else client.campaign(settings["of"])
+    made = None if again else known(client, source, Wanted("robustness", settings, bench))
+    stages = {"robustness": settings, "vehicle": bench["vehicle"]}
+    return made or make(client, maker, f"robustness in {model}", stages)
+
+
+def _study_of(client: Client, campaign: Campaign) -> Campaign:
+    maker = known(client, campaign, wanted_of(campaign, "robustness", {}))
+    if maker is None:
+        raise ConflictError(f"campaign {campaign.id} has no robustness study; `drivecal robustness {campaign.id}` makes one")
+    return maker
+
+
+def _study(client: Client, maker: Campaign) -> MadeStudy:
+    return MadeStudy(maker, client.setup(maker.id), client.robustness(maker.id))
+
+
+def print_robustness(rows: Sequence[RobustnessRow]) -> None:
+    """Prints the examined sets, most robust first."""
+    if not rows:
+        typer.echo("no set was examined: the campaign found none with a result in every scenario")
+        return
+    print_columns(
+        ["rank", "degree", "delta_max", "objective", "scores", "region", "to worse", "parameters"],
+        [
+            [
+                row.rank,
+                f">= {row.degree}" if row.at_least else row.degree,
+                f"{row.radius:.4g}",
+                None if row.objective is None else f"{row.objective:.4f}",
+                " ".join(f"{name} {'-' if score is None else score}" for name, score in row.scores.items()),
+                row.region,
+                None if row.to_worse is None else f"{row.to_worse:.3f}",
+                parameters_text(row.parameters),
+            ]
+            for row in rows
+        ],
+    )
+    for row in rows:
+        if row.recommended:
+            typer.echo(f"recommended: rank {row.rank}, because it has {row.reason}")
