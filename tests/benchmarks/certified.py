@@ -1,4 +1,4 @@
-"""What certificates save on the paper's settings: `python tests/benchmarks/run.py certified [--population N] [--iterations N] [--samples N]`.
+"""What certificates save on the paper's settings: `python tests/benchmarks/run.py certified [--population N] [--iterations N] [...]`.
 
 `deploy/examples/paper.yaml` is carried out twice by a coordinator as a user starts it, each time on a new database: with certificates
 and without. Both must find the same, bit for bit. A fifth of the cells that a certificate or a reference answers is simulated all the
