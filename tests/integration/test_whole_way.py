@@ -24,7 +24,7 @@ PARAMETERS = tuple(f"P{number}" for number in range(1, 12))
 BOLD = {name: {"influential": False} for name in PARAMETERS[3:]}
 """A map that claims too much, so that even a small campaign reuses; what is reused wrongly may be."""
 REDUCTION = {"audit": 0.2, "max_error": 1}
-NOT_COMPARED = {"milliseconds", "worker"}
+NOT_COMPARED = {"milliseconds", "worker", "proven_by", "proof_agrees"}
 """Columns of an evaluation that say who simulated it and how fast, not what came out."""
 
 pytestmark = pytest.mark.slow

@@ -34,7 +34,10 @@ TABLES = (
 COMPARISON_TABLES = ("comparison", "comparison-groups", "comparison-pairs", "comparison-effects")
 """What a comparison links to below itself in their place."""
 BEFORE_PARAMETERS = ("id", "stage", "iteration", "individual", "scenario")
-AFTER_PARAMETERS = ("outcome", "score", "rating", "reference", "audited", "agrees", "failure", "milliseconds", "worker")
+AFTER_PARAMETERS = (
+    *("outcome", "score", "rating", "reference", "audited", "agrees", "failure", "milliseconds", "worker"),
+    *("proven_by", "proof_agrees"),
+)
 
 
 def campaign_answer(stored: StoredCampaign, now: datetime, silent: str | None, comparison: str | None = None) -> Campaign:

@@ -13,7 +13,7 @@ from drivecal.campaigns.maps import stored_map
 from drivecal.campaigns.pinned import Pinned, pinned
 from drivecal.campaigns.reasons import sentence
 from drivecal.campaigns.selfcheck import stopped_after
-from drivecal.contracts.explanation import Audit, Difference, Explanation, Reason, Reference
+from drivecal.contracts.explanation import Audit, Difference, Explanation, Proof, Reason, Reference
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.domain.campaigns import Stage
 from drivecal.domain.evaluations import Outcome
@@ -207,6 +207,24 @@ def _audit(case: _Case, reference: Reference) -> Audit:
     )
 
 
+def _proof(case: _Case) -> Proof | None:
+    """What a certificate says of a cell that something else answered; None where none is known."""
+    cell = case.cell
+    if cell.proven_by is None or cell.outcome not in {Outcome.REUSED, Outcome.SIMULATED}:
+        return None
+    proving, _ = _reference(case, cell.proven_by)
+    if cell.outcome is Outcome.SIMULATED:
+        return Proof(reference=proving, score=cell.score, agrees=cell.proof_agrees, wrong=None)
+    known = cell.score is not None and proving.score is not None
+    change = abs((cell.score or 0) - (proving.score or 0))
+    return Proof(
+        reference=proving,
+        score=proving.score,
+        agrees=change == 0 if known else None,
+        wrong=change > LARGEST_AGREEMENT if known else None,
+    )
+
+
 def _explanation(
     case: _Case,
     reason: Reason,
@@ -234,6 +252,7 @@ def _explanation(
         reference=reference,
         differences=list(differences),
         audit=audit,
+        proof=_proof(case),
         distance=distance,
         stored=stored,
     )

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from drivecal.contracts.explanation import Difference, Explanation, Reference
+from drivecal.contracts.explanation import Difference, Explanation, Proof, Reference
 from drivecal.storage.audits import AuditCount
 
 
 def sentence(one: Explanation, stop: tuple[int, AuditCount] | None = None) -> str:
-    """What an explanation says, in a sentence or two. `stop`: after which iteration and by which audits reuse was stopped."""
+    """What an explanation says, in a few sentences. `stop`: after which iteration and by which audits reuse was stopped."""
+    told = _reason(one, stop)
+    return told if one.proof is None else f"{told} {_proven(one.proof, one)}"
+
+
+def _reason(one: Explanation, stop: tuple[int, AuditCount] | None) -> str:
     beginning = {None: "To be simulated", "failed": "Sent to be simulated, without a result"}.get(one.outcome, "Simulated")
     where = "" if one.reference is None else _where(one.reference, one.campaign)
     match one.reason:
@@ -46,6 +51,19 @@ def sentence(one: Explanation, stop: tuple[int, AuditCount] | None = None) -> st
             return f"{beginning}: the study is about what simulations give, so it takes equal parameter sets only."
         case "analysis":
             return f"{beginning}: the sensitivity analysis makes the map that reuse rests on, so it takes equal parameter sets only."
+
+
+def _proven(proof: Proof, one: Explanation) -> str:
+    where = _where(proof.reference, one.campaign)
+    if one.outcome == "simulated":
+        verdict = "and it did" if proof.agrees else "and it did not"
+        return f"It also checked a certificate: it was to repeat {where} bit for bit, {verdict}."
+    text = f"A certificate says that a simulation would have repeated {where}"
+    if proof.agrees is None:
+        return f"{text}."
+    if proof.agrees:
+        return f"{text}, with the same score."
+    return f"{text}, with score {proof.score}: reuse is {'wrong here' if proof.wrong else 'off by no more than 1'}."
 
 
 def _copied(done: str, one: Explanation) -> str:

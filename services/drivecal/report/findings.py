@@ -17,7 +17,7 @@ from drivecal.contracts.studies import OptimumRow, RobustnessRow, Study, Validat
 RANKED = 1000
 """The best sets that are looked at; all of them are in the table."""
 MOST_STUDIES = 5
-"""The studies of one kind that are looked at, of the campaign itself and of others: the newest."""
+"""The studies of one kind that are looked at, of the campaign itself and of others."""
 Row = TypeVar("Row", RobustnessRow, ValidationRow)
 
 
@@ -32,8 +32,8 @@ class Studied(Generic[Row]):
 @dataclass(frozen=True, slots=True)
 class Findings:
     """A campaign with what it found. `basis`: what its influence map rests on, None where it has none or a user posted it; `accounting`:
-    None before the first answered cell; `titles`: of scenarios, by id; `optima`: the sets that share the best objective; studies are the
-    newest first, whichever campaign made them."""
+    None before the first answered cell; `titles`: of scenarios, by id; `optima`: the sets that share the best objective; studies are
+    those in the campaign's own vehicle first, of these the newest, whichever campaign made them."""
 
     campaign: Campaign
     setup: CampaignSetup
@@ -49,7 +49,7 @@ class Findings:
 
     @property
     def recommended(self) -> RobustnessRow | None:
-        """The set that the newest robustness study recommends."""
+        """The set that the first robustness study recommends."""
         return next((row for studied in self.robustness[:1] for row in studied.rows if row.recommended), None)
 
 
@@ -58,7 +58,8 @@ def collect(client: Client, identifier: str) -> Findings:
     campaign = client.campaign(identifier)
     used = client.map_of(campaign)
     answered = campaign.cells.requested or campaign.sensitivity_cells.requested
-    studies = client.studies(identifier).items
+    own = (campaign.spec.get("vehicle") or {}).get("model")
+    studies = sorted(client.studies(identifier).items, key=lambda one: one.vehicle != own)
     return Findings(
         campaign=campaign,
         setup=client.setup(identifier),

@@ -97,7 +97,12 @@ def _reuse(findings: Findings, drawn: Mapping[str, str]) -> list[str]:
     campaign = findings.campaign
     found = [reuse.cells_by_stage(campaign)]
     if campaign.cells.requested:
-        found = [*_figures(drawn, "figure-11-"), cells.cells_table(findings.generations), *found, *reuse.self_check(campaign)]
+        found = [
+            *_figures(drawn, "figure-11-"),
+            cells.cells_table(findings.generations),
+            *found,
+            *reuse.self_check(campaign, findings.accounting),
+        ]
     return found
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from drivecal.contracts.campaign import Best, Campaign, Solution
 from drivecal.contracts.studies import OptimumRow
-from drivecal.report import search
+from drivecal.report import reuse, search
 from drivecal.report.findings import Findings
 from drivecal.report.markup import Number, bullets, paragraph, table
 
@@ -29,7 +29,7 @@ def summary(findings: Findings) -> list[str]:
     sentences = [first, *search.convergence(findings.generations)[:1]]
     if findings.accounting is not None:
         sentences.append(findings.accounting.sentence)
-    sentences += [_errors(campaign), *_studies(findings)]
+    sentences += [_errors(campaign), _proofs(findings), *_studies(findings)]
     return [bullets(one for one in sentences if one), _compared(findings, best)]
 
 
@@ -47,6 +47,16 @@ def _errors(campaign: Campaign) -> str:
     stopped = [name for name, one in campaign.error_rate.items() if one.stopped]
     text = f"Of {audited:,} audited answers {wrong:,} were wrong, off by more than one point."
     return text + (f" Reuse was stopped in {', '.join(stopped)}." if stopped else "")
+
+
+def _proofs(findings: Findings) -> str:
+    known, different, wrong = reuse.proved(findings.accounting)
+    if not known:
+        return ""
+    return (
+        f"Certificates say of {known:,} reused answers what a simulation would have given: {different:,} have another score, {wrong:,} are "
+        "wrong."
+    )
 
 
 def _studies(findings: Findings) -> list[str]:

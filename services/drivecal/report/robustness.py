@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 from drivecal.contracts.studies import OptimumRow, RobustnessRow
@@ -17,6 +17,13 @@ def condition(settings: Mapping[str, Any]) -> str:
     eta = settings.get("eta", 1.0)
     bound = "eta by scenario" if isinstance(eta, list) else f"{eta:g}"
     return f"{settings['condition'].replace('_', ' ')} {'≤' if settings['condition'] == 'max' else '<'} {bound}"
+
+
+def _label(studied: Robust, vehicles: Collection[str | None]) -> str:
+    """What tells a study from others in the head of a column."""
+    settings, vehicle = studied.study.settings, studied.study.vehicle
+    model = f", {vehicle}" if vehicle and len(vehicles) > 1 else ""
+    return f"degree: {condition(settings)}, δ = {settings['delta']:g}{model}"
 
 
 def degree(row: RobustnessRow) -> str:
@@ -66,6 +73,8 @@ def parts(studies: Sequence[Robust], optima: Sequence[OptimumRow], campaign: str
         f"k·{settings['delta']:g} of the vehicle parameters' ranges, k = 1 … {settings['steps']}; condition {condition(settings)}. The "
         "degree of robustness is the number of boxes up to which the condition holds in every scenario."
     )
+    if main.study.vehicle:
+        text += f" The vehicle model is {main.study.vehicle}."
     if made_by != campaign:
         text += f" Campaign {made_by} made this study."
     found = [
@@ -92,7 +101,8 @@ def _quality(main: Robust, others: Sequence[Robust]) -> str:
         ]
         for row in main.rows
     ]
-    degrees = [f"degree: {condition(one.study.settings)}, δ = {one.study.settings['delta']:g}" for one in (main, *others)]
+    vehicles = {one.study.vehicle for one in (main, *others)}
+    degrees = [_label(one, vehicles) for one in (main, *others)]
     header = ["rank, robust", "rank, nominal", "objective", "rating", *main.rows[0].scores, *degrees, "δ max", "limited by"]
     caption = (
         "Table 9, robustness: sorted by degree, then by the objective; * recommended. All scores were simulated in the nominal vehicle: "

@@ -30,10 +30,11 @@ def _drawn(studied: Robust, name: str) -> Drawn:
         if len(studied.rows) > MOST_DRAWN
         else "each examined set"
     )
+    model = f"; vehicle model: {studied.study.vehicle}" if studied.study.vehicle else ""
     caption = (
         f"Figure 12, right. For {some} (the most robust on top) the largest deviation, over all scenarios and vehicles, in growing boxes "
         f"around the nominal vehicle, the first of half width {studied.study.settings['delta']:g}; condition: "
-        f"{condition(studied.study.settings)}. The heavy line is the widest box that holds."
+        f"{condition(studied.study.settings)}{model}. The heavy line is the widest box that holds."
     )
     alt = "Bars by examined set. " + "; ".join(
         f"rank {row.rank}: degree {degree(row).replace('≥', 'at least')}, holds up to {row.radius:g}"

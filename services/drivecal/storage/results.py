@@ -49,6 +49,11 @@ class StoredEvaluation:
     attempts: int
     detail: str | None
     """Why it failed, in the words of whoever saw it."""
+    proven_by: int | None
+    """The evaluation whose run a certificate says that it repeats, whatever answered it: known of certified cells and of those simulated to
+    check a certificate, and of reused ones by chance."""
+    proof_agrees: bool | None
+    """Where it was simulated to check: whether both runs are the same."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,4 +213,6 @@ def _evaluation(row: Row[Any]) -> StoredEvaluation:
         worker=row.worker,
         attempts=row.attempts,
         detail=row.detail,
+        proven_by=row.proven_by,
+        proof_agrees=row.proof_agrees,
     )

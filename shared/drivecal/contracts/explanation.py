@@ -68,6 +68,19 @@ class Audit(Answer):
     wrong: bool | None
 
 
+class Proof(Answer):
+    """What a certificate says of a cell that it did not answer: its run would repeat that of evaluation `reference`, bit for bit.
+
+    Of a reused cell: `score` is what a simulation would have given, `agrees` whether the reference's is the same, `wrong`: they differ by
+    more than 1 (Eq. 8). Of a cell that was simulated to check the certificate: `agrees` says whether both runs are the same.
+    """
+
+    reference: Reference
+    score: int | None
+    agrees: bool | None
+    wrong: bool | None
+
+
 class Explanation(Answer):
     """Why a cell was answered as it was.
 
@@ -90,5 +103,6 @@ class Explanation(Answer):
     reference: Reference | None = None
     differences: list[Difference] = Field(default_factory=list)
     audit: Audit | None = None
+    proof: Proof | None = None
     distance: float | None = None
     stored: int | None = None

@@ -20,13 +20,15 @@ class OptimumRow(Solution):
 
 
 class Study(Answer):
-    """A study of what a campaign found, made by that `campaign` itself or by another one; `settings` as in its specification."""
+    """A study of what a campaign found, made by that `campaign` itself or by another one; `settings` as in its specification, `vehicle`:
+    the model that was driven."""
 
     campaign: str
     name: str
     stage: Literal["robustness", "validation"]
     state: str
     settings: dict[str, Any]
+    vehicle: str | None = None
     ended_at: datetime | None
 
 

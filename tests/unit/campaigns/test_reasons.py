@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from drivecal.campaigns.reasons import sentence
-from drivecal.contracts.explanation import Audit, Difference, Explanation, Reference
+from drivecal.contracts.explanation import Audit, Difference, Explanation, Proof, Reference
 from drivecal.storage.audits import AuditCount
 
 DONOR = Reference(evaluation=17, campaign="c", stage="calibration", iteration=2, individual=5, score=4, failure=None)
@@ -52,6 +52,34 @@ def test_a_difference_is_told_with_its_regions(difference: Difference, words: st
     told = sentence(_explanation("reused", outcome="reused", differences=[difference]))
     assert "evaluation 17 (calibration iteration 2, individual 5)" in told
     assert f"P1 is 0.1 here and 0.25 there ({words})" in told
+
+
+@pytest.mark.parametrize(
+    ("outcome", "proof", "words"),
+    [
+        (
+            "reused",
+            {"agrees": True, "wrong": False},
+            "would have repeated evaluation 17 (calibration iteration 2, individual 5), with the",
+        ),
+        ("reused", {"agrees": False, "wrong": False}, "with score 4: reuse is off by no more than 1."),
+        ("reused", {"agrees": False, "wrong": True}, "with score 4: reuse is wrong here."),
+        ("reused", {"agrees": None, "wrong": None}, "A certificate says that a simulation would have repeated evaluation 17 ("),
+        (
+            "simulated",
+            {"agrees": True, "wrong": None},
+            "It also checked a certificate: it was to repeat evaluation 17 (calibration",
+        ),
+    ],
+)
+def test_what_a_certificate_says_of_a_cell_that_it_did_not_answer_is_told(
+    outcome: str, proof: dict[str, Any], words: str
+) -> None:
+    reason = "reused" if outcome == "reused" else "blocked"
+    known = Proof(reference=DONOR, score=4, **proof)
+    told = sentence(_explanation(reason, outcome=outcome, proof=known, stored=1))
+    assert words in told
+    assert told.startswith(sentence(_explanation(reason, outcome=outcome, stored=1)))
 
 
 def test_a_blocked_cell_names_what_blocks_it_alone() -> None:

@@ -116,10 +116,18 @@ ROBUST = [
 ]
 
 
-def study(stage: str = "robustness", campaign: str = "0" * 32, **settings: Any) -> Study:
+def study(stage: str = "robustness", campaign: str = "0" * 32, vehicle: str | None = None, **settings: Any) -> Study:
     """Who made a study, with the settings that the texts need."""
     known = {"condition": "max", "eta": 1.0, "delta": 0.1, "steps": 2, "samples": 4}
-    return Study(campaign=campaign, name="study", stage=stage, state="succeeded", settings={**known, **settings}, ended_at=None)
+    return Study(
+        campaign=campaign,
+        name="study",
+        stage=stage,
+        state="succeeded",
+        settings={**known, **settings},
+        vehicle=vehicle,
+        ended_at=None,
+    )
 
 
 def validated(scenario: str, histogram: dict[int, int], reducible: int = 2) -> ValidationRow:

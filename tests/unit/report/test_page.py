@@ -11,10 +11,11 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
-from tests.unit.report.rows import ROWS, findings, row
+from tests.unit.report.rows import ACCOUNT, ROWS, findings, row
 
 from drivecal.contracts.campaign import Campaign
 from drivecal.domain.errors import InvalidInputError
+from drivecal.report import results, reuse
 from drivecal.report.findings import Findings
 from drivecal.report.writing import write_report
 
@@ -142,6 +143,21 @@ def test_the_page_says_what_the_self_check_found_and_what_it_cost(whole: Whole) 
     ):
         assert wanted in whole.text
     assert "3 parameter sets share it" in whole.text
+
+
+def test_the_page_says_what_certificates_answered_and_what_they_say_of_reused_cells() -> None:
+    one = ACCOUNT.scenarios[0].model_copy(update={"certified": 3, "proved": 8, "proved_different": 2, "proved_wrong": 1})
+    account = ACCOUNT.model_copy(update={"scenarios": [one, ACCOUNT.scenarios[1]]})
+    campaign = findings().campaign
+    cells = campaign.cells.model_copy(update={"certified": 1200, "checked": 7})
+    found = findings(campaign=campaign.model_copy(update={"cells": cells}), accounting=account)
+    text = re.sub(r"<[^>]+>", "|", "".join(reuse.self_check(found.campaign, account) + results.summary(found)))
+    assert "||S1||10||8||2||1||12.50%||" in re.sub(r"\|{2,}", "||", text)
+    assert "1,200 cells were answered by certificates" in text
+    assert "7 others were simulated all the same to check their certificates" in text
+    assert "Certificates say of 8 reused answers what a simulation would have given: 2 have another score, 1 are wrong." in text
+    assert reuse.cells_by_stage(found.campaign).count(">7<") == 1
+    assert "ertificate" not in "".join(reuse.self_check(campaign, ACCOUNT))
 
 
 def test_the_page_has_every_part_of_a_study(whole: Whole) -> None:

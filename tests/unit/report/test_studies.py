@@ -110,6 +110,9 @@ def test_table_9_sets_robust_beside_nominal_quality_and_the_degrees_of_other_con
     assert second == ["2", "1", "6.0000", "5.200", "5", "7", "1", "≥ 2", "0.1", "S1 (3), S2 (2)"]
     assert third == ["3", "3", "5.5000", "5.300", "5", "7", "0", "–", "0", "S1 (no result)"]
     assert "Recommended: rank 1, because it has the best." in html
+    studies = [Studied(study(vehicle=model), ROBUST) for model in ("single_track", "hybrid")]
+    head = re.findall(r"<th[^>]*>([^<]*)</th>", "".join(robustness.parts(studies, OPTIMA, "0" * 32, "")))
+    assert head[6:8] == ["degree: max ≤ 1, δ = 0.1, single_track", "degree: max ≤ 1, δ = 0.1, hybrid"]
 
 
 def test_the_file_of_boxes_holds_every_deviation() -> None:

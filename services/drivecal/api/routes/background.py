@@ -96,5 +96,6 @@ def _study(made: StoredStudy) -> Study:
         stage=stage,
         state=made.state,
         settings=made.spec.get(stage) or {},
+        vehicle=(made.spec.get("vehicle") or {}).get("model"),
         ended_at=made.ended_at,
     )

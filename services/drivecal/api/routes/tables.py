@@ -50,7 +50,8 @@ def list_generations(campaign_id: str, query: TableQuery, database: DatabaseDepe
 @router.get("/evaluations", responses=TABLE_ANSWERS)
 def list_evaluations(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
     """One row per requested cell, ordered by stage, iteration, individual and scenario. `reference` is the evaluation that answered it,
-    or that its audit did not trust."""
+    or that its audit did not trust; `proven_by` the one whose run a certificate says that it repeats: it answered certified cells, was
+    checked by a simulation where `proof_agrees` is not null, and says of reused cells what a simulation would have given."""
     campaign = _campaign(database, campaign_id)
 
     def pages(limit: int, cursor: str | None) -> Page:
@@ -75,6 +76,8 @@ def list_evaluations(campaign_id: str, query: TableQuery, database: DatabaseDepe
             Column("failure", "text"),
             Column("milliseconds", "number"),
             Column("worker", "text"),
+            Column("proven_by", "integer"),
+            Column("proof_agrees", "truth"),
         ]
 
     return table_answer(f"evaluations-{campaign.id}", query, accept, columns, pages)
