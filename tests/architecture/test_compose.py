@@ -198,4 +198,4 @@ def test_whatever_a_token_holds_the_shell_takes_it_as_it_is(tmp_path: Path, toke
 def test_no_secret_gets_into_an_image_or_into_the_repository() -> None:
     allowed = [line[1:] for line in (PROJECT / ".dockerignore").read_text().splitlines() if line.startswith("!")]
     assert set(allowed) == {"deploy/images", "pyproject.toml", "README.md", "LICENSE", "shared", "services", "workers"}
-    assert {"deploy/secrets/", ".env"} <= set((PROJECT / ".gitignore").read_text().splitlines())
+    assert {"deploy/secrets/", "deploy/secrets-*/", ".env", "/*.env"} <= set((PROJECT / ".gitignore").read_text().splitlines())

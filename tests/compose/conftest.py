@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import pytest
+from tests.support.cluster_campaign import found_embedded
 from tests.support.compose import Cluster, cluster_on_engine, engine
+from tests.support.faults.findings import Found
 
 MARK = "compose"
 
@@ -29,3 +31,9 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
     print(f"\nDocker {found}", flush=True)
     with cluster_on_engine(tmp_path_factory.mktemp("cluster")) as running:
         yield running
+
+
+@pytest.fixture(scope="session")
+def embedded(tmp_path_factory: pytest.TempPathFactory) -> Found:
+    """What the campaign finds with `drivecal serve`, where nothing happens to it."""
+    return found_embedded(tmp_path_factory.mktemp("embedded"))

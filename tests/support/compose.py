@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 import os
 import subprocess
+import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,9 @@ from tests.support.server import free_port
 from tests.support.tree import PROJECT
 
 PROJECT_NAME = "drivecal-test"
+TAG = "test"
+FILE = "docker-compose.yml"
+WORKER_FILE = "deploy/docker-compose.worker.yml"
 PATIENCE_SECONDS = 600.0
 
 
@@ -30,17 +34,23 @@ def engine() -> str | None:
 
 
 class Cluster:
-    """Commands to a cluster, and requests to its API."""
+    """A compose project: commands to it, and requests to its API."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        project: str = PROJECT_NAME,
+        files: Sequence[str] = (FILE,),
+        settings: Mapping[str, str] | None = None,
+    ) -> None:
+        """`folder` takes its secrets; `settings` are those of `.env`."""
         self.folder = folder
+        self.project = project
+        self.files = tuple(files)
         self.secrets = folder / "secrets"
         self.environment = {name: value for name, value in os.environ.items() if not name.startswith(("DRIVECAL_", "COMPOSE_"))}
-        self.environment |= {
-            "DRIVECAL_SECRETS": str(self.secrets),
-            "DRIVECAL_PORT": str(free_port()),
-            "DRIVECAL_TAG": "test",
-        }
+        self.environment |= {"DRIVECAL_SECRETS": str(self.secrets), "DRIVECAL_PORT": str(free_port()), "DRIVECAL_TAG": TAG}
+        self.environment |= dict(settings or {})
         told = self.run("sh", "-c", 'eval "$(deploy/secrets.sh)"; echo "$DRIVECAL_URL $DRIVECAL_TOKEN"')
         self.url, self.token = told.split()
         self.http = httpx.Client(base_url=self.url, headers={"Authorization": f"Bearer {self.token}"}, timeout=60.0)
@@ -61,18 +71,45 @@ class Cluster:
         )
         return done.stdout if check else done.stdout + done.stderr
 
-    def compose(self, *words: str, check: bool = True) -> str:
-        """`docker compose` on the cluster."""
-        return self.run("docker", "compose", "-p", PROJECT_NAME, "--env-file", os.devnull, *words, check=check)
+    def compose(
+        self, *words: str, check: bool = True, more: Sequence[str] = (), environment: Mapping[str, str] | None = None
+    ) -> str:
+        """`docker compose` on the cluster; `more` files on top of its own."""
+        files = [word for file in (*self.files, *more) for word in ("-f", file)]
+        command = ("docker", "compose", "-p", self.project, "--env-file", os.devnull, *files, *words)
+        return self.run(*command, check=check, environment=environment)
 
-    def elsewhere(self, *words: str) -> str:
-        """`docker compose` on the nodes that join from another project, as from another machine."""
-        file = str(PROJECT / "deploy" / "docker-compose.worker.yml")
-        named = {"DRIVECAL_NETWORK": f"{PROJECT_NAME}_cluster", "DRIVECAL_NODES": "1"}
-        return self.run(
-            *("docker", "compose", "-p", f"{PROJECT_NAME}-elsewhere", "--env-file", os.devnull, "-f", file, *words),
-            environment=named,
-        )
+    @contextmanager
+    def changed(self, service: str, **document: Any) -> Iterator[None]:
+        """A service that is started anew with changes to the compose file, and as it was afterwards."""
+        file = self.folder / "changes.json"  # JSON is YAML
+        file.write_text(json.dumps(document))
+        self.compose("up", "-d", "--no-deps", "--timeout", "10", service, more=(str(file),))
+        try:
+            yield
+        finally:
+            self.compose("up", "-d", "--no-deps", "--timeout", "10", service)
+
+    def problems(self) -> str:
+        """What `/readyz` has to say; nothing where it does not answer."""
+        with suppress(httpx.HTTPError, ValueError):
+            return " ".join(self.http.get("/readyz").json().get("problems", []))
+        return ""
+
+    def is_ready(self) -> bool:
+        """As `/readyz` says."""
+        with suppress(httpx.HTTPError):
+            return self.http.get("/readyz").status_code == httpx.codes.OK
+        return False
+
+    def restarts(self, container: str) -> int:
+        """How often the engine has started a container again."""
+        return int(self.run("docker", "inspect", "-f", "{{.RestartCount}}", container))
+
+    def drivecal(self, *words: str) -> str:
+        """The command, as its user runs it: beside the cluster, with address and token."""
+        client = {"DRIVECAL_URL": self.url, "DRIVECAL_TOKEN": self.token, "DRIVECAL_HOME": str(self.folder)}
+        return self.run(sys.executable, "-m", "drivecal.cli", *words, environment=client)
 
     def up(self, *words: str, attempts: int = 3) -> None:
         """Starts what does not run, and waits until all of it works; on a machine that has other things to do a container may be late.
@@ -107,7 +144,7 @@ class Cluster:
         """The nodes whose workers have started."""
         return {worker["node"] for worker in self.workers() if worker["state"] != "starting"}
 
-    def until(self, condition: Any, what: str, seconds: float = PATIENCE_SECONDS) -> float:
+    def until(self, condition: Callable[[], object], what: str, seconds: float = PATIENCE_SECONDS) -> float:
         """Waits; gives the seconds that it took. AssertionError with the dispatcher's log where it takes too long."""
         begin = time.monotonic()
         while True:
@@ -130,9 +167,46 @@ class Cluster:
     def close(self) -> None:
         """Ends everything, and forgets its data."""
         self.http.close()
-        with suppress(AssertionError):
-            self.elsewhere("down", "--timeout", "2")
         self.compose("down", "--volumes", "--timeout", "5", check=False)
+
+
+class Machine:
+    """One more machine with a node: it knows a network, the head's address in it and the token, and nothing else of the cluster."""
+
+    def __init__(self, head: Cluster, name: str, network: str) -> None:
+        """`network`: one that the head is in."""
+        self.name = name
+        self._head = head
+        secrets = head.folder / name
+        secrets.mkdir(mode=0o700)
+        (secrets / "ray_token").write_bytes((head.secrets / "ray_token").read_bytes())
+        (secrets / "ray_token").chmod(0o644)
+        self._settings = {
+            "DRIVECAL_SECRETS": str(secrets),
+            "DRIVECAL_NETWORK": network,
+            "DRIVECAL_NODES": "1",
+            "DRIVECAL_RAY_ADDRESS": "ray-head:6379",
+        }
+
+    def compose(self, *words: str, check: bool = True) -> str:
+        """`docker compose` on this machine."""
+        command = ("docker", "compose", "-p", f"{self._head.project}-{self.name}", "--env-file", os.devnull, "-f", WORKER_FILE)
+        return self._head.run(*command, *words, check=check, environment=self._settings)
+
+    def join(self) -> str:
+        """Its node's name, as soon as the node has started."""
+        self.compose("up", "-d", "--wait")
+        return self.node
+
+    @property
+    def container(self) -> str:
+        """The id of the node's container."""
+        return self.compose("ps", "-aq").strip()
+
+    @property
+    def node(self) -> str:
+        """Its node's name, as `drivecal workers` shows it."""
+        return self.container[:12]
 
 
 @contextmanager
