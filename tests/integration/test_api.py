@@ -369,7 +369,7 @@ def test_readiness_says_what_is_missing(tmp_path_factory: pytest.TempPathFactory
         response = api.http.get("/readyz")
         assert (response.status_code, response.json()["problems"]) == (
             503,
-            ["no dispatcher has started yet; `drivecal serve` starts one"],
+            ["no dispatcher has started yet; `drivecal serve` starts one, and in a cluster its log says what keeps it"],
         )
         detail: dict[str, Any] = {"workers": [{"id": "worker 1", "node": "here", "pid": 5, "state": "idle", "cells": 3}]}
         with api.database.transaction() as connection:

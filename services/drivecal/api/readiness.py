@@ -30,12 +30,13 @@ def silent_seconds(dispatcher: StoredProcess, now: datetime) -> float:
 def judge(dispatcher: StoredProcess | None, now: datetime) -> Judgement:
     """Ready is who can have a campaign simulated: a dispatcher that speaks, with at least one worker that has started."""
     if dispatcher is None:
-        return Judgement(ready=False, problems=("no dispatcher has started yet; `drivecal serve` starts one",), silent=True)
+        reason = "no dispatcher has started yet; `drivecal serve` starts one, and in a cluster its log says what keeps it"
+        return Judgement(ready=False, problems=(reason,), silent=True)
     problems = []
     silent = silent_seconds(dispatcher, now)
     if silent > SILENT_SECONDS:
         problems.append(
-            f"the dispatcher has been silent for {silent:.0f} s; `drivecal serve` starts it again by itself, and the server's log says why"
+            f"the dispatcher has been silent for {silent:.0f} s; it is started again by itself, and its log says why"
         )
     if dispatcher.detail.get("degraded"):
         problems.append(str(dispatcher.detail["degraded"]))

@@ -19,7 +19,11 @@ def dispatcher(silent: float = 0.5, states: tuple[str, ...] = ("idle",), degrade
 @pytest.mark.parametrize(
     ("found", "ready", "words"),
     [
-        (None, False, "no dispatcher has started yet; `drivecal serve` starts one"),
+        (
+            None,
+            False,
+            "no dispatcher has started yet; `drivecal serve` starts one, and in a cluster its log says what keeps it",
+        ),
         (dispatcher(), True, None),
         (dispatcher(states=("starting", "busy")), True, None),
         (dispatcher(degraded="1 of 2 workers do not start"), True, "1 of 2 workers do not start"),
