@@ -1,5 +1,5 @@
 import { expect, test } from "vitest";
-import { changed, describe, differences, written, type Definitions } from "./schema";
+import { changed, describe, differences, listText, others, written, writtenList, type Definitions } from "./schema";
 
 const DEFINITIONS: Definitions = {
   Search: { type: "object", properties: { kind: { enum: ["genetic", "random"] }, seed: { type: "integer", default: 1 } } },
@@ -15,6 +15,9 @@ test("a schema says what field it wants", () => {
   expect(kind({ type: "string" })).toBe("text");
   expect(kind({ anyOf: [{ type: "string" }, { type: "array" }] })).toBe("json");
   expect(kind({ type: "object", patternProperties: {} })).toBe("json");
+  expect(kind({ type: "array", items: { type: "integer" } })).toBe("list");
+  expect(kind({ type: "array", items: { $ref: "#/components/schemas/Search" } })).toBe("objects");
+  expect(kind({ type: "array", items: { type: "object", patternProperties: {} } })).toBe("json");
 });
 
 test("objects are found behind references and choices, and whether they may be left out", () => {
@@ -39,4 +42,13 @@ test("two documents are compared leaf by leaf", () => {
     { path: "d", one: "x", other: null },
     { path: "e", one: null, other: "null" },
   ]);
+});
+
+test("lists are written with commas, and as JSON where they hold more than words and numbers", () => {
+  expect([writtenList("100, 200"), writtenList("off, exact"), writtenList(" "), writtenList('[{"mode": "off"}]')]).toEqual([[100, 200], ["off", "exact"], undefined, [{ mode: "off" }]]);
+  expect([listText([1, 2]), listText([{ mode: "off" }]), listText(undefined)]).toEqual(["1, 2", '[{"mode":"off"}]', ""]);
+});
+
+test("what a plug-in takes besides is told apart from what the schema names", () => {
+  expect(others({ kind: "genetic", mutation: 0.2 }, DEFINITIONS["Search"] ?? {})).toEqual({ mutation: 0.2 });
 });

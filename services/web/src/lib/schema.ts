@@ -11,15 +11,20 @@ export interface Schema {
   anyOf?: Schema[];
   oneOf?: Schema[];
   properties?: Record<string, Schema>;
+  additionalProperties?: boolean | Schema;
+  items?: Schema;
+  minItems?: number;
   minimum?: number;
   maximum?: number;
   exclusiveMinimum?: number;
   maxLength?: number;
+  patternProperties?: Record<string, Schema>;
 }
 
 export type Definitions = Record<string, Schema>;
 
-export type Kind = "choice" | "truth" | "whole" | "number" | "text" | "object" | "json";
+/** `list`: of words and numbers; `objects`: of objects, each with fields of its own. */
+export type Kind = "choice" | "truth" | "whole" | "number" | "text" | "object" | "list" | "objects" | "json";
 
 export interface Described {
   kind: Kind;
@@ -55,7 +60,30 @@ export function describe(given: Schema, definitions: Definitions): Described {
   if (only.type === "integer") return make("whole", only);
   if (only.type === "number") return make("number", only);
   if (only.type === "string") return make("text", only);
+  if (only.type === "array" && only.items) {
+    const item = resolve(only.items, definitions);
+    if (item.properties) return make("objects", only);
+    if (!item.patternProperties) return make("list", only);
+  }
   return make("json", only);
+}
+
+/** Words and numbers as people write them, `100, 200`; JSON where it is any, for lists that hold more than that. */
+export function writtenList(text: string): unknown[] | undefined {
+  if (text.trim() === "") return undefined;
+  const found = text.trim().startsWith("[") ? written(text) : undefined;
+  if (Array.isArray(found)) return found;
+  return text.split(",").map((part) => part.trim()).filter(Boolean).map(written);
+}
+
+export function listText(value: unknown): string {
+  if (!Array.isArray(value)) return "";
+  return value.some((one) => typeof one === "object") ? JSON.stringify(value) : value.join(", ");
+}
+
+/** What an object holds besides the fields that its schema names: settings of a plug-in, for example. */
+export function others(value: Readonly<Record<string, unknown>>, schema: Schema): Record<string, unknown> {
+  return Object.fromEntries(Object.entries(value).filter(([name]) => !(name in (schema.properties ?? {}))));
 }
 
 /** What somebody wrote where several kinds of values may stand: JSON where it is any, else a word. */

@@ -148,3 +148,166 @@ export interface Session {
   name: string | null;
   may_write: boolean;
 }
+
+/** One run of a comparison: a campaign of its own. */
+export interface ComparedRun {
+  run: string;
+  optimizer: string;
+  population: number;
+  seed: number;
+  reduction: string;
+  state: string;
+  iterations: number;
+  requested: number;
+  simulations: number;
+  analysis: number;
+  best: number | null;
+  rating: number | null;
+  alternatives: number;
+  mean: number | null;
+  converged_at: number | null;
+  simulations_to_converge: number | null;
+  success: boolean;
+}
+
+/** Table 5: the runs of one optimizer, population and reduction. */
+export interface ComparedGroup {
+  optimizer: string;
+  population: number;
+  reduction: string;
+  seeds: number;
+  best: number | null;
+  mean: number | null;
+  minimum: number | null;
+  rating: number | null;
+  alternatives: number | null;
+  simulations: number | null;
+  converged: number;
+  iterations_to_converge: number | null;
+  simulations_to_converge: number | null;
+  successes: number;
+}
+
+/** Two runs that differ in the reduction alone. */
+export interface ComparedPair {
+  optimizer: string;
+  population: number;
+  seed: number;
+  reduction: string;
+  base: string;
+  run: string;
+  base_run: string;
+  difference: number;
+  simulations: number;
+  base_simulations: number;
+  saved: number;
+}
+
+export interface ReductionEffect {
+  optimizer: string | null;
+  population: number | null;
+  reduction: string;
+  base: string;
+  pairs: number;
+  mean_difference: number;
+  lower_95: number | null;
+  upper_95: number | null;
+  better: number;
+  equal: number;
+  worse: number;
+  sign_test: number;
+  different_upper_95: number;
+  simulations: number;
+  base_simulations: number;
+  saved_share: number;
+}
+
+/** What a campaign saved and what that cost; seconds of the workers' CPU time. */
+export interface Accounting {
+  sensitivity: { requested: number; simulated: number; seconds: number };
+  map: { id: string; made_by: string | null; paid_here: boolean; runs: number; seconds: number } | null;
+  scenarios: ScenarioAccount[];
+  requested: number;
+  answered_without_simulation: number;
+  simulated: number;
+  audited: number;
+  share_without_simulation: number | null;
+  share_reused: number | null;
+  simulated_seconds: number;
+  audited_seconds: number;
+  repeated_saved_seconds: number;
+  reused_saved_seconds: number;
+  certified_saved_seconds: number;
+  saved_seconds: number;
+  net_seconds: number;
+  map_net_seconds: number | null;
+  break_even: { requested_cells: number | null; campaigns: number | null; reruns: number | null } | null;
+  sentence: string;
+}
+
+export interface ScenarioAccount {
+  scenario: string;
+  requested: number;
+  repeated: number;
+  reused: number;
+  certified: number;
+  simulated: number;
+  failed: number;
+  audited: number;
+  mean_seconds: number | null;
+  simulated_seconds: number;
+  audited_seconds: number;
+  repeated_saved_seconds: number;
+  reused_saved_seconds: number;
+  certified_saved_seconds: number;
+  proved: number;
+  proved_different: number;
+  proved_wrong: number;
+}
+
+export interface Study {
+  campaign: string;
+  name: string;
+  stage: "robustness" | "validation";
+  state: string;
+  settings: Record<string, unknown>;
+  ended_at: string | null;
+}
+
+export interface BoxTrial {
+  box: number;
+  radius: number;
+  holds: boolean;
+  deviations: Record<string, number | null>;
+}
+
+export interface RobustRow {
+  rank: number;
+  objective: number | null;
+  rating: number | null;
+  degree: number;
+  at_least: boolean;
+  radius: number;
+  recommended: boolean;
+  reason: string | null;
+  region: number;
+  to_worse: number | null;
+  trials: BoxTrial[];
+}
+
+export interface ValidRow {
+  scenario: string;
+  reducible: number;
+  effects: number;
+  covered: number;
+  drawn: number;
+  bases: number;
+  references: number;
+  compared: number;
+  wrong: number;
+  different: number;
+  error_rate: number | null;
+  lower_95: number | null;
+  upper_95: number | null;
+  histogram: Record<string, number>;
+}

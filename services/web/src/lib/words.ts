@@ -48,7 +48,7 @@ export function parts(cells: Partial<Cells>): { outcome: Outcome; cells: number 
 }
 
 /** One sentence about the state. */
-export function sentence(campaign: Moving): string {
+export function sentence(campaign: Moving & { kind?: string }): string {
   const { state, stage, requested_action: asked } = campaign;
   if (asked === "pause") return "Asked to pause: what runs at the workers is finished first.";
   if (asked === "cancel" || state === "cancelling") return "Asked to end: what runs at the workers is finished first, and kept.";
@@ -57,6 +57,7 @@ export function sentence(campaign: Moving): string {
   if (state === "succeeded") return "Finished.";
   if (state === "cancelled") return "Ended on request; what was finished is kept.";
   if (state === "failed") return "Ended with an error.";
+  if (campaign.kind === "comparison") return "Searching, several runs side by side.";
   if (stage === "sensitivity") return "Finding out where which parameter matters.";
   if (stage === "calibration") return `Searching: iteration ${(campaign.iteration ?? 0) + 1}.`;
   if (stage === "robustness") return "Driving the best sets in other vehicles.";

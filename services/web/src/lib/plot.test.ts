@@ -1,0 +1,36 @@
+import { expect, test } from "vitest";
+import { floors, legend, logTicks, outline, reach, scales, spansDecades, type Frame, type Series } from "./plot";
+
+const FRAME: Frame = { width: 120, height: 70, left: 10, right: 10, top: 10, bottom: 10, x: [0, 10], y: [0, 5], log: false };
+const line = (values: (number | null)[], more: Partial<Series> = {}): Series => ({ name: "a", values, colour: "#000000", ...more });
+
+test("a line goes through its values and leaves out what is not there", () => {
+  expect(outline(line([0, null, 5]), [0, 5, 10], [], false, FRAME)).toBe("M10.0 60.0L110.0 10.0");
+});
+
+test("steps hold a value until the next, at places of their own", () => {
+  expect(outline(line([0, 5], { steps: true, x: [5, 10] }), [0, 1], [], false, FRAME)).toBe("M60.0 60.0L110.0 60.0L110.0 10.0");
+});
+
+test("on a logarithmic scale each decade is as high as the next, and nothing lies below the ground", () => {
+  const { py } = scales({ ...FRAME, y: [1, 100], log: true });
+  expect([py(0), py(1), py(10), py(100)]).toEqual([60, 60, 35, 10]);
+  expect(logTicks(0.7, 2000)).toEqual([1, 10, 100, 1000]);
+  expect(logTicks(0.7, 16)).toEqual([1, 2, 5, 10]);
+});
+
+test("areas lie on each other and stand on the ground", () => {
+  const areas: Series[] = [line([1, 2], { kind: "area" }), line([3, 4], { kind: "area" })];
+  const below = floors(areas, 2, true);
+  expect(below).toEqual([[0, 0], [1, 2]]);
+  expect(reach(areas, below, false)[0]).toBe(0);
+  expect(reach(areas, below, false)[1]).toBeGreaterThan(6);
+});
+
+test("counts of one size need no logarithmic scale", () => {
+  expect([spansDecades([0, 3, 9]), spansDecades([0, 1, 900]), spansDecades([900])]).toEqual([false, true, false]);
+});
+
+test("runs of one group have one entry in the legend", () => {
+  expect(legend([line([], { group: "x" }), line([], { group: "x" }), line([])]).length).toBe(2);
+});

@@ -1,0 +1,136 @@
+/** Where the marks of a chart lie: scales, ticks and paths, in pixels from the upper left corner. */
+
+import { ticks } from "./geometry";
+
+export interface Series {
+  name: string;
+  values: readonly (number | null)[];
+  colour: string;
+  dash?: string;
+  kind?: "line" | "area" | "bar";
+  /** Its own places, where it does not share those of the chart. */
+  x?: readonly number[];
+  /** Series of one group have one entry in the legend. */
+  group?: string;
+  /** Holds each value until the next place. */
+  steps?: boolean;
+  /** Pixels by which its line is moved, so that lines of equal value do not hide each other. */
+  shift?: number;
+}
+
+export interface Frame {
+  width: number;
+  height: number;
+  left: number;
+  right: number;
+  top: number;
+  bottom: number;
+  x: readonly [number, number];
+  y: readonly [number, number];
+  log: boolean;
+}
+
+/** From values to pixels. On a logarithmic scale everything below the lower end lies at it, zero as well. */
+export function scales(frame: Frame): { px: (value: number) => number; py: (value: number) => number } {
+  const [x0, x1] = frame.x;
+  const [y0, y1] = frame.log ? [Math.log10(frame.y[0]), Math.log10(frame.y[1])] : frame.y;
+  const across = (frame.width - frame.left - frame.right) / (x1 - x0 || 1);
+  const up = (frame.height - frame.top - frame.bottom) / (y1 - y0 || 1);
+  const height = (value: number): number => (frame.log ? Math.log10(Math.max(value, frame.y[0])) : value);
+  return { px: (value) => frame.left + (value - x0) * across, py: (value) => frame.height - frame.bottom - (height(value) - y0) * up };
+}
+
+/** What lies below each value where areas and bars lie on each other. */
+export function floors(series: readonly Series[], length: number, stacked: boolean): number[][] {
+  const base = Array.from({ length }, () => 0);
+  return series.map((one) => {
+    const floor = [...base];
+    if (stacked) one.values.forEach((value, index) => (base[index] = (base[index] ?? 0) + (value ?? 0)));
+    return floor;
+  });
+}
+
+/** From where to where a chart reaches upwards so that everything is on it. */
+export function reach(series: readonly Series[], below: readonly (readonly number[])[], log: boolean): [number, number] {
+  let low = Infinity;
+  let high = -Infinity;
+  series.forEach((one, which) =>
+    one.values.forEach((value, index) => {
+      if (value === null || Number.isNaN(value)) return;
+      const floor = below[which]?.[index] ?? 0;
+      high = Math.max(high, floor + value);
+      low = Math.min(low, floor + value, isLine(one) ? Infinity : floor);
+    }),
+  );
+  if (log) return [0.7, Math.max(10, 1.6 * high)];
+  if (low > high) return [0, 1];
+  const margin = (high - low || 1) * 0.06;
+  return [series.every(isLine) ? low - margin : Math.min(0, low), high + margin];
+}
+
+export function isLine(one: Series): boolean {
+  return one.kind === undefined || one.kind === "line";
+}
+
+/** From where to where the places of all series reach; `half`: the room that a bar takes beside its place. */
+export function across(x: readonly number[], series: readonly Series[], half: number): [number, number] {
+  let low = Infinity;
+  let high = -Infinity;
+  for (const places of [x, ...series.map((one) => one.x ?? [])]) {
+    for (const place of places) {
+      if (place < low) low = place;
+      if (place > high) high = place;
+    }
+  }
+  return low > high ? [0, 1] : [low - half, Math.max(high + half, low - half + 1e-9)];
+}
+
+/** Powers of ten, with what lies between them where there are few. */
+export function logTicks(low: number, high: number): number[] {
+  const powers: number[] = [];
+  for (let power = Math.ceil(Math.log10(low) - 1e-9); power <= Math.log10(high) + 1e-9; power++) powers.push(10 ** power);
+  const between = powers.length > 2 ? [1] : [1, 2, 5];
+  return powers.flatMap((power) => between.map((factor) => factor * power)).filter((tick) => tick <= high);
+}
+
+export function ticksOf(frame: Frame, about: number): number[] {
+  return frame.log ? logTicks(frame.y[0], frame.y[1]) : ticks(frame.y[0], frame.y[1], about);
+}
+
+/** The outline of a line or an area, as the `d` of an SVG path. */
+export function outline(one: Series, x: readonly number[], floor: readonly number[], stacked: boolean, frame: Frame): string {
+  const { px, py } = scales(frame);
+  const places = one.x ?? x;
+  const points: string[] = [];
+  const back: string[] = [];
+  let before: string | null = null;
+  one.values.forEach((value, index) => {
+    if (value === null || Number.isNaN(value)) return;
+    const bottom = stacked ? (floor[index] ?? 0) : 0;
+    const at = px(places[index] ?? 0).toFixed(1);
+    const height = (py(bottom + value) + (one.shift ?? 0)).toFixed(1);
+    if (one.steps && before !== null) points.push(`${at} ${before}`);
+    points.push(`${at} ${height}`);
+    back.push(`${at} ${py(bottom).toFixed(1)}`);
+    before = height;
+  });
+  if (points.length === 0) return "";
+  return one.kind === "area" ? `M${points.join("L")}L${back.reverse().join("L")}Z` : `M${points.join("L")}`;
+}
+
+/** Whether counts are so unlike that small ones could not be seen beside the large ones. */
+export function spansDecades(counts: readonly number[]): boolean {
+  const seen = counts.filter((one) => one > 0);
+  return seen.length > 1 && Math.max(...seen) > 50 * Math.min(...seen);
+}
+
+/** What the legend lists: each group once. */
+export function legend(series: readonly Series[]): Series[] {
+  const known = new Set<string>();
+  return series.filter((one) => {
+    const name = one.group ?? one.name;
+    if (known.has(name)) return false;
+    known.add(name);
+    return true;
+  });
+}

@@ -1,0 +1,36 @@
+import { expect, test, vi } from "vitest";
+import { drawLines, heightOf, moved, opacity, valueAt, type Axis } from "./polylines";
+
+const AXIS: Axis = { name: "P1", title: "P1", lower: -10, upper: 10 };
+
+test("a height and its value belong together", () => {
+  expect(valueAt(AXIS, heightOf(AXIS, 4))).toBeCloseTo(4);
+  expect([valueAt(AXIS, -100), valueAt(AXIS, 10_000)]).toEqual([10, -10]);
+});
+
+test("keys move one end of a range, and never past the other or the axis", () => {
+  expect(moved(AXIS, undefined, -1, "upper")).toEqual([-10, 9]);
+  expect(moved(AXIS, [0, 0.5], -1, "upper")).toEqual([0, 0]);
+  expect(moved(AXIS, [9.5, 10], 2, "lower")).toEqual([10, 10]);
+  expect(moved(AXIS, [-Infinity, 3], -1, "lower")).toEqual([-10, 3]);
+});
+
+test("few lines are strong, many are faint, and none is more than opaque", () => {
+  expect(opacity(10, 4)).toBe(1);
+  expect(opacity(100_000, 1)).toBeLessThan(0.05);
+});
+
+test("all lines come, over several frames, and those without a value have a gap", () => {
+  const frames: FrameRequestCallback[] = [];
+  vi.stubGlobal("requestAnimationFrame", (next: FrameRequestCallback) => frames.push(next));
+  const drawn = { moveTo: 0, lineTo: 0 };
+  const pen = { beginPath: () => undefined, stroke: () => undefined, moveTo: () => drawn.moveTo++, lineTo: () => drawn.lineTo++ } as unknown as CanvasRenderingContext2D;
+  const values = Float64Array.from({ length: 5_000 }, (_, row) => (row === 7 ? Number.NaN : row % 10));
+  const counts: number[] = [];
+  drawLines(pen, [{ axis: AXIS, values }, { axis: AXIS, values }], 10, [{ rows: Uint32Array.from(values.keys()), style: "#000" }], (count) => counts.push(count));
+  for (let now = 0; frames.length > 0; now += 16) frames.shift()?.(now);
+  expect(counts.length).toBeGreaterThan(2);
+  expect(counts.at(-1)).toBe(5_000);
+  expect(drawn).toEqual({ moveTo: 4_999, lineTo: 4_999 });
+  vi.unstubAllGlobals();
+});
