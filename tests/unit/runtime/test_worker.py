@@ -255,6 +255,24 @@ def test_numba_gets_a_folder_of_its_own_only_where_it_would_find_none(tmp_path: 
     made.rmdir()
 
 
+def test_a_folder_for_kernels_begins_with_those_that_an_image_brought_along(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shipped, folder = tmp_path / "shipped", tmp_path / "mine" / "numba"
+    (shipped / "planner").mkdir(parents=True)
+    (shipped / "planner" / "kernel.nbi").write_text("compiled")
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(folder))
+    monkeypatch.setenv(compilation.SHIPPED, str(tmp_path / "nowhere"))
+    compilation.prepare_cache()
+    assert not folder.exists()
+    monkeypatch.setenv(compilation.SHIPPED, str(shipped))
+    compilation.prepare_cache()
+    (folder / "planner" / "kernel.nbi").write_text("compiled anew")
+    compilation.prepare_cache()
+    assert (folder / "planner" / "kernel.nbi").read_text() == "compiled anew"
+    assert [path.name for path in folder.parent.iterdir()] == ["numba"]
+
+
 def certified(worker: Worker, *cells: Cell, setup: SetupRequest = SETUP) -> tuple[CellResult, ...]:
     return worker.run(Batch(setup, tuple(replace(cell, certify=True) for cell in cells))).results
 
