@@ -162,3 +162,11 @@ def test_a_page_of_another_origin_and_one_without_a_session_are_told_nothing(api
         with pytest.raises(InvalidStatus) as refused:
             line(server, **headers)
         assert refused.value.response.status_code == 403
+
+
+def test_what_only_the_page_uses_is_described_as_well(api: RunningApi) -> None:
+    document = api.http.get("/openapi.json").json()
+    assert {"/api/v1/session", "/api/v1/campaigns/{campaign_id}/cell"} <= document["paths"].keys()
+    [tag] = document["tags"]
+    assert tag["name"] == "page"
+    assert "`GET /api/v1/live` is a WebSocket" in tag["description"]

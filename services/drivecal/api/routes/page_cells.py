@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 from drivecal.api.dependencies import DatabaseDependency
 from drivecal.storage import campaigns, results
 
-router = APIRouter(prefix="/campaigns", tags=["page"], include_in_schema=False)
+router = APIRouter(prefix="/campaigns", tags=["page"])
 
 Place = Annotated[int, Field(ge=0, le=2**31 - 1)]
 

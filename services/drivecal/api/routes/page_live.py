@@ -3,9 +3,7 @@
 The event streams of `/campaigns/{id}/events` would do, but browsers open at most six connections to a server over HTTP/1.1: the seventh
 tab with a stream would load nothing any more. WebSockets are not counted among them.
 
-The page sends `{"follow": ID, "after": N}` and `{"unfollow": ID}`; it is sent `{"campaign": ID, "event": {...}}` with each event after
-number N, `{"campaign": ID, "progress": {...}}`, `{"campaign": ID, "ended": true}` after the last of an ended campaign, `{"campaign": ID,
-"error": "..."}`, and `{"alive": true}` where there was nothing else for a while.
+What is said over it is in `PROTOCOL`, which the OpenAPI document quotes: it can describe no WebSocket.
 """
 
 from __future__ import annotations
@@ -36,6 +34,21 @@ LARGEST_MESSAGE = 1_000
 STALLED_SECONDS = 60.0
 """A page that takes nothing for so long is let go; it comes back."""
 AGAIN_LATER, NOT_UNDERSTOOD = 1013, 1008
+
+PROTOCOL = (
+    "What the page in the browser needs besides what every client uses.\n\n"
+    "`GET /api/v1/live` is a WebSocket, which OpenAPI cannot describe. It follows campaigns; other clients follow one by its event "
+    "stream, `GET /api/v1/campaigns/{campaign_id}/events`, which tells the same. Messages are JSON. A page sends "
+    '`{"follow": ID, "after": N}` and `{"unfollow": ID}`, and is sent\n\n'
+    '- `{"campaign": ID, "event": {...}}` with each event after number N, as in the event stream,\n'
+    '- `{"campaign": ID, "progress": {...}}` at most once a second,\n'
+    '- `{"campaign": ID, "ended": true}` after the last event of a campaign that has ended,\n'
+    '- `{"campaign": ID, "error": "..."}` where it cannot be followed,\n'
+    '- `{"alive": true}` where there was nothing else for a while.\n\n'
+    f"A page follows {MOST_FOLLOWED} campaigns at most. Browsers are let in from pages of this very origin only; the connection is closed "
+    f"with {NOT_UNDERSTOOD} where a message cannot be understood, and refused where the server has no place for it."
+)
+"""Of the live connection, in Markdown."""
 
 CampaignId = Annotated[str, Field(min_length=1, max_length=64)]
 

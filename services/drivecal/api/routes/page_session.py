@@ -9,7 +9,7 @@ from drivecal.api import sessions
 from drivecal.api.auth import ANYBODY
 from drivecal.configuration.tokens import Token
 
-router = APIRouter(tags=["page"], include_in_schema=False)
+router = APIRouter(tags=["page"])
 
 
 class Session(BaseModel):

@@ -1,0 +1,189 @@
+"""How the page bears large campaigns: `python tests/benchmarks/run.py page [--evaluations 12000 100000]`.
+
+A campaign of each size, whose simulation is a formula, is shown by the API in a process of its own to a headless Chromium of the system.
+Measured: from an empty tab to the campaign's state and to its first chart and table of all evaluations; the longest frame while a brush is
+drawn along two axes and while the table is scrolled, by the browser's own animation frames; the memory of the browser's tab and its
+JavaScript heap; and by how much the server grows for each page that is open. Where there is no Chromium or the page was not built, it says
+so and ends with 0. Writes `.drivecal/bench/page.json`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import re
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import psutil
+from playwright.sync_api import Browser, Page, expect, sync_playwright
+from tests.support.api_process import ApiProcess, api_process
+from tests.support.browser import NAMES
+from tests.support.computed import ComputedBackend
+from tests.support.runs import dispatcher, get, submit
+
+from drivecal.api.routes.page import FILES, START
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.database import Database
+
+TARGET = Path(".drivecal/bench/page.json")
+POPULATION, SCENARIOS = 1_000, 6
+PAGES = 3
+"""Open at once, for what each costs the server."""
+MOST_SECONDS, MOST_FRAME, MOST_SERVER = 3.0, 200.0, 100.0
+"""To the first view, of a frame in milliseconds, of the server's growth for each page in MB."""
+STEPS = 40
+"""Of the pointer along an axis."""
+WATCH = """() => {
+    window.longest = 0;
+    let last = performance.now();
+    const tick = (now) => {
+        window.longest = Math.max(window.longest, now - last);
+        last = now;
+        window.watching = requestAnimationFrame(tick);
+    };
+    window.watching = requestAnimationFrame(tick);
+}"""
+LONGEST = "() => { cancelAnimationFrame(window.watching); return window.longest; }"
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Measures, prints and writes; 0 where nothing was slower or larger than promised, or where there is nothing to measure with."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--evaluations", type=int, nargs="+", default=[12_000, 100_000], help="sizes of the campaign")
+    sizes = parser.parse_args(arguments).evaluations
+    command = next(filter(None, map(shutil.which, NAMES)), None)
+    if command is None or not (FILES / START).is_file():
+        print("not measured: " + ("no Chromium is installed" if command is None else "the page was not built (make page)"))
+        return 0
+    figures: dict[str, dict[str, float]] = {}
+    for size in sizes:
+        with tempfile.TemporaryDirectory(prefix="drivecal-page-") as name:
+            url = f"sqlite:///{name}/drivecal.db"
+            campaign = carried_out(url, size)
+            with api_process(url, Path(name)) as api, sync_playwright() as playwright:
+                browser = playwright.chromium.launch(executable_path=command, args=["--no-sandbox"])
+                figures[f"{campaign.cells.requested}"] = measure(browser, api, campaign)
+                browser.close()
+    show(figures)
+    TARGET.parent.mkdir(parents=True, exist_ok=True)
+    TARGET.write_text(json.dumps(figures, indent=2))
+    limits = {"seconds_to_state": 1.0, "seconds_to_evaluations": MOST_SECONDS, "server_megabytes_for_each_page": MOST_SERVER}
+    limits |= {"brush_longest_frame_ms": MOST_FRAME, "scroll_longest_frame_ms": MOST_FRAME}
+    missed = [f"{size}: {what}" for size, found in figures.items() for what, most in limits.items() if found[what] > most]
+    for one in missed:
+        print(f"missed: {one} (at most {limits[one.partition(': ')[2]]:g})")
+    return int(bool(missed))
+
+
+def carried_out(url: str, size: int) -> StoredCampaign:
+    """A campaign of at least `size` evaluations in a new database. Random search leaves no individual unchanged, so that each proposed
+    cell is one."""
+    database = Database.open(url)
+    database.upgrade()
+    iterations = math.ceil(size / (POPULATION * SCENARIOS))
+    optimizer = {"kind": "random", "population": POPULATION, "iterations": iterations, "seed": 1}
+    campaign = submit(database, optimizer=optimizer, catalogue="highway", parameters="highway")
+    working = dispatcher(database, ComputedBackend())
+    started = time.perf_counter()
+    while not get(database, campaign).state.ended:
+        for _ in range(20):
+            working.step()
+    ended = get(database, campaign)
+    print(f"{ended.cells.requested:,} evaluations made in {time.perf_counter() - started:.0f} s", flush=True)
+    database.dispose()
+    return ended
+
+
+def measure(browser: Browser, api: ApiProcess, campaign: StoredCampaign) -> dict[str, float]:
+    """The figures of one campaign."""
+    address = f"{api.url}/#/campaigns/{campaign.id}"
+    api.http.get("/api/v1/campaigns").raise_for_status()
+    before = api.megabytes
+    found: dict[str, float] = {}
+
+    first = browser.new_page(viewport={"width": 1280, "height": 900})
+    found["seconds_to_state"] = seconds_to(first, address, lambda: expect(first.get_by_text("Finished.")).to_be_visible())
+    first.close()
+
+    page = browser.new_page(viewport={"width": 1280, "height": 900})
+    page.set_default_timeout(120_000)
+    found["seconds_to_evaluations"] = seconds_to(
+        page, f"{address}/evaluations", lambda: expect(page.get_by_role("grid")).to_be_visible(timeout=120_000)
+    )
+    expect(page.get_by_text("drawing")).to_have_count(0, timeout=120_000)
+    found["brush_longest_frame_ms"] = brushed(page)
+    found["scroll_longest_frame_ms"] = scrolled(page)
+    memory: Any = page.context.new_cdp_session(page).send("Runtime.getHeapUsage")
+    found["heap_megabytes"] = memory["usedSize"] / 2**20
+    found["tab_megabytes"] = largest_tab()
+
+    others = [browser.new_page() for _ in range(PAGES - 1)]
+    for one in others:
+        one.goto(f"{address}/evaluations")
+        expect(one.get_by_role("grid")).to_be_visible(timeout=120_000)
+    found["server_megabytes_for_each_page"] = max(0.0, api.megabytes - before) / PAGES
+    return found
+
+
+def seconds_to(page: Page, address: str, there: Any) -> float:
+    """From an empty tab to what `there` waits for."""
+    started = time.perf_counter()
+    page.goto(address)
+    there()
+    return time.perf_counter() - started
+
+
+def brushed(page: Page) -> float:
+    """The longest frame, milliseconds, while ranges are drawn along two axes and taken away again."""
+    axes = [page.get_by_role("slider", name=re.compile(rf"Range of P{number}\b")) for number in (1, 8)]
+    boxes = [axis.bounding_box() for axis in axes]
+    page.evaluate(WATCH)
+    for box in boxes:
+        assert box is not None
+        x, top, height = box["x"] + box["width"] / 2, box["y"] + 10, box["height"] - 20
+        page.mouse.move(x, top)
+        page.mouse.down()
+        for step in range(1, STEPS + 1):
+            page.mouse.move(x, top + 0.6 * height * step / STEPS)
+        page.mouse.up()
+    page.get_by_role("button", name="Show all again").click()
+    page.wait_for_timeout(300)
+    return float(page.evaluate(LONGEST))
+
+
+def scrolled(page: Page) -> float:
+    """The longest frame, milliseconds, while the table is scrolled, to its end at last."""
+    grid = page.get_by_role("grid")
+    grid.scroll_into_view_if_needed()
+    grid.hover()
+    page.evaluate(WATCH)
+    for _ in range(STEPS):
+        page.mouse.wheel(0, 400)
+        page.wait_for_timeout(16)
+    grid.press("End")
+    page.wait_for_timeout(300)
+    return float(page.evaluate(LONGEST))
+
+
+def largest_tab() -> float:
+    """Memory of the browser's largest tab, MB, without what it shares with others."""
+    tabs = [one for one in psutil.Process().children(recursive=True) if "--type=renderer" in one.cmdline()]
+    return max((float(one.memory_full_info().uss) for one in tabs), default=0.0) / 2**20
+
+
+def show(figures: dict[str, dict[str, float]]) -> None:
+    """Prints a column for each size."""
+    print(f"{'':34}" + "".join(f"{int(size):>12,}" for size in figures))
+    for name in next(iter(figures.values())):
+        print(f"{name.replace('_', ' '):34}" + "".join(f"{found[name]:12.2f}" for found in figures.values()))
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
