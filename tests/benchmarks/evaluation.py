@@ -25,6 +25,7 @@ from drivecal.episode.runner import Runner
 from drivecal.planner.plugin import FRENET
 from drivecal.plugins.ports import Observation
 from drivecal.scenarios.plugin import HIGHWAY
+from drivecal.traffic import simulation as traffic
 from drivecal.traffic.configuration import EGO
 from drivecal.traffic.simulation import simulation
 from drivecal.vehicle.plugin import SINGLE_TRACK
@@ -88,7 +89,8 @@ class Tape:
     seen: list[Observation] = field(default_factory=list)
     followed: list[tuple[Any, float]] = field(default_factory=list)
     """Trajectories, and the time since each was planned."""
-    advanced: list[tuple[int, float, float, float]] = field(default_factory=list)
+    advanced: list[tuple[int, list[float], Any]] = field(default_factory=list)
+    """Step, front and pose of the ego vehicle."""
 
 
 def record(runner: Runner, parameters: Sequence[float]) -> Tape:
@@ -105,9 +107,9 @@ def record(runner: Runner, parameters: Sequence[float]) -> Tape:
         tape.followed.append((trajectory, since))
         return follow(trajectory, since, *rest)
 
-    def advanced(*step: Any) -> None:
-        tape.advanced.append(step)
-        advance(*step)
+    def advanced(index: int, front: Any, pose: Any) -> bool:
+        tape.advanced.append((index, front.tolist(), pose.copy()))
+        return advance(index, front, pose)
 
     with replaced(planner, "plan", planned), replaced(vehicle, "follow", followed), replaced(simulated, "advance", advanced):
         runner.run(parameters)
@@ -116,12 +118,16 @@ def record(runner: Runner, parameters: Sequence[float]) -> Tape:
 
 @contextmanager
 def replaced(owner: object, name: str, by: object) -> Iterator[None]:
-    """An object's method is another one meanwhile."""
+    """An object's method, or a module's function, is another one meanwhile."""
+    own = vars(owner).get(name)
     setattr(owner, name, by)
     try:
         yield
     finally:
-        delattr(owner, name)
+        if own is None:
+            delattr(owner, name)
+        else:
+            setattr(owner, name, own)
 
 
 def shares(runner: Runner, parameters: Sequence[float]) -> dict[str, float]:
@@ -143,12 +149,12 @@ def shares(runner: Runner, parameters: Sequence[float]) -> dict[str, float]:
         for one in tape.advanced:
             simulated.advance(*one)
 
-    with replaced(simulated, "_read", lambda _: None):
+    with replaced(simulated, "_read", lambda: None), replaced(traffic, "settle", lambda *_: False):
         sumo = seconds_of(advance, simulated.reset)
     parts = {
         "SUMO with the ego vehicle in it": sumo,
         "planner": seconds_of(plan, lambda: planner.reset(parameters)),
-        "reading the other vehicles": seconds_of(advance, simulated.reset) - sumo,
+        "where the other vehicles are": seconds_of(advance, simulated.reset) - sumo,
         "vehicle": seconds_of(follow, lambda: vehicle.start(*loop._start)),
         "putting the vehicles back": seconds_of(simulated.reset),
         "metrics and rating": seconds_of(lambda: runner._result(drive)),

@@ -11,10 +11,10 @@ import json
 import sys
 import tempfile
 from contextlib import nullcontext
-from math import degrees
 from pathlib import Path
 from time import thread_time
 from types import SimpleNamespace
+from typing import Any
 
 import libsumo
 from tests.benchmarks.evaluation import latin_hypercube, record, runner_of
@@ -29,13 +29,13 @@ TARGET = Path(".drivecal/bench/prefix.json")
 State = tuple[tuple[float, float], float]
 
 
-def drive(scenario: Scenario, poses: list[tuple[int, float, float, float]]) -> list[State]:
+def drive(scenario: Scenario, poses: list[tuple[int, list[float], Any]]) -> list[State]:
     """Moves the ego vehicle along; gives position and speed of all others after each step."""
     seen = []
-    for index, x, y, heading in poses:
+    for index, front, _ in poses:
         for _, name, offsets in simulation()._drifts:
             libsumo.vehicle.setLateralLanePosition(name, offsets[index])
-        libsumo.vehicle.moveToXY(EGO, "", -1, x, y, 90.0 - degrees(heading), MAPPED_ANYWHERE, MAPPED_WITHIN)
+        libsumo.vehicle.moveToXY(EGO, "", -1, *front, MAPPED_ANYWHERE, MAPPED_WITHIN)
         libsumo.simulationStep()
         seen += [(libsumo.vehicle.getPosition(one.id), libsumo.vehicle.getSpeed(one.id)) for one in scenario.traffic]
     return seen

@@ -286,7 +286,7 @@ def test_a_scenario_is_loaded_anew_after_a_vehicle_got_lost_in_it() -> None:
     libsumo.vehicletype.setLength("follower", 77.0)  # what a reset does not mend
     libsumo.vehicle.remove("follower")
     with pytest.raises(SimulationError, match="lost a vehicle"):
-        sumo.advance(0, *to_cartesian(reference_line(S1.road), S1.ego.s, S1.ego.d))
+        sumo.advance(0, to_cartesian(reference_line(S1.road), S1.ego.s, S1.ego.d), np.zeros(8))
     sumo.load(S1)
     assert libsumo.vehicletype.getLength("follower") == length
 

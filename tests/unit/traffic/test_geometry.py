@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import cos, hypot, pi, sin
+from math import cos, degrees, hypot, pi, sin
 
 import numpy as np
 import pytest
@@ -35,8 +35,9 @@ def test_the_ego_vehicle_s_motion_is_the_domain_s(
 ) -> None:
     x, y, road = to_cartesian(LINE, s, d)
     heading = road + 0.1
-    motion = np.zeros(6)
-    place(TABLE, np.array([x, y, heading, speed, slip, 0.0, along, across]), s + 1.0, OUTLINE, motion)
+    motion, front = np.zeros(6), np.zeros(3)
+    place(TABLE, np.array([x, y, heading, speed, slip, 0.0, along, across]), s + 1.0, OUTLINE, motion, front)
+    assert front.tolist() == [x + 2.4 * cos(heading), y + 2.4 * sin(heading), 90.0 - degrees(heading)]
     velocity = (speed * cos(heading + slip), speed * sin(heading + slip))
     acceleration = (along * cos(heading) - across * sin(heading), along * sin(heading) + across * cos(heading))
     assert motion.tolist() == pytest.approx(list(to_frenet(LINE, (x, y), velocity, acceleration, s + 1.0)), abs=1e-6)
@@ -49,7 +50,7 @@ def test_the_ego_vehicle_s_motion_is_the_domain_s(
 def test_a_vehicle_is_off_the_road_as_soon_as_a_corner_is(d: float, yaw: float, *, on_road: bool) -> None:
     x, y, heading = to_cartesian(LINE, 400.0, d)
     pose = np.array([x, y, heading + yaw, 30.0, 0.0, 0.0, 0.0, 0.0])
-    assert place(TABLE, pose, 400.0, OUTLINE, np.zeros(6)) is on_road
+    assert place(TABLE, pose, 400.0, OUTLINE, np.zeros(6), np.zeros(3)) is on_road
 
 
 def corners(x: float, y: float, heading: float, half_length: float, half_width: float) -> Floats:

@@ -5,7 +5,7 @@ Functions that call each other share this module, because numba's cache does not
 
 from __future__ import annotations
 
-from math import cos, sin
+from math import cos, pi, sin
 
 import numpy as np
 from numba import njit
@@ -102,8 +102,9 @@ def locate(line: Floats, raw: Floats, neighbours: Floats, outlines: Floats, step
 
 
 @njit(cache=True)
-def place(line: Floats, pose: Floats, near: float, outline: Floats, motion: Floats) -> bool:
-    """Writes the ego vehicle's Frenet motion (s, s', s'', d, d', d''), shape (6,), to `motion`; True while it is on the road.
+def place(line: Floats, pose: Floats, near: float, outline: Floats, motion: Floats, front: Floats) -> bool:
+    """Writes the ego vehicle's Frenet motion (s, s', s'', d, d', d''), shape (6,), to `motion`, and to `front`, shape (3,), what SUMO calls
+    its position: x and y of its front, and the angle in degrees clockwise from north. True while it is on the road.
 
     `line` as from `with_directions`.
     `pose` as from `ports.VehicleModel`, accelerations in the vehicle's own axes; `outline`: (half length, half width, right edge, left
@@ -123,6 +124,9 @@ def place(line: Floats, pose: Floats, near: float, outline: Floats, motion: Floa
     motion[3] = d
     motion[4] = d_dot
     motion[5] = normal - curvature * s_dot * s_dot * stretch
+    front[0] = pose[0] + outline[0] * cos(pose[2])
+    front[1] = pose[1] + outline[0] * sin(pose[2])
+    front[2] = 90.0 - pose[2] * (180.0 / pi)
     reach = outline[0] * abs(sin(yaw)) + outline[1] * abs(cos(yaw))
     return bool(d - reach >= outline[2] and d + reach <= outline[3])
 
@@ -147,3 +151,10 @@ def hits(outlines: Floats, pose: Floats, outline: Floats) -> bool:
         ):
             return True
     return False
+
+
+@njit(cache=True)
+def settle(line: Floats, raw: Floats, neighbours: Floats, outlines: Floats, step: float, pose: Floats, outline: Floats) -> bool:
+    """`locate`, then `hits`, in one call."""
+    locate(line, raw, neighbours, outlines, step)
+    return hits(outlines, pose, outline)

@@ -7,8 +7,9 @@ to a fresh start, because nothing in the simulation is random (see `configuratio
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Sequence
 from functools import cache
-from math import degrees, hypot
+from math import hypot
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from drivecal.domain.errors import DrivecalError, InvalidInputError, Unavailable
 from drivecal.domain.roads import Floats, reference_line, to_cartesian
 from drivecal.domain.scenarios import Scenario
 from drivecal.traffic.configuration import EGO, ROUTE, drift_offsets, options, routes
-from drivecal.traffic.geometry import locate, with_directions
+from drivecal.traffic.geometry import locate, settle, with_directions
 
 try:
     import libsumo
@@ -27,7 +28,8 @@ except ImportError as error:
     raise UnavailableError(f"the SUMO simulator cannot be used: {error}; install libsumo, nothing stands in for it") from error
 
 GET_POSITION, GET_SPEED, MOVE_TO_XY = compiled.vehicle_getPosition, compiled.vehicle_getSpeed, compiled.vehicle_moveToXY
-"""What `libsumo.vehicle` calls, without the Python function around it, which costs a third of the call: a run has two thousand."""
+STEP = compiled.simulation_step
+"""What `libsumo` calls, without the Python function around it, which costs a third of the call: a run has two thousand."""
 SUMO_ERRORS = (libsumo.TraCIException, libsumo.FatalTraCIError)
 PLACE_TOLERANCE = 0.5
 """Metres from where a vehicle should start to the nearest place on a lane."""
@@ -60,6 +62,8 @@ class Simulation:
         self._names: list[str] = []
         self._lanes: list[float] = []
         self._raw: Floats = np.zeros((0, 4))
+        self._ego: Floats = np.zeros(2)
+        """Half length and half width of the ego vehicle."""
         self._cells: Any = self._raw.reshape(-1).data
         """`_raw` again: plain item assignment is several times faster through a memoryview than through numpy."""
         self.neighbours: Floats = np.zeros((0, 6))
@@ -90,6 +94,7 @@ class Simulation:
                 raise SimulationError(f"SUMO cannot load scenario {scenario.id}: {error}") from error
         width, ego, traffic = scenario.road.lane_width, scenario.ego, scenario.traffic
         self._step = scenario.step
+        self._ego = np.array([0.5 * ego.length, 0.5 * ego.width])
         line = reference_line(scenario.road)
         self._line = with_directions(line)
         drifting = [(row, vehicle) for row, vehicle in enumerate(traffic) if vehicle.drift]
@@ -135,26 +140,29 @@ class Simulation:
             self._scenario = None
             raise SimulationError(f"SUMO did not accept the vehicles {', '.join(sorted(missing))}; place them farther apart")
         self.neighbours[:] = self._start
-        self._read(0.0)
+        self._read()
+        locate(self._line, self._raw, self.neighbours, self.outlines, 0.0)
 
-    def advance(self, index: int, x: float, y: float, heading: float) -> None:
-        """One step, number `index` of the run, with the ego vehicle's front at (x, y) at its end.
+    def advance(self, index: int, front: Sequence[float], pose: Floats) -> bool:
+        """One step, number `index` of the run, with the ego vehicle at `pose` at its end and its front as from `geometry.place`. True where
+        it has hit another vehicle.
 
-        (x, y) must lie on the road: SUMO would move the ego vehicle anywhere. Raises SimulationError where a vehicle is lost;
+        The front must be on the road: SUMO would move the ego vehicle anywhere. Raises SimulationError where a vehicle is lost;
         the next `load` then starts from nothing.
         """
         vehicle = libsumo.vehicle
         try:
             for _, name, offsets in self._drifts:
                 vehicle.setLateralLanePosition(name, offsets[index])
-            MOVE_TO_XY(EGO, "", -1, x, y, 90.0 - degrees(heading), MAPPED_ANYWHERE, MAPPED_WITHIN)
-            libsumo.simulationStep()
-            self._read(self._step)
+            MOVE_TO_XY(EGO, "", -1, front[0], front[1], front[2], MAPPED_ANYWHERE, MAPPED_WITHIN)
+            STEP()
+            self._read()
         except SUMO_ERRORS as error:
             self._scenario = None
             raise SimulationError(f"SUMO lost a vehicle at step {index}: {error}") from error
+        return settle(self._line, self._raw, self.neighbours, self.outlines, self._step, pose, self._ego)
 
-    def _read(self, since: float) -> None:
+    def _read(self) -> None:
         position, speed, cells = GET_POSITION, GET_SPEED, self._cells
         cell = 0
         for name in self._names:
@@ -163,7 +171,6 @@ class Simulation:
             cell += 4
         for row, name, _ in self._drifts:
             cells[4 * row + 3] = self._lanes[row] + libsumo.vehicle.getLateralLanePosition(name)
-        locate(self._line, self._raw, self.neighbours, self.outlines, since)
 
 
 def _lane_at(line: Floats, name: str, s: float, d: float) -> tuple[str, float]:
