@@ -8,6 +8,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable
+from importlib import import_module
 from typing import TypeVar
 
 from drivecal.configuration import logs
@@ -75,6 +76,7 @@ def _dispatch(settings: Settings, database: Database, pulse: Pulse, stop: thread
     backend = _awaited("Ray", lambda: RayBackend(options, trial()), stop, lambda words: pulse.tell((), words))
     if backend is None:
         return
+    import_module("scipy.stats")  # the first campaign's start design needs it; while the workers start, a second of it costs nothing
     try:
         dispatcher = Dispatcher(
             database,
