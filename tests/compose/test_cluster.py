@@ -80,7 +80,7 @@ def test_a_campaign_survives_whatever_is_done_to_the_cluster_and_finds_what_it_f
 
     file = tmp_path / "drivecal.db"
     campaign.assert_found(embedded, file)
-    restore(cluster)
+    restore(cluster, file)
     assert cluster.get(campaign.path) == read(file, campaign.path)
     checked = cluster.compose("exec", "-T", "api", "drivecal", "db", "check", "--full")
     assert "is current and whole" in checked
@@ -93,15 +93,16 @@ def database_bytes(cluster: Cluster) -> int:
     return int(cluster.compose("exec", "-T", "db", "psql", "-U", "drivecal", "-Atc", query))
 
 
-def restore(cluster: Cluster) -> None:
-    """As deploy/README.md says."""
+def restore(cluster: Cluster, file: Path) -> None:
+    """As deploy/README.md says, of a backup that was kept elsewhere."""
+    cluster.compose("exec", "-T", "api", "tee", "/backups/elsewhere.db", given=file.read_bytes())
     cluster.compose("stop", "api", "dispatcher")
     cluster.compose("exec", "-T", "db", "dropdb", "-U", "drivecal", "drivecal")
     cluster.compose("exec", "-T", "db", "createdb", "-U", "drivecal", "drivecal")
     for service in ("api", "dispatcher"):
         said = cluster.compose("run", "--rm", "--no-deps", "-T", service, check=False)
         assert "`drivecal db upgrade`" in said, said
-    cluster.compose("run", "--rm", "-T", "migrate", "drivecal", "db", "restore", "/backups/drivecal.db")
+    cluster.compose("run", "--rm", "-T", "migrate", "drivecal", "db", "restore", "/backups/elsewhere.db")
     cluster.up("--scale", "ray-worker=6")
 
 

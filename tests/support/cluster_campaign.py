@@ -57,20 +57,24 @@ class Running:
         self.id = cluster.http.post("/api/v1/campaigns", json=with_map(map_id)).raise_for_status().json()["id"]
         self.path = f"/api/v1/campaigns/{self.id}"
 
-    @property
-    def state(self) -> str:
-        """As the API says."""
-        return str(self.cluster.get(self.path)["state"])
-
     def gets_on(self, more: int = 20) -> None:
         """Waits for further cells. AssertionError where it has ended by then: too early for what is to be done to it."""
-        before = self._simulated()
-        self.cluster.until(lambda: self._simulated() > before + more, "further cells")
-        assert self.state == "running"
+        before: list[int] = []
+
+        def further() -> bool:
+            """The API may have no database at the moment."""
+            document = self.cluster.get(self.path)
+            assert document["state"] in {"queued", "running"}, f"it has {document['state']} before all was done to it"
+            before.append(document["cells"]["simulated"])
+            return before[-1] > before[0] + more
+
+        self.cluster.until(further, "further cells")
 
     def wait(self) -> None:
         """Until it has ended."""
-        self.cluster.until(lambda: self.state not in {"queued", "running"}, "the end of the campaign", 1800.0)
+        self.cluster.until(
+            lambda: self.cluster.get(self.path)["state"] not in {"queued", "running"}, "the end of the campaign", 1800.0
+        )
 
     def assert_found(self, expected: Found, file: Path) -> None:
         """By a backup of the cluster's database, which is left in `file`."""
@@ -78,6 +82,3 @@ class Running:
         self.cluster.compose("cp", "api:/backups/drivecal.db", str(file))
         with serving(f"sqlite:///{file}") as copy:
             assert_equal(NAME, found(copy, self.id), expected)
-
-    def _simulated(self) -> int:
-        return int(self.cluster.get(self.path)["cells"]["simulated"])

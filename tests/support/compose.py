@@ -55,29 +55,36 @@ class Cluster:
         self.url, self.token = told.split()
         self.http = httpx.Client(base_url=self.url, headers={"Authorization": f"Bearer {self.token}"}, timeout=60.0)
 
-    def run(self, *words: str, check: bool = True, environment: Mapping[str, str] | None = None) -> str:
-        """What a command says on standard output. AssertionError with all that it said where it fails."""
+    def run(
+        self, *words: str, check: bool = True, environment: Mapping[str, str] | None = None, given: bytes | None = None
+    ) -> str:
+        """What a command says on standard output, with `given` on its standard input. AssertionError with all that it said where it
+        fails."""
         done = subprocess.run(
             words,
             cwd=PROJECT,
             env=self.environment | dict(environment or {}),
+            input=given,
             capture_output=True,
-            text=True,
             timeout=3600,
             check=False,
         )
-        assert done.returncode == 0 or not check, (
-            f"{' '.join(words)}: {done.returncode}\n{done.stdout[-2000:]}\n{done.stderr[-4000:]}"
-        )
-        return done.stdout if check else done.stdout + done.stderr
+        out, errors = done.stdout.decode(errors="replace"), done.stderr.decode(errors="replace")
+        assert done.returncode == 0 or not check, f"{' '.join(words)}: {done.returncode}\n{out[-2000:]}\n{errors[-4000:]}"
+        return out if check else out + errors
 
     def compose(
-        self, *words: str, check: bool = True, more: Sequence[str] = (), environment: Mapping[str, str] | None = None
+        self,
+        *words: str,
+        check: bool = True,
+        more: Sequence[str] = (),
+        environment: Mapping[str, str] | None = None,
+        given: bytes | None = None,
     ) -> str:
         """`docker compose` on the cluster; `more` files on top of its own."""
         files = [word for file in (*self.files, *more) for word in ("-f", file)]
         command = ("docker", "compose", "-p", self.project, "--env-file", os.devnull, *files, *words)
-        return self.run(*command, check=check, environment=environment)
+        return self.run(*command, check=check, environment=environment, given=given)
 
     @contextmanager
     def changed(self, service: str, **document: Any) -> Iterator[None]:
