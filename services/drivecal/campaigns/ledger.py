@@ -211,7 +211,8 @@ class Ledger:
             if one.plan is Outcome.SIMULATED:
                 wanted.setdefault(one.setup_id, []).append(one)
         answers: list[Answer] = []
-        for setup_id, cells in wanted.items():
+        for setup_id in sorted(runs.stocked(connection, wanted)):
+            cells = wanted[setup_id]
             ids = [one.parameter_set_id for one in cells]
             found = runs.look_up_exact(connection, setup_id, ids, self._evaluator_id, watermark=sys.maxsize)
             for cell in cells:

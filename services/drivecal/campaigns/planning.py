@@ -97,6 +97,7 @@ def plan_cells(
     exact: dict[tuple[str, bytes], Donor] = {}
     references: dict[tuple[str, bytes], Donor] = {}
     class_keys: dict[tuple[str, ParameterSet], bytes] = {}
+    stocked = runs.stocked(connection, setup_ids.values())  # nothing is known in other vehicles that were never driven
     for scenario, setup_id in setup_ids.items():
         here = list(dict.fromkeys(cell.parameters for cell in wanted if cell.scenario == scenario))
         if not here:
@@ -104,11 +105,11 @@ def plan_cells(
         if scenario in view.keys:
             keys = view.keys[scenario].keys(billionths_matrix(here))
             class_keys |= {(scenario, one): key for one, key in zip(here, keys, strict=True)}
-        if policy.mode != "off":
+        if policy.mode != "off" and setup_id in stocked:
             by_id = {set_ids[one]: set_keys[one] for one in here}
             known = _exact(connection, view, scenario, setup_id, list(by_id))
             exact |= {(scenario, by_id[set_id]): donor for set_id, donor in known.items()}
-        if policy.mode == "influence" and scenario in view.keys:
+        if policy.mode == "influence" and scenario in view.keys and setup_id in stocked:
             found = _references(connection, view, scenario, setup_id, list(dict.fromkeys(keys)))
             references |= {(scenario, key): donor for key, donor in found.items()}
     cells = [

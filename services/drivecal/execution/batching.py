@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from drivecal.contracts.work import SetupRequest
 from drivecal.execution.outstanding import SetupKey
 
 
@@ -22,29 +23,47 @@ class BatchPolicy:
     """Cells."""
 
 
+Kind = tuple[str, ...]
+"""What setups have in common whose cells cost about the same."""
+
+
+def kind_of(setup: SetupRequest) -> Kind:
+    """All of a setup but the vehicle's parameters: a robustness study drives a few cells in each of hundreds of vehicles."""
+    versions = (str(setup.document.get(name)) for name in ("driving_function_version", "vehicle_version", "simulator"))
+    return (setup.catalogue, setup.scenario, setup.driving_function, setup.vehicle, setup.evaluator, *versions)
+
+
 class CellCosts:
     """Seconds per cell of each setup, measured. The lower median of the last few batches counts: compiling, loading a scenario and
-    a busy machine make single batches too slow, nothing makes one too fast."""
+    a busy machine make single batches too slow, nothing makes one too fast. A setup without a measurement costs what others of its
+    kind do."""
 
     def __init__(self, remembered: int = 7) -> None:
         self._remembered = remembered
-        self._measured: dict[SetupKey, deque[float]] = {}
-        self._medians: dict[SetupKey, float] = {}
+        self._kinds: dict[SetupKey, Kind] = {}
+        self._measured: dict[SetupKey | Kind, deque[float]] = {}
+        self._medians: dict[SetupKey | Kind, float] = {}
+
+    def relate(self, setup: SetupKey, kind: Kind) -> None:
+        """Says of which kind a setup is."""
+        self._kinds[setup] = kind
 
     def observe(self, setup: SetupKey, cells: int, seconds: float) -> None:
         """Takes in one finished batch."""
-        measured = self._measured.setdefault(setup, deque(maxlen=self._remembered))
-        measured.append(max(seconds, 1e-6) / cells)
-        self._medians[setup] = sorted(measured)[(len(measured) - 1) // 2]
+        for one in filter(None, (setup, self._kinds.get(setup))):
+            measured = self._measured.setdefault(one, deque(maxlen=self._remembered))
+            measured.append(max(seconds, 1e-6) / cells)
+            self._medians[one] = sorted(measured)[(len(measured) - 1) // 2]
 
     def seconds_per_cell(self, setup: SetupKey) -> float | None:
-        """What a cell of this setup costs; None before the first measurement."""
-        return self._medians.get(setup)
+        """What a cell of this setup costs; None before the first measurement of its kind."""
+        return self._medians.get(setup, self._medians.get(self._kinds.get(setup, ())))
 
     def seconds(self, cells: Mapping[SetupKey, int]) -> float:
         """What cells, counted by setup, will cost together. Setups without a measurement count as the average of the others, or
         nothing where there is none at all."""
-        known = [(count, self._medians[setup]) for setup, count in cells.items() if setup in self._medians]
+        costs = ((count, self.seconds_per_cell(setup)) for setup, count in cells.items())
+        known = [(count, cost) for count, cost in costs if cost is not None]
         counted = sum(count for count, _ in known)
         measured = sum(count * cost for count, cost in known)
         return measured / counted * sum(cells.values()) if counted else 0.0

@@ -17,9 +17,9 @@ from dataclasses import dataclass, replace
 
 from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult, SetupRequest
 from drivecal.domain.evaluations import Breakdown
-from drivecal.execution.batching import BatchPolicy, CellCosts, batch_size
+from drivecal.execution.batching import BatchPolicy, CellCosts, batch_size, kind_of
 from drivecal.execution.loading import LoadedSetups
-from drivecal.execution.outstanding import WITNESSES, Claim, Outstanding
+from drivecal.execution.outstanding import WITNESSES, Claim, Outstanding, key_of
 from drivecal.execution.queue import FairQueue, Group, Line
 from drivecal.execution.standing import Standings
 
@@ -111,6 +111,7 @@ class Scheduler:
         it takes the other's answer, unless one of the two is `exclusive`. `breakdowns`, by id: how often a cell broke down before
         this scheduler knew it; at least one more try is made. Raises ValueError where a cell's id is outstanding already."""
         earlier = breakdowns or {}
+        self._costs.relate(key_of(setup), kind_of(setup))
         for claim in self._outstanding.add(setup, cells, tag, priority, exclusive=exclusive):
             simulation = claim.simulation
             count = min(earlier.get(claim.cell.id, 0), ATTEMPTS - 1)

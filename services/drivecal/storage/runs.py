@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import repeat
 from typing import Any
@@ -12,7 +12,7 @@ from sqlalchemy import Connection, func, select, text
 from drivecal.domain.campaigns import Stage
 from drivecal.domain.evaluations import Donor
 from drivecal.storage.membership import among, insert
-from drivecal.storage.tables import ratings, runs
+from drivecal.storage.tables import ratings, runs, setups
 from drivecal.storage.types import finite, now
 
 
@@ -71,6 +71,15 @@ def largest_id(connection: Connection) -> int:
     """The number of the newest run, or of the newest rating of an older one: the watermark of a campaign that starts now. 0 for none."""
     newest = connection.scalar(select(func.max(runs.c.id))) or 0
     return max(newest, connection.scalar(select(func.max(ratings.c.since)).where(ratings.c.since > 0)) or 0)
+
+
+def stocked(connection: Connection, setup_ids: Collection[int]) -> set[int]:
+    """Those of some setups of which there are runs at all: one look for what would be a look-up for each."""
+    found: set[int] = set()
+    for condition in among(connection, setups.c.id, sorted(setup_ids)):
+        any_run = select(runs.c.id).where(runs.c.setup_id == setups.c.id).exists()
+        found.update(connection.scalars(select(setups.c.id).where(condition, any_run)))
+    return found
 
 
 def look_up_exact(

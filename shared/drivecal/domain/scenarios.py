@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from enum import StrEnum
+from functools import lru_cache
 
 from drivecal.domain.setups import canonical_json, digest
 
@@ -130,6 +131,12 @@ class Scenario:
     @property
     def digest(self) -> str:
         """Content hash of all that decides a run, the network's bytes included; the title may be reworded."""
-        document = asdict(self) | {"network": digest(self.network)}
-        del document["title"]
-        return digest(canonical_json(document).encode())
+        return _digest(self)
+
+
+@lru_cache(maxsize=256)
+def _digest(scenario: Scenario) -> str:
+    """A robustness study makes hundreds of setups of each scenario."""
+    document = asdict(scenario) | {"network": digest(scenario.network)}
+    del document["title"]
+    return digest(canonical_json(document).encode())

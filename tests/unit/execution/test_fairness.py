@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 
 import pytest
 from hypothesis import assume, given, settings
@@ -10,7 +11,7 @@ from hypothesis import strategies as st
 from tests.support.plant import TARGET, Plant, answers, cells, ids, setup
 
 from drivecal.domain.evaluations import Breakdown
-from drivecal.execution.batching import BatchPolicy, CellCosts
+from drivecal.execution.batching import BatchPolicy, CellCosts, kind_of
 from drivecal.execution.outstanding import key_of
 from drivecal.execution.scheduler import Scheduler
 
@@ -178,6 +179,19 @@ def test_setups_that_were_never_measured_count_as_the_average_of_those_that_were
     costs.observe(other, 10, 3.0)
     assert costs.seconds({one: 10, other: 10, third: 10}) == pytest.approx(1.0 + 3.0 + 2.0)
     assert costs.seconds({third: 10}) == 0.0
+
+
+def test_a_setup_in_a_vehicle_that_was_never_driven_costs_what_others_of_its_kind_do() -> None:
+    costs, known, other = CellCosts(), setup("S1"), setup("S2")
+    vehicle = replace(known, run_fingerprint="another", vehicle_parameters={"mass": 2000.0})
+    for one in (known, vehicle, other):
+        costs.relate(key_of(one), kind_of(one))
+    assert costs.seconds_per_cell(key_of(vehicle)) is None
+    costs.observe(key_of(known), 10, 1.0)
+    assert costs.seconds_per_cell(key_of(vehicle)) == pytest.approx(0.1)
+    assert costs.seconds_per_cell(key_of(other)) is None
+    costs.observe(key_of(vehicle), 10, 3.0)
+    assert costs.seconds_per_cell(key_of(vehicle)) == pytest.approx(0.3), "its own measurement counts more"
 
 
 _costs = st.fixed_dictionaries({scenario: st.floats(0.0005, 0.6) for scenario in ("S1", "S2", "S3")})
