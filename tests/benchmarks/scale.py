@@ -20,7 +20,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from tests.benchmarks.lookup import cells, fill, postgresql, sqlite
+from tests.benchmarks.lookup import CELLS, cells, fill, postgresql, sqlite
 from tests.support.computed import computed
 
 from drivecal.contracts.specification import CampaignSpecification
@@ -193,7 +193,7 @@ def cost(backend: str, stored: int) -> float:
     )
     first = setup_of(catalogue.scenarios["S1"], function, vehicle, {})
     with new(backend) as database:
-        fill(database, cells(stored)[0], (first.fingerprint, "S1"))
+        fill(database, cells(max(stored, CELLS))[0][:stored], (first.fingerprint, "S1"))
         workers = PretendedWorkers(2, SPEED_UP, PretendedTime())
         _, seconds, done = carry_out(database, [submit(database, 1_000, 4, 1)], workers)
     return 1000 * seconds / done

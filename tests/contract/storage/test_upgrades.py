@@ -23,7 +23,7 @@ from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.database import Database
 
 REVISIONS = ("0001", "0002", "0003", "0004", "0005")
-RELEASED = ("0001", "0003")
+RELEASED = ("0001", "0003", "0005")
 
 
 def make(database: Database, revision: str) -> None:
@@ -146,7 +146,9 @@ def test_campaigns_of_the_old_release_are_shown_carried_on_and_rerun(old: Databa
     with old.read() as connection:
         listed, _ = campaigns.page(connection)
         analysed, running = (next(one for one in listed if test(one)) for test in (_is_analysed, _is_running))
-        assert {one.name: len(list(results.stream(connection, one.sequence))) for one in listed} == {
+        assert {
+            one.name: len(list(results.stream(connection, one.sequence))) for one in listed if one.kind != "comparison"
+        } == {
             "queued": 0,
             "test": 32,
             "rerun": 32,

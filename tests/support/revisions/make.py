@@ -4,9 +4,10 @@
     PYTHONPATH=../release:../release/shared:../release/services:../release/workers .venv/bin/python tests/support/revisions/make.py \
         tests/support/revisions/REVISION.json
 
-To be run once, when a release goes out that made a new revision: 0001 is that of commit 8102bb0, 0003 that of 7dcb5b2. Everything
-that a user may have is in it: an analysis with its campaign, a rerun with other weights, a posted map with a campaign that uses it, a
-single evaluation, a campaign that stopped in the middle, one that is queued and one that was cancelled before it began.
+To be run once, when a release goes out that made a new revision: 0001 is that of commit 8102bb0, 0003 that of 7dcb5b2, 0005 that
+of be2ebb9. Everything that a user may have is in it: an analysis with its campaign, a rerun with other weights, a posted map with a
+campaign that uses it, a single evaluation, a comparison of optimizers, a campaign that stopped in the middle, one that is queued and
+one that was cancelled before it began.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from sqlalchemy import Boolean, LargeBinary, text
+from tests.support.comparisons import submit_comparison
 from tests.support.computed import IGNORED, ComputedBackend
 from tests.support.runs import EXPERT_SPACE, WITH_ANALYSIS, dispatcher, get, influenced, post_map, run, submit
 
@@ -65,6 +67,7 @@ def fill(database: Database) -> None:
         spec = evaluation.model_dump(mode="json")
         single = campaigns.insert(connection, name="evaluation", spec=spec, kind="evaluation")
     run(database, single)
+    run(database, submit_comparison(database, populations=[6], seeds=[1, 2, 3], iterations=2))
     cancelled = submit(database)
     with database.transaction() as connection:
         campaigns.request_action(connection, cancelled.id, "cancel")
