@@ -56,6 +56,7 @@ def test_every_optimizer_population_and_seed_is_a_run(compared: tuple[Database, 
     runs = runs_of(database, comparison)
     assert comparison.state is CampaignState.SUCCEEDED
     assert len(runs) == 2 * 2 * 3
+    assert [one for one in verify(database, full=True) if one.problems] == []
     assert {one.state for one in runs} == {CampaignState.SUCCEEDED}
     assert [one.name for one in runs[:4]] == [
         *(f"genetic, population 6, seed {seed}" for seed in (1, 2, 3)),

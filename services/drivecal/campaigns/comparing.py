@@ -9,21 +9,25 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import partial
+from typing import Self
 
 from drivecal.campaigns.comparison import ComparisonProblem
 from drivecal.campaigns.ledger import Work
 from drivecal.campaigns.pace import Pace
 from drivecal.campaigns.selfcheck import clopper_pearson
 from drivecal.campaigns.staged import StagedCampaign
-from drivecal.contracts.campaign import Best, CellCounts, ErrorRate, StageCellCounts
+from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, StageCellCounts
 from drivecal.domain.campaigns import CampaignState, Stage
 from drivecal.domain.errors import DrivecalError, NoResultError, RefutedError, SupersededError, UnavailableError
 from drivecal.domain.events import EventKind
 from drivecal.execution.scheduler import Completed
-from drivecal.storage import campaigns, events
+from drivecal.storage import campaigns, comparisons, events
 from drivecal.storage.campaigns import Snapshot, StoredCampaign
+from drivecal.storage.comparisons import RunTally
 from drivecal.storage.database import Database
 
 SECONDS_BETWEEN_SUMS = 1.0
@@ -57,10 +61,10 @@ class Comparison:
         self._homes: dict[int, int] = {}
         """The run of each cell at the workers."""
         with database.read() as connection:
-            runs = campaigns.runs_of(connection, campaign.sequence)
-        self._waiting = [one for one in runs if not one.state.ended]
+            self._waiting = comparisons.open_runs(connection, campaign.sequence)
+            done = _Sum.over(comparisons.tallies(connection, campaign.sequence)).done
         self._clock, self._next_sum = clock, clock()
-        self._pace = Pace(clock, _done(runs))
+        self._pace = Pace(clock, done)
         self.stage = Stage.CALIBRATION
         self.goes_on = False
         """Whether there is more to do now, though nothing was given to simulate and nothing is awaited."""
@@ -105,10 +109,10 @@ class Comparison:
                 break
         return work
 
-    def _begin(self, run: StoredCampaign) -> None:
+    def _begin(self, number: int) -> None:
         with self._database.transaction() as connection:
-            campaigns.start(connection, run.sequence)  # or it is running already
-        self._guarded(run.sequence, None)
+            campaigns.start(connection, number)  # or it is running already
+        self._guarded(number, None)
 
     def _guarded(self, number: int, act: Callable[[StagedCampaign], list[Work]] | None) -> list[Work]:
         """Takes a run up, or does something with it. What is wrong with one run fails that one and no other; but a refuted proof casts
@@ -135,26 +139,26 @@ class Comparison:
         self._homes = {cell: home for cell, home in self._homes.items() if home != number}
         with self._database.transaction() as connection:
             campaigns.end(connection, number, state, error)
-            runs = campaigns.runs_of(connection, self._sequence)
-            run = next(one for one in runs if one.sequence == number)
+            run = campaigns.by_sequence(connection, number)
+            ended, of = comparisons.ended_of(connection, self._sequence)
             told = {
                 "run": run.id,
                 "name": run.name,
                 "state": state,
                 "best": None if run.best is None else run.best.objective,
-                "ended": sum(one.state.ended for one in runs),
-                "of": len(runs),
+                "ended": ended,
+                "of": of,
             }
             events.add(connection, self._sequence, EventKind.RUN, told)
 
     def _refuse_failures(self) -> None:
         with self._database.read() as connection:
-            runs = campaigns.runs_of(connection, self._sequence)
-        failed = [one for one in runs if one.state is not CampaignState.SUCCEEDED]
+            _, of = comparisons.ended_of(connection, self._sequence)
+            failed, first = comparisons.failed_runs(connection, self._sequence, TOLD)
         if failed:
-            listed = "; ".join(f"{one.name}: {one.error}" for one in failed[:TOLD])
-            more = f"; and {len(failed) - TOLD} more" if len(failed) > TOLD else ""
-            raise NoResultError(f"{len(failed)} of {len(runs)} runs failed: {listed}{more}")
+            listed = "; ".join(f"{name}: {error}" for name, error in first)
+            more = f"; and {failed - TOLD} more" if failed > TOLD else ""
+            raise NoResultError(f"{failed} of {of} runs failed: {listed}{more}")
 
     def _sum_up_when_due(self, *, over: bool = False) -> None:
         if over or self._clock() >= self._next_sum:
@@ -164,69 +168,76 @@ class Comparison:
         """Sums up in the comparison's own row what its runs count."""
         self._next_sum = self._clock() + SECONDS_BETWEEN_SUMS
         with self._database.transaction() as connection:
-            runs = campaigns.runs_of(connection, self._sequence)
-            done = _done(runs)
+            found = _Sum.over(comparisons.tallies(connection, self._sequence))
             snapshot = Snapshot(
                 stage=self.stage,
                 iteration=None,
-                cells=CellCounts(**_sums([one.cells for one in runs])),
-                sensitivity_cells=StageCellCounts(**_sums([one.sensitivity_cells for one in runs])),
-                progress=self._pace.progress(done, max(self._expected, done)),
-                error_rate=_error_rates(runs),
-                best=_best(runs),
-                baseline=next((one.baseline for one in runs if one.baseline is not None), None),
-                simulating_seconds=sum(one.simulating_seconds for one in runs),
-                notes=_notes(runs),
+                cells=CellCounts(**found.cells),
+                sensitivity_cells=StageCellCounts(**found.sensitivity_cells),
+                progress=self._pace.progress(found.done, max(self._expected, found.done)),
+                error_rate={scenario: _rate(audits) for scenario, audits in found.audits.items() if audits["audited"]},
+                best=found.best,
+                baseline=found.baseline,
+                simulating_seconds=found.simulating_seconds,
+                notes=found.told(),
             )
             campaigns.save_progress(connection, self._sequence, snapshot)
 
 
+@dataclass(slots=True)
+class _Sum:
+    """Of what the runs count, one after the other: their number bounds nothing that is kept."""
+
+    cells: Counter[str] = field(default_factory=Counter)
+    sensitivity_cells: Counter[str] = field(default_factory=Counter)
+    audits: dict[str, Counter[str]] = field(default_factory=dict)
+    """Of all runs together, by scenario. What runs have in common counts for each of them."""
+    best: Best | None = None
+    """The best set of all runs, of equal ones the first run's."""
+    baseline: Baseline | None = None
+    simulating_seconds: float = 0.0
+    notes: dict[str, list[str]] = field(default_factory=dict)
+    begun: int = 0
+
+    @classmethod
+    def over(cls, runs: Iterable[RunTally]) -> Self:
+        found = cls()
+        for one in runs:
+            found._add(one)
+        return found
+
+    @property
+    def done(self) -> int:
+        return self.cells["requested"] + self.sensitivity_cells["requested"]
+
+    def _add(self, one: RunTally) -> None:
+        self.cells.update(one.cells.model_dump())
+        self.sensitivity_cells.update(one.sensitivity_cells.model_dump())
+        for scenario, rate in one.error_rate.items():
+            self.audits.setdefault(scenario, Counter()).update(rate.model_dump(exclude={"upper_95"}))
+        if one.best is not None and (self.best is None or one.best.objective > self.best.objective):
+            self.best = one.best
+        self.baseline = self.baseline or one.baseline
+        self.simulating_seconds += one.simulating_seconds
+        self.begun += one.begun
+        for note in one.notes:
+            self.notes.setdefault(note, []).append(one.name)
+
+    def told(self) -> list[str]:
+        """What the runs note: once where all do, else with the run's name, of very many the first."""
+        lines = [
+            line
+            for note, names in self.notes.items()
+            for line in ([note] if len(names) == self.begun else [f"{name}: {note}" for name in names])
+        ]
+        return lines[:MOST_NOTES]
+
+
+def _rate(audits: Mapping[str, int]) -> ErrorRate:
+    counts = {name: audits[name] for name in ("audited", "different", "wrong", "contradictions")}
+    upper = clopper_pearson(audits["wrong"], audits["audited"])[1]
+    return ErrorRate(**counts, upper_95=upper, stopped=bool(audits["stopped"]))
+
+
 def _record(completed: Sequence[Completed], job: StagedCampaign) -> list[Work]:
     return job.record(completed)
-
-
-def _done(runs: Sequence[StoredCampaign]) -> int:
-    return sum(one.cells.requested + one.sensitivity_cells.requested for one in runs)
-
-
-def _sums(counts: Sequence[CellCounts] | Sequence[StageCellCounts]) -> dict[str, int]:
-    return {name: sum(getattr(one, name) for one in counts) for name in type(counts[0]).model_fields}
-
-
-def _error_rates(runs: Sequence[StoredCampaign]) -> dict[str, ErrorRate]:
-    """The audits of all runs together, by scenario; none where none was made. What runs have in common counts for each of them."""
-    found: dict[str, list[ErrorRate]] = {}
-    for one in runs:
-        for scenario, rate in one.error_rate.items():
-            found.setdefault(scenario, []).append(rate)
-    return {scenario: _together(rates) for scenario, rates in found.items() if any(one.audited for one in rates)}
-
-
-def _together(rates: Sequence[ErrorRate]) -> ErrorRate:
-    audited, different, wrong = (sum(getattr(one, name) for one in rates) for name in ("audited", "different", "wrong"))
-    stopped, contradictions = any(one.stopped for one in rates), sum(one.contradictions for one in rates)
-    upper = clopper_pearson(wrong, audited)[1]
-    return ErrorRate(
-        audited=audited, different=different, wrong=wrong, upper_95=upper, stopped=stopped, contradictions=contradictions
-    )
-
-
-def _notes(runs: Sequence[StoredCampaign]) -> list[str]:
-    """What the runs note: once where all do, else with the run's name, of very many the first."""
-    by_note: dict[str, list[str]] = {}
-    for one in runs:
-        for note in one.notes:
-            by_note.setdefault(note, []).append(one.name)
-    begun = sum(one.started_at is not None for one in runs)
-    told = [
-        line
-        for note, names in by_note.items()
-        for line in ([note] if len(names) == begun else [f"{name}: {note}" for name in names])
-    ]
-    return told[:MOST_NOTES]
-
-
-def _best(runs: Sequence[StoredCampaign]) -> Best | None:
-    """The best set of all runs, of equal ones the first run's."""
-    found = [one.best for one in runs if one.best is not None]
-    return max(found, key=lambda best: best.objective) if found else None

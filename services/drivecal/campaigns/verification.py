@@ -16,6 +16,7 @@ import numpy.typing as npt
 from pydantic import BaseModel, ValidationError
 from sqlalchemy import Column, Connection, func, select
 
+from drivecal.campaigns.comparison import runs_of
 from drivecal.campaigns.maps import stored_map
 from drivecal.campaigns.pinned import pinned
 from drivecal.contracts.comparison import ComparisonSpecification
@@ -24,7 +25,8 @@ from drivecal.domain.errors import DrivecalError
 from drivecal.domain.influence import InfluenceMap
 from drivecal.domain.setups import Setup
 from drivecal.reduction.keys import ReferenceKeys
-from drivecal.storage import campaigns, influence_maps, reference_keys
+from drivecal.storage import campaigns, comparisons, influence_maps, reference_keys
+from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.consistency import CHECKS, Check, check_parameter_sets
 from drivecal.storage.database import Database
 from drivecal.storage.invariants import INVARIANTS
@@ -115,6 +117,16 @@ def _campaign(connection: Connection, campaign_id: str) -> None:
     _SPECIFICATIONS[campaign.kind].model_validate(campaign.spec)
     if campaign.resolution is not None:
         pinned(campaign)
+    if campaign.kind == "comparison":
+        _check_runs(connection, campaign)
+
+
+def _check_runs(connection: Connection, campaign: StoredCampaign) -> None:
+    """Raises ValueError where a comparison has other runs than its specification says."""
+    wanted = [one.specification.name for one in runs_of(ComparisonSpecification.model_validate(campaign.spec))]
+    found = comparisons.names_of(connection, campaign.sequence)
+    if found != wanted:
+        raise ValueError(f"it has {len(found):,} runs, and its specification says {len(wanted):,}, or others")
 
 
 _SPECIFICATIONS: dict[campaigns.Kind, type[BaseModel]] = {

@@ -335,10 +335,12 @@ def set_narrowed(connection: Connection, sequence: int, narrowed: Collection[Nar
 
 
 def degrade(connection: Connection, sequences: Collection[int], reason: str | None) -> None:
-    """Says of running campaigns why they go on more slowly, or not at all, for now; None where all is well."""
+    """Says of running campaigns, and of the running runs of those that are comparisons, why they go on more slowly, or not at all, for
+    now; None where all is well."""
     if not sequences:
         return
-    changed = campaigns.c.sequence.in_(list(sequences)) & campaigns.c.degraded.is_distinct_from(reason)
+    runs_of_them = campaigns.c.parent_sequence.in_(list(sequences)) & (campaigns.c.state == CampaignState.RUNNING)
+    changed = (campaigns.c.sequence.in_(list(sequences)) | runs_of_them) & campaigns.c.degraded.is_distinct_from(reason)
     statement = update(campaigns).where(changed).values(degraded=reason, revision=campaigns.c.revision + 1)
     for sequence in sorted(connection.execute(statement.returning(campaigns.c.sequence)).scalars()):
         if reason is None:

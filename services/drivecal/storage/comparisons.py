@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
-from sqlalchemy import Connection, select, update
+from sqlalchemy import Connection, func, select, update
 
+from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, StageCellCounts
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import ConflictError
 from drivecal.domain.events import EventKind
@@ -13,6 +15,8 @@ from drivecal.storage import events, leases
 from drivecal.storage.tables import campaigns
 from drivecal.storage.types import now
 
+BATCH = 100
+"""Runs that a sum over all of them holds in memory at a time."""
 _OPEN = tuple(state for state in CampaignState if not state.ended)
 _FOLLOWS: dict[CampaignState, tuple[Collection[CampaignState], CampaignState, EventKind]] = {
     CampaignState.PAUSED: ((CampaignState.RUNNING,), CampaignState.PAUSED, EventKind.PAUSED),
@@ -28,7 +32,8 @@ def follow(connection: Connection, sequence: int, state: CampaignState) -> None:
     if state not in _FOLLOWS:
         return
     before, after, told = _FOLLOWS[state]
-    values = {"state": after, "revision": campaigns.c.revision + 1} | ({"ended_at": now()} if after.ended else {})
+    values = {"state": after, "revision": campaigns.c.revision + 1, "degraded": None}
+    values |= {"ended_at": now()} if after.ended else {}
     mine = campaigns.c.parent_sequence == sequence
     statement = update(campaigns).where(mine, campaigns.c.state.in_(list(before))).values(values)
     for run in sorted(connection.execute(statement.returning(campaigns.c.sequence)).scalars()):
@@ -38,6 +43,68 @@ def follow(connection: Connection, sequence: int, state: CampaignState) -> None:
             select(campaigns.c.sequence).where(mine, campaigns.c.state != CampaignState.SUCCEEDED)
         ).all():
             leases.forget(connection, run)
+
+
+@dataclass(frozen=True, slots=True)
+class RunTally:
+    """What a comparison sums up of a run."""
+
+    name: str
+    begun: bool
+    cells: CellCounts
+    sensitivity_cells: StageCellCounts
+    error_rate: Mapping[str, ErrorRate]
+    best: Best | None
+    baseline: Baseline | None
+    simulating_seconds: float
+    notes: Sequence[str]
+
+
+def tallies(connection: Connection, sequence: int) -> Iterator[RunTally]:
+    """Of the runs of a comparison, in their order, read as they are consumed: neither specifications nor more than BATCH are held."""
+    run = campaigns.c
+    columns = (run.name, run.started_at, run.cells, run.sensitivity_cells, run.error_rate, run.best, run.baseline)
+    query = select(*columns, run.simulating_seconds, run.notes).where(run.parent_sequence == sequence).order_by(run.sequence)
+    for one in connection.execute(query.execution_options(yield_per=BATCH)):
+        yield RunTally(
+            name=one.name,
+            begun=one.started_at is not None,
+            cells=CellCounts(**one.cells),
+            sensitivity_cells=StageCellCounts(**one.sensitivity_cells),
+            error_rate={scenario: ErrorRate(**rate) for scenario, rate in one.error_rate.items()},
+            best=None if one.best is None else Best(**one.best),
+            baseline=None if one.baseline is None else Baseline(**one.baseline),
+            simulating_seconds=one.simulating_seconds,
+            notes=one.notes,
+        )
+
+
+def open_runs(connection: Connection, sequence: int) -> list[int]:
+    """The numbers of the runs that have not ended, in their order."""
+    query = select(campaigns.c.sequence).where(campaigns.c.parent_sequence == sequence, campaigns.c.state.in_(_OPEN))
+    return list(connection.scalars(query.order_by(campaigns.c.sequence)))
+
+
+def names_of(connection: Connection, sequence: int) -> list[str]:
+    """What the runs are called, in their order."""
+    query = select(campaigns.c.name).where(campaigns.c.parent_sequence == sequence).order_by(campaigns.c.sequence)
+    return list(connection.scalars(query))
+
+
+def ended_of(connection: Connection, sequence: int) -> tuple[int, int]:
+    """How many runs have ended, and how many there are."""
+    mine = select(func.count()).where(campaigns.c.parent_sequence == sequence)
+    ended = mine.where(campaigns.c.state.not_in(_OPEN))
+    return connection.scalar(ended) or 0, connection.scalar(mine) or 0
+
+
+def failed_runs(connection: Connection, sequence: int, most: int) -> tuple[int, list[tuple[str, str | None]]]:
+    """How many runs did not succeed, and the first of them with why."""
+    run = campaigns.c
+    failed = (run.parent_sequence == sequence) & (run.state != CampaignState.SUCCEEDED)
+    query = select(run.name, run.error).where(failed).order_by(run.sequence).limit(most)
+    listed = [(name, error) for name, error in connection.execute(query)]
+    return connection.scalar(select(func.count()).where(failed)) or 0, listed
 
 
 def refuse_run(connection: Connection, campaign_id: str, parent_sequence: int | None, action: str) -> None:

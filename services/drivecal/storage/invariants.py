@@ -5,6 +5,7 @@ Each check gives one sentence per thing that is broken. In one snapshot nothing 
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 
 from sqlalchemy import (
@@ -39,6 +40,8 @@ from drivecal.storage.tables import (
 from drivecal.storage.types import ORDER
 
 ENDED = tuple(state for state in CampaignState if state.ended)
+ROWS = 100
+"""That are in memory at a time."""
 
 
 def check_counters(connection: Connection) -> Iterator[str]:
@@ -168,10 +171,58 @@ def check_key_copies(connection: Connection) -> Iterator[str]:
         yield f"{count:,} reference keys differ from the runs that they stand for"
 
 
+def check_comparisons(connection: Connection) -> Iterator[str]:
+    """Runs are calibrations of a comparison, which see nobody else's results, and rest and end with it; it has some, and counts what they
+    do once it has succeeded."""
+    run, comparison = campaigns.alias("run"), campaigns.alias("comparison")
+    joined = run.outerjoin(comparison, comparison.c.sequence == run.c.parent_sequence)
+    belonging = select(run.c.id).select_from(joined).where(run.c.parent_sequence.is_not(None))
+    open_run, open_comparison = run.c.state.not_in(ENDED), comparison.c.state.not_in(ENDED)
+    for sentence, broken in (
+        ("belongs to no comparison that is there", comparison.c.sequence.is_(None) | (comparison.c.kind != "comparison")),
+        ("is a run of a comparison, and no calibration", run.c.kind != "calibration"),
+        ("is a run of a comparison, and sees results of others", run.c.watermark != 0),
+        ("goes on, and its comparison has ended", open_run & ~open_comparison),
+        (
+            "has begun, and its comparison has not",
+            run.c.started_at.is_not(None) & comparison.c.started_at.is_(None) & open_comparison,
+        ),
+        (
+            "runs, and its comparison rests",
+            (run.c.state == CampaignState.RUNNING) & (comparison.c.state == CampaignState.PAUSED),
+        ),
+    ):
+        for name in connection.scalars(belonging.where(broken)):
+            yield f"campaign {name} {sentence}"
+    of_it = exists().where(run.c.parent_sequence == comparison.c.sequence)
+    for name in connection.scalars(select(comparison.c.id).where(comparison.c.kind == "comparison", ~of_it)):
+        yield f"comparison {name} has no runs"
+    yield from _wrong_sums(connection)
+
+
+def _wrong_sums(connection: Connection) -> Iterator[str]:
+    """Where a comparison has succeeded: until then its sums may be a second behind."""
+    ended = campaigns.alias("ended")
+    succeeded = (ended.c.kind == "comparison") & (ended.c.state == CampaignState.SUCCEEDED)
+    for one in connection.execute(
+        select(ended.c.sequence, ended.c.id, ended.c.cells, ended.c.sensitivity_cells).where(succeeded)
+    ):
+        found: dict[str, Counter[str]] = {"cells": Counter(), "sensitivity_cells": Counter()}
+        query = select(campaigns.c.cells, campaigns.c.sensitivity_cells).where(campaigns.c.parent_sequence == one.sequence)
+        for run in connection.execute(query.execution_options(yield_per=ROWS)):
+            found["cells"].update(run.cells)
+            found["sensitivity_cells"].update(run.sensitivity_cells)
+        for name, counted in found.items():
+            for part, count in getattr(one, name).items():
+                if count != counted[part]:
+                    yield f"comparison {one.id} counts {count} {part} in its {name}, its runs {counted[part]}"
+
+
 INVARIANTS: dict[str, Check] = {
     "counters": check_counters,
     "ended campaigns": check_ended,
     "answered cells": check_answers,
     "references": check_references,
     "copies in reference keys": check_key_copies,
+    "comparisons": check_comparisons,
 }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from sqlalchemy import Connection
+from sqlalchemy import Connection, text
 
 from drivecal.contracts.campaign import CellCounts, Progress, StageCellCounts
 from drivecal.domain.campaigns import CampaignState, Stage
@@ -11,6 +11,7 @@ from drivecal.domain.errors import ConflictError, OverloadError
 from drivecal.storage import admission, campaigns, comparisons, events, statistics
 from drivecal.storage.campaigns import Snapshot, StoredCampaign
 from drivecal.storage.database import Database
+from drivecal.storage.invariants import check_comparisons
 
 
 def insert(connection: Connection) -> tuple[StoredCampaign, list[StoredCampaign]]:
@@ -68,6 +69,68 @@ def test_runs_rest_go_on_and_end_with_their_comparison(database: Database) -> No
         assert all(one.ended_at is not None for one in ended)
         told = [one.kind for one in events.since(connection, runs[1].sequence, 0, 10)]
         assert told == ["queued", "running", "paused", "resumed", "cancelled"]
+
+
+def test_what_makes_a_comparison_slow_is_said_of_its_runs_too(database: Database) -> None:
+    def said() -> list[str | None]:
+        return [
+            one.degraded
+            for one in (
+                campaigns.by_sequence(connection, comparison.sequence),
+                *campaigns.runs_of(connection, comparison.sequence),
+            )
+        ]
+
+    with database.transaction() as connection:
+        comparison, runs = insert(connection)
+        campaigns.degrade(connection, [comparison.sequence], "no workers")
+        assert said() == ["no workers", "no workers", "no workers", None], "the last one waits"
+        campaigns.degrade(connection, [comparison.sequence], "no workers")
+        campaigns.degrade(connection, [comparison.sequence], None)
+        assert said() == [None] * 4
+        assert [one.kind for one in events.since(connection, runs[0].sequence, 0, 10)][2:] == ["degraded", "recovered"]
+        campaigns.degrade(connection, [comparison.sequence], "no workers")
+        campaigns.request_action(connection, comparison.id, "pause")
+        campaigns.pause(connection, comparison.sequence)
+        assert said() == [None] * 4, "nothing that rests is slow"
+
+
+def test_a_comparison_knows_its_runs_without_reading_all_of_them(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(comparisons, "BATCH", 2)
+    with database.transaction() as connection:
+        comparison, runs = insert(connection)
+        assert comparisons.open_runs(connection, comparison.sequence) == [one.sequence for one in runs]
+        campaigns.end(connection, runs[0].sequence, CampaignState.SUCCEEDED)
+        campaigns.end(connection, runs[1].sequence, CampaignState.FAILED, "a bug")
+        assert comparisons.open_runs(connection, comparison.sequence) == [runs[2].sequence]
+        assert comparisons.ended_of(connection, comparison.sequence) == (2, 3)
+        assert comparisons.failed_runs(connection, comparison.sequence, 1) == (2, [("run 1", "a bug")])
+        found = list(comparisons.tallies(connection, comparison.sequence))
+        assert [(one.name, one.begun) for one in found] == [("run 0", True), ("run 1", True), ("run 2", False)]
+
+
+@pytest.mark.parametrize(
+    ("statement", "sentence"),
+    [
+        ("UPDATE campaigns SET watermark = 5 WHERE name = 'run 0'", "is a run of a comparison, and sees results of others"),
+        ("UPDATE campaigns SET kind = 'evaluation' WHERE name = 'run 2'", "is a run of a comparison, and no calibration"),
+        ("UPDATE campaigns SET kind = 'calibration' WHERE name = 'compared'", "belongs to no comparison that is there"),
+        ("UPDATE campaigns SET state = 'paused' WHERE name = 'compared'", "runs, and its comparison rests"),
+        ("UPDATE campaigns SET state = 'failed' WHERE name = 'compared'", "goes on, and its comparison has ended"),
+        ("UPDATE campaigns SET started_at = NULL WHERE name = 'compared'", "has begun, and its comparison has not"),
+        ("UPDATE campaigns SET parent_sequence = NULL", "has no runs"),
+        (
+            "UPDATE campaigns SET state = 'succeeded', cells = '{\"requested\": 3}' WHERE name = 'compared'",
+            "counts 3 requested in its cells, its runs 0",
+        ),
+    ],
+)
+def test_a_comparison_that_does_not_fit_its_runs_is_found(database: Database, statement: str, sentence: str) -> None:
+    with database.transaction() as connection:
+        insert(connection)
+        assert list(check_comparisons(connection)) == []
+        connection.execute(text(statement))
+        assert any(sentence in one for one in check_comparisons(connection))
 
 
 def test_cells_that_a_comparison_sums_up_are_counted_once(database: Database) -> None:
