@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 import subprocess
 from functools import cache
 from pathlib import Path
@@ -11,7 +12,9 @@ from typing import Any
 import pytest
 import yaml
 from tests.support.tree import PROJECT
+from typer.testing import CliRunner
 
+from drivecal.cli.main import app
 from drivecal.configuration.settings import Settings
 
 COMPOSE = PROJECT / "docker-compose.yml"
@@ -119,6 +122,41 @@ def test_the_example_of_settings_has_each_of_them_with_its_default() -> None:
 def test_every_setting_of_the_server_can_be_made_in_the_cluster() -> None:
     passed = {name.removeprefix("DRIVECAL_").lower() for name in variables(COMPOSE)}
     assert set(Settings.model_fields) - OF_CLIENTS - FIXED <= passed
+
+
+PAGES = [PROJECT / "README.md", PROJECT / "deploy" / "README.md"]
+INSIDE = {"exec", "run"}
+"""Verbs of compose that are followed by a service and a command in it."""
+
+
+def compose_lines() -> list[str]:
+    """The compose commands in the code blocks of the pages."""
+    blocks = [one for page in PAGES for one in re.findall(r"(?ms)^```sh\n(.*?)^```", page.read_text())]
+    found = [re.search(r"docker compose (?!build)(.*)", line) for block in blocks for line in block.splitlines()]
+    return [one[1] for one in found if one]
+
+
+@pytest.mark.parametrize("line", compose_lines())
+def test_a_compose_command_in_the_documentation_names_what_there_is(line: str) -> None:
+    words = shlex.split(line.split(" <", maxsplit=1)[0], comments=True)
+    while words[0] in {"-f", "--env-file"}:
+        option, file, *words = words
+        assert option != "-f" or (PROJECT / file).exists(), file
+    verb, *rest = [word for word in words if not word.startswith("--")]
+    assert verb in {"up", "stop", "restart", "logs", "cp", *INSIDE}, verb
+    if verb in {*INSIDE, "stop", "restart"}:
+        given = [word for word in rest if not word.startswith("-")]
+        service, *command = given
+        named = [service] if verb in INSIDE else given
+        assert set(named) <= document()["services"].keys()
+        if verb in INSIDE and command[:1] == ["drivecal"]:
+            assert CliRunner().invoke(app, [*command[1:3], "--help"]).exit_code == 0, command
+
+
+def test_a_setting_in_the_documentation_is_one() -> None:
+    known = {f"DRIVECAL_{name.upper()}" for name in Settings.model_fields} | variables(COMPOSE, WORKERS, MACHINES)
+    text = (PROJECT / "deploy" / "README.md").read_text()
+    assert set(re.findall(r"DRIVECAL_[A-Z_]+", text)) <= known
 
 
 @cache
