@@ -107,7 +107,7 @@ def test_a_dry_run_says_how_long_it_takes_at_most(run: Run, ended: dict[str, Any
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"optimizers": [{"kind": "swarm", "c1": 1.5}]}, "optimizers[0].c1: Input should be less than or equal to 1"),
+        ({"optimizers": [{"kind": "swarm", "c1": 1.5}]}, "optimizers[0].c1: 1.5 is too large; give at most 1"),
         ({"optimizers": [{"kind": "genetic"}, {"kind": "annealing"}]}, "optimizers[1].kind: there is no optimizer 'annealing'"),
         (
             {"optimizers": [{"kind": "random"}, {"kind": "random"}]},

@@ -16,6 +16,7 @@ from drivecal.contracts.specification import (
     SeparateThresholds,
     VehicleSpecification,
 )
+from drivecal.contracts.validation import problem
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.parameters import ParameterSet, ParameterSpace
 from drivecal.domain.scenarios import Scenario
@@ -92,7 +93,7 @@ def choose_optimizer(specification: CampaignSpecification, findings: Findings) -
                 known = ", ".join(plugin.settings.model_fields)
                 findings.add(field, f"{plugin.name} has no such setting", f"one of {known}")
             else:
-                findings.add(field, detail["msg"])
+                findings.problems.append(problem(field, detail))
         return None
     return Optimization(plugin, settings, wanted.population, wanted.iterations, wanted.seed)
 

@@ -59,8 +59,12 @@ def check_source(connection: Connection, problem: CalibrationProblem) -> None:
         source = campaigns.get(connection, wanted.of)
     except NotFoundError as error:
         raise InvalidInputError(Problem(field, str(error), "GET /api/v1/campaigns lists what there is")) from error
-    if source.kind != "calibration" or source.cells.requested == 0:
-        raise InvalidInputError(Problem(field, f"{wanted.of} has no solutions", "name a campaign with an optimizer"))
+    if source.kind != "calibration":
+        remedy = "name one of its runs" if source.kind == "comparison" else "name a campaign"
+        raise InvalidInputError(Problem(field, f"{wanted.of} is a{'n' * (source.kind == 'evaluation')} {source.kind}", remedy))
+    if source.cells.requested == 0:
+        message = f"campaign {wanted.of} has no solutions: it searched nothing, or ended before it had found any"
+        raise InvalidInputError(Problem(field, message, "name one that has searched"))
     if not source.state.ended:
         raise InvalidInputError(Problem(field, f"campaign {wanted.of} is {source.state}", "name one that has ended"))
     if source.spec["driving_function"] != function:
