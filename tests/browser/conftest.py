@@ -2,17 +2,37 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
+from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, expect, sync_playwright
 from tests.support.browser import chromium
+from tests.support.tree import PROJECT
 
 from drivecal.api.routes.page import FILES, REASON, START
 
 Opening = Callable[..., Page]
+AXE = PROJECT / "services" / "web" / "node_modules" / "axe-core" / "axe.min.js"
 expect.set_options(timeout=30_000)
+
+
+def barriers(page: Page, *, contrast_alone: bool = False) -> list[tuple[str, list[str]]]:
+    """What axe-core finds in the page as it is: the rule, and the first elements that break it. Whatever does not fit into the page's
+    width counts as well. Skips where axe-core is not there."""
+    if not AXE.is_file():
+        pytest.skip("axe-core is not there: make check fetches it")
+    expect(page.get_by_role("main")).not_to_contain_text(re.compile("Loading|Reading|Counting|Choose two"))
+    if not page.evaluate("'axe' in window"):
+        page.evaluate(AXE.read_text())
+    rules = "{runOnly: ['color-contrast']}" if contrast_alone else "{}"
+    found: list[dict[str, Any]] = page.evaluate(f"axe.run({rules}).then((found) => found.violations)")
+    broken = [(one["id"], [node["html"][:150] for node in one["nodes"]][:3]) for one in found]
+    if not page.evaluate("document.documentElement.scrollWidth <= window.innerWidth"):
+        broken.append(("wider than the page", [page.url]))
+    return broken
 
 
 @pytest.fixture(scope="module")  # its event loop must not outlive these tests

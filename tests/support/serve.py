@@ -32,14 +32,14 @@ def until(condition: Callable[[], bool], what: str, seconds: float = 60.0) -> No
 
 
 class Server:
-    """`drivecal serve` on a free port, in a folder of its own; ready once made."""
+    """`drivecal serve` in a folder of its own, on a free port where none is given; ready once made."""
 
-    def __init__(self, folder: Path, workers: int = 1, **settings: str) -> None:
+    def __init__(self, folder: Path, workers: int = 1, port: int = 0, **settings: str) -> None:
         self.folder = folder
         self.log = folder / "log"
         with self.log.open("wb") as log:
             self.process = subprocess.Popen(
-                [sys.executable, "-m", "drivecal.cli", "serve", "--port", "0", "--json"],
+                [sys.executable, "-m", "drivecal.cli", "serve", "--port", str(port), "--json"],
                 cwd=folder,
                 env=environment(folder, workers) | settings,
                 stdout=subprocess.PIPE,
@@ -62,9 +62,9 @@ class Server:
 
 
 @contextmanager
-def serving(folder: Path, workers: int = 1, **settings: str) -> Iterator[Server]:
+def serving(folder: Path, workers: int = 1, port: int = 0, **settings: str) -> Iterator[Server]:
     """A server until the block is left, where it is stopped as by a user, or killed if it does not. `settings` go into its environment."""
-    started = Server(folder, workers, **settings)
+    started = Server(folder, workers, port, **settings)
     try:
         yield started
     finally:

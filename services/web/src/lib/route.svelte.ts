@@ -26,6 +26,7 @@ export const route = {
 };
 
 export function go(path: readonly string[], query: Record<string, string> = {}): void {
+  clearTimeout(writing);
   location.hash = write({ path, query });
 }
 
@@ -38,7 +39,11 @@ export function amend(changes: Record<string, string | null>): void {
   }
   place = { path: place.path, query };
   clearTimeout(writing);
-  writing = setTimeout(() => history.replaceState(null, "", write(place)), WRITE_MILLISECONDS);
+  const here = location.hash;
+  writing = setTimeout(() => {
+    // Whoever followed a link meanwhile is not to be taken back: browsers say so later than they do it.
+    if (location.hash === here) history.replaceState(null, "", write(place));
+  }, WRITE_MILLISECONDS);
 }
 
 export function link(path: readonly string[], query: Record<string, string> = {}): string {

@@ -1,0 +1,74 @@
+"""The whole way of a user on a real server, with a campaign that SUMO drives."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from playwright.sync_api import expect
+from tests.browser.conftest import Opening, barriers
+from tests.support.serve import serving
+from tests.support.server import free_port
+
+
+def test_from_the_form_to_the_replay_and_back_through_a_restart(tmp_path: Path, opening: Opening) -> None:
+    port = free_port()
+    with serving(tmp_path, port=port) as server:
+        page = opening(f"{server.url}/#/submit", expected=("WebSocket", "ERR_CONNECTION_REFUSED", "409"))
+        page.evaluate("window.neverReloaded = true")
+        page.get_by_label("name").fill("the whole way")
+        page.get_by_label("catalogue").fill('["S3", "S5"]')
+        page.get_by_role("checkbox", name="sensitivity").uncheck()
+        page.get_by_label("kind").fill("random")
+        page.get_by_label("population").fill("30")
+        page.get_by_label("iterations").fill("3")
+        expect(page.get_by_text("for 180 proposed cells")).to_be_visible()
+        page.get_by_role("button", name="Start it").click()
+        page.get_by_role("button", name="Pause").click()
+        expect(page.get_by_text(re.compile("Asked to pause|Resting"))).to_be_visible()
+    expect(page.get_by_text("Connection lost")).to_be_visible()
+
+    with serving(tmp_path, port=port):
+        expect(page.get_by_text("Connection lost")).not_to_be_visible()
+        page.get_by_role("button", name="Resume").click()
+        expect(page.get_by_text("Finished.")).to_be_visible()
+        expect(page.get_by_role("img", name=re.compile(r"^\d+ requested: .*; 0 pending"))).to_be_visible()
+        assert page.evaluate("window.neverReloaded")
+        first = page.url.rpartition("/")[2]
+
+        page.get_by_role("link", name="Ranking").click()
+        page.get_by_role("row").nth(1).get_by_role("button").nth(1).click()
+        expect(page.get_by_role("heading", level=1)).to_contain_text("S5 · evaluation")
+        expect(page.get_by_role("img", name=re.compile("Top view of the road at 0 s"))).to_be_visible()
+        expect(page.get_by_role("heading", name="Jerk")).to_be_visible()
+        expect(page.get_by_role("heading", name="Where the answer comes from")).to_be_visible()
+        assert barriers(page) == []
+        page.get_by_role("slider", name="Moment").fill("3.5")
+        page.get_by_role("button", name="A step ahead").click()
+        expect(page.get_by_role("img", name=re.compile("Top view of the road at 3.6 s"))).to_be_visible()
+        page.wait_for_url(re.compile(r"t=3\.6"))
+        with page.expect_download() as drawn:
+            page.get_by_role("button", name="SVG").first.click()
+        assert drawn.value.path().read_text().startswith("<svg")
+        page.get_by_role("button", name="Play").click()
+        expect(page.get_by_role("img", name=re.compile(r"Top view of the road at [45]"))).to_be_visible()
+        expect(opening(page.url).get_by_role("img", name=re.compile(r"Top view of the road at [3-9]"))).to_be_visible()
+
+        page.get_by_role("link", name="In its campaign").click()
+        page.get_by_role("link", name="Ranking").click()
+        page.get_by_text("Weigh the scenarios differently").click()
+        page.get_by_role("slider", name="S5").fill("3")
+        expect(page.get_by_text("Ranked anew under S3=1,S5=3")).to_be_visible()
+        page.get_by_role("button", name="Search anew under these weights").click()
+        page.get_by_role("link", name="compare", exact=True).click()
+        expect(page.get_by_role("row", name="weights.S5")).to_contain_text("3")
+        expect(page.get_by_text("Their weights differ")).to_be_visible()
+        page.get_by_role("link", name="the whole way").last.click()
+        expect(page.get_by_text("Finished.")).to_be_visible()
+        assert first not in page.url
+
+        page.get_by_role("link", name="Evaluations").click()
+        with page.expect_download() as table:
+            page.get_by_role("link", name="CSV").click()
+        assert table.value.path().read_text().startswith("id,stage,iteration,individual,scenario,P1")
+        assert page.evaluate("window.neverReloaded")
