@@ -207,6 +207,8 @@ def fill(database: Database, stored: Steps, setup: tuple[str, str] = ("f", "S1")
             insert(connection, table, columns[table], map(row, range(1, len(stored) + 1)))
     if make_url(database.url).get_backend_name() == "postgresql":  # as it does by itself after a while
         with database.transaction() as connection:
+            for table in ("setups", "parameter_sets", "runs"):
+                connection.execute(text(f"SELECT setval(pg_get_serial_sequence('{table}', 'id'), max(id)) FROM {table}"))
             connection.execute(text("ANALYZE"))
 
 

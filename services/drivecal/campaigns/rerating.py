@@ -29,6 +29,8 @@ def rate_stored_runs(database: Database, view: View, only: ParameterSet | None =
     Resumable: what is rated is not asked for again.
     """
     with database.transaction() as connection:
+        if ratings.are_all_by(connection, view.bench.evaluator_id):
+            return 0
         setup_ids = ensure_setups(connection, view.bench)
         number = None if only is None else parameter_sets.ensure(connection, [only])[0]
     evaluator, evaluator_id = view.bench.evaluator, view.bench.evaluator_id
@@ -64,6 +66,8 @@ def note_of(database: Database, view: View) -> str | None:
     they are rated (`rate_stored_runs`); the same whenever the campaign is taken up."""
     bench = view.bench
     with database.transaction() as connection:
+        if ratings.are_all_by(connection, bench.evaluator_id):
+            return None
         setup_ids = list(ensure_setups(connection, bench).values())
     with database.read() as connection:  # it counts all runs of the setups, and nobody has to wait for that
         found = ratings.standing(connection, setup_ids, bench.evaluator_id, view.watermark)

@@ -17,6 +17,14 @@ from drivecal.storage.membership import insert as insert_into
 from drivecal.storage.tables import campaigns, ratings, runs
 
 
+def are_all_by(connection: Connection, evaluator: str) -> bool:
+    """True where every campaign that may have simulated anything used `evaluator` ("name version"): it has rated every run then, for
+    results are stored with their ratings. Found without looking at the runs, of which there may be millions."""
+    used = func.coalesce(campaigns.c.resolution["evaluator"].as_string(), "")
+    others = exists().where(campaigns.c.started_at.is_not(None), campaigns.c.kind != "comparison", used != evaluator)
+    return not connection.scalar(select(others))
+
+
 @dataclass(frozen=True, slots=True)
 class UnratedRun:
     """A run that an evaluator has not rated; a metric is None where it was not finite."""
