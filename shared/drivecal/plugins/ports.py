@@ -69,26 +69,31 @@ class CertifiablePlanner(Planner, Protocol):
         """A power of two that most of these numbers are non-negative multiples of: those are stored in two bytes, others in twelve."""
 
     @property
-    def state_digest(self) -> int:
-        """Of all features of the last plan, 64 bits: two plans with the same digest are in the same state."""
+    def state(self) -> Floats:
+        """All that the features of the last plan were computed from, shape (n_state,): two plans with the same bits are in the same state.
+        A view, overwritten by the next plan."""
+
+    def decide(self, state: Floats, parameters: Sequence[float]) -> int:
+        """What `plan` would choose in this `state` with these parameters. Leaves `infeasible`, `chosen` and what `contenders` tells as
+        `plan` would, and changes nothing else of a run."""
 
     def contenders(self, infeasible: npt.NDArray[np.bool_]) -> tuple[npt.NDArray[np.int64], Floats]:
-        """Of the last plan: the candidates that could be chosen with some parameters, shape (n,), ascending, and what their costs are
-        computed from, shape (n, n_values), no negative zeros. `infeasible`, shape (n_candidates,), are known to be, so that they keep no
-        other candidate from being chosen. `drivecal.certification.nodes.contenders` finds them for linear costs."""
+        """Of the last plan or decision: the candidates that could be chosen with some parameters, shape (n,), ascending, and what their
+        costs are computed from, shape (n, n_values), no negative zeros. `infeasible`, shape (n_candidates,), are known to be, so that they
+        keep no other candidate from being chosen. `drivecal.certification.kernels.contenders` finds them for linear costs."""
 
     @property
     def infeasible(self) -> npt.NDArray[np.bool_]:
-        """The candidates that the last plan found infeasible, shape (n_candidates,)."""
+        """The candidates that the last plan or decision found infeasible, shape (n_candidates,)."""
 
     @property
     def chosen(self) -> int:
-        """The candidate of the last plan that is driven."""
+        """The candidate of the last plan that is driven, or of the last decision."""
 
-    def walk(self, nodes: Any, parameters: Sequence[float]) -> int:
-        """Decides again from node to node of `drivecal.certification.nodes.Nodes`, from node 0 on, as `plan` would with these parameters:
+    def walk(self, nodes: Any, parameters: Sequence[float], node: int) -> int:
+        """Decides again from node to node of `drivecal.certification.nodes.Nodes`, from `node` on, as `plan` would with these parameters:
         the cheapest candidate that is not known to be infeasible; where all are, the cheapest of all. Gives the node where the way
-        ends: one with a leaf, one that is not described, or one whose choice was never driven. Node 0 for parameters beyond those that
+        ends: one with a leaf, one that is not described, or one whose choice was never driven. -1 for parameters beyond those that
         `contenders` allows for."""
 
 

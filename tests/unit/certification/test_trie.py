@@ -12,8 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from drivecal.certification.kernels import NONE, contenders
 from drivecal.certification.memory import Memory
-from drivecal.certification.nodes import Nodes, contenders, walk
+from drivecal.certification.nodes import Nodes, walk
 from drivecal.certification.trie import NotDeterministicError, Trie
 from drivecal.plugins.ports import Floats, Observation, Planner
 
@@ -36,6 +37,7 @@ class Linear:
         self._features = np.zeros((n_candidates, n_terms))
         self.infeasible: npt.NDArray[np.bool_] = np.zeros(n_candidates, dtype=np.bool_)
         self.chosen = -1
+        self.state = np.zeros(4)
         self.offset = 0.0
 
     def reset(self, parameters: Sequence[float]) -> None:
@@ -47,24 +49,30 @@ class Linear:
             total += weight * column
         return total
 
-    @property
-    def state_digest(self) -> int:
-        return int.from_bytes(hashlib.blake2b(self._features.tobytes(), digest_size=7).digest(), "little")
-
     def contenders(self, infeasible: npt.NDArray[np.bool_]) -> tuple[npt.NDArray[np.int64], Floats]:
         lowest, highest = np.full(self.n_values, np.exp(-LARGEST)), np.full(self.n_values, np.exp(LARGEST))
         found = contenders(self._features, lowest, highest, infeasible, self.chosen, 4, 1e-6)
         return found, self._features[found]
 
     def plan(self, observation: Observation) -> Floats:
-        state = hashlib.blake2b(observation.ego.tobytes(), digest_size=8, salt=self._seed.to_bytes(8, "little")).digest()
-        generator = np.random.default_rng(int.from_bytes(state, "little"))
+        self.state[:3], self.state[3] = observation.ego, self.offset
+        return np.array([self._choose(self.state), 0.0])
+
+    def decide(self, state: Floats, parameters: Sequence[float]) -> int:
+        kept, self._weights = self._weights, np.exp(np.array(parameters))
+        chosen = self._choose(state)
+        self._weights = kept
+        return chosen
+
+    def _choose(self, state: Floats) -> int:
+        salt = self._seed.to_bytes(8, "little")
+        seen = hashlib.blake2b(state.tobytes(), digest_size=8, salt=salt).digest()
+        generator = np.random.default_rng(int.from_bytes(seen, "little"))
         # coarse, so that ties occur; some of them off the grid, some too large for two bytes
         shape = self._features.shape
         self._features = np.round(generator.exponential(2.0, shape))
         odd = generator.random(shape) < 0.05
         self._features[odd] += generator.choice([0.1, 500.0], odd.sum())
-        self._features += self.offset
         cannot = generator.random(self.n_candidates) < self._share
         costs = self.costs(self._features)
         self.infeasible = np.zeros(self.n_candidates, dtype=np.bool_)
@@ -75,13 +83,13 @@ class Linear:
             self.infeasible[candidate] = True
         else:
             self.chosen = int(np.argmin(costs))
-        return np.array([self.chosen, costs[self.chosen]])
+        return self.chosen
 
-    def walk(self, nodes: Any, parameters: Sequence[float]) -> int:
+    def walk(self, nodes: Any, parameters: Sequence[float], node: int) -> int:
         self.reset(parameters)
         if max(map(abs, parameters)) > LARGEST:
-            return 0
-        return walk(nodes, lambda _, features: self.costs(features))
+            return NONE
+        return walk(nodes, node, lambda _, features: self.costs(features))
 
 
 def memory_of(limit: int) -> Memory:
@@ -202,8 +210,9 @@ def test_a_world_that_is_not_deterministic_is_noticed() -> None:
     simulate_or_prove(trie, [0.0, 0.0], 0)
     planner.offset = 0.25
     recording = trie.record()
-    with pytest.raises(NotDeterministicError, match="the same decisions led to another state at"):
-        drive(recording, [0.0, 0.0])
+    result = drive(recording, [0.0, 0.0])
+    with pytest.raises(NotDeterministicError, match="the same decisions led to another state at 0 s"):
+        recording.finish(result, 1)
 
 
 def test_a_run_that_was_interrupted_proves_nothing_and_spoils_nothing() -> None:

@@ -256,3 +256,23 @@ def test_the_speed_of_a_trajectory_is_that_of_its_path() -> None:
     steps = np.diff(trajectory[:, 1:3], axis=0)
     lengths = np.array([hypot(*step) for step in steps])
     np.testing.assert_allclose(lengths / 0.1, (trajectory[:-1, 5] + trajectory[1:, 5]) / 2, rtol=1e-4)
+
+
+@pytest.mark.parametrize("scenario", [KEEPING, CHANGING, BENDING], ids=lambda one: one.id)
+def test_what_was_planned_is_decided_again_from_the_state_alone(scenario: Scenario) -> None:
+    """Also for hard weights, with which the cheapest candidates cannot always be driven; and deciding disturbs no run."""
+    hasty = [-15.0, 0.0, 0.0, 0.0, 0.0, 1.0, 200.0, 2000.0, 10.0, 0.0, 200.0]
+    judge, refused = FrenetPlanner(scenario), 0
+    for seed in range(8):
+        driving, undisturbed = planner_for(scenario, hasty), planner_for(scenario, hasty)
+        for observation in random_drive(np.random.default_rng(seed), scenario, plans=4):
+            trajectory = driving.plan(observation)
+            planned = driving.state.copy(), driving.chosen, driving.infeasible.copy(), driving.features()
+            judge.decide(planned[0], MIDDLE)
+            assert judge.decide(planned[0], hasty) == judge.chosen == planned[1]
+            assert np.array_equal(judge.infeasible, planned[2])
+            assert np.array_equal(judge.features(), planned[3])
+            refused += int(planned[2].any())
+            driving.decide(planned[0], MIDDLE)
+            assert np.array_equal(undisturbed.plan(observation), trajectory)
+    assert refused

@@ -1,146 +1,26 @@
 """Planning states as nodes of a trie, stored compactly: what decides in them, and where each decision leads.
 
-A driving function that can be certified decides by the lowest cost over candidates, with features that do not depend on any parameter. A
-node keeps the features of its contenders, the candidates that could win under some allowed parameters, as whole multiples of the
-function's `grid`, two bytes each; the few that do not fit into two bytes are kept beside as they are. Nothing is rounded: what comes out
-is bit for bit what went in.
+A driving function that can be certified decides by the lowest cost over candidates, with features that do not depend on any parameter. Of a
+new state a node keeps what the features are computed from, some dozens of numbers. One that is asked for again and again is described: it
+keeps the features of its contenders, the candidates that could win under some allowed parameters, as whole multiples of the function's
+`grid`, two bytes each; the few that do not fit into two bytes are kept beside as they are. Nothing is rounded: what comes out is bit for
+bit what went in.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
-compiled = njit(cache=True, error_model="numpy")
+from drivecal.certification.kernels import NONE, count_beside, digest, follow, link, move, pack, unpack
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int32]
 
-NONE = -1
-BESIDE = 65535
-"""Stands for a feature that is kept beside."""
 INFEASIBLE = 32768
 """Added to the number of a candidate that is known to be."""
-
-
-@compiled
-def count_beside(features: Any, scale: float) -> int:
-    """How many of `features`, shape (n, k), are no multiples of 1 / `scale` that fit into two bytes."""
-    beside = 0
-    for value in features.ravel():
-        multiple = value * scale
-        if not (0.0 <= multiple < BESIDE and multiple == np.floor(multiple)):
-            beside += 1
-    return beside
-
-
-@compiled
-def pack(features: Any, scale: float, packed: Any, places: Any, values: Any) -> None:
-    """Writes `features`, shape (n, k), as multiples of 1 / `scale`; those that are none go to `places` and `values`."""
-    beside = 0
-    n, k = features.shape
-    for row in range(n):
-        for column in range(k):
-            value = features[row, column]
-            multiple = value * scale
-            if 0.0 <= multiple < BESIDE and multiple == np.floor(multiple):
-                packed[row, column] = np.uint16(multiple)
-            else:
-                packed[row, column] = BESIDE
-                places[beside] = row * k + column
-                values[beside] = value
-                beside += 1
-
-
-@compiled
-def unpack(packed: Any, grid: float, places: Any, values: Any, features: Any) -> None:
-    """The inverse of `pack`; `grid` is 1 / `scale`, both powers of two. A zero comes back without its sign."""
-    n, k = features.shape
-    for row in range(n):
-        for column in range(k):
-            features[row, column] = packed[row, column] * grid
-    for index in range(len(places)):
-        features[places[index] // k, places[index] % k] = values[index]
-
-
-@compiled
-def contenders(features: Any, lowest: Any, highest: Any, infeasible: Any, chosen: int, leaders: int, margin: float) -> Any:
-    """The candidates that could have the lowest cost under weights between `lowest` and `highest`, in ascending order.
-
-    `features`, shape (n, n_terms), one column per weight. A candidate is left out where one of `leaders` good ones that are not known to be
-    `infeasible` costs less by more than `margin`, whatever the weights: rounding errors must be smaller than that. `chosen` always stays.
-    """
-    n, n_terms = features.shape
-    columns, rank, number = np.empty((n_terms, n)), np.zeros(n), np.arange(n)
-    for term in range(n_terms):
-        middle = 0.5 * (lowest[term] + highest[term])
-        for candidate in range(n):
-            columns[term, candidate] = features[candidate, term]
-            rank[candidate] += middle * features[candidate, term]
-    for candidate in range(n):
-        if infeasible[candidate]:
-            rank[candidate] = np.inf
-    gap = np.empty(n)
-    left = n
-    leader = chosen
-    for _ in range(leaders):
-        if rank[leader] == np.inf:
-            leader = int(np.argmin(rank[:left]))
-            if rank[leader] == np.inf:
-                break
-        rank[leader] = np.inf
-        gap[:left] = 0.0
-        for term in range(n_terms):
-            base, low, high = columns[term, leader], lowest[term], highest[term]
-            for place in range(left):
-                difference = columns[term, place] - base
-                gap[place] += difference * (low if difference > 0.0 else high)
-        stay = 0
-        for place in range(left):
-            if not gap[place] > margin or number[place] == chosen:  # one that is no number beats nobody
-                if stay < place:
-                    number[stay], rank[stay] = number[place], rank[place]
-                    for term in range(n_terms):
-                        columns[term, stay] = columns[term, place]
-                stay += 1
-        left = stay
-        leader = int(np.argmin(rank[:left]))
-    return number[:left]
-
-
-@compiled
-def visit(node: int, parent: Any, visited: Any, clock: int) -> None:
-    """Notes in a node and all its ancestors that they were visited."""
-    while node >= 0:
-        visited[node] = clock
-        node = parent[node]
-
-
-@compiled
-def move(starts: Any, counts: Any, old: Any, new: Any) -> None:
-    """Copies the `counts` rows from each of `starts` on from `old` to `new`, one after the other; `starts` becomes where they are."""
-    place = 0
-    for node in range(len(starts)):
-        start = starts[node]
-        starts[node] = place
-        for index in range(start, start + counts[node]):
-            for column in range(old.shape[1]):
-                new[place, column] = old[index, column]
-            place += 1
-
-
-@compiled
-def link(parent: Any, first_child: Any, next_sibling: Any) -> None:
-    """Children of all nodes from their parents."""
-    first_child[:] = NONE
-    next_sibling[:] = NONE
-    for node in range(1, len(parent)):
-        next_sibling[node] = first_child[parent[node]]
-        first_child[parent[node]] = node
 
 
 class Nodes:
@@ -160,7 +40,11 @@ class Nodes:
         self.row_count: Integers = np.zeros(0, dtype=np.int32)
         """0: the node is not described yet."""
         self.digest: npt.NDArray[np.int64] = np.zeros(0, dtype=np.int64)
-        """Of the whole planning state."""
+        """Of the planning state; 0 where none is known."""
+        self.state: Integers = np.zeros(0, dtype=np.int32)
+        """Where in `states` the planning state is; NONE where it is described, or none is known."""
+        self.asked: Integers = np.zeros(0, dtype=np.int32)
+        """How often it was decided in the state."""
         self.visited: npt.NDArray[np.int64] = np.zeros(0, dtype=np.int64)
         """When it, or a node below it, was last."""
         self.parent: Integers = np.zeros(0, dtype=np.int32)
@@ -174,27 +58,68 @@ class Nodes:
         self.beside_count: Integers = np.zeros(0, dtype=np.int32)
         self.places: Integers = np.zeros(0, dtype=np.int32)
         self.values: Floats = np.zeros(0)
-        self.count = self.rows = self.beside = 0
-        self.add(NONE, NONE)
+        self.states: Floats = np.zeros((0, 0))
+        self._free: list[int] = []
+        """Rows of `states` that are not used any more."""
+        self.count = self.rows = self.beside = self.kept = 0
+        self._add(np.array([NONE]), np.array([NONE]))
         self._per_node = sum(getattr(self, name).itemsize for name in _OF_NODES)
 
     @property
     def bytes(self) -> int:
         """Memory in use."""
         per_row = self.packed.itemsize * (self.packed.shape[1] + 1)
-        return self.count * self._per_node + self.rows * per_row + self.beside * (self.places.itemsize + self.values.itemsize)
+        per_state = self.states.itemsize * self.states.shape[1]
+        beside = self.beside * (self.places.itemsize + self.values.itemsize)
+        return self.count * self._per_node + self.rows * per_row + self.kept * per_state + beside
 
-    def add(self, parent: int, decision: int) -> int:
-        """A new node, not described yet."""
-        node = self.count
-        self._grow(_OF_NODES, node + 1)
-        self.parent[node], self.decision[node], self.visited[node] = parent, decision, 0
-        self.first_child[node] = self.next_sibling[node] = self.leaf[node] = NONE
-        self.row_count[node] = self.beside_count[node] = 0
+    def extend(self, decisions: Sequence[int], states: Floats) -> tuple[int, int | None]:
+        """Adds a run: its `decisions`, shape (n,), and the states in which they were made, shape (n, n_state).
+
+        Gives the node where it ended. Where the same decisions led to another state than before nothing is added: then gives the number
+        of that decision as well.
+        """
+        made, digests = np.array(decisions, dtype=np.int64), np.empty(len(decisions), dtype=np.int64)
+        digest(states, digests)
+        node, depth, same = follow(made, digests, self.first_child, self.next_sibling, self.decision, self.digest)
+        if not same:
+            return node, depth
+        if depth == len(made):
+            return node, None
+        if not self.digest[node]:
+            self._remember(np.array([node]), states[depth : depth + 1], digests[depth : depth + 1])
+        first, end = self.count, self.count + len(made) - depth - 1
+        self._add(np.array([node, *range(first, end)]), made[depth:])
+        self._remember(np.arange(first, end), states[depth + 1 :], digests[depth + 1 :])
+        return end, None
+
+    def _add(self, parents: npt.NDArray[np.int64], decisions: npt.NDArray[np.int64]) -> None:
+        """New nodes, nothing known of them; each but the first is the only child of the one before."""
+        start, stop = self.count, self.count + len(parents)
+        self._grow(_OF_NODES, stop)
+        new = slice(start, stop)
+        self.parent[new], self.decision[new] = parents, decisions
+        for name in ("first_child", "next_sibling", "leaf", "state"):
+            getattr(self, name)[new] = NONE
+        for name in ("visited", "digest", "asked", "row_start", "row_count", "beside_start", "beside_count"):
+            getattr(self, name)[new] = 0
+        self.first_child[start : stop - 1] = np.arange(start + 1, stop)
+        parent = int(parents[0])
         if parent != NONE:
-            self.next_sibling[node], self.first_child[parent] = self.first_child[parent], node
-        self.count += 1
-        return node
+            self.next_sibling[start], self.first_child[parent] = self.first_child[parent], start
+        self.count = stop
+
+    def _remember(self, nodes: npt.NDArray[np.int64], states: Floats, digests: npt.NDArray[np.int64]) -> None:
+        """Keeps the planning states of nodes of which none was known."""
+        used = self._free[len(self._free) - min(len(nodes), len(self._free)) :]
+        del self._free[len(self._free) - len(used) :]
+        rows = np.array([*used, *range(self.kept, self.kept + len(nodes) - len(used))], dtype=np.int32)
+        self.kept += len(nodes) - len(used)
+        if not self.states.shape[1]:
+            self.states = np.zeros((0, states.shape[1]))
+        self._grow(("states",), self.kept)
+        self.states[rows] = states
+        self.state[nodes], self.digest[nodes] = rows, digests
 
     def child(self, node: int, chosen: int) -> int:
         """The node that `chosen` leads to from `node`; NONE where that was never driven."""
@@ -209,10 +134,12 @@ class Nodes:
         candidates: npt.NDArray[np.int64],
         features: Floats,
         infeasible: npt.NDArray[np.bool_],
-        digest: int,
     ) -> None:
         """Keeps the contenders of a state, shape (n,), with their features, shape (n, n_values), in place of what was kept. `infeasible`,
         shape (n_candidates,): those known to be."""
+        if self.state[node] != NONE:
+            self._free.append(int(self.state[node]))
+            self.state[node] = NONE
         start, stop = self.rows, self.rows + len(candidates)
         beside = count_beside(features, 1.0 / self.grid)
         self._grow(_OF_ROWS, stop)
@@ -221,7 +148,6 @@ class Nodes:
         self.candidate[start:stop] = candidates + INFEASIBLE * infeasible[candidates]
         self.row_start[node], self.row_count[node] = start, len(candidates)
         self.beside_start[node], self.beside_count[node] = self.beside, beside
-        self.digest[node] = digest
         self.rows, self.beside = stop, self.beside + beside
 
     def contenders(self, node: int) -> tuple[npt.NDArray[np.uint16], npt.NDArray[np.bool_], Floats]:
@@ -251,6 +177,9 @@ class Nodes:
         self.parent[1:] = number[self.parent[1:]]
         link(self.parent, self.first_child, self.next_sibling)
         self.count = len(old)
+        kept = np.flatnonzero(self.state != NONE)
+        self.states, self._free, self.kept = self.states[self.state[kept]], [], len(kept)
+        self.state[kept] = np.arange(len(kept), dtype=np.int32)
         self._move(_OF_ROWS, "row_start", int(self.row_count.sum()))
         self._move(_OF_BESIDE, "beside_start", int(self.beside_count.sum()))
         self.rows, self.beside = len(self.candidate), len(self.places)
@@ -278,6 +207,8 @@ _OF_NODES = (
     "row_start",
     "row_count",
     "digest",
+    "state",
+    "asked",
     "visited",
     "parent",
     "decision",
@@ -291,13 +222,12 @@ _OF_ROWS = ("packed", "candidate")
 _OF_BESIDE = ("places", "values")
 
 
-def walk(nodes: Nodes, costs: Callable[[npt.NDArray[np.uint16], Floats], Floats]) -> int:
+def walk(nodes: Nodes, node: int, costs: Callable[[npt.NDArray[np.uint16], Floats], Floats]) -> int:
     """`ports.CertifiablePlanner.walk` for planners without a compiled one; `costs` gives the costs of contenders, shape (n,), from their
     numbers and features, by the very arithmetic that plans.
 
     Ties go to the lowest candidate.
     """
-    node = 0
     while nodes.row_count[node]:
         candidates, infeasible, features = nodes.contenders(node)
         found = costs(candidates, features)

@@ -3,8 +3,9 @@
 Why it is a proof: simulator, vehicle and planner are deterministic, and parameters enter a run through the planner's choice of a
 candidate only. Two runs that begin alike are in the same state until they choose differently. So the trie's nodes are states: a
 parameter set that chooses, by the planner's own arithmetic on the stored features, what was chosen before at every node down to a leaf,
-drives that leaf's run, bit for bit. A candidate that would win but was never tested for feasibility proves nothing: that run has to be
-simulated.
+drives that leaf's run, bit for bit. In a state that was seen once the planner itself decides again, from all that it had seen there; only
+states that are asked for more often are worth a description, from which deciding is a hundred times cheaper. By a description, a candidate
+that would win but was never tested for feasibility proves nothing: that run has to be simulated.
 """
 
 from __future__ import annotations
@@ -14,15 +15,19 @@ from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
+from drivecal.certification.kernels import NONE, visit
 from drivecal.certification.memory import Memory
-from drivecal.certification.nodes import NONE, Floats, Nodes, visit
+from drivecal.certification.nodes import Floats, Nodes
 from drivecal.domain.errors import DrivecalError
 from drivecal.plugins.ports import CertifiablePlanner, Observation
 
 Result = TypeVar("Result")
 BYTES_PER_RESULT = 4000
 """Roughly, of what is kept of a run: its metrics by name, mostly."""
+ASKED = 2
+"""How often the planner decides in a state before it is described: a description costs as much as a few decisions."""
 
 
 class NotDeterministicError(DrivecalError):
@@ -70,23 +75,56 @@ class Trie(Generic[Result]):
 
     def prove(self, parameters: Sequence[float]) -> Proof[Result] | None:
         """The stored run that these parameters would repeat; None where that is not proved."""
-        node = self._planner.walk(self._nodes, parameters)
+        nodes, planner = self._nodes, self._planner
+        node = planner.walk(nodes, parameters, 0)
+        if node == NONE:
+            return None
+        while nodes.state[node] != NONE:
+            chosen = planner.decide(nodes.states[nodes.state[node]], parameters)
+            nodes.asked[node] += 1
+            if nodes.asked[node] >= ASKED or planner.infeasible.any():
+                nodes.describe(node, *planner.contenders(planner.infeasible), planner.infeasible)
+            child = nodes.child(node, chosen)
+            if child == NONE:
+                break
+            node = planner.walk(nodes, parameters, child)
         self._visit(node)
-        leaf = int(self._nodes.leaf[node])
+        leaf = int(nodes.leaf[node])
         return None if leaf == NONE else self._results[leaf]
 
     def record(self) -> Recording[Result]:
         """Takes part in a run, as its planner, and learns from it."""
-        self._memory.settle()
-        return Recording(self._planner, self._nodes, self)
+        return Recording(self._planner, self)
 
-    def learn(self, end: int, result: Result, run: int) -> None:
-        """A run, known as number `run`, ended in node `end`."""
+    def learn(self, recording: Recording[Result], result: Result, run: int) -> None:
+        """A run, known as number `run`. Raises NotDeterministicError where a state is not what the same decisions led to before."""
+        end, other = self._nodes.extend(recording.decisions, np.array(recording.states))
+        if other is not None:
+            raise NotDeterministicError(
+                f"the same decisions led to another state at {other * self._planner.period:g} s:"
+                " certified reuse is not possible with this setup"
+            )
         if self._nodes.leaf[end] == NONE:
             self._nodes.leaf[end] = len(self._results)
             self._results.append(Proof(result, run))
+        for index, infeasible in recording.refused:
+            self._refuse(recording, index, infeasible)
         self._visit(end)
         self._memory.settle()
+
+    def _refuse(self, recording: Recording[Result], index: int, infeasible: npt.NDArray[np.bool_]) -> None:
+        """In the state of a run's plan number `index` candidates were found infeasible: who cannot be driven keeps nobody else out. Where
+        the state is not described the planner will find out by itself."""
+        nodes, node = self._nodes, 0
+        for decision in recording.decisions[:index]:
+            node = nodes.child(node, decision)
+        if not nodes.row_count[node]:
+            return
+        known = nodes.infeasible(node)
+        if (infeasible & ~known).any():
+            self._planner.decide(recording.states[index], recording.parameters)
+            known |= infeasible
+            nodes.describe(node, *self._planner.contenders(known), known)
 
     def forget_until(self, clock: int) -> None:
         """Forgets the states that were not visited after this. A state is visited whenever one below it is, so what stays is a trie."""
@@ -104,39 +142,32 @@ class Trie(Generic[Result]):
 
 
 class Recording(Generic[Result]):
-    """A planner that plans as its own does and writes the states and decisions of the run into the trie."""
+    """A planner that plans as its own does and notes the run for the trie."""
 
-    def __init__(self, planner: CertifiablePlanner, nodes: Nodes, trie: Trie[Result]) -> None:
-        self._planner, self._nodes, self._trie = planner, nodes, trie
-        self._node = 0
+    def __init__(self, planner: CertifiablePlanner, trie: Trie[Result]) -> None:
+        self._planner, self._trie = planner, trie
         self.period = planner.period
+        self.parameters: Sequence[float] = ()
+        self.states: list[Floats] = []
+        self.decisions: list[int] = []
+        self.refused: list[tuple[int, npt.NDArray[np.bool_]]] = []
+        """The number of a plan, and the candidates that it found infeasible, shape (n_candidates,), where there are any."""
 
     def reset(self, parameters: Sequence[float]) -> None:
         """See `ports.Planner`."""
         self._planner.reset(parameters)
-        self._node = 0
+        self.parameters, self.states, self.decisions, self.refused = parameters, [], [], []
 
     def plan(self, observation: Observation) -> Floats:
-        """See `ports.Planner`. Raises NotDeterministicError where the state is not what the same decisions led to before."""
-        trajectory = self._planner.plan(observation)
-        nodes, node, planner = self._nodes, self._node, self._planner
-        infeasible, digest = planner.infeasible, planner.state_digest
-        described = bool(nodes.row_count[node])
-        if described and nodes.digest[node] != digest:
-            raise NotDeterministicError(
-                f"the same decisions led to another state at {observation.time} s: certified reuse is not possible with this setup"
-            )
-        if not described:
-            nodes.describe(node, *planner.contenders(infeasible), infeasible, digest)
-        elif infeasible.any():  # who cannot be driven keeps nobody else out
-            known = nodes.infeasible(node)
-            if (infeasible & ~known).any():
-                known |= infeasible
-                nodes.describe(node, *planner.contenders(known), known, digest)
-        child = nodes.child(node, planner.chosen)
-        self._node = child if child != NONE else nodes.add(node, planner.chosen)
+        """See `ports.Planner`."""
+        planner = self._planner
+        trajectory = planner.plan(observation)
+        if np.count_nonzero(planner.infeasible):
+            self.refused.append((len(self.decisions), planner.infeasible.copy()))
+        self.states.append(planner.state.copy())
+        self.decisions.append(planner.chosen)
         return trajectory
 
     def finish(self, result: Result, run: int) -> None:
-        """The run is over; `run` is the number by which it is known."""
-        self._trie.learn(self._node, result, run)
+        """The run is over; `run` is the number by which it is known. Raises as `Trie.learn`."""
+        self._trie.learn(self, result, run)

@@ -42,12 +42,12 @@ class CertifiedRunner(Runner):
         if proof is not None and not check:
             return Answered(proof.result, proof.proven_by)
         recording = self._trie.record()
+        result = self.run(parameters, recording)
         try:
-            result = self.run(parameters, recording)
+            recording.finish(result, number)
         except NotDeterministicError:
             self.forget()
-            return Answered(self.run(parameters), agrees=False)
-        recording.finish(result, number)
+            return Answered(result, agrees=False)
         return Answered(result) if proof is None else Answered(result, proof.proven_by, result == proof.result)
 
     def prove(self, parameters: Sequence[float]) -> int | None:

@@ -24,22 +24,6 @@ TERM = np.array([0, 1, 3, 5, 6, 9, 0, 1, 0, 2, 4, 7, 8, 10, 11])
 
 
 @compiled
-def digest_of(lateral: Any, longitudinal: Any, combined: Any, feature_grid: float) -> int:
-    """64 bits of all features: they decide, with the weights, what is planned."""
-    lanes = np.full(8, np.uint64(14695981039346656037))
-    for features in (lateral.ravel(), longitudinal.ravel(), combined.ravel()):
-        for index in range(len(features)):  # side by side, so that one value does not have to wait for the one before
-            lane = index & 7
-            state = (lanes[lane] ^ np.uint64(np.int64(features[index] * feature_grid))) * np.uint64(1099511628211)
-            lanes[lane] = state ^ (state >> np.uint64(29))
-    state = np.uint64(14695981039346656037)
-    for lane in range(8):
-        state = (state ^ lanes[lane]) * np.uint64(1099511628211)
-        state ^= state >> np.uint64(29)
-    return int(state >> np.uint64(1))
-
-
-@compiled
 def by_term(lateral: Any, longitudinal: Any, combined: Any, features: Any) -> None:
     """The features of all candidates added up by weight, shape (n_candidates, 12)."""
     n_longitudinal, n_lateral = combined.shape[1], combined.shape[2]
@@ -71,16 +55,15 @@ def values_of(lateral: Any, longitudinal: Any, combined: Any, candidates: Any, v
 
 @compiled
 def walk(
-    weights: Any, grid: float, packed: Any, candidate: Any, row_start: Any, row_count: Any, beside_start: Any, beside_count: Any,
+    weights: Any, node: int, grid: float, packed: Any, candidate: Any, row_start: Any, row_count: Any, beside_start: Any, beside_count: Any,
     places: Any, values: Any, first_child: Any, next_sibling: Any, decision: Any,
 ) -> int:  # fmt: skip
-    """Decides again from node to node, as `plan` does, see `ports.CertifiablePlanner.walk`. Gives the node where the way ends.
+    """Decides again from `node` on, as `plan` does, see `ports.CertifiablePlanner.walk`. Gives the node where the way ends.
 
     A contender's values are those of `values_of`, its cost is that of `costs_of`, term by term. The arrays are those of
     `drivecal.certification.nodes.Nodes`.
     """
     v = np.empty(15)
-    node = 0
     while row_count[node] > 0:
         best, lowest, best_of_all, lowest_of_all = -1, np.inf, -1, np.inf
         beside, beside_end = beside_start[node], beside_start[node] + beside_count[node]

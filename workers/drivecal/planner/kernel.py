@@ -601,22 +601,66 @@ def consider(
 @compiled
 def plan(
     road: Any, scene: Any, scales: Any, lateral_ends: Any, longitudinal_ends: Any, weights: Any, ego: Any, neighbours: Any,
-    elapsed: float, memory: Any, lateral: Any, longitudinal: Any, combined: Any, infeasible: Any, trajectory: Any,
+    elapsed: float, memory: Any, lateral: Any, longitudinal: Any, combined: Any, infeasible: Any, trajectory: Any, state: Any,
 ) -> int:  # fmt: skip
-    """One plan: writes features, the candidates found infeasible (n,), the trajectory and the new memory.
-
-    Returns the chosen candidate, -1 where no cost is a number. Candidates are checked in the order of their cost until one is
-    feasible; where none is, the cheapest is driven all the same: braking and steering at the limit is the vehicle's affair then.
-    """
+    """One plan: writes features, the candidates found infeasible (n,), the trajectory, the new memory, and to `state`, shape (24 + 6 m,),
+    all that decided besides the weights. Returns the chosen candidate, -1 where no cost is a number."""
     n_lateral, n_longitudinal = lateral_ends.shape[1], longitudinal_ends.shape[1]
+    state[0], state[1] = scene[0], elapsed
+    state[2:8] = ego
+    state[8:24] = memory.ravel()
+    state[24:] = neighbours.ravel()
     quintics, quartics = np.empty((8, n_lateral)), np.empty((7, n_longitudinal))
     consider(
         road, scene, scales, lateral_ends, longitudinal_ends, ego, neighbours, elapsed,
         memory, quintics, quartics, lateral, longitudinal, combined,
     )  # fmt: skip
+    chosen = choose(road, scene, weights, quintics, quartics, lateral, longitudinal, combined, infeasible)
+    if chosen < 0:
+        return -1
+    i, j = chosen % n_lateral, chosen // n_lateral
+    trace(road, quintics, quartics, i, j, scene[7], trajectory)
+    for index in range(8):
+        memory[index, 0] = quintics[index, i]
+    for index in range(7):
+        memory[index, 1] = quartics[index, j]
+    return chosen
+
+
+@compiled
+def decide(
+    road: Any, scene: Any, scales: Any, lateral_ends: Any, longitudinal_ends: Any, weights: Any, state: Any,
+    lateral: Any, longitudinal: Any, combined: Any, infeasible: Any,
+) -> int:  # fmt: skip
+    """What `plan` would choose in a `state` as it wrote it; writes features and the candidates found infeasible."""
+    quintics, quartics = np.empty((8, lateral_ends.shape[1])), np.empty((7, longitudinal_ends.shape[1]))
+    consider(
+        road, scene, scales, lateral_ends, longitudinal_ends, state[2:8], state[24:].reshape(-1, 6), state[1],
+        state[8:24].reshape(8, 2), quintics, quartics, lateral, longitudinal, combined,
+    )  # fmt: skip
+    return choose(road, scene, weights, quintics, quartics, lateral, longitudinal, combined, infeasible)
+
+
+@compiled
+def choose(
+    road: Any,
+    scene: Any,
+    weights: Any,
+    quintics: Any,
+    quartics: Any,
+    lateral: Any,
+    longitudinal: Any,
+    combined: Any,
+    infeasible: Any,
+) -> int:
+    """The candidate that is driven, -1 where no cost is a number. Writes which ones were found infeasible.
+
+    Candidates are checked in the order of their cost until one is feasible; where none is, the cheapest is driven all the same:
+    braking and steering at the limit is the vehicle's affair then.
+    """
+    n_longitudinal, n_lateral = combined.shape[1], combined.shape[2]
     costs = np.empty((n_longitudinal, n_lateral))
     costs_of(lateral, longitudinal, combined, weights, costs)
-
     infeasible[:] = False
     cheapest_of_all = cheapest(costs, infeasible)
     if cheapest_of_all < 0:
@@ -625,12 +669,4 @@ def plan(
     while chosen >= 0 and not is_feasible(road, scene, quintics, quartics, chosen % n_lateral, chosen // n_lateral):
         infeasible[chosen] = True
         chosen = cheapest(costs, infeasible)
-    if chosen < 0:
-        chosen = cheapest_of_all
-    i, j = chosen % n_lateral, chosen // n_lateral
-    trace(road, quintics, quartics, i, j, scene[7], trajectory)
-    for index in range(8):
-        memory[index, 0] = quintics[index, i]
-    for index in range(7):
-        memory[index, 1] = quartics[index, j]
-    return chosen
+    return chosen if chosen >= 0 else cheapest_of_all

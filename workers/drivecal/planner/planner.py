@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from drivecal.certification.nodes import Nodes, contenders
+from drivecal.certification.kernels import NONE, contenders
+from drivecal.certification.nodes import Nodes
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.roads import reference_line
 from drivecal.domain.scenarios import Scenario
@@ -88,7 +89,11 @@ class FrenetPlanner:
         self.chosen = -1
         """The candidate of the last plan that is driven: index = longitudinal index * n_lateral + lateral index."""
         self._memory = np.zeros((8, 2))
+        self.state = np.zeros(24 + 6 * len(scenario.traffic))
+        """See `drivecal.plugins.ports.CertifiablePlanner`: as from `kernel.plan`."""
         self._weights = np.zeros(12)
+        self._asked: tuple[tuple[float, ...], Floats, bool] = ((), self._weights, False)
+        """The parameters that were asked for last, their weights, and whether a certificate may hold for them."""
         self._planned_at = 0.0
 
     def reset(self, parameters: Sequence[float]) -> None:
@@ -105,6 +110,8 @@ class FrenetPlanner:
         """
         trajectory = np.empty((self._rows, 7))
         wanted = self._wanted(observation.time)
+        if len(self.state) != 24 + observation.neighbours.size:
+            self.state = np.zeros(24 + observation.neighbours.size)
         self.chosen = kernel.plan(
             self._road,
             self._scenes[wanted],
@@ -121,6 +128,7 @@ class FrenetPlanner:
             self._combined,
             self.infeasible,
             trajectory,
+            self.state,
         )
         if self.chosen < 0:
             raise ValueError(f"no plan has a cost: the observation at {observation.time} s must hold finite numbers only")
@@ -161,10 +169,23 @@ class FrenetPlanner:
             features[:, :, column] += self._combined[row]
         return features.reshape(-1, 12)
 
-    @property
-    def state_digest(self) -> int:
+    def decide(self, state: Floats, parameters: Sequence[float]) -> int:
         """See `drivecal.plugins.ports.CertifiablePlanner`."""
-        return deciding.digest_of(self._lateral, self._longitudinal, self._combined, kernel.FEATURE_GRID)
+        wanted = 0 if state[0] == self._scenes[0][0] else 1
+        self.chosen = kernel.decide(
+            self._road,
+            self._scenes[wanted],
+            self._scales,
+            self._lateral_ends[wanted],
+            self._longitudinal_ends,
+            self._weights_of(parameters)[0],
+            state,
+            self._lateral,
+            self._longitudinal,
+            self._combined,
+            self.infeasible,
+        )
+        return self.chosen
 
     def contenders(self, infeasible: npt.NDArray[np.bool_]) -> tuple[npt.NDArray[np.int64], Floats]:
         """See `drivecal.plugins.ports.CertifiablePlanner`; with the parameters of the built-in spaces."""
@@ -174,13 +195,14 @@ class FrenetPlanner:
         deciding.values_of(self._lateral, self._longitudinal, self._combined, found, values)
         return found, values
 
-    def walk(self, nodes: Nodes, parameters: Sequence[float]) -> int:
+    def walk(self, nodes: Nodes, parameters: Sequence[float], node: int) -> int:
         """See `drivecal.plugins.ports.CertifiablePlanner`."""
-        chosen = weights(parameters)
-        if not ((chosen >= LOWEST) & (chosen <= HIGHEST)).all():
-            return 0
+        weights_of, allowed = self._weights_of(parameters)
+        if not allowed:
+            return NONE
         return deciding.walk(
-            chosen,
+            weights_of,
+            node,
             nodes.grid,
             nodes.packed,
             nodes.candidate,
@@ -194,6 +216,13 @@ class FrenetPlanner:
             nodes.next_sibling,
             nodes.decision,
         )
+
+    def _weights_of(self, parameters: Sequence[float]) -> tuple[Floats, bool]:
+        asked = tuple(parameters)
+        if asked != self._asked[0]:  # many questions about one set follow each other
+            found = weights(parameters)
+            self._asked = asked, found, bool(((found >= LOWEST) & (found <= HIGHEST)).all())
+        return self._asked[1:]
 
     def _wanted(self, time: float) -> int:
         """0 while the start lane is wanted, 1 once the target lane is."""
