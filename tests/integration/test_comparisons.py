@@ -13,6 +13,7 @@ from tests.support.comparisons import runs_of, submit_comparison
 from tests.support.computed import ComputedBackend, computed
 from tests.support.runs import dispatcher, everything, get, nothing_matters, post_map, run, submit
 
+from drivecal.campaigns.compared import compared as read_compared
 from drivecal.campaigns.ledger import Work
 from drivecal.campaigns.staged import StagedCampaign
 from drivecal.campaigns.verification import verify
@@ -221,6 +222,32 @@ def test_a_reduction_is_compared_seed_by_seed(database: Database) -> None:
     with database.read() as connection:
         figures, _ = generations.page(connection, exact[0].sequence, limit=10)
     assert all(one.rating is not None and one.best is not None for _, one in figures)
+
+
+def test_what_a_search_believes_of_references_is_told_apart_from_what_it_simulated(database: Database) -> None:
+    stored_map = post_map(database, nothing_matters() | {"S1": {"P1": {"influential": True}}})
+    reductions = ["exact", {"mode": "influence", "audit": 0.4}]
+    weights = {"S1": 3.0, "S2": 1.0}
+    given = {"optimizers": [{"kind": "genetic"}], "populations": [9], "reductions": reductions, "weights": weights}
+    ended = run(database, submit_comparison(database, stored_map, **given))
+    with database.read() as connection:
+        found = read_compared(connection, ended)
+        rows = {two.id: list(results.stream(connection, two.sequence)) for two in found.campaigns}
+    for one in found.runs():
+        own: dict[int, dict[str, int]] = {}
+        for row in rows[one.run]:
+            if row.outcome != "reused" and row.score is not None:
+                own.setdefault(row.parameter_set_id, {})[row.scenario] = row.score
+        known = [
+            sum(weights[name] * score for name, score in scores.items()) / 4 for scores in own.values() if len(scores) == 2
+        ]
+        assert one.simulated_best == pytest.approx(max(known))
+    believed = [one for one in found.runs() if one.best != one.simulated_best]
+    assert {one.reduction for one in believed} == {"influence audit=0.4"}
+    assert [one.difference for one in found.pairs()] == [
+        pytest.approx((two.simulated_best or 0) - (one.simulated_best or 0))
+        for one, two in zip(found.runs()[0::2], found.runs()[1::2], strict=True)
+    ]
 
 
 def test_a_comparison_of_results_that_are_all_there_leaves_time_for_others(database: Database) -> None:

@@ -35,10 +35,17 @@ class Course:
     means: Sequence[float | None]
     simulations: Sequence[int]
     ended: bool
+    reused: bool = False
+    """Whether references answered any cell."""
+    simulated_best: float | None = None
+    """Then: the best objective of a set whose every score was simulated for itself."""
 
     @property
     def optimum(self) -> float | None:
-        """The best objective of the whole run; None where there is none yet."""
+        """The best objective of the whole run that is true of its set; None where there is none yet. What is reused may be off, and a
+        search prefers what is off upwards, so scores of references count for the search and not here."""
+        if self.reused:
+            return self.simulated_best
         return self.best[-1] if self.best else None
 
     @property

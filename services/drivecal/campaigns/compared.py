@@ -10,10 +10,11 @@ from sqlalchemy import Connection
 from drivecal.analysis import comparison as analysis
 from drivecal.analysis.comparison import Course, Pair
 from drivecal.campaigns.comparison import runs_of
+from drivecal.campaigns.pinned import pinned
 from drivecal.contracts.comparison import ComparedGroup, ComparedPair, ComparedRun, ComparisonSpecification, ReductionEffect
 from drivecal.contracts.validation import validated
 from drivecal.domain.campaigns import CampaignState
-from drivecal.storage import campaigns, generations
+from drivecal.storage import campaigns, generations, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.generations import Figures
 
@@ -57,6 +58,7 @@ def compared(connection: Connection, comparison: StoredCampaign) -> Compared:
 def _course(connection: Connection, run: StoredCampaign, conditions: analysis.Conditions) -> Course:
     found, _ = generations.page(connection, run.sequence, limit=MOST_GENERATIONS)
     figures = [one for _, one in found]
+    reused = any(one.reused for one in figures)
     return Course(
         conditions=conditions,
         best=[one.best for one in figures],
@@ -65,6 +67,8 @@ def _course(connection: Connection, run: StoredCampaign, conditions: analysis.Co
         means=[one.mean for one in figures],
         simulations=[_needed(one) for one in figures],
         ended=run.state is CampaignState.SUCCEEDED,
+        reused=reused,
+        simulated_best=results.best_simulated(connection, run.sequence, pinned(run).weights) if reused else None,
     )
 
 
@@ -82,7 +86,8 @@ def _run(campaign: StoredCampaign, course: Course, best: float | None) -> Compar
         requested=campaign.cells.requested,
         simulations=sum(course.simulations),
         analysis=campaign.sensitivity_cells.requested - campaign.sensitivity_cells.repeated,
-        best=course.optimum,
+        best=course.best[-1] if course.best else None,
+        simulated_best=course.optimum,
         rating=course.ratings[-1] if course.ratings else None,
         alternatives=course.alternatives[-1] if course.alternatives else 0,
         mean=course.means[-1] if course.means else None,

@@ -46,7 +46,9 @@ def print_comparison(groups: Sequence[ComparedGroup], effects: Sequence[Reductio
         "Over the seeds. Simulations are those that each run would take alone; it has converged when its best stays for 10 iterations."
     )
     if effects:
-        typer.echo("")
+        typer.echo(
+            "Objectives are those of sets of which each score was simulated for itself: a search prefers what references make too good.\n"
+        )
         _print_effects(effects)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -20,6 +20,11 @@ COUNTED = (
     "Each run sees the results of no other campaign, so what it asks for and finds does not depend on the others, nor on what was stored "
     "before. Simulations are cells without an answer among the run's own earlier ones: what the run would have taken alone on an empty "
     "database. What several runs have in common was simulated once, and is counted by each."
+)
+BELIEVED = (
+    "Where references answer cells, a search prefers sets whose scores are too good. So what is said of optima here, but for the "
+    "searches' courses, is said of the best set of which each score was simulated for itself; the table of runs shows beside it what the "
+    "run believed."
 )
 CONVERGED = (
     "A run has converged in the iteration after which its best objective stayed as it was for at least 10 further ones (Table 5); means "
@@ -70,10 +75,11 @@ def write_comparison(found: Compared, tables: Mapping[str, Iterable[bytes]], fol
 def _page(found: Compared, searches: Sequence[str], reduced: str, names: Sequence[str]) -> str:
     campaign = found.campaign
     several = len({one.reduction for one in found.groups}) > 1
+    believed = [paragraph(BELIEVED)] if any(one.best != one.simulated_best for one in found.runs) else []
     sections = {
         "Summary": [paragraph(text, "key") for text in summary(found)],
         "Problem": [_problem(campaign)],
-        "Optimizers": [_table_5(found.groups, several=several), paragraph(CONVERGED), paragraph(COUNTED), *searches],
+        "Optimizers": [_table_5(found.groups, several=several), paragraph(CONVERGED), paragraph(COUNTED), *believed, *searches],
         "Reduction": [_effects(found.effects), reduced, _pairs(found.pairs)] if found.effects else [],
         "Runs": [_runs(found.runs, several=several)],
         "Again": [verbatim(f"drivecal compare-optimizers {SPECIFICATION} --wait")],
@@ -95,7 +101,7 @@ def _page(found: Compared, searches: Sequence[str], reduced: str, names: Sequenc
 def summary(found: Compared) -> list[str]:
     """What the comparison says, in sentences."""
     told = []
-    best = max((one.best for one in found.runs if one.best is not None), default=None)
+    best = max((one.simulated_best for one in found.runs if one.simulated_best is not None), default=None)
     if best is not None:
         groups: dict[str, list[ComparedRun]] = {}
         for one in found.runs:
@@ -155,7 +161,7 @@ def _table_5(groups: Sequence[ComparedGroup], *, several: bool) -> str:
         ]
         for one in groups
     ]
-    return table(header, rows, "Table 5: final optima over the seeds, by population size, and what they took", wrap=True)
+    return table(header, rows, "Table 5: final optima over the seeds, by population size, and what they took", wrap_header=True)
 
 
 def _effects(effects: Sequence[ReductionEffect]) -> str:
@@ -164,14 +170,16 @@ def _effects(effects: Sequence[ReductionEffect]) -> str:
         [
             *(one.optimizer or "all", one.population or "all", f"{one.reduction} - {one.base}", one.pairs),
             Number(f"{one.mean_difference:+.4f}"),
-            "" if one.lower_95 is None or one.upper_95 is None else f"{one.lower_95:+.4f} to {one.upper_95:+.4f}",
+            None if one.lower_95 is None or one.upper_95 is None else Number(f"{one.lower_95:+.4f} to {one.upper_95:+.4f}"),
             *(one.better, one.equal, one.worse, Number(f"{one.sign_test:.3g}"), Number(f"{one.different_upper_95:.1%}")),
             *(one.base_simulations - one.simulations, Number(f"{one.saved_share:.1%}")),
         ]
         for one in effects
     ]
     header += ["sign test p", "differ at most", "simulations saved", "share"]
-    return table(header, rows, "Final optimum with a reduction less that without it, run by run with the same seed", wrap=True)
+    return table(
+        header, rows, "Final optimum with a reduction less that without it, run by run with the same seed", wrap_header=True
+    )
 
 
 def _pairs(pairs: Sequence[ComparedPair]) -> str:
@@ -194,38 +202,53 @@ def _pairs(pairs: Sequence[ComparedPair]) -> str:
         ]
         for one in pairs
     ]
-    return table(header, rows, "All pairs", wrap=True)
+    return table(header, rows, "All pairs", wrap_header=True)
 
 
 def _runs(runs: Sequence[ComparedRun], *, several: bool) -> str:
-    header = [
-        "optimizer",
-        "population",
-        "seed",
-        *(["reduction"] if several else []),
-        "state",
-        "best",
-        "rating",
-        "sets at best",
-        "mean",
+    """As narrow as they allow: what is the same of all, or nothing, has no column."""
+    believed = any(one.best != one.simulated_best for one in runs)
+    failed, analysed = any(one.state != "succeeded" for one in runs), any(one.analysis for one in runs)
+    columns: list[tuple[str, Callable[[ComparedRun], object]]] = [
+        ("optimizer", lambda one: one.optimizer),
+        ("size", lambda one: one.population),
+        ("seed", lambda one: one.seed),
+        *([("reduction", _reduction)] if several else []),
+        *([("state", _state)] if failed else []),
+        ("best", lambda one: _number(one.simulated_best, 4)),
+        *([("believed", _believed)] if believed else []),
+        ("rating", lambda one: _number(one.rating, 3)),
+        ("sets", lambda one: one.alternatives),
+        ("mean", lambda one: _number(one.mean, 3)),
+        ("requested", lambda one: one.requested),
+        ("simulations", lambda one: one.simulations),
+        *([("analysis", _analysis)] if analysed else []),
+        ("converged", lambda one: one.converged_at),
+        ("after", lambda one: one.simulations_to_converge),
+        ("run", lambda one: one.run[:12]),
     ]
-    header += ["requested", "simulations", "analysis", "converged in", "simulations until then", "run"]
-    rows = [
-        [
-            *(one.optimizer, one.population, one.seed, *([one.reduction] if several else []), one.state),
-            *(
-                _number(one.best, 4),
-                _number(one.rating, 3),
-                one.alternatives,
-                _number(one.mean, 3),
-                one.requested,
-                one.simulations,
-            ),
-            *(one.analysis, one.converged_at, one.simulations_to_converge, one.run[:12]),
-        ]
-        for one in runs
-    ]
-    return table(header, rows, "All runs; each is a campaign of its own, by whose id all of it can be read", wrap=True)
+    rows = [[tell(one) for _, tell in columns] for one in runs]
+    caption = (
+        "All runs; each is a campaign of its own, by whose id all of it can be read. Sets: with the best objective; mean: of the last "
+        "population; converged: in which iteration, after how many simulations"
+    )
+    return table([name for name, _ in columns], rows, caption)
+
+
+def _reduction(one: ComparedRun) -> str:
+    return one.reduction
+
+
+def _state(one: ComparedRun) -> str:
+    return one.state
+
+
+def _believed(one: ComparedRun) -> Number | None:
+    return _number(one.best, 4)
+
+
+def _analysis(one: ComparedRun) -> int:
+    return one.analysis
 
 
 def _number(value: float | None, digits: int) -> Number | None:

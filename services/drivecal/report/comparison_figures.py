@@ -118,7 +118,7 @@ def optima_figure(runs: Sequence[ComparedRun]) -> Drawn:
             look = {"linestyle": "none", "marker": MARKERS[number % len(MARKERS)], "markersize": 3.5}
             label = ", ".join(kind) if several else kind[0]
             colour = KINDS[number % len(KINDS)][0]
-            for axes, field in zip(panels, ("best", "rating", "simulations"), strict=True):
+            for axes, field in zip(panels, ("simulated_best", "rating", "simulations"), strict=True):
                 values = [getattr(one, field) for one in mine]
                 axes.plot(across, [float("nan") if one is None else one for one in values], color=colour, label=label, **look)
         for axes, what in zip(panels, ("best objective", "rating of the best set", "simulations"), strict=True):

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import Connection, Row, Select, literal, select, tuple_
+from sqlalchemy import Connection, Row, Select, case, func, literal, select, tuple_
 
 from drivecal.domain.campaigns import Stage
 from drivecal.domain.errors import NotFoundError
@@ -141,6 +141,32 @@ def answers(connection: Connection, campaign_sequence: int, stage: Stage, iterat
         query = query.where(table.iteration == iteration)
     for row in connection.execute(query):
         yield CellAnswer(*row)
+
+
+def best_simulated(connection: Connection, campaign_sequence: int, weights: Mapping[str, float]) -> float | None:
+    """The best weighted objective among the sets of a calibration that have a score of their own in every scenario: simulated, certified or
+    repeated, none from a reference. None where there is no such set."""
+    table = evaluations.c
+    of_its_own = (
+        select(table.parameter_set_id, table.scenario, func.max(table.score).label("score"))
+        .where(
+            table.campaign_sequence == campaign_sequence,
+            table.stage == Stage.CALIBRATION,
+            table.outcome.in_((Outcome.SIMULATED, Outcome.CERTIFIED, Outcome.REPEATED)),
+            table.score.is_not(None),
+        )
+        .group_by(table.parameter_set_id, table.scenario)
+        .subquery()
+    )
+    weight = case(*((of_its_own.c.scenario == name, value) for name, value in weights.items()), else_=0.0)
+    objectives = (
+        select(func.sum(weight * of_its_own.c.score).label("objective"))
+        .group_by(of_its_own.c.parameter_set_id)
+        .having(func.count() == len(weights))
+        .subquery()
+    )
+    found: float | None = connection.scalar(select(func.max(objectives.c.objective)))
+    return found
 
 
 def has_iteration(connection: Connection, campaign_sequence: int, stage: Stage, iteration: int) -> bool:

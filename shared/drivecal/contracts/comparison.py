@@ -100,6 +100,9 @@ class ComparedRun(Answer):
     simulations: int
     analysis: int
     best: float | None
+    simulated_best: float | None = None
+    """The best objective of a set whose every score was simulated for itself. Where references answer cells, a search prefers sets whose
+    scores are too good: `best` is what it believes, this is what it has. What is said of groups, pairs and successes is said of this."""
     rating: float | None
     """The weighted continuous rating of the best set, which tells optima of the same objective apart."""
     alternatives: int
@@ -112,8 +115,11 @@ class ComparedRun(Answer):
 
 
 class ComparedGroup(Answer):
-    """The runs of one optimizer, population size and reduction: Table 5. `best`, `mean`, `minimum`: over the final optima of its
-    `seeds` runs that have one; the means of iterations and simulations to convergence are over the `converged` ones."""
+    """The runs of one optimizer, population size and reduction: Table 5.
+
+    `best`, `mean`, `minimum`: over the final optima (`ComparedRun.simulated_best`) of its `seeds` runs that have one; the means of
+    iterations and simulations to convergence are over the `converged` ones.
+    """
 
     optimizer: str
     population: int
@@ -135,8 +141,8 @@ class ComparedGroup(Answer):
 
 
 class ComparedPair(Answer):
-    """Two ended runs that differ in the reduction alone. `difference`: final optimum of `run` less that of `base_run`; `saved`:
-    simulations."""
+    """Two ended runs that differ in the reduction alone. `best`, `base_best`: their final optima (`ComparedRun.simulated_best`);
+    `difference`: that of `run` less that of `base_run`; `saved`: simulations."""
 
     optimizer: str
     population: int

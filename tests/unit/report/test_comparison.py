@@ -50,6 +50,7 @@ def findings() -> Compared:
                 simulations=taken * ITERATIONS,
                 analysis=0,
                 best=optimum,
+                simulated_best=optimum,
                 rating=optimum + 0.1,
                 alternatives=1,
                 mean=5.0,
@@ -129,6 +130,17 @@ def test_the_page_says_what_was_found_and_needs_nothing_else(tmp_path: Path) -> 
     assert not re.search(r"<script|https?://(?!www\.w3\.org)", page)
     assert "drivecal compare-optimizers comparison.json --wait" in page
     assert all(f'href="{name}"' in page for name in names[:-1])
+
+
+def test_what_a_run_believed_stands_beside_what_it_has(tmp_path: Path) -> None:
+    found = findings()
+    runs = [one.model_copy(update={"best": 7.5}) if one.reduction == "influence" else one for one in found.runs]
+    believed = replace(found, runs=runs)
+    assert summary(believed) == summary(found)
+    page = write_comparison(believed, {}, tmp_path)[-1].read_text()
+    assert "a search prefers sets whose scores are too good" in page
+    assert page.count(">7.5000<") == 12
+    assert ">believed<" in page
 
 
 def renamed(found: Compared, **labels: str) -> Compared:
