@@ -117,3 +117,22 @@ def test_cells_get_their_keys_once_a_map_is_known(database: Database) -> None:
         evaluations.set_reference_keys(connection, {})
         evaluations.set_reference_keys(connection, {simulated: key})
         assert evaluations.own_references(connection, sequence, "S1", setup, [key])[key].evaluation == simulated
+
+
+def test_the_best_simulated_set_has_a_score_of_its_own_in_every_scenario(database: Database) -> None:
+    weights = {"S1": 0.25, "S2": 0.75}
+    with database.transaction() as connection:
+        sequence, setup, other = campaign(connection).sequence, setup_id(connection), setup_id(connection, "S2")
+        first, second, third = sample_set_ids(connection, 3)
+        assert results.best_simulated(connection, sequence, weights) is None
+
+        def cell(individual: int, scenario: str, one: int) -> NewEvaluation:
+            return NewEvaluation(
+                CALIBRATION, 0, individual, scenario, setup if scenario == "S1" else other, one, Outcome.SIMULATED
+            )
+
+        simulate(connection, sequence, [cell(0, "S1", first), cell(1, "S1", second)], score=4)
+        simulate(connection, sequence, [cell(0, "S2", first), cell(2, "S1", third)], score=6)
+        reused = evaluations.insert(connection, sequence, [cell(1, "S2", second)])
+        evaluations.answer(connection, [Answer(reused[0], Outcome.REUSED, 7, 7.0, 1)])
+        assert results.best_simulated(connection, sequence, weights) == pytest.approx(0.25 * 4 + 0.75 * 6)
