@@ -63,3 +63,13 @@ describe("a selection", () => {
     expect(binned(numbered(2), null, 0, 0, 2).map((rows) => [...rows])).toEqual([[0, 1], [], []]);
   });
 });
+
+test("what was read so far can be shown while the rest comes", () => {
+  const reader = new CsvReader(new Set(["outcome"]));
+  reader.push("id,outcome\n1,reused\n2,simu");
+  const begun = reader.soFar();
+  reader.push("lated\n3,failed\n");
+  expect([begun.length, cell(begun, "outcome", 0), cell(begun, "outcome", 1)]).toEqual([1, "reused", null]);
+  expect([reader.finish().length, cell(reader.finish(), "outcome", 2)]).toEqual([3, "failed"]);
+  expect(begun.columns["outcome"]).toMatchObject({ words: ["reused"] });
+});

@@ -49,16 +49,21 @@ export class CsvReader {
     this.read(content.slice(0, end));
   }
 
-  /** What was read, without the room for more. */
+  /** All of it. */
   finish(): Table {
     if (this.rest !== "") {
       this.read(this.rest.endsWith("\n") ? this.rest : `${this.rest}\n`);
       this.rest = "";
     }
+    return this.soFar();
+  }
+
+  /** What was read, without the room for more; what is read after that does not change it. */
+  soFar(): Table {
     const columns: Record<string, Column> = {};
     for (const column of this.columns) {
       columns[column.name] =
-        column.kind === "number" ? { ...column, values: column.values.slice(0, this.rows) } : { ...column, codes: column.codes.slice(0, this.rows) };
+        column.kind === "number" ? { ...column, values: column.values.slice(0, this.rows) } : { ...column, codes: column.codes.slice(0, this.rows), words: [...column.words] };
     }
     return { length: this.rows, names: this.names ?? [], columns };
   }

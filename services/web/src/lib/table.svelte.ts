@@ -5,6 +5,10 @@ import { CsvReader, EMPTY, type Table } from "./columns";
 
 export const TEXT: ReadonlySet<string> = new Set(["stage", "scenario", "outcome", "failure", "worker", "audited", "agrees", "reused"]);
 
+/** Of a long table the beginning is shown at once, and more of it each time that it has become so many times as long. */
+const FIRST_SHOWN = 3_000;
+const TIMES_AS_LONG = 4;
+
 export class TableState {
   table = $state.raw<Table>(EMPTY);
   /** Rows that were read so far, while it is being read. */
@@ -20,11 +24,16 @@ export class TableState {
       const answer = await ask(path, { signal: abort.signal, headers: { Accept: "text/csv" } });
       const reader = new CsvReader(TEXT);
       const stream = answer.body?.pipeThrough(new TextDecoderStream()).getReader();
+      let worth = FIRST_SHOWN;
       for (;;) {
         const piece = await stream?.read();
         if (piece === undefined || piece.done) break;
         reader.push(piece.value);
-        if (this.abort === abort) this.reading = reader.length;
+        if (this.abort !== abort) return;
+        this.reading = reader.length;
+        if (reader.length < worth) continue;
+        worth = TIMES_AS_LONG * reader.length;
+        if (reader.length > this.table.length) this.table = reader.soFar();
       }
       if (this.abort !== abort) return;
       this.table = reader.finish();
