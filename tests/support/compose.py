@@ -91,11 +91,11 @@ class Cluster:
         """A service that is started anew with changes to the compose file, and as it was afterwards."""
         file = self.folder / "changes.json"  # JSON is YAML
         file.write_text(json.dumps(document))
-        self.compose("up", "-d", "--no-deps", "--timeout", "10", service, more=(str(file),))
+        self.compose("up", "-d", "--no-deps", "--force-recreate", "--timeout", "10", service, more=(str(file),))
         try:
             yield
         finally:
-            self.compose("up", "-d", "--no-deps", "--timeout", "10", service)
+            self.compose("up", "-d", "--no-deps", "--force-recreate", "--timeout", "10", service)
 
     def problems(self) -> str:
         """What `/readyz` has to say; nothing where it does not answer."""
