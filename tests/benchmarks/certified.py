@@ -2,8 +2,8 @@
 
 `deploy/examples/paper.yaml` is carried out twice by a coordinator as a user starts it, each time on a new database: with certificates
 and without. Both must find the same, bit for bit. A fifth of the cells that a certificate or a reference answers is simulated all the
-same and compared; shares are told as they were, and as they would be without that. Some ten minutes on two cores; smaller with
-the arguments, which changes the shares.
+same and compared; shares are told as they were, and as they would be without that. What that costs is in the times with certificates.
+Some ten minutes on two cores; smaller with the arguments, which changes the shares.
 """
 
 from __future__ import annotations
@@ -37,9 +37,13 @@ ANSWERED, ANSWERED_IN_ANALYSIS, CHECKED = 0.5, 0.7, 2000
 """Wanted: shares of requested cells that are answered without a simulation, and cells whose certificate was checked."""
 
 OUTCOMES = ("repeated", "reused", "certified", "simulated")
+COUNTS = ("requested", *OUTCOMES, "failed", "held_back", "checked", "different")
+SECONDS = ("seconds", "check_seconds")
+"""CPU time of the workers: all of it, and for cells that were simulated only to see."""
 CELLS = """
     SELECT stage, scenario, outcome, count(*), avg(milliseconds), sum(audited), sum(proof_agrees IS NOT NULL),
-           coalesce(sum(proof_agrees = 0), 0), sum(audited AND proof_agrees IS NOT NULL)
+           coalesce(sum(proof_agrees = 0), 0), sum(audited AND proof_agrees IS NOT NULL), coalesce(sum(milliseconds), 0),
+           coalesce(sum(CASE WHEN audited OR proof_agrees IS NOT NULL THEN milliseconds END), 0)
     FROM evaluations WHERE outcome IS NOT NULL GROUP BY stage, scenario, outcome"""
 FOUND = """
     SELECT stage, iteration, individual, scenario, score, rating, failure FROM evaluations
@@ -83,12 +87,12 @@ def ask(home: Path, query: str) -> list[tuple[Any, ...]]:
 def by_scenario(home: Path, stage: Stage) -> dict[str, dict[str, float]]:
     """Counts of one stage: cells by outcome, audited, checked, different; mean milliseconds of a walk and of a simulation."""
     table: dict[str, dict[str, float]] = {}
-    for position, scenario, outcome, cells, milliseconds, audited, checked, different, both in ask(home, CELLS):
+    for position, scenario, outcome, cells, milliseconds, audited, checked, different, both, spent, seeing in ask(home, CELLS):
         if STAGES[position] is not stage:
             continue
-        row = table.setdefault(
-            scenario, dict.fromkeys(("requested", *OUTCOMES, "failed", "held_back", "checked", "different"), 0.0)
-        )
+        row = table.setdefault(scenario, dict.fromkeys((*COUNTS, *SECONDS), 0.0))
+        row["seconds"] += spent / 1e3
+        row["check_seconds"] += seeing / 1e3
         row["requested"] += cells
         row[outcome] += cells
         row["checked"] += checked
@@ -101,8 +105,7 @@ def by_scenario(home: Path, stage: Stage) -> dict[str, dict[str, float]]:
 
 def summed(rows: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
     """Over all scenarios; milliseconds weighted by cells."""
-    names = ("requested", *OUTCOMES, "failed", "held_back", "checked", "different")
-    total = {name: sum(row[name] for row in rows.values()) for name in names}
+    total = {name: sum(row[name] for row in rows.values()) for name in (*COUNTS, *SECONDS)}
     for outcome in ("certified", "simulated"):
         spent = sum(row[outcome] * row.get(f"{outcome}_ms", 0.0) for row in rows.values())
         total[f"{outcome}_ms"] = spent / total[outcome] if total[outcome] else 0.0
@@ -115,8 +118,8 @@ def answered(row: Mapping[str, float]) -> float:
     return free / row["requested"] if row["requested"] else 0.0
 
 
-def show(title: str, rows: Mapping[str, Mapping[str, float]]) -> None:
-    """Prints a table of one stage."""
+def show(title: str, rows: Mapping[str, Mapping[str, float]], without: Mapping[str, Mapping[str, float]]) -> None:
+    """Prints a table of one stage; `without`: the same stage without certificates."""
     print(f"\n{title}")
     head = (
         "requested",
@@ -130,14 +133,19 @@ def show(title: str, rows: Mapping[str, Mapping[str, float]]) -> None:
         "differ",
         "walk ms",
         "run ms",
+        "CPU s with",
+        "for checks",
+        "without",
     )
     print(f"{'':6}" + "".join(f"{name:>11}" for name in head))
+    others = {**without, "sum": summed(without)}
     for name, row in [*rows.items(), ("sum", summed(rows))]:
         print(
             f"{name:6}{row['requested']:11,.0f}"
             + "".join(f"{row[outcome] / max(row['requested'], 1):11.1%}" for outcome in OUTCOMES)
             + f"{row['held_back']:11,.0f}{answered(row):11.1%}{row['checked']:11,.0f}{row['different']:11.0f}"
             + f"{row.get('certified_ms', 0.0):11.2f}{row.get('simulated_ms', 0.0):11.2f}"
+            + f"{row['seconds']:11.1f}{row['check_seconds']:11.1f}{others[name]['seconds']:11.1f}"
         )
 
 
@@ -161,9 +169,14 @@ def main() -> int:
         f"{chosen.population} individuals, {chosen.iterations} iterations, {chosen.samples} samples per interval;"
         f" a plan every {PERIOD} s among {candidates}"
     )
-    stages = {stage: by_scenario(one.home, stage) for stage in (Stage.SENSITIVITY, Stage.CALIBRATION)}
+    both = Stage.SENSITIVITY, Stage.CALIBRATION
+    stages, without = ({stage: by_scenario(each.home, stage) for stage in both} for each in (one, other))
+    names = {Stage.SENSITIVITY: f"sensitivity stage, design {paper['sensitivity'].get('design', 'lines')}"}
     for stage, rows in stages.items():
-        show(f"{stage} stage, shares of the requested cells", rows)
+        title = (
+            f"{names.get(stage, f'{stage} stage')}; a plan every {PERIOD} s among {candidates}; shares of the requested cells"
+        )
+        show(title, rows, without[stage])
     for worker in one.workers:
         states, used = worker.states or 0, worker.state_mb or 0.0
         each = f"{2**20 * used / states:,.0f} bytes each" if states else "none"
@@ -195,6 +208,7 @@ def main() -> int:
     document = {
         "settings": vars(chosen) | {"period_s": PERIOD, "candidates": n_lateral * n_longitudinal},
         "stages": stages,
+        "stages_without": without,
         "sums": {"sensitivity": analysis, "calibration": search},
         "workers": [worker.model_dump(mode="json") for worker in one.workers],
         "wall_seconds": {name: each.campaign.seconds.wall for name, each in ended.items()},
