@@ -4,7 +4,9 @@ A campaign of each size, whose simulation is a formula, is shown by the API in a
 Measured: from an empty tab to the campaign's state, to the first chart and table of its evaluations, and until all of them are there and
 drawn; what reading them costs the server; the longest frame while a brush is drawn along two axes and while the table is scrolled, by the
 browser's own animation frames; the memory of the browser's tab, and of it what its script holds; and by how much the server grows for
-each page that is open. Where there is no Chromium or the page was not built, it says so and ends with 0. Writes `.drivecal/bench/page.json`.
+each page that is open. Where there is no Chromium or the page was not built, it says so and ends with 0.
+
+Writes `.drivecal/bench/page.json`.
 """
 
 from __future__ import annotations

@@ -21,7 +21,8 @@ export function kinds(runs: readonly ComparedRun[]): { several: boolean; populat
   return { several: reductions.length > 1, populations: [...new Set(runs.map((one) => one.population))], reductions };
 }
 
-/** Over the iterations, or over the simulations that the run would have taken alone. Colours are of populations, dashes of reductions. */
+/** Over the iterations, or over the simulations that the run would have taken alone. Each kind has its colour, where there are enough; dashes
+ * are of reductions. */
 export function lines(
   all: readonly ComparedRun[],
   optimizer: string,
@@ -35,13 +36,15 @@ export function lines(
     const found = generations[run.run] ?? [];
     let taken = 0;
     const simulations = found.map((one) => (taken += one.requested - one.repeated - one.reused));
+    const population = populations.indexOf(run.population);
+    const kind = populations.length * reductions.length > SERIES.length ? population : population * reductions.length + reductions.indexOf(run.reduction);
     const dash = DASHES[reductions.indexOf(run.reduction) % DASHES.length];
     return {
       name: run.run,
       group: kindOf(run, several),
       values: found.map((one) => one[shown]),
       x: over === "iteration" ? found.map((one) => one.iteration + 1) : simulations,
-      colour: SERIES[populations.indexOf(run.population) % SERIES.length] ?? "",
+      colour: SERIES[kind % SERIES.length] ?? "",
       steps: true,
       shift: mine.length > 1 ? SPREAD * ((place + 0.5) / mine.length - 0.5) : 0,
       ...(dash === undefined ? {} : { dash }),

@@ -37,7 +37,7 @@ test("a change leaves the rest, and taking it back leaves nothing", () => {
 });
 
 test("two documents are compared leaf by leaf", () => {
-  expect(differences({ a: { b: 1, c: [1, 2] }, d: "x" }, { a: { b: 2, c: [1, 2] }, e: null })).toEqual([
+  expect(differences({ a: { b: 1, c: [1, 2] }, d: "x", w: {} }, { a: { b: 2, c: [1, 2] }, e: null })).toEqual([
     { path: "a.b", one: "1", other: "2" },
     { path: "d", one: "x", other: null },
     { path: "e", one: null, other: "null" },

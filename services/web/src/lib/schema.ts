@@ -103,9 +103,9 @@ export function changed(document: Readonly<Record<string, unknown>>, name: strin
   return made;
 }
 
-/** Every leaf of a document by its path; lists are leaves. */
-export function leaves(value: unknown, path = ""): Record<string, string> {
-  if (value !== null && typeof value === "object" && !Array.isArray(value) && Object.keys(value).length > 0) {
+/** Every leaf of a document by its path; lists are leaves, and of an object without any there is nothing to tell. */
+function leaves(value: unknown, path = ""): Record<string, string> {
+  if (value !== null && typeof value === "object" && !Array.isArray(value)) {
     return Object.assign({}, ...Object.entries(value).map(([name, inner]) => leaves(inner, path === "" ? name : `${path}.${name}`))) as Record<string, string>;
   }
   return { [path]: typeof value === "string" ? value : JSON.stringify(value) };

@@ -3,7 +3,7 @@
 import { Refusal, ask } from "./api";
 import { CsvReader, EMPTY, type Table } from "./columns";
 
-export const TEXT: ReadonlySet<string> = new Set(["stage", "scenario", "outcome", "failure", "worker", "audited", "agrees", "reused"]);
+const TEXT: ReadonlySet<string> = new Set(["stage", "scenario", "outcome", "failure", "worker", "audited", "agrees", "reused"]);
 
 /** Of a long table the beginning is shown at once, and more of it each time that it has become so many times as long. */
 const FIRST_SHOWN = 3_000;

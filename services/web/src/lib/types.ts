@@ -133,17 +133,6 @@ export interface InfluenceRow {
   space_upper: number | null;
 }
 
-export interface Solution {
-  rank: number;
-  objective: number;
-  rating: number;
-  parameters: Record<string, number>;
-  scores: Record<string, number>;
-  reused: string[];
-  iteration: number;
-  individual: number;
-}
-
 export interface Session {
   name: string | null;
   may_write: boolean;

@@ -23,7 +23,7 @@ export const STAGES: Record<string, string> = {
   validation: "Validation",
 };
 
-export const ENDED: readonly string[] = ["succeeded", "failed", "cancelled"];
+const ENDED: readonly string[] = ["succeeded", "failed", "cancelled"];
 
 export function hasEnded(state: string): boolean {
   return ENDED.includes(state);
