@@ -320,14 +320,28 @@ def look_ahead(
     """Writes the features of longitudinal plans, s and s' at each point, shape (POINTS, n_longitudinal), and LATERAL_ACCELERATION and
     HEADING of the candidates."""
     n_longitudinal, n_lateral = combined.shape[1], combined.shape[2]
-    sums, bends, slownesses = np.empty(WIDTH), np.empty(POINTS), np.empty(POINTS)
+    sums, bends, slownesses, moved = np.empty(WIDTH), np.empty(POINTS), np.empty(WIDTH), np.empty(4 * WIDTH)
     _, _, limit = road_ahead(road, start[0])
     straight_on = -1
     for j in range(n_longitudinal):
         error_sum, acceleration_sum, jerk_sum = 0.0, 0.0, 0.0
         straight = True
+        c0, c1, c2, c3, c4 = quartics[0, j], quartics[1, j], quartics[2, j], quartics[3, j], quartics[4, j]
+        cruise, end = quartics[5, j], quartics[6, j]
+        for k in range(width):  # `longitudinal_at`, side by side; what is beyond the last point is not looked at
+            t = (k + 0.5) * INTERVAL
+            beyond = max(t - end, 0.0)
+            t = min(t, end)
+            along = c0 + t * (c1 + t * (c2 + t * (c3 + t * c4)))
+            speed = c1 + t * (2.0 * c2 + t * (3.0 * c3 + t * 4.0 * c4))
+            speed = cruise if beyond > 0.0 else speed
+            moved[k] = along + beyond * cruise if beyond > 0.0 else along
+            moved[WIDTH + k] = speed
+            moved[2 * WIDTH + k] = 0.0 if beyond > 0.0 else 2.0 * c2 + t * (6.0 * c3 + t * 12.0 * c4)
+            moved[3 * WIDTH + k] = 0.0 if beyond > 0.0 else 6.0 * c3 + t * 24.0 * c4
+            slownesses[k] = 1.0 / max(speed, SLOWEST)
         for k in range(POINTS):
-            along, speed, acceleration, jerk = longitudinal_at(quartics, j, (k + 0.5) * INTERVAL)
+            along, speed, acceleration, jerk = moved[k], moved[WIDTH + k], moved[2 * WIDTH + k], moved[3 * WIDTH + k]
             s[k, j], s1[k, j] = along, speed
             curvature, _, desired = road_ahead(road, along)
             error = speed - min(limit, desired)
@@ -335,7 +349,6 @@ def look_ahead(
             acceleration_sum += acceleration * acceleration
             jerk_sum += jerk * jerk
             bends[k] = speed * speed * curvature
-            slownesses[k] = 1.0 / max(speed, SLOWEST)
             straight = straight and bends[k] == 0.0
         changed = scales[17] if start[7] > 0.0 and j != n_longitudinal - 1 else 0.0
         base = (scales[12] * error_sum + scales[14] * acceleration_sum) / POINTS + changed
@@ -344,13 +357,8 @@ def look_ahead(
         sums[:] = 0.0
         for k in range(0, POINTS, 5):  # five at a time, one after the other: sums are fetched and put back less often
             row = (3 * k + 1) * WIDTH
-            slow0, slow1, slow2, slow3, slow4 = (
-                slownesses[k],
-                slownesses[k + 1],
-                slownesses[k + 2],
-                slownesses[k + 3],
-                slownesses[k + 4],
-            )
+            slow0, slow1, slow2 = slownesses[k], slownesses[k + 1], slownesses[k + 2]
+            slow3, slow4 = slownesses[k + 3], slownesses[k + 4]
             for i in range(width):
                 heading0 = motion[row + i] * slow0
                 heading1 = motion[row + 3 * WIDTH + i] * slow1
