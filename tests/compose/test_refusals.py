@@ -19,9 +19,14 @@ METADATA = f"/opt/drivecal/lib/python3.11/site-packages/drivecal-{version('drive
 
 @pytest.fixture(autouse=True)
 def ready_before_and_after(cluster: Cluster) -> Iterator[None]:
-    """Each of these begins and ends with a cluster that works."""
+    """Each of these begins and ends with a cluster all of whose nodes work."""
+
+    def all_work() -> bool:
+        return len(cluster.ready_nodes()) == len(cluster.containers("ray-worker"))
+
+    cluster.until(all_work, "that all nodes work")
     yield
-    cluster.until(cluster.is_ready, "that the cluster works again")
+    cluster.until(all_work, "that all nodes work again")
 
 
 @pytest.fixture
@@ -65,8 +70,9 @@ def test_a_dispatcher_with_too_little_shared_memory_waits_and_says_so(cluster: C
 
 def test_a_dispatcher_of_another_release_gives_no_work_and_names_both(cluster: Cluster, other_release: str) -> None:
     with cluster.changed("dispatcher", services={"dispatcher": {"volumes": [other_release]}}):
-        said = f"are of another version than the coordinator ({OTHER_VERSION}): "
-        assert_said(cluster, "dispatcher", f"has drivecal {version('drivecal')}", in_readyz=said)
+        in_readyz = f"are of another version than the coordinator ({OTHER_VERSION}): "
+        said = f"this node has drivecal {OTHER_VERSION} and the head at ray-head:6379 has {version('drivecal')}"
+        assert_said(cluster, "dispatcher", said, in_readyz=in_readyz)
         assert f"has drivecal {version('drivecal')}; install the same release on both" in cluster.problems()
         assert not cluster.is_ready()
 
