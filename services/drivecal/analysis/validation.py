@@ -14,6 +14,8 @@ import numpy.typing as npt
 
 from drivecal.domain.parameters import Indices
 
+ROWS = 1_000
+"""Of a table of all combinations with all others that are in memory at a time."""
 MOST_EXACT = 16
 """Reducible parameters up to which every one of the 2^n - 1 effects is looked at; beyond, those of up to three parameters."""
 
@@ -107,7 +109,9 @@ def design(space: ReducibleSpace, samples: int, references: int, seed: int, larg
     """The validation of one scenario; None where nothing can be reduced.
 
     Latin hypercubes of `samples`, 2 `samples`, 4 `samples` ... points are drawn until their qualifying sets cover all effects, at most
-    `largest`: what is left uncovered then is told by the coverage. Each variant changes a random non-empty subset of what can vary.
+    `largest`: what is left uncovered then is told by the coverage. Of those sets as many are kept as it takes to cover the same, and in the
+    order of the draw up to `samples`: a large hypercube finds the few sets in which small regions meet, and is full of others. Each variant
+    changes a random non-empty subset of what can vary.
     """
     reducible = space.reducible
     if not reducible.size:
@@ -115,15 +119,31 @@ def design(space: ReducibleSpace, samples: int, references: int, seed: int, larg
     for size in _sizes(samples, largest):
         points = _latin_hypercube(space.n_values, size, seed)
         varies = space.variable(points)
-        qualified = points[varies.any(axis=1)]
-        found = coverage(varies[varies.any(axis=1)][:, reducible])
+        qualified, masks = points[varies.any(axis=1)], varies[varies.any(axis=1)][:, reducible]
+        found = coverage(masks)
         if found.complete:
             break
+    qualified = qualified[_kept(masks, samples)]
     generator = np.random.Generator(np.random.PCG64([seed, 1]))
     variants = np.array(
         [[_variant(space, base, generator) for _ in range(references)] for base in qualified], dtype=np.int64
     ).reshape(len(qualified), references, len(space.n_values))
     return ValidationDesign(qualified, variants, size, found)
+
+
+def _kept(masks: npt.NDArray[np.bool_], samples: int) -> Indices:
+    """Which sets to keep, ascending: the first of each combination that no other one contains, which cover what all do, and then the first
+    ones up to `samples`."""
+    combinations, first = np.unique(masks, axis=0, return_index=True)
+    every, contained = combinations.astype(np.float32), np.zeros(len(combinations), dtype=np.bool_)
+    for start in range(0, len(every), ROWS):
+        some = every[start : start + ROWS]
+        within = some @ every.T == some.sum(axis=1, keepdims=True)
+        contained[start : start + ROWS] = within.sum(axis=1) > 1  # in itself in any case
+    needed = first[~contained]
+    others = np.setdiff1d(np.arange(len(masks)), needed)
+    kept: Indices = np.sort(np.concatenate([needed, others[: max(0, samples - len(needed))]])).astype(np.int64)
+    return kept
 
 
 def _sizes(samples: int, largest: int) -> Iterator[int]:

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivecal.analysis.validation import MOST_EXACT, ReducibleSpace, coverage, design
+from drivecal.analysis.validation import MOST_EXACT, ReducibleSpace, _kept, coverage, design
 
 EVERY = np.arange(10)
 LOW = np.array([-1, -1, -1, 3, 4, 5, 6, 7, 8, 9])
@@ -72,6 +72,25 @@ def test_samples_grow_until_every_effect_is_covered() -> None:
     smaller = design(ReducibleSpace([LOW, LOW, LOW, LOW]), found.drawn // 2, 3, 1, found.drawn // 2)
     assert smaller is not None
     assert not smaller.coverage.complete
+
+
+def test_a_large_hypercube_is_kept_as_far_as_it_is_needed() -> None:
+    space = ReducibleSpace([LOW, LOW, LOW, LOW])
+    found = design(space, 4, 3, 1, 100_000)
+    assert found is not None
+    assert found.drawn > 4
+    assert len(found.bases) == 4
+    assert space.variable(found.bases).all(axis=1).sum() == 1, "one varies in all four, and covers every effect"
+    assert coverage(space.variable(found.bases)[:, space.reducible]) == found.coverage
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(1, 6).flatmap(lambda n: st.lists(st.lists(st.booleans(), min_size=n, max_size=n), min_size=1, max_size=40)))
+def test_what_is_kept_covers_what_all_did(rows: list[list[bool]]) -> None:
+    masks = np.array([row for row in rows if any(row)] or [[True] * len(rows[0])])
+    kept = masks[_kept(masks, 3)]
+    assert coverage(kept) == coverage(masks)
+    assert len(kept) >= min(3, len(masks))
 
 
 def test_the_cap_is_kept_and_what_is_missing_is_told() -> None:
