@@ -90,12 +90,14 @@ def oscillation(amplitude: float, frequency: float, seconds: float) -> Floats:
 
 @pytest.mark.parametrize("weighting", [WD, WF])
 def test_the_kernel_filters_as_scipy_does(weighting: Weighting) -> None:
-    noise = np.random.default_rng(2631).normal(size=2000)
+    noise = np.random.default_rng(2631).normal(size=(2, 2000))
     sections = digital(weighting, RATE)
-    expected = math.sqrt(float(np.mean(signal.sosfilt(sections, noise) ** 2)))
-    assert kernels.weighted_root_mean_square(noise, sections) == pytest.approx(expected, rel=1e-12)
+    expected = [math.sqrt(float(np.mean(signal.sosfilt(sections, one) ** 2))) for one in noise]
+    assert kernels.weighted_root_mean_square(*noise, sections) == pytest.approx(expected, rel=1e-12)
 
 
 def test_a_long_oscillation_has_the_weighted_rms_of_the_table() -> None:
-    measured = kernels.weighted_root_mean_square(oscillation(2.0, 4.0, 200.0), digital(WD, RATE))
+    quiet = np.zeros(round(200.0 * RATE))
+    measured, nothing = kernels.weighted_root_mean_square(oscillation(2.0, 4.0, 200.0), quiet, digital(WD, RATE))
+    assert nothing == 0.0
     assert measured == pytest.approx(0.512 * 2.0 / math.sqrt(2.0), rel=0.01)

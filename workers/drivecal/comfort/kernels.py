@@ -43,19 +43,24 @@ def root_mean_square(signal: Floats) -> float:
 
 
 @njit(cache=True)
-def weighted_root_mean_square(signal: Floats, sections: Floats) -> float:
-    """R.m.s. of `signal` after the second-order `sections`, shape (n, 6), a0 = 1, starting from rest (transposed direct form II)."""
+def weighted_root_mean_square(first: Floats, second: Floats, sections: Floats) -> tuple[float, float]:
+    """R.m.s. of two signals of one length after the second-order `sections`, shape (n, 6), a0 = 1, starting from rest (transposed direct
+    form II). Side by side: a filter waits for its last value, so two take no longer than one."""
     n = sections.shape[0]
-    memory = np.zeros((n, 2))
-    total = 0.0
-    for value in signal:
+    memory = np.zeros((n, 4))
+    first_total = second_total = 0.0
+    for index in range(first.shape[0]):
+        value, other = first[index], second[index]
         for k in range(n):
-            out = sections[k, 0] * value + memory[k, 0]
+            out, other_out = sections[k, 0] * value + memory[k, 0], sections[k, 0] * other + memory[k, 2]
             memory[k, 0] = sections[k, 1] * value - sections[k, 4] * out + memory[k, 1]
+            memory[k, 2] = sections[k, 1] * other - sections[k, 4] * other_out + memory[k, 3]
             memory[k, 1] = sections[k, 2] * value - sections[k, 5] * out
-            value = out
-        total += value * value
-    return math.sqrt(total / signal.shape[0])
+            memory[k, 3] = sections[k, 2] * other - sections[k, 5] * other_out
+            value, other = out, other_out
+        first_total += value * value
+        second_total += other * other
+    return math.sqrt(first_total / first.shape[0]), math.sqrt(second_total / first.shape[0])
 
 
 @njit(cache=True)

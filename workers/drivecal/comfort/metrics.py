@@ -40,8 +40,8 @@ def comfort_metrics(dynamics: Floats, offset: Floats) -> dict[str, float]:
     seconds = dynamics.shape[0] / RATE
     lateral_peak, lateral_jerk = kernels.peaks(lateral, WINDOW, RATE)
     longitudinal_peak, longitudinal_jerk = kernels.peaks(longitudinal, WINDOW, RATE)
-    weighted_lateral = kernels.weighted_root_mean_square(lateral, _HORIZONTAL)
-    weighted_longitudinal = kernels.weighted_root_mean_square(longitudinal, _HORIZONTAL)
+    weighted_lateral, weighted_longitudinal = kernels.weighted_root_mean_square(lateral, longitudinal, _HORIZONTAL)
+    sickening_lateral, sickening_longitudinal = kernels.weighted_root_mean_square(lateral, longitudinal, _SICKNESS)
     return {
         "peak_lateral_acceleration_mps2": lateral_peak,
         "peak_lateral_jerk_mps3": lateral_jerk,
@@ -57,6 +57,6 @@ def comfort_metrics(dynamics: Floats, offset: Floats) -> dict[str, float]:
         "iso2631_lateral_rms_mps2": weighted_lateral,
         "iso2631_longitudinal_rms_mps2": weighted_longitudinal,
         "iso2631_horizontal_rms_mps2": math.hypot(weighted_lateral, weighted_longitudinal),
-        "iso2631_lateral_msdv_mps15": kernels.weighted_root_mean_square(lateral, _SICKNESS) * math.sqrt(seconds),
-        "iso2631_longitudinal_msdv_mps15": kernels.weighted_root_mean_square(longitudinal, _SICKNESS) * math.sqrt(seconds),
+        "iso2631_lateral_msdv_mps15": sickening_lateral * math.sqrt(seconds),
+        "iso2631_longitudinal_msdv_mps15": sickening_longitudinal * math.sqrt(seconds),
     }

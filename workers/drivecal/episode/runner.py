@@ -26,7 +26,10 @@ class Runner:
     ) -> None:
         """`vehicle`: as from `Vehicle.create`; runners must not share one."""
         self._scenario = scenario
-        self._evaluator, self._vehicle = evaluator, vehicle
+        self._evaluator = evaluator
+        # asked once: the answer takes microseconds
+        self._series_evaluator = evaluator if isinstance(evaluator, SeriesEvaluator) else None
+        self._self_measuring = vehicle if isinstance(vehicle, SelfMeasuring) else None
         self.planner = driving_function.create(scenario)
         self._loop = ClosedLoop(scenario, self.planner, vehicle, simulation())
 
@@ -51,14 +54,14 @@ class Runner:
             "final_offset_m": offsets.item(-1),
             "final_speed_error_mps": speed_errors(drive.motion[-1:], self._scenario).item(),
         }
-        if isinstance(self._vehicle, SelfMeasuring):
-            metrics |= self._vehicle.metrics
+        if self._self_measuring is not None:
+            metrics |= self._self_measuring.metrics
         failure = drive.failure
         if failure is None and not fulfilled(drive.motion, self._scenario):
             failure = Failure.TASK_MISSED
         return RunResult(FAILED_RATING if failure else self._rating(metrics, series), metrics, failure)
 
     def _rating(self, metrics: Mapping[str, float], series: Series) -> Rating:
-        if isinstance(self._evaluator, SeriesEvaluator):
-            return self._evaluator.rate_series(self._scenario.manoeuvre, series)
+        if self._series_evaluator is not None:
+            return self._series_evaluator.rate_series(self._scenario.manoeuvre, series)
         return self._evaluator.rate(self._scenario.manoeuvre, metrics)
