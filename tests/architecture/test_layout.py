@@ -11,7 +11,7 @@ import pytest
 from tests.support.tree import PROJECT, ROOTS, modules, packages, parsed, shown
 
 LONGEST = 400
-LONGER = {"workers/drivecal/planner/kernel.py": 600}
+LONGER = {"workers/drivecal/planner/kernel.py": 700}
 """Numba's cache does not notice edits in imported modules, so jitted functions that call each other stay in one."""
 TOP_LEVEL = {
     "services", "workers", "shared", "deploy", "tests", "docker-compose.yml", "pyproject.toml", "README.md", "Makefile", "LICENSE",
