@@ -202,3 +202,7 @@ def test_where_tokens_are_asked_for_the_page_asks_for_one_and_keeps_none(tmp_pat
         expect(page.get_by_text("Yours may only read.")).to_be_visible()
         kept = page.evaluate("JSON.stringify([document.cookie, {...localStorage}, {...sessionStorage}])")
         assert json.loads(kept) == ["", {}, {}]
+        page.get_by_role("button", name="Log out").click()
+        expect(page.get_by_label("Token")).to_be_visible()
+        page.reload()
+        expect(page.get_by_label("Token")).to_be_visible()
