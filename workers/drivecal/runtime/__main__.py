@@ -9,8 +9,8 @@ from drivecal.runtime.worker import Worker
 
 
 def trial(vehicle_name: str, evaluator_name: str) -> Batch:
-    """One cell of drivecal's own plug-ins, the middle of the space in the first scenario: simulated, then remembered, certified by decisions,
-    and often enough for its states to be described."""
+    """One cell of drivecal's own plug-ins, the middle of the space in the first scenario: simulated, then remembered, certified by
+    decisions, and often enough for its states to be described."""
     catalogue, function = registry.catalogue("highway"), registry.driving_function("frenet")
     vehicle, evaluator = registry.vehicle(vehicle_name), registry.evaluator(evaluator_name)
     name, scenario = next(iter(catalogue.scenarios.items()))
