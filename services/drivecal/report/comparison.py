@@ -165,7 +165,7 @@ def _table_5(groups: Sequence[ComparedGroup], *, several: bool) -> str:
 
 
 def _effects(effects: Sequence[ReductionEffect]) -> str:
-    header = ["optimizer", "population", "reduction", "pairs", "mean difference", "95 % interval", "better", "equal", "worse"]
+    header = ["optimizer", "size", "reduction", "pairs", "difference", "95 % interval", "better", "equal", "worse"]
     rows = [
         [
             *(one.optimizer or "all", one.population or "all", f"{one.reduction} - {one.base}", one.pairs),
@@ -176,10 +176,12 @@ def _effects(effects: Sequence[ReductionEffect]) -> str:
         ]
         for one in effects
     ]
-    header += ["sign test p", "differ at most", "simulations saved", "share"]
-    return table(
-        header, rows, "Final optimum with a reduction less that without it, run by run with the same seed", wrap_header=True
+    header += ["p", "differ at most", "saved", "share"]
+    caption = (
+        "Final optimum with a reduction less that without it, run by run with the same seed; p: of the exact sign test; differ at most: the "
+        "share of searches that end elsewhere, with 95 % confidence; saved: simulations"
     )
+    return table(header, rows, caption, wrap_header=True)
 
 
 def _pairs(pairs: Sequence[ComparedPair]) -> str:
@@ -220,7 +222,6 @@ def _runs(runs: Sequence[ComparedRun], *, several: bool) -> str:
         ("rating", lambda one: _number(one.rating, 3)),
         ("sets", lambda one: one.alternatives),
         ("mean", lambda one: _number(one.mean, 3)),
-        ("requested", lambda one: one.requested),
         ("simulations", lambda one: one.simulations),
         *([("analysis", _analysis)] if analysed else []),
         ("converged", lambda one: one.converged_at),
