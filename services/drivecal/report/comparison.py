@@ -178,8 +178,8 @@ def _effects(effects: Sequence[ReductionEffect]) -> str:
     ]
     header += ["p", "differ at most", "saved", "share"]
     caption = (
-        "Final optimum with a reduction less that without it, run by run with the same seed; p: of the exact sign test; differ at most: the "
-        "share of searches that end elsewhere, with 95 % confidence; saved: simulations"
+        "Final optimum with a reduction less that without it, run by run with the same seed; p: of the exact sign test; differ at most: "
+        "the share of searches that end elsewhere, with 95 % confidence; saved: simulations"
     )
     return table(header, rows, caption, wrap_header=True)
 
@@ -226,7 +226,7 @@ def _runs(runs: Sequence[ComparedRun], *, several: bool) -> str:
         *([("analysis", _analysis)] if analysed else []),
         ("converged", lambda one: one.converged_at),
         ("after", lambda one: one.simulations_to_converge),
-        ("run", lambda one: one.run[:12]),
+        ("run", lambda one: one.run[:8]),
     ]
     rows = [[tell(one) for _, tell in columns] for one in runs]
     caption = (

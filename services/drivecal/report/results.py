@@ -26,6 +26,9 @@ def summary(findings: Findings) -> list[str]:
     first = f"The best objective is {best.objective:.4f} of 7; {share}."
     if campaign.baseline is not None and campaign.baseline.objective is not None:
         first += f" The baseline has {campaign.baseline.objective:.4f}."
+    if findings.solutions and findings.solutions[0].reused:
+        where = ", ".join(findings.solutions[0].reused)
+        first += f" The best set's score in {where} is a reference's; a search prefers those that are too good. `drivecal evaluate` tells."
     sentences = [first, *search.convergence(findings.generations)[:1]]
     if findings.accounting is not None:
         sentences.append(findings.accounting.sentence)

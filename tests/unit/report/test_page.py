@@ -143,6 +143,7 @@ def test_the_page_says_what_the_self_check_found_and_what_it_cost(whole: Whole) 
     ):
         assert wanted in whole.text
     assert "3 parameter sets share it" in whole.text
+    assert "The best set's score in S2 is a reference's; a search prefers those that are too good." in whole.text
 
 
 def test_the_page_says_what_certificates_answered_and_what_they_say_of_reused_cells() -> None:
