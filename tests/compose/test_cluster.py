@@ -99,9 +99,10 @@ def restore(cluster: Cluster, file: Path) -> None:
     cluster.compose("stop", "api", "dispatcher")
     cluster.compose("exec", "-T", "db", "dropdb", "-U", "drivecal", "drivecal")
     cluster.compose("exec", "-T", "db", "createdb", "-U", "drivecal", "drivecal")
-    for service in ("api", "dispatcher"):
-        said = cluster.compose("run", "--rm", "--no-deps", "-T", service, check=False)
-        assert "`drivecal db upgrade`" in said, said
+    assert "`drivecal db upgrade`" in cluster.compose("run", "--rm", "--no-deps", "-T", "dispatcher", check=False)
+    cluster.compose("up", "-d", "--no-deps", "api")  # the API stays, and can be asked what is wrong
+    cluster.until(lambda: "is empty; run `drivecal db upgrade`" in cluster.problems(), "that the database is not migrated")
+    cluster.compose("stop", "api")
     cluster.compose("run", "--rm", "-T", "migrate", "drivecal", "db", "restore", "/backups/elsewhere.db")
     cluster.up("--scale", "ray-worker=6")
 
