@@ -6,6 +6,7 @@ import math
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TypeVar
 
 from drivecal.contracts.work import SetupRequest
 from drivecal.execution.outstanding import SetupKey
@@ -23,6 +24,10 @@ class BatchPolicy:
     """Cells."""
 
 
+MOST_SETUPS = 1_000
+"""Of which costs are remembered, the last ones; studies of vehicle parameters go through hundreds."""
+K = TypeVar("K")
+V = TypeVar("V")
 Kind = tuple[str, ...]
 """What setups have in common whose cells cost about the same."""
 
@@ -46,14 +51,15 @@ class CellCosts:
 
     def relate(self, setup: SetupKey, kind: Kind) -> None:
         """Says of which kind a setup is."""
-        self._kinds[setup] = kind
+        _note(self._kinds, setup, kind)
 
     def observe(self, setup: SetupKey, cells: int, seconds: float) -> None:
         """Takes in one finished batch."""
         for one in filter(None, (setup, self._kinds.get(setup))):
-            measured = self._measured.setdefault(one, deque(maxlen=self._remembered))
+            measured = self._measured.get(one) or deque(maxlen=self._remembered)
             measured.append(max(seconds, 1e-6) / cells)
-            self._medians[one] = sorted(measured)[(len(measured) - 1) // 2]
+            _note(self._measured, one, measured)
+            _note(self._medians, one, sorted(measured)[(len(measured) - 1) // 2])
 
     def seconds_per_cell(self, setup: SetupKey) -> float | None:
         """What a cell of this setup costs; None before the first measurement of its kind."""
@@ -67,6 +73,13 @@ class CellCosts:
         counted = sum(count for count, _ in known)
         measured = sum(count * cost for count, cost in known)
         return measured / counted * sum(cells.values()) if counted else 0.0
+
+
+def _note(known: dict[K, V], key: K, value: V) -> None:
+    known.pop(key, None)
+    known[key] = value  # behind all others
+    if len(known) > MOST_SETUPS:
+        del known[next(iter(known))]
 
 
 def batch_size(policy: BatchPolicy, seconds_per_cell: float | None, waiting_seconds: float, workers: int) -> int:

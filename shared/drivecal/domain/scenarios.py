@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from enum import StrEnum
-from functools import lru_cache
+from functools import cached_property
 
 from drivecal.domain.setups import canonical_json, digest
 
@@ -111,7 +111,7 @@ class TrafficVehicle:
     """Lateral movement inside its lane: (time in s, offset from the lane centre in m), linear between."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Scenario:
     """One manoeuvre of the catalogue."""
 
@@ -128,15 +128,9 @@ class Scenario:
     traffic: tuple[TrafficVehicle, ...] = ()
     seed: int = 1
 
-    @property
+    @cached_property  # a robustness study makes hundreds of setups of each scenario
     def digest(self) -> str:
         """Content hash of all that decides a run, the network's bytes included; the title may be reworded."""
-        return _digest(self)
-
-
-@lru_cache(maxsize=256)
-def _digest(scenario: Scenario) -> str:
-    """A robustness study makes hundreds of setups of each scenario."""
-    document = asdict(scenario) | {"network": digest(scenario.network)}
-    del document["title"]
-    return digest(canonical_json(document).encode())
+        document = asdict(self) | {"network": digest(self.network)}
+        del document["title"]
+        return digest(canonical_json(document).encode())

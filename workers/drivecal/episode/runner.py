@@ -10,7 +10,7 @@ from drivecal.domain.scenarios import Scenario
 from drivecal.episode.loop import ClosedLoop, Drive
 from drivecal.episode.task import fulfilled, speed_errors, target_offsets
 from drivecal.episode.trace import Recorder, Trace
-from drivecal.plugins.ports import DrivingFunction, Evaluator, Planner, SelfMeasuring, Series, SeriesEvaluator, VehicleModel
+from drivecal.plugins.ports import DrivingFunction, Evaluator, Planner, Series, SeriesEvaluator, VehicleModel
 from drivecal.traffic.simulation import simulation
 
 
@@ -27,9 +27,8 @@ class Runner:
         """`vehicle`: as from `Vehicle.create`; runners must not share one."""
         self._scenario = scenario
         self._evaluator = evaluator
-        # asked once: the answer takes microseconds
-        self._series_evaluator = evaluator if isinstance(evaluator, SeriesEvaluator) else None
-        self._self_measuring = vehicle if isinstance(vehicle, SelfMeasuring) else None
+        self._series_evaluator = evaluator if isinstance(evaluator, SeriesEvaluator) else None  # to ask takes microseconds
+        self._vehicle = vehicle
         self.planner = driving_function.create(scenario)
         self._loop = ClosedLoop(scenario, self.planner, vehicle, simulation())
 
@@ -54,8 +53,10 @@ class Runner:
             "final_offset_m": offsets.item(-1),
             "final_speed_error_mps": speed_errors(drive.motion[-1:], self._scenario).item(),
         }
-        if self._self_measuring is not None:
-            metrics |= self._self_measuring.metrics
+        if (
+            measured := getattr(self._vehicle, "metrics", None)
+        ) is not None:  # `SelfMeasuring`; some know of it after a run only
+            metrics |= measured
         failure = drive.failure
         if failure is None and not fulfilled(drive.motion, self._scenario):
             failure = Failure.TASK_MISSED
