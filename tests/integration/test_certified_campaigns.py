@@ -12,6 +12,7 @@ from tests.support.runs import dispatcher as dispatching
 
 from drivecal.campaigns.explaining import explain
 from drivecal.campaigns.pinned import pinned
+from drivecal.campaigns.verification import verify
 from drivecal.contracts.work import Cell
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.evaluations import Outcome
@@ -130,6 +131,7 @@ def test_a_share_of_certified_cells_is_simulated_all_the_same_and_counted(databa
     assert ended.cells.checked > 0
     assert 0.15 < ended.cells.checked / (ended.cells.checked + ended.cells.certified) < 0.45
     assert ended.state is CampaignState.SUCCEEDED
+    assert [one for one in verify(database, full=True) if one.problems] == []
 
 
 def test_one_certificate_that_a_simulation_contradicts_ends_the_campaign(database: Database) -> None:

@@ -48,12 +48,14 @@ def check_counters(connection: Connection) -> Iterator[str]:
     """The counters of each campaign are those of its cells, and add up."""
     counted: dict[tuple[int, int], dict[str, int]] = {}
     stage, audited = type_coerce(evaluations.c.stage, SmallInteger), func.sum(case((evaluations.c.audited, 1), else_=0))
+    checked = func.sum(case((evaluations.c.proof_agrees.is_not(None), 1), else_=0))
     columns = evaluations.c.campaign_sequence, stage, evaluations.c.outcome
-    for sequence, number, outcome, count, audits in connection.execute(
-        select(*columns, func.count(), audited).group_by(*columns)
+    for sequence, number, outcome, count, audits, checks in connection.execute(
+        select(*columns, func.count(), audited, checked).group_by(*columns)
     ):
         cells = counted.setdefault((sequence, number), {})
         cells[outcome or "pending"] = count
+        cells["checked"] = cells.get("checked", 0) + checks
         if outcome == Outcome.SIMULATED:
             cells["audited"] = audits
     carried_over = func.sum(generations.c.carried_over)
