@@ -56,8 +56,9 @@ export function lines(
 export function span(values: readonly (number | null)[]): [number, number] {
   const known = values.filter((one): one is number => one !== null);
   if (known.length === 0) return [0, 1];
-  const low = Math.min(...known);
-  const high = Math.max(...known);
+  // all runs' iterations may be more values than a call takes arguments
+  const low = known.reduce((one, other) => Math.min(one, other));
+  const high = known.reduce((one, other) => Math.max(one, other));
   const margin = 0.08 * (high - low) || 0.5;
   return [low - margin, high + margin];
 }

@@ -151,6 +151,7 @@ export interface ComparedRun {
   simulations: number;
   analysis: number;
   best: number | null;
+  simulated_best: number | null;
   rating: number | null;
   alternatives: number;
   mean: number | null;
