@@ -4,7 +4,7 @@ Why it is a proof: simulator, vehicle and planner are deterministic, and paramet
 candidate only. Two runs that begin alike are in the same state until they choose differently. So the trie's nodes are states: a
 parameter set that chooses, by the planner's own arithmetic on the stored features, what was chosen before at every node down to a leaf,
 drives that leaf's run, bit for bit. In a state that was seen once the planner itself decides again, from all that it had seen there; only
-states that are asked for more often are worth a description, from which deciding is a hundred times cheaper. By a description, a candidate
+states that are asked for more often are worth a description, from which deciding is a dozen times cheaper. By a description, a candidate
 that would win but was never tested for feasibility proves nothing: that run has to be simulated.
 """
 
