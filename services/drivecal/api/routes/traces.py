@@ -43,13 +43,11 @@ def read_trace(
     with database.read() as connection:
         number = results.by_id(connection, number_of(connection, evaluation_id)).id
         found = traces.find(connection, number)
-        to_be_made = is_to_be_made(connection, found)
     if found is not None and found.content is not None:
         return _answer(found.content, if_none_match, accept_encoding)
-    if to_be_made:
-        refuse_reader(request)
     with database.transaction() as connection:
-        if to_be_made:
+        if is_to_be_made(connection, traces.find(connection, number, for_update=True)):
+            refuse_reader(request)
             admission.admit(connection, limits.queued_campaigns, None)
         made = request_trace(connection, number)
         again = traces.find(connection, number)
