@@ -131,7 +131,9 @@ def _sizes(rows: Sequence[ValidationRow], by_scenario: dict[str, list[InfluenceR
         for row in rows
     ]
     header = ["scenario", "reducible parameters", "n", "effects", "covered", "LHS", "n*_LHS", "n_ref", "n_validation"]
-    caption = "Table 1. Sample sizes: n reducible parameters have 2^n - 1 effects; of the LHS sets n*_LHS qualified"
+    caption = (
+        "Table 1. Sample sizes: n reducible parameters have 2^n - 1 effects; n*_LHS of the LHS sets that qualify were compared"
+    )
     return table(header, lines, caption)
 
 
