@@ -78,8 +78,8 @@ class ValidationRow(Answer):
 
     `reducible` parameters have a region in which they do not matter; of their `effects` (main effects and interactions) so many were
     `covered`. `drawn`: the size of the Latin hypercube, of which `bases` that qualify were kept (n*_LHS), each compared with
-    `references` variants (n_ref). `wrong`: |dF| > 1; R_err = wrong / compared (Eq. 8) with its 95 % Clopper-Pearson interval; `different`: any
-    change. `histogram`: how many variants differ from their base by how many points.
+    `references` variants (n_ref). `wrong`: |dF| > 1; R_err = wrong / compared (Eq. 8) with its 95 % Clopper-Pearson interval;
+    `different`: any change. `histogram`: how many variants differ from their base by how many points.
     """
 
     scenario: str
