@@ -19,6 +19,8 @@ from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.generations import Figures
 
 MOST_GENERATIONS = 10_000
+MOST_REMEMBERED = 100_000
+"""Runs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,8 +70,24 @@ def _course(connection: Connection, run: StoredCampaign, conditions: analysis.Co
         simulations=[_needed(one) for one in figures],
         ended=run.state is CampaignState.SUCCEEDED,
         reused=reused,
-        simulated_best=results.best_simulated(connection, run.sequence, pinned(run).weights) if reused else None,
+        simulated_best=_best_simulated(connection, run) if reused else None,
     )
+
+
+def _best_simulated(connection: Connection, run: StoredCampaign) -> float | None:
+    """See `results.best_simulated`; of a run that has ended it is looked for once: who follows a comparison asks every few seconds."""
+    if run.id in _ended:
+        return _ended[run.id]
+    found = results.best_simulated(connection, run.sequence, pinned(run).weights)
+    if run.state.ended:
+        _ended[run.id] = found
+        if len(_ended) > MOST_REMEMBERED:
+            _ended.clear()
+    return found
+
+
+_ended: dict[str, float | None] = {}
+"""By the run's id, which no other run ever has."""
 
 
 def _needed(figures: Figures) -> int:

@@ -23,8 +23,8 @@ COUNTED = (
 )
 BELIEVED = (
     "Where references answer cells, a search prefers sets whose scores are too good. So what is said of optima here, but for the "
-    "searches' courses, is said of the best set of which each score was simulated for itself; the table of runs shows beside it what the "
-    "run believed."
+    "searches' courses, is said of the best set of which each score was simulated for itself. That is a lower bound: a reference that is "
+    "right keeps its set out as well. The table of runs shows beside it what the run believed."
 )
 CONVERGED = (
     "A run has converged in the iteration after which its best objective stayed as it was for at least 10 further ones (Table 5); means "
