@@ -19,6 +19,7 @@ from drivecal.cli.main import app
 from drivecal.contracts.comparison import ComparisonSpecification
 from drivecal.contracts.specification import CampaignSpecification, InfluenceMapSpecification
 from drivecal.contracts.validation import validated
+from drivecal.planner.spaces import RANGES
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("*/README.md")])
@@ -93,3 +94,10 @@ def test_the_values_of_the_example_are_the_defaults_where_it_says_so() -> None:
         name for name in CampaignSpecification.model_fields if getattr(given, name) != getattr(CampaignSpecification(), name)
     }
     assert sections == {"name", "baseline", "weights", "optimizer"}
+
+
+def test_the_built_in_parameters_are_told_as_they_are() -> None:
+    shown = re.findall(
+        r"^\| (P\d+) \| (\S+) to (\S+)(?: dB)? in steps of (\S+) \| (.+) \|$", (ROOT / "README.md").read_text(), re.MULTILINE
+    )
+    assert shown == [(name, *texts[:3], texts[-1]) for name, *texts in RANGES]

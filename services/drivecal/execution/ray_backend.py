@@ -52,7 +52,7 @@ class RayOptions:
     workers: int | None = None
     deadline_seconds: float = DEADLINE_SECONDS
     deadline_factor: float = DEADLINE_FACTOR
-    start_seconds: float = 180.0
+    start_seconds: float = 600.0
     certificates_mb: int | None = None
     """Memory of each worker for what certifies other runs; None: what its machine has for it."""
 

@@ -18,8 +18,8 @@ from drivecal.client.client import Client
 from drivecal.configuration.settings import load_settings
 from drivecal.domain.errors import ConflictError, DrivecalError
 
-SECONDS_TO_START = 180.0
-"""Ray needs some seconds, compiling the kernels for the first time half a minute on a slow machine."""
+SECONDS_TO_START = 600.0
+"""Ray needs some seconds, compiling the kernels for the first time half a minute on a slow machine, and many times that on a busy one."""
 SECONDS_TO_STOP = 20.0
 ANNOUNCEMENT = "serve.json"
 """Where the coordinator says its address when it is ready."""
@@ -99,7 +99,7 @@ def _url_when_ready(process: subprocess.Popen[bytes], home: Path) -> str:
         if process.poll() is not None:
             raise DrivecalError(f"the coordinator did not start (exit status {process.returncode}):\n{_end_of(home / LOG)}")
         time.sleep(0.1)
-    raise DrivecalError(f"the coordinator is not ready after {SECONDS_TO_START:.0f} s:\n{_end_of(home / LOG)}")
+    raise DrivecalError(f"the coordinator is not ready after {SECONDS_TO_START:.0f} s; where the machine was busy, try again:\n{_end_of(home / LOG)}")
 
 
 def _end_of(log: Path, lines: int = 15) -> str:
