@@ -25,6 +25,11 @@ def evaluate(
     scenario: Annotated[str | None, typer.Option(help="One scenario; else all of the catalogue.")] = None,
     catalogue: Annotated[str, typer.Option(help="The scenario catalogue.")] = "highway",
     vehicle: Annotated[str, typer.Option(help="The vehicle model: single_track, hybrid or a plug-in.")] = "single_track",
+    vehicle_parameters: Annotated[
+        str | None,
+        typer.Option(metavar="NAME=VALUE,...", help="Parameters of the vehicle that differ from its nominal ones."),
+    ] = None,
+    driving_function: Annotated[str, typer.Option(help="Who drives: frenet or a plug-in.")] = "frenet",
     evaluator: Annotated[str, typer.Option(help="Who rates comfort: reference, learned or a plug-in.")] = "reference",
     trace: Annotated[
         Path | None,
@@ -35,10 +40,12 @@ def evaluate(
     as_json: JsonOption = False,
 ) -> None:
     """Drive one parameter set and show how comfortable it was."""
+    differing = {} if vehicle_parameters is None else assignments(vehicle_parameters.split(","), "--vehicle-parameters")
     specification: dict[str, object] = {
         "parameters": assignments(parameters, "parameters"),
         "catalogue": catalogue,
-        "vehicle": {"model": vehicle},
+        "driving_function": driving_function,
+        "vehicle": {"model": vehicle, "parameters": differing},
         "evaluator": evaluator,
     }
     if scenario is not None:

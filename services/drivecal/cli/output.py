@@ -84,7 +84,9 @@ def print_solutions(solutions: Sequence[Solution]) -> None:
     ]
     print_columns(header, rows)
     if any(one.reused for one in solutions):
-        typer.echo("* taken from a reference; `drivecal evaluate` simulates this very set")
+        typer.echo(
+            "* taken from a reference; `drivecal evaluate` simulates this very set (name the campaign's --vehicle and --evaluator)"
+        )
 
 
 def state_text(campaign: Campaign) -> str:

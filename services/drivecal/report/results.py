@@ -28,7 +28,8 @@ def summary(findings: Findings) -> list[str]:
         first += f" The baseline has {campaign.baseline.objective:.4f}."
     if findings.solutions and findings.solutions[0].reused:
         where = ", ".join(findings.solutions[0].reused)
-        first += f" The best set's score in {where} is a reference's; a search prefers those that are too good. `drivecal evaluate` tells."
+        first += f" The best set's score in {where} is a reference's; a search prefers those that are too good."
+        first += " The command for it, under Versions and repetition, tells."
     sentences = [first, *search.convergence(findings.generations)[:1]]
     if findings.accounting is not None:
         sentences.append(findings.accounting.sentence)

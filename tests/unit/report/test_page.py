@@ -11,12 +11,12 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
-from tests.unit.report.rows import ACCOUNT, ROWS, findings, row
+from tests.unit.report.rows import ACCOUNT, ROBUST, ROWS, SETUP, findings, row, study
 
 from drivecal.contracts.campaign import Campaign
 from drivecal.domain.errors import InvalidInputError
-from drivecal.report import results, reuse
-from drivecal.report.findings import Findings
+from drivecal.report import problem, results, reuse
+from drivecal.report.findings import Findings, Studied
 from drivecal.report.writing import write_report
 
 VOID = {"meta", "link", "br"}
@@ -177,6 +177,21 @@ def test_the_page_has_every_part_of_a_study(whole: Whole) -> None:
         "drivecal evaluate P1=1 P2=2.5 P3=4",
     ):
         assert wanted in whole.text
+
+
+def test_the_commands_drive_as_the_campaign_did() -> None:
+    spec = {
+        "catalogue": ["S1"],
+        "vehicle": {"model": "hybrid", "parameters": {"mass": 1800.5}},
+        "evaluator": "learned",
+        "driving_function": "frenet",
+    }
+    campaign = findings().campaign.model_copy(update={"spec": spec})
+    only = SETUP.model_copy(update={"scenarios": SETUP.scenarios[:1]})
+    told = "".join(problem.again(findings(campaign=campaign, setup=only, robustness=[Studied(study(vehicle="other"), ROBUST)])))
+    options = "--evaluator learned --vehicle {} --vehicle-parameters mass=1800.5 --scenario S1    # the {} set"
+    assert options.format("hybrid", "best") in told
+    assert options.format("other", "recommended") in told
 
 
 def test_each_drawing_is_described_and_has_a_table_beside_it(whole: Whole) -> None:

@@ -99,7 +99,9 @@ def _url_when_ready(process: subprocess.Popen[bytes], home: Path) -> str:
         if process.poll() is not None:
             raise DrivecalError(f"the coordinator did not start (exit status {process.returncode}):\n{_end_of(home / LOG)}")
         time.sleep(0.1)
-    raise DrivecalError(f"the coordinator is not ready after {SECONDS_TO_START:.0f} s; where the machine was busy, try again:\n{_end_of(home / LOG)}")
+    raise DrivecalError(
+        f"the coordinator is not ready after {SECONDS_TO_START:.0f} s; where the machine was busy, try again:\n{_end_of(home / LOG)}"
+    )
 
 
 def _end_of(log: Path, lines: int = 15) -> str:
