@@ -100,6 +100,26 @@ def test_a_study_that_was_made_is_shown_and_is_compared_with_the_same_in_another
     assert f"`drivecal robustness {posted}` makes one" in run("robustness", ended, "--compare", posted).stderr
 
 
+def test_what_cannot_be_compared_is_refused_before_anything_is_driven(run: Run, ended: str) -> None:
+    for options in (("--vehicle", "hybird"), ("--compare", "nobody")):
+        refused = run("robustness", ended, "--again", *options)
+        assert refused.exit_code != 0
+        assert options[1] in refused.stderr
+        assert "makes the study" not in refused.stderr
+
+
+def test_a_study_of_fewer_sets_than_asked_for_says_why(run: Run, api: RunningApi, ended: str) -> None:
+    options = ("--steps", "1", "--samples", "1", "--solutions", "1000")
+    few = run("robustness", ended, *options)
+    assert few.stdout.splitlines()[-1].endswith(
+        "have the best objective; --within 0.5 takes those that are lower by up to 0.5, too"
+    )
+    study = api.http.get("/api/v1/campaigns?limit=1").json()["items"][0]["id"]
+    more = run("robustness", study, *options, "--within", "7")
+    assert len(more.stdout.splitlines()) > len(few.stdout.splitlines())
+    assert api.http.get("/api/v1/campaigns?limit=1").json()["items"][0]["name"] == "searched (robustness)"
+
+
 def test_validate_shows_tables_1_and_2(run: Run, api: RunningApi, ended: str) -> None:
     result = run("validate", ended, "--samples", "10", "--references", "4")
     assert result.exit_code == 0, result.output

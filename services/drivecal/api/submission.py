@@ -151,7 +151,7 @@ def _changed(first: StoredCampaign, used: StoredInfluenceMap | None, changes: Re
     """
     document = dict(first.spec)
     document["weights"] = dict(changes.weights)
-    document["name"] = changes.name or f"{first.name[:190]} (rerun)"
+    document["name"] = changes.name or f"{first.name.removesuffix(' (rerun)')[:190]} (rerun)"
     for section in ("optimizer", "reduction"):
         given: BaseModel | None = getattr(changes, section)
         if given is not None:

@@ -11,7 +11,7 @@ from drivecal.cli import compared
 from drivecal.cli.commands import CampaignArgument, JsonOption, UrlOption, app, connect, full_id
 from drivecal.cli.compared import MadeStudy
 from drivecal.cli.output import parameters_text, print_columns, print_json
-from drivecal.cli.studies import BENCH, Wanted, known, make, wanted_of
+from drivecal.cli.studies import BENCH, Wanted, known, make, specification, wanted_of
 from drivecal.client.client import Client
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.studies import RobustnessRow
@@ -22,6 +22,10 @@ from drivecal.domain.errors import ConflictError
 def robustness(
     identifier: CampaignArgument,
     solutions: Annotated[int | None, typer.Option(min=1, max=1000, help="The most sets that are examined; else 20.")] = None,
+    within: Annotated[
+        float | None,
+        typer.Option(min=0, max=7, help="Examine sets whose objective is lower by no more than this, too; else 0."),
+    ] = None,
     delta: Annotated[
         float | None, typer.Option(help="Half the width of the first box, in shares of the vehicle's ranges; else 0.01.")
     ] = None,
@@ -43,6 +47,7 @@ def robustness(
         raise typer.BadParameter("name a vehicle model or another campaign, not both")
     given = {
         "solutions": solutions,
+        "within": within,
         "delta": delta,
         "steps": steps,
         "samples": samples,
@@ -53,21 +58,27 @@ def robustness(
     with connect(url) as client:
         campaign = client.campaign(full_id(client, identifier))
         wanted = wanted_of(campaign, "robustness", given)
+        other = None if compare is None else _study_of(client, client.campaign(full_id(client, compare)))
         maker = None if again else known(client, campaign, wanted)
         if maker is None:
-            settings = {**wanted.settings, "of": _source(campaign)}
-            maker = make(client, campaign, "robustness", {"robustness": settings})
-        here, there = _study(client, maker), None
+            stages = {"robustness": {**wanted.settings, "of": _source(campaign)}}
+            if vehicle is not None:  # a name that is none is refused before anything is driven
+                there = {"vehicle": campaign.spec["vehicle"] | {"model": vehicle}}
+                client.expected_runs(specification(campaign, "robustness", stages | there))
+            maker = make(client, campaign, "robustness", stages)
+        here = _study(client, maker)
         if vehicle is not None:
-            there = _study(client, _in_another_vehicle(client, campaign, maker, vehicle, again=again))
-        elif compare is not None:
-            there = _study(client, _study_of(client, client.campaign(full_id(client, compare))))
+            other = _in_another_vehicle(client, campaign, maker, vehicle, again=again)
+        beside = None if other is None else _study(client, other)
     if as_json:
-        print_json([row.model_dump(mode="json") for row in here.rows] if there is None else compared.document(here, there))
-    elif there is None:
+        print_json([row.model_dump(mode="json") for row in here.rows] if beside is None else compared.document(here, beside))
+        return
+    if beside is None:
         print_robustness(here.rows)
     else:
-        compared.print_difference(here, there)
+        compared.print_difference(here, beside)
+    if hint := few_text(here):
+        typer.echo(hint)
 
 
 def _source(campaign: Campaign) -> str:
@@ -94,6 +105,18 @@ def _study_of(client: Client, campaign: Campaign) -> Campaign:
 
 def _study(client: Client, maker: Campaign) -> MadeStudy:
     return MadeStudy(maker, client.setup(maker.id), client.robustness(maker.id))
+
+
+def few_text(study: MadeStudy) -> str:
+    """Why fewer sets were examined than asked for, and what would take more; empty where it is so many."""
+    wanted = study.maker.spec.get("robustness") or {}
+    count, within = len(study.rows), wanted.get("within") or 0
+    if not count or wanted.get("sets") or count >= wanted.get("solutions", 0):
+        return ""
+    sets = "only 1 set has" if count == 1 else f"only {count} sets have"
+    if within:
+        return f"{sets} an objective within {within:g} of the best; a larger --within takes more"
+    return f"{sets} the best objective; --within 0.5 takes those that are lower by up to 0.5, too"
 
 
 def print_robustness(rows: Sequence[RobustnessRow]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -18,6 +19,7 @@ STAGES = ("optimizer", "sensitivity", "robustness", "validation")
 Stage = Literal["robustness", "validation"]
 BENCH = ("catalogue", "weights", "driving_function", "vehicle", "evaluator")
 """What a study shares with the campaign whose sets or map it is about, unless something else is asked for."""
+_STUDIES = re.compile(r"( \((robustness|validation)( in [^()]*)?\))+$")
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,11 +55,15 @@ def known(client: Client, campaign: Campaign, wanted: Wanted) -> Campaign | None
     return None
 
 
+def specification(campaign: Campaign, study: str, stages: Mapping[str, Any]) -> dict[str, Any]:
+    """Of a campaign like the given one that makes the study alone. A study of a study is named as one of what both are about."""
+    name = f"{_STUDIES.sub('', campaign.name)[:180]} ({study})"
+    return {**campaign.spec, **dict.fromkeys(STAGES), **stages, "name": name}
+
+
 def make(client: Client, campaign: Campaign, study: str, stages: Mapping[str, Any]) -> Campaign:
-    """A campaign like the given one that makes the study alone, followed to its end."""
-    specification = {**campaign.spec, **dict.fromkeys(STAGES), **stages}
-    specification["name"] = f"{campaign.name[:180]} ({study})"
-    made = client.submit(specification)
+    """The campaign of `specification`, followed to its end."""
+    made = client.submit(specification(campaign, study, stages))
     tell(f"campaign {made.id} makes the study")
     ended = follow(client, made.id)
     if CampaignState(ended.state) is not CampaignState.SUCCEEDED:
