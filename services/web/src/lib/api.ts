@@ -1,5 +1,7 @@
 /** What the page asks the server. Every path is relative to `/api/v1`. */
 
+import type { FieldProblem } from "./problems";
+
 export const ROOT = "/api/v1";
 
 /** A refusal, in the words of the server (RFC 9457). */
@@ -11,12 +13,6 @@ export class Refusal extends Error {
   ) {
     super(detail);
   }
-}
-
-export interface FieldProblem {
-  field: string;
-  problem: string;
-  expected?: string;
 }
 
 let refused: () => void = () => undefined;

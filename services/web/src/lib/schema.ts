@@ -1,5 +1,7 @@
 /** Forms from the API's own description: what a JSON schema says of a value, as a field for it. */
 
+import { Broken } from "./problems";
+
 export interface Schema {
   $ref?: string;
   type?: string;
@@ -69,14 +71,15 @@ export function describe(given: Schema, definitions: Definitions): Described {
 }
 
 /** Words and numbers as people write them, `100, 200`; JSON where it is any, for lists that hold more than that. */
-export function writtenList(text: string): unknown[] | undefined {
+export function writtenList(text: string): unknown[] | Broken | undefined {
   if (text.trim() === "") return undefined;
-  const found = text.trim().startsWith("[") ? written(text) : undefined;
-  if (Array.isArray(found)) return found;
+  const found = /^\s*[[{]/.test(text) ? written(text) : undefined;
+  if (Array.isArray(found) || found instanceof Broken) return found;
   return text.split(",").map((part) => part.trim()).filter(Boolean).map(written);
 }
 
 export function listText(value: unknown): string {
+  if (value instanceof Broken) return value.text;
   if (!Array.isArray(value)) return "";
   return value.some((one) => typeof one === "object") ? JSON.stringify(value) : value.join(", ");
 }
@@ -86,13 +89,13 @@ export function others(value: Readonly<Record<string, unknown>>, schema: Schema)
   return Object.fromEntries(Object.entries(value).filter(([name]) => !(name in (schema.properties ?? {}))));
 }
 
-/** What somebody wrote where several kinds of values may stand: JSON where it is any, else a word. */
+/** What somebody wrote where several kinds of values may stand: JSON where it is any, else a word; what begins as JSON has to be it. */
 export function written(text: string): unknown {
   if (text.trim() === "") return undefined;
   try {
     return JSON.parse(text) as unknown;
-  } catch {
-    return text;
+  } catch (error) {
+    return /^\s*[[{]/.test(text) ? new Broken(text, error instanceof Error ? error.message : String(error)) : text;
   }
 }
 

@@ -1,0 +1,43 @@
+/** What is wrong with a form: what the API says of its fields, and JSON that is none. */
+
+export interface FieldProblem {
+  /** `optimizer.population`, `parameters[0].lower`; empty where it is about all of it. */
+  field: string;
+  message: string;
+  remedy: string;
+}
+
+/** What stands in a field that ought to be JSON and cannot be read; it is never sent. */
+export class Broken {
+  constructor(
+    readonly text: string,
+    readonly reason: string,
+  ) {}
+
+  toJSON(): string {
+    return this.text;
+  }
+}
+
+/** What is wrong and what would be right, as one sentence. */
+export function said(problem: FieldProblem): string {
+  return [problem.message, problem.remedy].filter(Boolean).join("; ");
+}
+
+/** Whether a problem is about something inside the field at `path`. */
+export function inside(problem: FieldProblem, path: string): boolean {
+  return problem.field.startsWith(`${path}.`) || problem.field.startsWith(`${path}[`);
+}
+
+/** What to say at the field of `path`: what is about itself and, where it has no `fields` of its own, what is about anything inside it. */
+export function at(problems: readonly FieldProblem[], path: string, fields = false): string[] {
+  return problems.flatMap((one) => (one.field === path ? [said(one)] : !fields && inside(one, path) ? [`${one.field.slice(path.length).replace(/^\./, "")}: ${said(one)}`] : []));
+}
+
+/** The fields of a form in which no JSON stands where there ought to be. */
+export function brokenIn(value: unknown, path = ""): FieldProblem[] {
+  if (value instanceof Broken) return [{ field: path, message: `this is no valid JSON: ${value.reason}`, remedy: "what begins with [ or { has to be complete" }];
+  if (Array.isArray(value)) return value.flatMap((one, place) => brokenIn(one, `${path}[${place}]`));
+  if (typeof value !== "object" || value === null) return [];
+  return Object.entries(value).flatMap(([name, one]) => brokenIn(one, path === "" ? name : `${path}.${name}`));
+}
