@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from drivecal.contracts.explanation import Difference, Explanation, Proof, Reference
 from drivecal.storage.audits import AuditCount
 
+_SAME = "it takes equal parameter sets, and runs that a certificate proves to be the same, only"
+
 
 def sentence(one: Explanation, stop: tuple[int, AuditCount] | None = None) -> str:
     """What an explanation says, in a few sentences. `stop`: after which iteration and by which audits reuse was stopped."""
@@ -48,9 +50,9 @@ def _reason(one: Explanation, stop: tuple[int, AuditCount] | None) -> str:
         case "off":
             return f"{beginning}: reuse is off in this campaign (reduction.mode: off)."
         case "study":
-            return f"{beginning}: the study is about what simulations give, so it takes equal parameter sets only."
+            return f"{beginning}: the study is about what simulations give, so {_SAME}."
         case "analysis":
-            return f"{beginning}: the sensitivity analysis makes the map that reuse rests on, so it takes equal parameter sets only."
+            return f"{beginning}: the sensitivity analysis makes the map that reuse rests on, so {_SAME}."
 
 
 def _proven(proof: Proof, one: Explanation) -> str:
