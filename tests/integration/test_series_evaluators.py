@@ -82,16 +82,16 @@ def test_runs_are_simulated_again_for_it_once_and_nothing_is_for_who_rates_by_me
     assert asked > 100
     assert again.cells.unrepeatable == 0
     [note] = again.notes
-    assert "stored runs that seeing 1 did not rate at first" in note
+    assert "stored runs of these setups that seeing 1 did not rate at first" in note
     assert "are rated by what is stored of them" in note, "the failed ones"
-    assert "simulated again where they are asked for: it needs their time series" in note
+    assert "cannot be used (it needs their time series, which is not stored); they cost nothing but where" in note
     third = rerun(database, again, "seeing", ComputedBackend(answer=seen))
     assert third.influence_map_id == again.influence_map_id
     assert third.cells.simulated == third.cells.failed == 0, "the same search on the same ratings"
     assert third.best is not None
     assert again.best is not None
     assert third.best.objective == again.best.objective
-    assert "were simulated again for it before" in third.notes[0]
+    assert "were simulated again for it by earlier campaigns" in third.notes[0]
     back = rerun(database, again, "reference", ComputedBackend(answer=influenced))
     assert back.sensitivity_cells.simulated == 0
     assert back.best == first.best

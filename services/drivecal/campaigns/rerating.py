@@ -75,13 +75,20 @@ def note_of(database: Database, view: View) -> str | None:
     if found.anew:
         parts.append(f"{found.anew:,} are rated by what is stored of them, without a simulation")
     if found.again:
-        parts.append(f"{found.again:,} were simulated again for it before")
+        parts.append(f"{found.again:,} were simulated again for it by earlier campaigns")
     if found.missing:
         lacking = "it needs their time series, which is not stored"
         if not isinstance(bench.evaluator, SeriesEvaluator):
             lacking = "they lack metrics that it asks for"
-        parts.append(f"{found.missing:,} are simulated again where they are asked for: {lacking}")
-    return f"stored runs that {bench.evaluator_id} did not rate at first: {'; '.join(parts)}" if parts else None
+        parts.append(
+            f"{found.missing:,} cannot be used ({lacking}); they cost nothing but where this campaign asks for the same cells, "
+            "which are then simulated again"
+        )
+    if not parts:
+        return None
+    every = found.anew + found.again + found.missing
+    count = "1 stored run" if every == 1 else f"{every:,} stored runs"
+    return f"all campaigns together left {count} of these setups that {bench.evaluator_id} did not rate at first: {'; '.join(parts)}"
 
 
 def _rating(evaluator: Evaluator, manoeuvre: Manoeuvre, run: UnratedRun) -> Rating | None:
