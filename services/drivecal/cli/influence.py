@@ -18,6 +18,7 @@ from drivecal.sensitivity.agreement import Agreement, Pair, agreement
 
 WIDTH = 20
 """Characters of the picture of a parameter's range."""
+_NONE = "0.000"
 
 
 @dataclass(frozen=True)
@@ -64,6 +65,8 @@ def print_influence(rows: Sequence[InfluenceRow], basis: Mapping[str, Any] | Non
         unknown = "  unknown: no run scored above 0, so everything counts as influential" if _tells_nothing(listed) else ""
         typer.echo(f"\n{scenario}{unknown}")
         print_columns(header, [_line(row, measured) for row in listed])
+    for line in decided_text(rows):
+        typer.echo(f"\n{line}")
     if basis is not None:
         typer.echo(f"\n{_rests_on(basis)}")
         typer.echo("\nThe smallest s_rel that is not 0; a threshold below it means any change at all:\n")
@@ -103,9 +106,32 @@ def _line(row: InfluenceRow, measured: bool) -> list[object]:
     answer = "unknown" if row.unknown else "yes" if row.influential else "no"
     line: list[object] = [row.parameter, answer, row.lower, row.upper, row.unit, picture(row)]
     if measured:
-        largest = max((value for value in row.s_rel_intervals or [] if value is not None), default=None)
-        line += [_short(value) for value in (row.mu, row.sigma, row.mu_star, largest)]
+        line += [_short(value) for value in (row.mu, row.sigma, row.mu_star, _largest(row))]
     return line
+
+
+def decided_text(rows: Sequence[InfluenceRow]) -> list[str]:
+    """Which rows seem to contradict the intervals' largest s_rel, and what decided: a line each for either way."""
+    known = [(row, largest) for row in rows if not row.unknown and (largest := _largest(row)) is not None]
+    overruled = [(row.scenario, row.parameter) for row, largest in known if not row.influential and _short(largest) != _NONE]
+    added = [(row.scenario, row.parameter) for row, largest in known if row.influential and _short(largest) == _NONE]
+    lines = []
+    if overruled:
+        lines.append(
+            f"Not influential, though an interval has an s_rel above 0: {_listed(overruled)}.\nThe final analysis, in which all parameters "
+            "stay where they matter, showed no effect of them that counts. It decides."
+        )
+    if added:
+        lines.append(
+            f"Influential, though no interval has an s_rel above 0: {_listed(added)}.\nA later analysis, over more than one interval, "
+            "showed an effect of them. It decides."
+        )
+    return lines
+
+
+def _largest(row: InfluenceRow) -> float | None:
+    """The largest s_rel of its intervals."""
+    return max((value for value in row.s_rel_intervals or [] if value is not None), default=None)
 
 
 def _short(value: float | None) -> str | None:
