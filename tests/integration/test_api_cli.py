@@ -49,8 +49,8 @@ def test_submit_says_how_to_follow_and_list_shows_it(run: Run) -> None:
     assert "drivecal watch" in result.stderr
     identifier = result.stdout.split()[1]
     lines = run("list", "--limit", "1").stdout.splitlines()
-    assert lines[0].split() == ["id", "state", "created", "requested", "simulated", "saved", "best", "name"]
-    assert lines[1].startswith(f"{identifier}  queued")
+    assert lines[0].split() == ["id", "state", "kind", "created", "requested", "simulated", "saved", "best", "name"]
+    assert lines[1].startswith(f"{identifier}  queued  calibration  ")
     assert lines[1].endswith("from a pipe")
 
 
@@ -105,6 +105,7 @@ def test_a_prefix_of_several_ids_is_not_found(run: Run) -> None:
 def test_steering_a_campaign(run: Run, submitted: str) -> None:
     assert json.loads(run("pause", submitted, "--json").stdout)["state"] == "paused"
     assert json.loads(run("resume", submitted, "--json").stdout)["state"] == "queued"
+    assert "was queued already: there was nothing to resume" in run("resume", submitted).stderr
     assert "cancelled" in run("cancel", submitted).stdout
     assert run("cancel", submitted).exit_code == 0
     late = run("pause", submitted)
@@ -244,6 +245,11 @@ def test_influence_maps_are_posted_listed_and_shown(run: Run, tmp_path: Path) ->
     posted = json.loads(run("influence-maps", "post", str(file), "--json").stdout)
     assert posted["id"] in run("influence-maps", "list").stdout
     assert "P1         yes            -10    3.5  dB" in run("influence-maps", "show", posted["id"]).stdout
+    named = "sensitivity: {{map: {}}}\nrobustness: {{of: nobody}}\noptimizer: null\n"
+    short = run("submit", "-", "--dry-run", stdin=named.format(posted["id"][:12]))
+    assert "robustness.of: there is no campaign 'nobody'; `drivecal list` lists what there is" in short.stderr
+    unknown = run("submit", "-", "--dry-run", stdin=named.format("nowhere"))
+    assert "`drivecal influence-maps list` lists what there is" in unknown.stderr
     file.write_text("scenarios: {S1: {P1: {lower: -10.2}}}\n")
     refused = run("influence-maps", "post", str(file))
     assert refused.exit_code == 2

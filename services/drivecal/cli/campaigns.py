@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated
 
 import typer
 
 from drivecal.cli.accounts import pays_text, print_accounting, print_error_rates, print_narrowed
-from drivecal.cli.commands import CampaignArgument, ExitCode, JsonOption, UrlOption, app, code_of_state, connect, full_id, tell
+from drivecal.cli.commands import (
+    CampaignArgument,
+    ExitCode,
+    JsonOption,
+    UrlOption,
+    app,
+    code_of_state,
+    connect,
+    full_id,
+    tell,
+    with_full_ids,
+)
 from drivecal.cli.comparisons import comparison_document, print_comparison
 from drivecal.cli.documents import read_document
 from drivecal.cli.output import print_campaign, print_columns, print_json, saved, when
@@ -19,6 +31,9 @@ from drivecal.domain.campaigns import CampaignState
 
 WaitOption = Annotated[bool, typer.Option("--wait", help="Show the progress until the campaign has ended.")]
 TimeoutOption = Annotated[float | None, typer.Option(min=0, help="Seconds to wait at most; exit status 6 when they are over.")]
+
+_DONE: Mapping[Action, tuple[str, ...]] = {"pause": ("paused",), "resume": ("queued", "running"), "cancel": ("cancelled",)}
+"""The states in which nothing is left to do."""
 
 DryRunOption = Annotated[bool, typer.Option("--dry-run", help="Check the file and count the runs, submit nothing.")]
 
@@ -35,6 +50,7 @@ def submit(
     """Submit a campaign."""
     specification = read_document(file)
     with connect(url) as client:
+        specification = with_full_ids(client, specification)
         if dry_run:
             _print_expected(client.expected_runs(specification), as_json)
         else:
@@ -79,7 +95,7 @@ def list_campaigns(
     if as_json:
         print_json(page)
         return
-    header = ["id", "state", "created", "requested", "simulated", "saved", "best", "name"]
+    header = ["id", "state", "kind", "created", "requested", "simulated", "saved", "best", "name"]
     print_columns(header, [_row(campaign) for campaign in page.items])
     if page.next_cursor:
         tell(f"there are more than {limit}; see them with --limit")
@@ -123,7 +139,11 @@ def cancel(identifier: CampaignArgument, url: UrlOption = None, as_json: JsonOpt
 
 def _act(identifier: str, action: Action, url: str | None, as_json: bool) -> None:
     with connect(url) as client:
-        _print_whole(client, client.act(full_id(client, identifier), action), as_json)
+        before = client.campaign(full_id(client, identifier))
+        after = client.act(before.id, action)
+        if before.state in _DONE[action] and before.requested_action is None:
+            tell(f"campaign {before.id} was {before.state} already: there was nothing to {action}")
+        _print_whole(client, after, as_json)
 
 
 def submitted(client: Client, campaign: Campaign, wait: bool, timeout: float | None, as_json: bool) -> None:
@@ -177,6 +197,16 @@ def _print_expected(expected: ExpectedRuns, as_json: bool) -> None:
         typer.echo(f"note: {note}")
 
 
+def kind_text(campaign: Campaign) -> str:
+    """What a campaign does: `calibration`, `comparison`, `analysis`, or the study that it makes and in which vehicle."""
+    spec = campaign.spec
+    if campaign.kind != "calibration" or not spec or spec.get("optimizer") is not None:
+        return campaign.kind
+    studies = [stage for stage in ("robustness", "validation") if spec.get(stage)]
+    vehicle = (spec.get("vehicle") or {}).get("model")
+    return ", ".join([" + ".join(studies), *([vehicle] if vehicle else [])]) if studies else "analysis"
+
+
 def _row(campaign: Campaign) -> list[object]:
     cells = campaign.cells
     best = "-" if campaign.best is None else f"{campaign.best.objective:.3f}"
@@ -184,6 +214,7 @@ def _row(campaign: Campaign) -> list[object]:
     return [
         campaign.id,
         campaign.state,
+        kind_text(campaign),
         when(campaign.created_at),
         cells.requested,
         cells.simulated,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Sequence
 from enum import IntEnum
@@ -48,6 +49,16 @@ ORDER = (
     *("explain", "influence", "influence-maps", "robustness", "validate", "compare-optimizers", "evaluate", "workers", "db"),
 )
 """In which the help lists the commands."""
+
+
+_COMMANDS = (
+    (r"\bGET /api/v1/influence-maps\b(?!/)", "`drivecal influence-maps list`"),
+    (r"\bGET /api/v1/campaigns\b(?!/)", "`drivecal list`"),
+    (r"\bGET /api/v1/evaluations/(\w+)", r"`drivecal show \1`"),
+    (r"\bPOST /api/v1/comparisons\b(?!/)", "`drivecal compare-optimizers`"),
+    (r"\bpost another one to /api/v1/evaluations\b", "make another one with `drivecal evaluate`"),
+)
+"""What the server's hints to its callers are as commands."""
 
 
 class Commands(TyperGroup):
@@ -111,7 +122,10 @@ def code_of_state(state: str) -> ExitCode:
 
 def complain(error: DrivecalError) -> None:
     """Says on stderr what is wrong, one line per problem."""
-    for line in str(error).splitlines():
+    text = str(error)
+    for call, command in _COMMANDS:
+        text = re.sub(call, command, text)
+    for line in text.splitlines():
         typer.echo(f"drivecal: {line}", err=True)
 
 
@@ -139,6 +153,16 @@ def full_map_id(client: Client, identifier: str) -> str:
     if len(identifier) >= 32 or not identifier:
         return identifier
     return _beginning("influence map", [one.id for one in client.influence_maps(limit=200).items], identifier)
+
+
+def with_full_ids(client: Client, specification: dict[str, Any]) -> dict[str, Any]:
+    """A campaign's or a comparison's specification, in which the map and the campaign that it may name are not abbreviated."""
+    found = dict(specification)
+    for section, name, resolved in (("sensitivity", "map", full_map_id), ("robustness", "of", full_id)):
+        settings = found.get(section)
+        if isinstance(settings, dict) and isinstance(settings.get(name), str):
+            found[section] = {**settings, name: resolved(client, settings[name])}
+    return found
 
 
 def _beginning(kind: str, ids: Sequence[str], identifier: str) -> str:

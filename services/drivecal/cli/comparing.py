@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from drivecal.cli.campaigns import DryRunOption, TimeoutOption, WaitOption, submitted
-from drivecal.cli.commands import JsonOption, UrlOption, app, connect
+from drivecal.cli.commands import JsonOption, UrlOption, app, connect, with_full_ids
 from drivecal.cli.comparisons import print_expected
 from drivecal.cli.documents import read_document
 from drivecal.cli.output import print_json
@@ -25,6 +25,7 @@ def compare_optimizers(
     """Calibrate one problem with several optimizers, populations, seeds and reductions, and compare what they found."""
     specification = read_document(file)
     with connect(url) as client:
+        specification = with_full_ids(client, specification)
         if not dry_run:
             submitted(client, client.compare(specification), wait, timeout, as_json)
         elif as_json:

@@ -21,6 +21,7 @@ from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.events import CampaignEvent
 
 SECONDS_BETWEEN_LINES = 5.0
+_DEGRADED = "degraded: "
 
 
 class Reporter(AbstractContextManager["Reporter"], Protocol):
@@ -76,6 +77,8 @@ class Lines:
         self._clock = clock
         self._last: tuple[str, str | None] | None = None
         self._at = 0.0
+        self._degraded: str | None = None
+        """The degraded state that the line before told of."""
 
     def __enter__(self) -> Self:
         return self
@@ -91,11 +94,17 @@ class Lines:
         self._last, self._at = kind, now
         progress = campaign.progress
         done = f"  {progress.done:,}/{progress.total:,} cells" if progress.total else ""
-        typer.echo(f"{_where(campaign)}{done}  {_detail(campaign)}".rstrip(), err=True)
+        known = campaign.degraded is not None and campaign.degraded == self._degraded
+        shown = campaign.model_copy(update={"degraded": None}) if known else campaign
+        typer.echo(f"{_where(campaign)}{done}  {_detail(shown)}".rstrip(), err=True)
+        self._degraded = shown.degraded
 
     def tell(self, text: str) -> None:
-        """Writes the line among the others."""
-        typer.echo(text, err=True)
+        """Writes the line among the others, unless the one before said as much."""
+        reason = text.removeprefix(_DEGRADED) if text.startswith(_DEGRADED) else None
+        if reason is None or reason != self._degraded:
+            typer.echo(text, err=True)
+        self._degraded = reason
 
 
 def reporter() -> Reporter:
@@ -159,5 +168,5 @@ def _detail(campaign: Campaign) -> str:
     if campaign.progress.eta_seconds is not None and campaign.state == "running":
         parts.append(f"{duration(campaign.progress.eta_seconds)} left")
     if campaign.degraded:
-        parts.append(f"degraded: {campaign.degraded}")
+        parts.append(f"{_DEGRADED}{campaign.degraded}")
     return "  ".join(parts)

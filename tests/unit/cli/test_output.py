@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 from typer.testing import CliRunner
 
+from drivecal.cli.campaigns import kind_text
 from drivecal.cli.main import app
 from drivecal.cli.output import cells_text, duration, print_campaign, print_columns, saved
 from drivecal.cli.watching import Lines
@@ -83,6 +86,35 @@ def test_without_a_terminal_a_line_appears_now_and_then(capsys: pytest.CaptureFi
         "calibration 3/10  5/10 cells  simulated 44  repeated 6  reused 9  failed 1",
         "succeeded",
     ]
+
+
+def test_a_degraded_state_is_not_said_twice_in_a_row(capsys: pytest.CaptureFixture[str]) -> None:
+    clock = iter([0.0, 9.0, 18.0])
+    lines = Lines(lambda: next(clock))
+    away = Campaign(id="0" * 32, name="mine", state="queued", degraded="nobody works")
+    lines.show(away)
+    lines.tell("degraded: nobody works")
+    lines.show(away)
+    lines.show(away)
+    assert capsys.readouterr().err.splitlines() == [
+        "queued  degraded: nobody works",
+        "queued",
+        "queued  degraded: nobody works",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("given", "text"),
+    [
+        ({"kind": "comparison"}, "comparison"),
+        ({"spec": {"optimizer": {"kind": "genetic"}, "robustness": {"delta": 0.01}}}, "calibration"),
+        ({"spec": {"optimizer": None, "sensitivity": {"samples": 2}}}, "analysis"),
+        ({"spec": {"optimizer": None, "robustness": {"delta": 0.01}, "vehicle": {"model": "hybrid"}}}, "robustness, hybrid"),
+        ({"spec": {}}, "calibration"),
+    ],
+)
+def test_the_list_says_what_a_campaign_does(given: dict[str, Any], text: str) -> None:
+    assert kind_text(Campaign(id="0" * 32, name="mine", state="queued", **given)) == text
 
 
 def test_version_and_usage() -> None:
