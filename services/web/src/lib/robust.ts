@@ -37,3 +37,16 @@ export function condition(settings: Readonly<Record<string, unknown>>): string {
   if (settings["condition"] === "per_factor") return `each factor's mean change below ${eta}`;
   return `no score changes by more than ${eta}`;
 }
+
+/** The sets of two studies, each with its row in either: those of the first in their order, then those that only the other has. */
+export function sideBySide(rows: readonly RobustRow[], others: readonly RobustRow[]): { one: RobustRow | null; other: RobustRow | null }[] {
+  const key = (row: RobustRow): string => JSON.stringify(Object.entries(row.parameters).sort(([a], [b]) => a.localeCompare(b)));
+  const known = new Map(others.map((row) => [key(row), row]));
+  const mine = new Set(rows.map(key));
+  return [...rows.map((one) => ({ one, other: known.get(key(one)) ?? null })), ...others.filter((other) => !mine.has(key(other))).map((other) => ({ one: null, other }))];
+}
+
+/** A degree that may only be known from below. */
+export function degreeText(row: RobustRow | null): string {
+  return row === null ? "–" : `${row.at_least ? "≥ " : ""}${row.degree}`;
+}

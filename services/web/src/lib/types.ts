@@ -282,6 +282,7 @@ export interface RobustRow {
   reason: string | null;
   region: number;
   to_worse: number | null;
+  parameters: Record<string, number>;
   trials: BoxTrial[];
 }
 

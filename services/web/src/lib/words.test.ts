@@ -1,6 +1,6 @@
 import { expect, test } from "vitest";
 import type { Moving } from "./types";
-import { eventLine, parts, sentence, stagesOf } from "./words";
+import { eventLine, leadingStage, parts, sentence, stagesOf } from "./words";
 
 const moving: Moving = {
   state: "running", requested_action: null, degraded: null, stage: "calibration", iteration: 3, progress: { done: 1, total: 2, eta_seconds: null },
@@ -21,6 +21,8 @@ test("a sentence says what is going on, and what was asked for first", () => {
 
 test("only stages that asked for anything are shown", () => {
   expect(stagesOf(moving)).toEqual(["calibration"]);
+  const study = { ...moving, stage: null, cells: { ...moving.cells, proposed: 0 }, robustness_cells: { proposed: 5 } };
+  expect([leadingStage(moving), leadingStage(study)]).toEqual(["calibration", "robustness"]);
 });
 
 test("an event that is not known is told by its name", () => {

@@ -42,6 +42,12 @@ export function stagesOf(campaign: Moving): string[] {
   return Object.keys(STAGES).filter((stage) => (cellsOf(campaign, stage).proposed ?? 0) > 0 || campaign.stage === stage);
 }
 
+/** The stage by which a campaign is told in a line: the search, else what it does now, else what it did last. */
+export function leadingStage(campaign: Moving): string {
+  if (campaign.cells.proposed > 0) return "calibration";
+  return campaign.stage ?? stagesOf(campaign).at(-1) ?? "calibration";
+}
+
 /** What `requested` is made of; the sum of all parts and `pending` is what was asked for altogether. */
 export function parts(cells: Partial<Cells>): { outcome: Outcome; cells: number }[] {
   return OUTCOMES.map((outcome) => ({ outcome, cells: cells[outcome] ?? 0 }));
