@@ -16,7 +16,7 @@ from drivecal.contracts.specification import (
     SeparateThresholds,
     VehicleSpecification,
 )
-from drivecal.contracts.validation import problem
+from drivecal.contracts.validation import nearest, problem
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.parameters import ParameterSet, ParameterSpace
 from drivecal.domain.scenarios import Scenario
@@ -90,8 +90,8 @@ def choose_optimizer(specification: CampaignSpecification, findings: Findings) -
         for detail in error.errors(include_url=False):
             field = ".".join(["optimizer", *(str(part) for part in detail["loc"])])
             if detail["type"] == "extra_forbidden":
-                known = ", ".join(plugin.settings.model_fields)
-                findings.add(field, f"{plugin.name} has no such setting", f"one of {known}")
+                remedy = nearest(str(detail["loc"][-1]), list(plugin.settings.model_fields))
+                findings.add(field, f"{plugin.name} has no such setting", remedy)
             else:
                 findings.problems.append(problem(field, detail))
         return None

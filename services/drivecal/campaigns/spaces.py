@@ -93,11 +93,12 @@ def search_space(specification: CampaignSpecification, function: DrivingFunction
             _exact(value, where, findings)
             _within_limits(function, name, value, where, findings)
         fixed[name] = value
-    for name in names:
-        if name not in by_name and name not in fixed:
-            findings.add(
-                f"fixed.{name}", f"{function.name} needs a value of {name}", "list it in `parameters` or hold it in `fixed`"
-            )
+    missing = [name for name in names if name not in by_name and name not in fixed]
+    if missing:
+        one = len(missing) == 1
+        needed = f"{function.name} needs {'a value' if one else 'values'} of {', '.join(missing)}"
+        it = "it" if one else "them"
+        findings.add(f"fixed.{missing[0]}" if one else "fixed", needed, f"list {it} in `parameters` or hold {it} in `fixed`")
     if by_name and set(by_name) <= set(fixed):
         findings.add("fixed", "every parameter is held, so there is nothing to search", "leave at least one parameter free")
     if findings.problems:

@@ -130,7 +130,7 @@ def _merged(located: Sequence[tuple[tuple[int | str, ...], Detail]], model: type
     for path, detail in located:
         if not _is_type(detail):
             if detail["type"] == "extra_forbidden":
-                remedy = _nearest(str(path[-1]), _known(model, path[:-1]))
+                remedy = nearest(str(path[-1]), _known(model, path[:-1]))
                 merged.append(Problem(field_name(path), "there is no such field", remedy))
             else:
                 merged.append(problem(field_name(path), detail))
@@ -186,7 +186,8 @@ def _inner_model(annotation: Any) -> type[BaseModel] | None:
     return next((found for found in map(inner, get_args(annotation)) if found is not None), None)
 
 
-def _nearest(name: str, known: Sequence[str]) -> str:
+def nearest(name: str, known: Sequence[str]) -> str:
+    """The remedy for a misspelt name: the known one that it resembles most, or all of them."""
     close = get_close_matches(name, known, n=1)
     return f"did you mean {close[0]}?" if close else f"known are {', '.join(known)}"
 

@@ -77,6 +77,7 @@ def test_a_weight_of_zero_leaves_the_scenario_out_and_says_so() -> None:
         ({"sensitivity": None, "optimizer": None}, "optimizer", "nothing to do"),
         ({"fixed": {"P9": 5.05}}, "fixed.P9", "5 or 5.1"),
         ({"fixed": {"P99": 5}}, "fixed.P99", "P11"),
+        ({"optimizer": {"selektion": 0.5}}, "optimizer.selektion", "did you mean selection?"),
         ({"fixed": MIDDLE}, "fixed", "nothing to search"),
         ({"baseline": {"P1": 0.5}}, "baseline.P2", "missing"),
         ({"baseline": MIDDLE | {"P1": 99}}, "baseline.P1", "-15 to 14"),
@@ -94,7 +95,10 @@ def test_all_problems_are_reported_at_once() -> None:
 
 def test_a_list_of_parameters_needs_a_value_for_every_other_one() -> None:
     found = _problems(parameters=[{"name": "P1", "lower": 0, "upper": 1, "step": 0.5}], fixed={"P2": 1})
-    assert set(found) == {f"fixed.P{i}" for i in range(3, 12)}
+    assert set(found) == {"fixed"}
+    assert "P3, P4, P5, P6, P7, P8, P9, P10, P11; list them" in found["fixed"]
+    held = {f"P{number}": 1 for number in range(2, 11)}
+    assert set(_problems(parameters=[{"name": "P1", "lower": 0, "upper": 1, "step": 0.5}], fixed=held)) >= {"fixed.P11"}
 
 
 def test_a_single_evaluation_takes_values_between_the_grid_points() -> None:
