@@ -126,6 +126,7 @@ def test_validate_shows_tables_1_and_2(run: Run, api: RunningApi, ended: str) ->
     lines = result.stdout.splitlines()
     assert lines[0].split()[:5] == ["scenario", "n", "n*_LHS", "n_ref", "compared"]
     assert [line.split()[0] for line in lines[1:3]] == ["S1", "S2"]
+    assert "had another score" in lines[3]
     newest = api.http.get("/api/v1/campaigns?limit=1").json()["items"][0]["id"]
     rows = json.loads(run("validate", newest, "--json").stdout)
     assert rows[0]["different"] > 0  # the map is wrong, and is shown to be

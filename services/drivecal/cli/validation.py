@@ -12,6 +12,7 @@ from drivecal.cli.output import print_columns, print_json
 from drivecal.cli.studies import known, make, wanted_of
 from drivecal.contracts.studies import ValidationRow
 from drivecal.domain.errors import ConflictError
+from drivecal.report.errors import errors_text
 
 
 @app.command()
@@ -62,6 +63,9 @@ def print_validation(rows: Sequence[ValidationRow]) -> None:
             for row in rows
         ],
     )
+    compared, different, wrong = (sum(getattr(row, name) for row in rows) for name in ("compared", "different", "wrong"))
+    if compared:
+        typer.echo(errors_text("variants", compared, different, wrong))
     nothing = [row.scenario for row in rows if not row.compared]
     if nothing:
         typer.echo(f"nothing to validate in {', '.join(nothing)}: no parameter has a region in which it does not matter")

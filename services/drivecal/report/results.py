@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from drivecal.contracts.campaign import Best, Campaign, Solution
 from drivecal.contracts.studies import OptimumRow
 from drivecal.report import reuse, search
+from drivecal.report.errors import errors_text
 from drivecal.report.findings import Findings
 from drivecal.report.markup import Number, bullets, paragraph, table
 
@@ -47,9 +48,9 @@ def _errors(campaign: Campaign) -> str:
     audited = sum(one.audited for one in campaign.error_rate.values())
     if not audited:
         return ""
-    wrong = sum(one.wrong for one in campaign.error_rate.values())
+    different, wrong = (sum(getattr(one, name) for one in campaign.error_rate.values()) for name in ("different", "wrong"))
     stopped = [name for name, one in campaign.error_rate.items() if one.stopped]
-    text = f"Of {audited:,} audited answers {wrong:,} were wrong, off by more than one point."
+    text = errors_text("audited answers", audited, different, wrong)
     return text + (f" Reuse was stopped in {', '.join(stopped)}." if stopped else "")
 
 
@@ -68,9 +69,10 @@ def _studies(findings: Findings) -> list[str]:
     if row is not None:
         sentences.append(f"Recommended after the robustness study: rank {row.rank} of its table, because it has {row.reason}.")
     for validated in findings.validation[:1]:
-        compared, wrong = sum(row.compared for row in validated.rows), sum(row.wrong for row in validated.rows)
+        told = (sum(getattr(row, name) for row in validated.rows) for name in ("compared", "different", "wrong"))
+        compared, different, wrong = told
         if compared:
-            sentences.append(f"In the validation of the influence map {wrong:,} of {compared:,} answers were wrong.")
+            sentences.append(errors_text("variants in the validation of the influence map", compared, different, wrong))
     return sentences
 
 
@@ -114,7 +116,11 @@ def solutions_table(solutions: Sequence[Solution], optima: Iterable[OptimumRow])
         ]
         for one in shown
     ]
-    caption = f"The {len(shown)} best sets; equal objectives are ordered by the continuous rating"
+    caption = (
+        "The best set"
+        if len(shown) == 1
+        else f"The {len(shown)} best sets; equal objectives are ordered by the continuous rating"
+    )
     if any(one.reused for one in shown):
         caption += ". A star: the score is that of a reference, this very set was not simulated there"
     return table(["rank", "objective", "rating", "region", *first.scores, *first.parameters], rows, caption)

@@ -68,8 +68,9 @@ def parts(studies: Sequence[Robust], optima: Sequence[OptimumRow], campaign: str
     main, *others = studies
     settings, made_by = main.study.settings, main.study.campaign
     of = f" of campaign {settings['of']}" if settings.get("of") not in {None, campaign} else ""
+    sets = f"best set{of} was" if len(main.rows) == 1 else f"{len(main.rows)} best sets{of} were"
     text = (
-        f"The {len(main.rows)} best sets{of} were driven in other vehicles: {settings['samples']} in each box, boxes of half width "
+        f"The {sets} driven in other vehicles: {settings['samples']} in each box, boxes of half width "
         f"k·{settings['delta']:g} of the vehicle parameters' ranges, k = 1 … {settings['steps']}; condition {condition(settings)}. The "
         "degree of robustness is the number of boxes up to which the condition holds in every scenario."
     )

@@ -36,6 +36,8 @@ def _drawn(studied: Robust, name: str) -> Drawn:
         f"around the nominal vehicle, the first of half width {studied.study.settings['delta']:g}; condition: "
         f"{condition(studied.study.settings)}{model}. The heavy line is the widest box that holds."
     )
+    if any(row.recommended for row in studied.rows[:MOST_DRAWN]):
+        caption += " A star marks the recommended set."
     alt = "Bars by examined set. " + "; ".join(
         f"rank {row.rank}: degree {degree(row).replace('≥', 'at least')}, holds up to {row.radius:g}"
         for row in studied.rows[:MOST_DRAWN]
@@ -69,7 +71,7 @@ def robustness_figure(rows: Sequence[RobustnessRow]) -> Figure:
             axes.plot([row.radius] * 2, [place - 0.46, place + 0.46], color=INK, linewidth=2.2, solid_capstyle="butt")
         axes.set_yticks(range(len(rows)), [f"{row.rank}{' *' if row.recommended else ''}" for row in rows])
         axes.set(xlim=(0, widest * 1.01), ylim=(len(rows) - 0.45, -0.55))
-        axes.set(xlabel="half width of the box, in shares of the vehicle parameters' ranges", ylabel="rank (* recommended)")
+        axes.set(xlabel="half width of the box, in shares of the vehicle parameters' ranges", ylabel="rank")
         handles = [
             Patch(facecolor=UNCHANGED, edgecolor=INK, linewidth=0.4, label="holds, no score changes"),
             Patch(facecolor=CHANGED, edgecolor=INK, linewidth=0.4, label="holds"),

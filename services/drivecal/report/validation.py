@@ -13,6 +13,7 @@ from matplotlib.ticker import NullFormatter, StrMethodFormatter
 from drivecal.contracts.inventory import InfluenceRow
 from drivecal.contracts.studies import ValidationRow
 from drivecal.report.drawing import BLUE, INK, VERMILION, Drawn, style
+from drivecal.report.errors import errors_text
 from drivecal.report.findings import Studied
 from drivecal.report.markup import Number, paragraph, table
 
@@ -80,7 +81,7 @@ def validation_figure(rows: Sequence[ValidationRow]) -> Figure:
             Patch(facecolor=BLUE, edgecolor=INK, linewidth=0.4, label=f"up to {LARGEST_AGREEING} point"),
             Patch(facecolor=VERMILION, edgecolor="white", hatch="////", linewidth=0.4, label="wrong"),
         ]
-        figure.legend(handles=handles, loc="outside lower right", ncols=2)
+        figure.legend(handles=handles, loc="outside upper right", ncols=2)  # below it would lie on the label
     return figure
 
 
@@ -92,7 +93,7 @@ def _panel(axes: Axes, row: ValidationRow) -> None:
         wrong = abs(points) > LARGEST_AGREEING
         (bar,) = axes.bar(points, count, width=0.85, color=VERMILION if wrong else BLUE, hatch="////" if wrong else None)
         bar.set(edgecolor="white" if wrong else INK, linewidth=0.4, gid=f"{row.scenario}.{points}")
-    rate = "" if row.error_rate is None else f": R_err {row.error_rate:.2%}"
+    rate = "" if row.error_rate is None else f": {row.different / row.compared:.1%} differ, R_err {row.error_rate:.2%}"
     axes.set_title(f"{row.scenario}{rate}")
 
 
@@ -101,12 +102,12 @@ def parts(
 ) -> list[str]:
     """The section: what was compared, Tables 1 and 2, the figure."""
     rows = studied.rows
-    compared, wrong = sum(row.compared for row in rows), sum(row.wrong for row in rows)
+    compared, different, wrong = (sum(getattr(row, name) for row in rows) for name in ("compared", "different", "wrong"))
     text = (
         "Sets were drawn from Latin hypercubes until those that lie in some non-influential region covered the main effects and "
         "interactions of the reducible parameters; each was compared with variants that differ from it inside such regions only. "
     )
-    text += f"Of {compared:,} variants {wrong:,} were wrong, off by more than one point." if compared else ""
+    text += errors_text("variants", compared, different, wrong) if compared else ""
     if studied.study.campaign != campaign:
         text += f" Campaign {studied.study.campaign} made this study."
     nothing = [row.scenario for row in rows if not row.compared]

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
@@ -145,6 +146,22 @@ def test_tables_1_and_2_and_the_histogram_in_numbers() -> None:
     assert cells[2] == ["S1", "100", "10", "6", "6.00%", "0.00%", "50.00%"]
     assert cells[3] == ["S2", "0", "0", "0", "–", "–", "–"]
     assert cells[4] == ["S1", "1", "0", "0", "0", "0", "0", "4", "90", "0", "5", "0", "0", "0", "0", "0"]
+
+
+def test_small_figures_have_room_for_their_labels() -> None:
+    histogram = validation.validation_figure(VALIDATED[:1])
+    bar = robustness_figure.robustness_figure(ROBUST[:1])
+    for figure in (histogram, bar):
+        FigureCanvasAgg(figure).draw()
+    legend = histogram.legends[0].get_window_extent()
+    assert not any(legend.overlaps(text.get_window_extent()) for text in histogram.texts)
+    label = bar.axes[0].yaxis.label.get_window_extent()
+    assert 0 <= label.y0 < label.y1 <= bar.bbox.height
+
+
+def test_what_differs_by_a_point_is_told_beside_what_is_wrong() -> None:
+    told = "".join(validation.parts(Studied(study("validation"), VALIDATED), "0" * 32, {}, ""))
+    assert "Of 100 variants 10 had another score (10.00%); 6 were wrong, off by more than one point (R_err 6.00%)." in told
 
 
 def test_a_region_of_a_single_value_cannot_be_reduced() -> None:
