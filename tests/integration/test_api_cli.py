@@ -237,6 +237,8 @@ def test_an_evaluation_that_cannot_run_is_a_usage_error(run: Run) -> None:
     assert run("evaluate", *SETS, "--scenario", "S9").exit_code == 2
     assert "it is given twice" in run("evaluate", "P1=1", "P1=2").stderr
     assert "nan is no number" in run("evaluate", "P1=nan").stderr
+    other = ("--vehicle", "hybrid", "--vehicle-parameters", "mass=1800,mas=1", "--driving-function", "frenet")
+    assert "vehicle.parameters.mas: hybrid has no such parameter" in run("evaluate", *SETS, *other).stderr
 
 
 def test_influence_maps_are_posted_listed_and_shown(run: Run, tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from pydantic import BaseModel
 
 from drivecal.cli.telling import ASKED
 from drivecal.contracts.campaign import Campaign, CellCounts, SensitivityCellCounts, Solution
+from drivecal.report.commands import evaluation
 
 OUTCOMES = ("failed", "certified", "reused", "repeated", "simulated")
 """Of requested cells, the frequent ones last."""
@@ -67,8 +68,8 @@ def print_campaign(campaign: Campaign) -> None:
         typer.echo(f"{name.ljust(width)}  {text}")
 
 
-def print_solutions(solutions: Sequence[Solution]) -> None:
-    """Prints a ranking."""
+def print_solutions(solutions: Sequence[Solution], spec: Mapping[str, Any]) -> None:
+    """Prints a ranking of the sets of the campaign with this specification."""
     if not solutions:
         typer.echo("no parameter set has a result in every scenario yet")
         return
@@ -83,10 +84,10 @@ def print_solutions(solutions: Sequence[Solution]) -> None:
         for one in solutions
     ]
     print_columns(header, rows)
-    if any(one.reused for one in solutions):
-        typer.echo(
-            "* taken from a reference; `drivecal evaluate` simulates this very set (name the campaign's --vehicle and --evaluator)"
-        )
+    reused = next((one for one in solutions if one.reused), None)
+    if reused is not None:
+        command = evaluation(reused.parameters, spec, reused.scores)
+        typer.echo(f"* taken from a reference; this simulates the set of rank {reused.rank}:\n{command}")
 
 
 def state_text(campaign: Campaign) -> str:

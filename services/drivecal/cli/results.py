@@ -59,11 +59,13 @@ def solutions(
     if weights is not None:
         assignments(weights.split(","), "--weights")
     with connect(url) as client:
-        page = client.solutions(full_id(client, identifier), weights, limit)
+        found = full_id(client, identifier)
+        page = client.solutions(found, weights, limit)
+        spec = client.campaign(found).spec
     if as_json:
         print_json(page)
     else:
-        print_solutions(page.items)
+        print_solutions(page.items, spec)
 
 
 @app.command()

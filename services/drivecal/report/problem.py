@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from drivecal.contracts.setup import CampaignSetup
-from drivecal.contracts.specification import EvaluationSpecification, VehicleSpecification
+from drivecal.report.commands import evaluation
 from drivecal.report.findings import Findings
 from drivecal.report.markup import Number, paragraph, subheading, table, verbatim
 
@@ -89,45 +89,13 @@ def again(findings: Findings) -> list[str]:
     if isinstance(sensitivity, dict) and "map" in sensitivity:
         text += " It names an influence map by its id, which another database does not have: post it there first."
     parts = [subheading("The same again"), paragraph(text)]
+    scenarios = [one.scenario for one in findings.setup.scenarios]
     if campaign.best is not None:
-        commands.append(evaluation("the best set", campaign.best.parameters, bench_options(findings)))
+        commands.append(f"{evaluation(campaign.best.parameters, campaign.spec, scenarios)}    # the best set")
     if recommended is not None:
         driven = findings.robustness[0].study.vehicle
-        commands.append(evaluation("the recommended set", recommended.parameters, bench_options(findings, driven)))
+        commands.append(f"{evaluation(recommended.parameters, campaign.spec, scenarios, driven)}    # the recommended set")
     parts.append(verbatim("\n".join(commands)))
     lines = (f"  {json.dumps(name)}: {json.dumps(value, ensure_ascii=False)}" for name, value in campaign.spec.items())
     document = "{\n" + ",\n".join(lines) + "\n}"
     return parts if len(document) > MOST_CHARACTERS else [*parts, subheading("Specification"), verbatim(document)]
-
-
-def bench_options(findings: Findings, vehicle: str | None = None) -> list[str]:
-    """What `drivecal evaluate` has to be told to drive as the campaign did, or as a study in another `vehicle` model: all that differs
-    from the command's defaults."""
-    spec = findings.campaign.spec
-    usual = EvaluationSpecification.model_fields
-    own: Mapping[str, Any] = spec.get("vehicle") or {}
-    if vehicle is not None and vehicle != own.get("model"):
-        own = {**own, "model": vehicle}
-    wanted = {
-        "catalogue": spec.get("catalogue"),
-        "driving_function": spec.get("driving_function"),
-        "evaluator": spec.get("evaluator"),
-    }
-    options = [
-        f"--{name.replace('_', '-')} {value}"
-        for name, value in wanted.items()
-        if isinstance(value, str) and value != usual[name].default
-    ]
-    if own.get("model", VehicleSpecification().model) != VehicleSpecification().model:
-        options.append(f"--vehicle {own['model']}")
-    if own.get("parameters"):
-        values = ",".join(f"{name}={value:.10g}" for name, value in own["parameters"].items())
-        options.append(f"--vehicle-parameters {values}")
-    scenarios = findings.setup.scenarios
-    return [*options, f"--scenario {scenarios[0].scenario}"] if len(scenarios) == 1 else options
-
-
-def evaluation(which: str, parameters: Mapping[str, float], options: Sequence[str]) -> str:
-    """The command that drives a parameter set alone."""
-    values = (f"{name}={value:.10g}" for name, value in parameters.items())
-    return f"{' '.join(['drivecal evaluate', *values, *options])}    # {which}"

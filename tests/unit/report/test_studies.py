@@ -152,7 +152,8 @@ def test_small_figures_have_room_for_their_labels() -> None:
     histogram = validation.validation_figure(VALIDATED[:1])
     bar = robustness_figure.robustness_figure(ROBUST[:1])
     for figure in (histogram, bar):
-        FigureCanvasAgg(figure).draw()
+        FigureCanvasAgg(figure)
+        figure.draw_without_rendering()
     legend = histogram.legends[0].get_window_extent()
     assert not any(legend.overlaps(text.get_window_extent()) for text in histogram.texts)
     label = bar.axes[0].yaxis.label.get_window_extent()

@@ -88,7 +88,7 @@ def _first(client: Client, as_json: bool) -> Campaign:
     campaign = _carried_out(client, client.submit(specification))
     if not as_json:
         typer.echo(f"\nThe best parameter sets, with the comfort score (0 to 7) in each scenario, after {_time(campaign)}:\n")
-        print_solutions(client.solutions(campaign.id, limit=SHOWN).items)
+        print_solutions(client.solutions(campaign.id, limit=SHOWN).items, campaign.spec)
         _print_comparison(campaign)
         typer.echo("\nHow its cells, one parameter set in one scenario each, were answered:\n")
         print_cells([("campaign", campaign.cells)])
@@ -101,7 +101,7 @@ def _second(client: Client, first: Campaign, as_json: bool) -> Campaign:
     campaign = _carried_out(client, client.rerun(first.id, {"weights": OTHER_WEIGHTS}))
     if not as_json:
         typer.echo(f"\nThe best sets when lane changes weigh three times as much, after {_time(campaign)}:\n")
-        print_solutions(client.solutions(campaign.id, limit=SHOWN).items)
+        print_solutions(client.solutions(campaign.id, limit=SHOWN).items, campaign.spec)
         typer.echo("\nWhat the first campaign had simulated was not simulated again:\n")
         print_cells([("campaign", first.cells), ("rerun", campaign.cells)])
         typer.echo(f"\nSelf-check: {self_check_text(campaign) or 'no cell was audited'}.")

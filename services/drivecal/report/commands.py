@@ -1,0 +1,33 @@
+"""Commands that repeat what a campaign did, complete: as they are printed they drive on the same bench."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from typing import Any
+
+from drivecal.contracts.specification import EvaluationSpecification, VehicleSpecification
+
+
+def evaluation(
+    parameters: Mapping[str, float], spec: Mapping[str, Any], scenarios: Collection[str], vehicle: str | None = None
+) -> str:
+    """The command that drives a parameter set alone, as the campaign of `spec` did in its `scenarios`, or in another `vehicle` model: with
+    an option for all in which it differs from the command's defaults."""
+    usual = EvaluationSpecification.model_fields
+    given = ((name, spec.get(name)) for name in ("catalogue", "driving_function", "evaluator"))
+    words = [f"{name}={value:.10g}" for name, value in parameters.items()]
+    words += [
+        f"--{name.replace('_', '-')} {value}"
+        for name, value in given
+        if isinstance(value, str) and value != usual[name].default
+    ]
+    own: Mapping[str, Any] = spec.get("vehicle") or {}
+    nominal = VehicleSpecification().model
+    model = vehicle or own.get("model", nominal)
+    if model != nominal:
+        words.append(f"--vehicle {model}")
+    if own.get("parameters"):
+        words.append(f"--vehicle-parameters {','.join(f'{name}={value:.10g}' for name, value in own['parameters'].items())}")
+    if len(scenarios) == 1:
+        words.append(f"--scenario {next(iter(scenarios))}")
+    return " ".join(["drivecal evaluate", *words])
