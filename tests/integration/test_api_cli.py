@@ -234,6 +234,7 @@ def test_an_evaluation_is_waited_for_and_shown(run: Run, api: RunningApi) -> Non
 
 def test_an_evaluation_that_cannot_run_is_a_usage_error(run: Run) -> None:
     assert "parameters.P11: the value is missing" in run("evaluate", *SETS[:-1]).stderr
+    assert "parameters.P10, parameters.P11: the value is missing" in run("evaluate", *SETS[:-2]).stderr
     assert run("evaluate", *SETS, "--scenario", "S9").exit_code == 2
     assert "it is given twice" in run("evaluate", "P1=1", "P1=2").stderr
     assert "nan is no number" in run("evaluate", "P1=nan").stderr

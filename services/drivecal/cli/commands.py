@@ -14,7 +14,14 @@ from typer.core import TyperGroup
 from drivecal.client.client import Client
 from drivecal.configuration.settings import load_settings
 from drivecal.domain.campaigns import CampaignState
-from drivecal.domain.errors import DrivecalError, InvalidInputError, NotAuthorisedError, NotFoundError, UnavailableError
+from drivecal.domain.errors import (
+    DrivecalError,
+    InvalidInputError,
+    NotAuthorisedError,
+    NotFoundError,
+    Problem,
+    UnavailableError,
+)
 
 
 class ExitCode(IntEnum):
@@ -121,8 +128,13 @@ def code_of_state(state: str) -> ExitCode:
 
 
 def complain(error: DrivecalError) -> None:
-    """Says on stderr what is wrong, one line per problem."""
+    """Says on stderr what is wrong, one line per problem; fields with which the same is wrong share one."""
     text = str(error)
+    if isinstance(error, InvalidInputError):
+        fields: dict[tuple[str, str], list[str]] = {}
+        for problem in error.problems:
+            fields.setdefault((problem.message, problem.remedy), []).append(problem.field)
+        text = "\n".join(str(Problem(", ".join(dict.fromkeys(names)), *said)) for said, names in fields.items())
     for call, command in _COMMANDS:
         text = re.sub(call, command, text)
     for line in text.splitlines():
