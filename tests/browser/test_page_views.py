@@ -30,10 +30,11 @@ TOKEN = "reader-0123456789abcdef"
 
 @dataclass(frozen=True)
 class Shown:
-    """A server with a campaign and a comparison that have ended."""
+    """A server with a campaign, a study of its best sets and a comparison that have ended."""
 
     api: RunningApi
     campaign: StoredCampaign
+    study: StoredCampaign
     comparison: StoredCampaign
 
     def at(self, *path: str) -> str:
@@ -44,7 +45,16 @@ class Shown:
 def shown(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shown]:
     with serving(f"sqlite:///{tmp_path_factory.mktemp('browser') / 'drivecal.db'}") as api:
         campaign = run(api.database, submit(api.database, **STUDIED), ComputedBackend(answer=influenced))
-        yield Shown(api, campaign, run(api.database, submit_comparison(api.database, populations=[6], reductions=REDUCTIONS)))
+        alone = {"optimizer": None, "sensitivity": None, "validation": None}
+        robustness = STUDIED["robustness"] | {"of": campaign.id}
+        study = run(
+            api.database,
+            submit(api.database, **STUDIED | alone | {"robustness": robustness}),
+            ComputedBackend(answer=influenced),
+        )
+        yield Shown(
+            api, campaign, study, run(api.database, submit_comparison(api.database, populations=[6], reductions=REDUCTIONS))
+        )
 
 
 def rows_shown(page: Page) -> tuple[int, int]:
@@ -74,14 +84,38 @@ def test_every_view_can_be_used_by_everybody(shown: Shown, opening: Opening, *, 
     page = opening(f"{shown.api.url}/", dark=small, phone=small, expected=("409",))
     found: dict[str, Any] = {}
     both = f"compare?a={shown.campaign.id}&b={shown.campaign.id}"
-    runs = f"campaigns/{shown.comparison.id}/runs"
-    others = [f"{shown.api.url}/#/{one}" for one in ("", "submit", "submit?kind=comparison", both, runs, "evaluations/1")]
+    compared, study = f"campaigns/{shown.comparison.id}", f"campaigns/{shown.study.id}"
+    beside = f"compare?a={shown.study.id}&b={shown.campaign.id}"
+    paths = ("", "submit", "submit?kind=comparison", both, beside, compared, f"{compared}/runs", study, "evaluations/1")
+    others = [f"{shown.api.url}/#/{one}" for one in paths]
     for address in [*others, *(shown.at(tab) for tab in TABS)]:
         page.goto(address)
         expect(page.locator("main h1")).to_be_visible()
         # What differs in the dark is contrast, and on a phone the width.
         found[address] = barriers(page, contrast_alone=small)
     assert {address: one for address, one in found.items() if one} == {}
+
+
+def test_a_study_leads_with_what_it_examines_and_what_it_found(shown: Shown, opening: Opening) -> None:
+    page = opening(f"{shown.api.url}/#/campaigns/{shown.study.id}")
+    expect(page.get_by_role("heading", name="A robustness study")).to_be_visible()
+    expect(page.get_by_role("link", name="test", exact=True)).to_have_attribute("href", f"#/campaigns/{shown.campaign.id}")
+    expect(page.get_by_role("img", name=re.compile("set 1 holds"))).to_be_visible()
+    expect(page.get_by_text("Best objective")).to_have_count(0)
+    page.goto(f"{shown.api.url}/#/compare?a={shown.study.id}&b={shown.study.id}")
+    row = page.get_by_role("table", name="Degrees of robustness side by side").get_by_role("row").nth(1)
+    expect(row).to_contain_text("set 1, set 1 of the other")
+    expect(page.get_by_role("heading", name="What was found")).to_have_count(0)
+
+
+def test_an_overview_says_what_was_asked_for_and_leads_to_the_replay(shown: Shown, opening: Opening) -> None:
+    page = opening(f"{shown.api.url}/#/campaigns/{shown.comparison.id}")
+    expect(page.get_by_role("table", name="Groups of runs")).to_be_visible()
+    expect(page.get_by_text("genetic: mutation 0.2; swarm")).to_be_visible()
+    page.goto(shown.at())
+    expect(page.get_by_text("genetic: population 40, iterations 5")).to_be_visible()
+    page.get_by_role("table", name="Scores by scenario").get_by_role("button").first.click()
+    expect(page.get_by_role("heading", level=1)).to_contain_text("S1 · evaluation")
 
 
 def test_what_is_selected_stands_in_the_address(shown: Shown, opening: Opening) -> None:
@@ -138,10 +172,11 @@ def test_a_campaign_is_submitted_from_a_form_that_says_what_it_costs_and_what_is
     page.get_by_label("weights").fill('{"S1": 3')
     expect(page.get_by_role("alert")).to_contain_text("weights: this is no valid JSON")
     page.get_by_label("weights").fill(json.dumps({"S" * 63: 1}))
+    expect(page.get_by_role("alert")).to_contain_text("S" * 63)
+    assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
     page.get_by_label("population").fill("-3")
     expect(page.get_by_text("-3 is too small; give at least 2")).to_have_count(2)  # at the field, and in the list of all
     expect(page.get_by_text("undefined")).to_have_count(0)
-    assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
     page.get_by_label("population").fill("10")
     expect(page.get_by_role("button", name="Start it")).to_be_disabled()
     page.get_by_label("weights").fill('{"S1": 3}')

@@ -1,0 +1,49 @@
+"""What the page's forms say of fields by themselves fits what there is: fields that exist, and all plug-ins that come with drivecal."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from tests.support.tree import PROJECT
+
+from drivecal.contracts.comparison import ComparisonSpecification
+from drivecal.contracts.specification import CampaignSpecification
+from drivecal.plugins import registry
+
+FIELDS = json.loads((PROJECT / "services" / "web" / "src" / "lib" / "fields.json").read_text())
+GROUPS = {
+    "vehicle.model": "vehicles",
+    "evaluator": "evaluators",
+    "optimizer.kind": "optimizers",
+    "optimizers[].kind": "optimizers",
+}
+
+
+def paths(schema: dict[str, Any], definitions: dict[str, Any], at: str = "") -> Iterator[str]:
+    """All fields of a schema as the page names them."""
+    if "$ref" in schema:
+        yield from paths(definitions[schema["$ref"].rpartition("/")[2]], definitions, at)
+    for variant in [*schema.get("anyOf", []), *schema.get("oneOf", [])]:
+        yield from paths(variant, definitions, at)
+    if "items" in schema:
+        yield from paths(schema["items"], definitions, f"{at}[]")
+    for name, inner in schema.get("properties", {}).items():
+        path = f"{at}.{name}" if at else name
+        yield path
+        yield from paths(inner, definitions, path)
+
+
+def test_every_field_that_is_explained_exists() -> None:
+    found: set[str] = set()
+    for model in (CampaignSpecification, ComparisonSpecification):
+        schema = model.model_json_schema()
+        found.update(paths(schema, schema["$defs"]))
+    assert set(FIELDS["help"]) | set(FIELDS["names"]) <= found
+
+
+@pytest.mark.parametrize("path", sorted(GROUPS))
+def test_every_plug_in_that_comes_with_drivecal_can_be_chosen(path: str) -> None:
+    assert sorted(FIELDS["names"][path]) == registry.names(f"drivecal.{GROUPS[path]}")
