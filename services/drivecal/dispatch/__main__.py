@@ -76,7 +76,8 @@ def _dispatch(settings: Settings, database: Database, pulse: Pulse, stop: thread
     backend = _awaited("Ray", lambda: RayBackend(options, trial()), stop, lambda words: pulse.tell((), words))
     if backend is None:
         return
-    import_module("scipy.stats")  # the first campaign's start design needs it; while the workers start, a second of it costs nothing
+    # the first campaign's start design needs it; while the workers start, a second of it costs nothing
+    import_module("scipy.stats")
     try:
         dispatcher = Dispatcher(
             database,
