@@ -66,9 +66,9 @@ def test_a_server_with_tokens_gets_ready_and_keeps_them_to_itself(tmp_path: Path
             for process in family:
                 known = [*process.environ().values(), *process.cmdline()]
                 assert not [one for one in known for token in (TOKEN, READER, MINE) if token in one], process
+        until(lambda: "token=writer" in server.log.read_text(), "the line of the last request, which follows its answer", 10.0)
         log = server.log.read_text()
         assert "a token is asked for: 2 in" in log
         assert "1 of them may only read" in log
-        assert "token=writer" in log
         assert not [token for token in (TOKEN, READER, MINE) if token in log]
     until(lambda: gone(family), "the end of every process", 5.0)

@@ -74,8 +74,8 @@ class Trie(Generic[Result]):
         return self._nodes.visited[: self._nodes.count]
 
     def prove(self, parameters: Sequence[float]) -> Proof[Result] | None:
-        """The stored run that these parameters would repeat; None where that is not proved."""
-        nodes, planner = self._nodes, self._planner
+        """The stored run that these parameters would repeat; None where that is not proved. No run may be recording."""
+        nodes, planner, described = self._nodes, self._planner, False
         node = planner.walk(nodes, parameters, 0)
         if node == NONE:
             return None
@@ -84,13 +84,17 @@ class Trie(Generic[Result]):
             nodes.asked[node] += 1
             if nodes.asked[node] >= ASKED or planner.infeasible.any():
                 nodes.describe(node, *planner.contenders(planner.infeasible), planner.infeasible)
+                described = True
             child = nodes.child(node, chosen)
             if child == NONE:
                 break
             node = planner.walk(nodes, parameters, child)
         self._visit(node)
         leaf = int(nodes.leaf[node])
-        return None if leaf == NONE else self._results[leaf]
+        found = None if leaf == NONE else self._results[leaf]
+        if described:
+            self._memory.settle()
+        return found
 
     def record(self) -> Recording[Result]:
         """Takes part in a run, as its planner, and learns from it."""
