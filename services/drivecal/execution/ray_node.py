@@ -3,7 +3,6 @@ simulated on it."""
 
 from __future__ import annotations
 
-import ctypes
 import os
 import signal
 import subprocess
@@ -14,13 +13,13 @@ from importlib import import_module
 from typing import Any
 
 from drivecal.cluster.checks import check_shared_memory
+from drivecal.cluster.lineage import end_with_parent
 from drivecal.cluster.members import Node, ask
 from drivecal.domain.errors import UnavailableError
 
 START_SECONDS = 60.0
 END_SECONDS = 8.0
 LOOK_SECONDS = 0.5
-PR_SET_PDEATHSIG = 1
 
 
 class OwnNode:
@@ -71,6 +70,5 @@ def here(nodes: Collection[Node]) -> bool:
 
 def _end_with_parent() -> None:
     """In the child, before the command: a process that is killed takes its node along."""
-    if sys.platform.startswith("linux"):
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+    end_with_parent(signal.SIGTERM)
     os.setpgid(0, 0)  # Ctrl-C in a terminal is for the dispatcher, which ends its node in order

@@ -14,7 +14,6 @@ Standard library only, so that a guardian is small.
 
 from __future__ import annotations
 
-import ctypes
 import os
 import select
 import signal
@@ -24,7 +23,8 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-PR_SET_PDEATHSIG = 1
+from drivecal.cluster.lineage import end_with_parent
+
 _STOPPING = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
 
@@ -87,8 +87,7 @@ def _die_with_parent() -> None:
     """In the child, before the command: signals as usual, and an end with the guardian."""
     for number in (*_STOPPING, signal.SIGCHLD):
         signal.signal(number, signal.SIG_DFL)
-    if sys.platform.startswith("linux"):
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    end_with_parent(signal.SIGKILL)
 
 
 if __name__ == "__main__":

@@ -7,19 +7,20 @@ guard is small.
 
 from __future__ import annotations
 
-import ctypes
 import logging
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
+
+from drivecal.cluster.lineage import end_with_parent
 
 VITAL = {"raylet", "gcs_server"}
 LOOK_SECONDS = 1.0
 END_SECONDS = 10.0
-PR_SET_PDEATHSIG = 1
 
 log = logging.getLogger("drivecal.cluster")
 
@@ -44,7 +45,7 @@ def guard(command: Sequence[str], look_seconds: float = LOOK_SECONDS) -> int:
     process = subprocess.Popen(  # noqa: S603  # `ray start`
         command,
         stdout=subprocess.DEVNULL,  # Ray's welcome; its errors are on standard error
-        preexec_fn=_end_with_parent,  # noqa: PLW1509  # there are no threads here
+        preexec_fn=partial(end_with_parent, signal.SIGTERM),  # noqa: PLW1509  # there are no threads here
     )
     asked: list[int] = []
 
@@ -69,11 +70,6 @@ def guard(command: Sequence[str], look_seconds: float = LOOK_SECONDS) -> int:
         seen |= running
         time.sleep(look_seconds)
     return process.returncode
-
-
-def _end_with_parent() -> None:
-    if sys.platform.startswith("linux"):
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 if __name__ == "__main__":

@@ -93,10 +93,8 @@ export interface CampaignEvent {
   data: Record<string, unknown>;
 }
 
-export interface Generation {
-  iteration: number;
-  proposed: number;
-  carried_over: number;
+/** Cells by outcome. */
+interface Outcomes {
   requested: number;
   repeated: number;
   reused: number;
@@ -104,6 +102,12 @@ export interface Generation {
   simulated: number;
   failed: number;
   audited: number;
+}
+
+export interface Generation extends Outcomes {
+  iteration: number;
+  proposed: number;
+  carried_over: number;
   best: number | null;
   rating: number | null;
   mean: number | null;
@@ -235,15 +239,8 @@ export interface Accounting {
   sentence: string;
 }
 
-export interface ScenarioAccount {
+export interface ScenarioAccount extends Outcomes {
   scenario: string;
-  requested: number;
-  repeated: number;
-  reused: number;
-  certified: number;
-  simulated: number;
-  failed: number;
-  audited: number;
   mean_seconds: number | null;
   simulated_seconds: number;
   audited_seconds: number;
