@@ -1,4 +1,4 @@
-"""How busy a robustness study keeps the workers: `python tests/benchmarks/robustness.py [--samples N] [--steps N] [--solutions N]`.
+"""How busy a robustness study keeps the workers: `python tests/benchmarks/run.py robustness [--samples N] [--steps N] [--solutions N]`.
 
 A coordinator as a user starts it searches a few good sets (`deploy/examples/robustness_paper.yaml`); then a campaign of its own makes the
 study, which is measured: 11 sets x 10 boxes x 30 vehicles x 6 scenarios, some 20,000 runs. A box is asked for when the one before it is
@@ -96,6 +96,7 @@ def main() -> int:
     print(f"{len(rows)} sets, {cells.requested:,} cells ({answers}) in {wall:.1f} s by {workers} workers, {batches:,} batches")
     print(f"workers have a batch in hand for {busy / (wall * workers):.1%} of the time (at least {AT_LEAST:.0%} wanted)")
     print(f"and take {figures['worker_processor_share']:.1%} of as many processors")
+    print("degrees of robustness: " + ", ".join(str(row.degree) for row in rows))
     print("processor time, s: " + ", ".join(f"{role} {seconds:.1f}" for role, seconds in sorted(used.items())))
     return 0 if busy / (wall * workers) >= AT_LEAST else 1
 

@@ -1,4 +1,4 @@
-"""Throughput by number of workers, next to the ideal: `python tests/benchmarks/workers.py [--workers 1 2 4] [--compose]`.
+"""Throughput by number of workers, next to the ideal: `python tests/benchmarks/run.py workers [--workers 1 2 4] [--compose]`.
 
 The same campaign, reduction off and without certificates, on a new coordinator with each number of workers. Ideal is what so many
 processes would simulate that do nothing else, at the cost of a cell in one process alone; they share the machine's cores, where the paper's
