@@ -54,6 +54,27 @@ def test_a_dispatcher_does_not_begin_on_a_database_that_is_not_migrated(tmp_path
     assert "run `drivecal db upgrade`" in done.stderr or "`drivecal db upgrade` creates it" in done.stderr
 
 
+def test_an_api_says_unasked_that_its_database_is_not_migrated_and_when_it_is(tmp_path: Path) -> None:
+    database = Database.open(f"sqlite:///{tmp_path / 'drivecal.db'}")
+    log = tmp_path / "log"
+    port = str(free_port())
+    with log.open("wb") as stream:
+        words = [sys.executable, "-m", "drivecal.api", "--port", port]
+        process = subprocess.Popen(words, env=environment(tmp_path), cwd=tmp_path, stderr=stream)
+    try:
+        until(lambda: "campaigns wait:" in log.read_text(), "the reason")
+        database.upgrade()
+        until(lambda: "the database can be used now" in log.read_text(), "that it is there now")
+    finally:
+        process.terminate()
+        process.wait(20)
+        database.dispose()
+    listens, waits, goes_on = log.read_text().splitlines()
+    assert f"listens at 127.0.0.1 port {port}" in listens
+    assert "`drivecal db upgrade`" in waits
+    assert goes_on.endswith("the database can be used now")
+
+
 @pytest.mark.parametrize("words", [("head",), ("worker", "127.0.0.1:9")], ids=lambda words: words[0])
 def test_a_node_without_the_clusters_token_ends_with_one_line_that_says_so(tmp_path: Path, words: tuple[str, ...]) -> None:
     done = run(tmp_path, "drivecal.cluster", *words, RAY_AUTH_TOKEN_PATH=str(tmp_path / "ray_token"))

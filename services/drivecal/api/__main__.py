@@ -7,9 +7,11 @@ import gc
 import logging
 import socket
 import sys
+from importlib.metadata import version
 
 from drivecal.api import memory
 from drivecal.api.app import create_app
+from drivecal.api.awaiting import tell_of_database
 from drivecal.api.protocol import Server, configuration
 from drivecal.configuration import logs
 from drivecal.configuration.access import check_exposure
@@ -38,6 +40,9 @@ def main() -> int:
     except (DrivecalError, OSError) as error:
         log.error("%s", error)  # noqa: TRY400  # the sentence says it all; a traceback would bury it
         return 1
+    if arguments.socket is None:  # else `drivecal serve` says so
+        log.info("drivecal %s listens at %s port %d", version("drivecal"), *listener.getsockname()[:2])
+    tell_of_database(settings.database_url)
     gc.collect()
     gc.freeze()  # what is loaded stays: looking through all of it again and again would stop the API for half a second each time
     server.run(sockets=[listener])
