@@ -38,8 +38,11 @@ quoted() { # for eval: whatever a token or an address holds, the shell takes it 
     printf "'%s'" "$(printf '%s' "$1" | sed "s/'/'\\\\''/g")"
 }
 address=$(setting DRIVECAL_BIND 127.0.0.1)
-case $address in
-0.0.0.0 | '') address=127.0.0.1 ;; # everybody's address is nobody's to call
+case $address in # everybody's address is nobody's to call; in a URL, one with colons stands in brackets
+0.0.0.0) address=127.0.0.1 ;;
+:: | '[::]') address='[::1]' ;;
+\[*) ;;
+*:*) address="[$address]" ;;
 esac
 token=$(sed -n 's/^[[:space:]]*[A-Za-z0-9][^[:space:]]*[[:space:]]\{1,\}write[[:space:]]\{1,\}\([^[:space:]]*\).*/\1/p' "$folder/tokens" | head -n 1)
 

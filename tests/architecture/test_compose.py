@@ -233,6 +233,24 @@ def test_whatever_a_token_holds_the_shell_takes_it_as_it_is(tmp_path: Path, toke
     assert not (tmp_path / "ran").exists()
 
 
+@pytest.mark.parametrize(
+    ("bind", "host"),
+    [
+        ("0.0.0.0", "127.0.0.1"),
+        ("::", "[::1]"),
+        ("[::]", "[::1]"),
+        ("fd00::5", "[fd00::5]"),
+        ("[fd00::5]", "[fd00::5]"),
+        ("10.0.0.5", "10.0.0.5"),
+    ],
+)
+def test_the_address_that_the_secrets_name_can_be_called(tmp_path: Path, bind: str, host: str) -> None:
+    given = {"PATH": "/usr/bin:/bin", "DRIVECAL_SECRETS": str(tmp_path), "DRIVECAL_BIND": bind}
+    script = str(PROJECT / "deploy" / "secrets.sh")
+    done = subprocess.run([script], env=given, capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[0] == f"export DRIVECAL_URL='http://{host}:8000'"
+
+
 def test_no_secret_gets_into_an_image_or_into_the_repository() -> None:
     allowed = [line[1:] for line in (PROJECT / ".dockerignore").read_text().splitlines() if line.startswith("!")]
     assert set(allowed) == {"deploy/images", "pyproject.toml", "README.md", "LICENSE", "shared", "services", "workers"}
