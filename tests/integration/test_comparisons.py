@@ -14,6 +14,7 @@ from tests.support.computed import ComputedBackend, computed
 from tests.support.runs import dispatcher, everything, get, nothing_matters, post_map, run, submit
 
 from drivecal.campaigns.compared import compared as read_compared
+from drivecal.campaigns.comparison import CONFIRMED
 from drivecal.campaigns.ledger import Work
 from drivecal.campaigns.staged import StagedCampaign
 from drivecal.campaigns.verification import verify
@@ -217,14 +218,14 @@ def test_a_reduction_is_compared_seed_by_seed(database: Database) -> None:
     assert rate.audited == sum(one.error_rate["S1"].audited for one in reduced) > 0
     assert rate.upper_95 is not None
     assert rate.stopped == any(one.error_rate["S1"].stopped for one in reduced)
-    assert len(ended.notes) == sum(len(one.notes) for one in reduced)
+    assert len(ended.notes) == sum("was stopped" in note for one in reduced for note in one.notes) > 0
     assert all(note.startswith("genetic, population 9, seed ") for note in ended.notes)
     with database.read() as connection:
         figures, _ = generations.page(connection, exact[0].sequence, limit=10)
     assert all(one.rating is not None and one.best is not None for _, one in figures)
 
 
-def test_what_a_search_believes_of_references_is_told_apart_from_what_it_simulated(database: Database) -> None:
+def test_what_a_search_believed_of_references_is_confirmed_after_it(database: Database) -> None:
     stored_map = post_map(database, nothing_matters() | {"S1": {"P1": {"influential": True}}})
     reductions = ["exact", {"mode": "influence", "audit": 0.4}]
     weights = {"S1": 3.0, "S2": 1.0}
@@ -233,7 +234,7 @@ def test_what_a_search_believes_of_references_is_told_apart_from_what_it_simulat
     with database.read() as connection:
         found = read_compared(connection, ended)
         rows = {two.id: list(results.stream(connection, two.sequence)) for two in found.campaigns}
-    for one in found.runs():
+    for one, campaign in zip(found.runs(), found.campaigns, strict=True):
         own: dict[int, dict[str, int]] = {}
         for row in rows[one.run]:
             if row.outcome != "reused" and row.score is not None:
@@ -241,13 +242,36 @@ def test_what_a_search_believes_of_references_is_told_apart_from_what_it_simulat
         known = [
             sum(weights[name] * score for name, score in scores.items()) / 4 for scores in own.values() if len(scores) == 2
         ]
-        assert one.simulated_best == pytest.approx(max(known))
+        assert campaign.best is not None
+        assert one.simulated_best == pytest.approx(max(known)) == pytest.approx(campaign.best.objective)
+        after = [row for row in rows[one.run] if row.iteration >= 3]
+        assert one.confirmations == len(after)
+        assert one.simulations == sum(row.outcome not in {"repeated", "reused"} for row in rows[one.run])
+        assert campaign.spec["reduction"]["confirm"] == (0 if one.reduction == "exact" else CONFIRMED)
+    assert sum(one.confirmations for one in found.runs()) > 0
     believed = [one for one in found.runs() if one.best != one.simulated_best]
     assert {one.reduction for one in believed} == {"influence audit=0.4"}
+    assert not any("confirmed" in note for note in ended.notes), "the tables tell"
     assert [one.difference for one in found.pairs()] == [
         pytest.approx((two.simulated_best or 0) - (one.simulated_best or 0))
         for one, two in zip(found.runs()[0::2], found.runs()[1::2], strict=True)
     ]
+    assert [one.saved for one in found.pairs()] == [
+        one.simulations - two.simulations for one, two in zip(found.runs()[0::2], found.runs()[1::2], strict=True)
+    ]
+
+
+def test_runs_of_an_earlier_release_have_the_best_of_what_they_simulated(
+    database: Database, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("drivecal.campaigns.comparison.CONFIRMED", 0)
+    stored_map = post_map(database, nothing_matters() | {"S1": {"P1": {"influential": True}}})
+    given = {"optimizers": [{"kind": "genetic"}], "populations": [9], "reductions": [{"mode": "influence", "audit": 0.4}]}
+    ended = run(database, submit_comparison(database, stored_map, **given))
+    with database.read() as connection:
+        found = read_compared(connection, ended).runs()
+    assert [one.confirmations for one in found] == [0, 0, 0]
+    assert any(one.best != one.simulated_best for one in found)
 
 
 def test_a_comparison_of_results_that_are_all_there_leaves_time_for_others(database: Database) -> None:

@@ -37,8 +37,11 @@ TINY: dict[str, Any] = {
     "optimizer": {"kind": "genetic", "population": 16, "iterations": 4, "seed": 3},
     "catalogue": ["S1", "S2"],
 }
-BOLD_MAP = {scenario: {f"P{i}": {"influential": False} for i in range(3, 12)} for scenario in ("S1", "S2")}
-"""It claims so much that even a small campaign reuses, and its audits find something."""
+BOLD_MAP = {
+    scenario: {f"P{i}": {"influential": False} for i in range(1, 12) if i not in left}
+    for scenario, left in {"S1": (1, 2), "S2": (3, 4)}.items()
+}
+"""It claims so much that even a small campaign reuses, its audits find something, and its best set seems better than it is."""
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])
@@ -141,7 +144,8 @@ def test_a_dispatcher_killed_at_any_moment_changes_no_result_and_answers_nothing
     found, deaths = [], Counter[str]()
     for kills in (False, True):
         database = databases()
-        campaign = submit(database, stored_map=post_map(database, BOLD_MAP), reduction={"audit": 0.2}, **TINY)
+        reduction = {"audit": 0.2, "confirm": 20}
+        campaign = submit(database, stored_map=post_map(database, BOLD_MAP), reduction=reduction, **TINY)
         if not kills:
             finish(database, campaign, dispatcher(database))
         while not get(database, campaign).state.ended:
@@ -162,6 +166,7 @@ def test_a_dispatcher_killed_at_any_moment_changes_no_result_and_answers_nothing
     assert sum(deaths.values()) > 3
     assert len(deaths) > 1
     assert found[0][2].reused > 0
+    assert found[0][0][-1][0] >= TINY["optimizer"]["iterations"], "the best set was confirmed"
 
 
 def test_a_dispatcher_that_comes_back_after_another_was_elected_writes_nothing(databases: Callable[[], Database]) -> None:

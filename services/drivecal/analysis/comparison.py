@@ -39,14 +39,24 @@ class Course:
     """Whether references answered any cell."""
     simulated_best: float | None = None
     """Then: the best objective of a set whose every score was simulated for itself."""
+    confirmations: int = 0
+    """Simulations after the search, by which its best set was confirmed."""
 
     @property
     def optimum(self) -> float | None:
         """The best objective of the whole run that is true of its set; None where there is none yet. What is reused may be off, and a
-        search prefers what is off upwards, so scores of references count for the search and not here."""
-        if self.reused:
-            return self.simulated_best
-        return self.best[-1] if self.best else None
+        search prefers what is off upwards, so scores of references count for the search and not here. Of a confirmed run it is that of
+        the first set of its ranking, of others a lower bound."""
+        believed = self.best[-1] if self.best else None
+        if not self.reused:
+            return believed
+        found = self.simulated_best
+        return believed if found is not None and believed is not None and abs(found - believed) <= EQUAL else found
+
+    @property
+    def simulated(self) -> int:
+        """Simulations of the whole run."""
+        return sum(self.simulations) + self.confirmations
 
     @property
     def converged_at(self) -> int | None:
@@ -119,7 +129,7 @@ def _group(optimizer: str, population: int, reduction: str, members: Sequence[Co
         minimum=min(optima, default=None),
         rating=_mean([one.ratings[-1] for one in begun if one.ratings[-1] is not None]),
         alternatives=_mean([one.alternatives[-1] for one in begun]),
-        simulations=_mean([sum(one.simulations) for one in begun]),
+        simulations=_mean([one.simulated for one in begun]),
         converged=len(converged),
         iterations_to_converge=_mean([one.converged_at or 0 for one in converged]),
         simulations_to_converge=_mean([one.simulations_to_converge or 0 for one in converged]),
@@ -147,7 +157,7 @@ class Pair:
     @property
     def saved(self) -> int:
         """Simulations that the reduction saved."""
-        return sum(self.base.simulations) - sum(self.run.simulations)
+        return self.base.simulated - self.run.simulated
 
 
 def pairs(courses: Sequence[Course]) -> list[Pair]:
@@ -211,9 +221,7 @@ def _effect(reduction: str, optimizer: str | None, population: int | None, liste
         quantile = float(stats.t.ppf((1 + CONFIDENCE) / 2, len(differences) - 1))
         margin = quantile * stdev(differences) / len(differences) ** 0.5
     interval = stats.binomtest(different, len(differences)).proportion_ci(CONFIDENCE, method="exact")
-    with_it, without = (
-        sum(sum(one.simulations) for one in runs) for runs in zip(*((p.run, p.base) for p in listed), strict=True)
-    )
+    with_it, without = (sum(one.simulated for one in runs) for runs in zip(*((p.run, p.base) for p in listed), strict=True))
     return Effect(
         optimizer=optimizer,
         population=population,

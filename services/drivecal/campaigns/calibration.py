@@ -1,4 +1,8 @@
-"""The calibration stage: asks the optimizer, plans the population, books the answers, tells the optimizer; iteration by iteration."""
+"""The calibration stage: asks the optimizer, plans the population, books the answers, tells the optimizer; iteration by iteration.
+
+Where it is asked for, the best set is confirmed afterwards (`confirmation`): its cells belong to the stage as well, numbered on from the
+last iteration, but to no generation.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +13,7 @@ from dataclasses import asdict
 import numpy as np
 from sqlalchemy import Connection
 
+from drivecal.campaigns.confirmation import Confirmation
 from drivecal.campaigns.ledger import Ledger, Work
 from drivecal.campaigns.narrowing import given_indices, search_area
 from drivecal.campaigns.pace import Pace
@@ -73,6 +78,8 @@ class Calibration:
         self._proposal: Proposal | None = None
         self._optimizer: Optimizer | None = None
         self._pace = Pace(clock, campaign.cells.requested)
+        self._confirmation: Confirmation | None = None
+        self._verdict: str | None = None
         self.finished = False
 
     def work(self) -> list[Work]:
@@ -86,9 +93,9 @@ class Calibration:
                 self._tell()
             if self._iteration is not None and self._iteration + 1 >= self._optimization.iterations:
                 self._refuse_nothing()
-                self.finished = True
-                return []
-            work = self._ask()
+                work = self._confirm()
+            else:
+                work = self._ask()
             if work:
                 return work
         return []
@@ -126,9 +133,13 @@ class Calibration:
                 self._optimization.settings, self._area.n_values, last.optimizer_state
             )
             self._iteration = last.iteration
-            self._proposal = Proposal(np.array(last.population, dtype=np.int64), np.array(last.changed, dtype=np.bool_))
-            self._before = self._counts_of_finished(connection, last.iteration)
-            self._take_in(connection, iterations=range(last.iteration))
+            finished = last.iteration + last.finished
+            self._before = self._counts_of_finished(connection, finished)
+            self._take_in(connection, iterations=range(finished))
+            if last.finished:
+                self._optimizer.tell(self._weighted(self._scores), self._weighted(self._ratings))
+            else:
+                self._proposal = Proposal(np.array(last.population, dtype=np.int64), np.array(last.changed, dtype=np.bool_))
             work = self._ledger.load(connection, share_runs=self._shares_runs)
             self._save(connection)
         return work
@@ -169,6 +180,48 @@ class Calibration:
             if iteration == 0:
                 self._tell_beginning(connection)
         return work
+
+    def _confirm(self) -> list[Work]:
+        """Has the best set simulated where its scores are references', and takes in what became of the one before. The stage is finished
+        when none is left."""
+        sequence, first = self._campaign.sequence, self._optimization.iterations
+        limit, best = self._problem.specification.reduction.confirm, self._standing.best()
+        if limit == 0 or best is None:
+            self.finished = True
+            return []
+        work: list[Work] = []
+        with self._database.transaction() as connection:
+            if self._confirmation is None:
+                tried = results.sets_since(connection, sequence, Stage.CALIBRATION, first)
+                self._confirmation, taken = Confirmation(limit, best[0].objective, tried), 0
+            else:
+                tried, taken = self._confirmation.tried, len(self._confirmation.tried) - 1
+            for number in range(taken, len(tried)):
+                self._standing.add(results.answers(connection, sequence, Stage.CALIBRATION, first + number))
+            if tried:
+                self._describe_best(connection)
+            chosen = self._confirmation.choose(self._standing)
+            if chosen is None:
+                self._conclude(connection, self._confirmation)
+            else:
+                parameters = parameter_sets.load(connection, [chosen.parameter_set])[chosen.parameter_set]
+                wanted = [WantedCell(0, scenario, parameters) for scenario in chosen.reused]
+                cells = plan_cells(connection, self._view, Policy("exact"), Stage.CALIBRATION, first + len(tried), wanted)
+                self._ledger.request(connection, cells, carried_over=0)
+                tried.append(chosen.parameter_set)
+                work = self._ledger.load(connection, share_runs=self._shares_runs)
+            self._save(connection)
+        return work
+
+    def _conclude(self, connection: Connection, confirmation: Confirmation) -> None:
+        """Tells what the confirmation found, once; its simulations may contradict others."""
+        best = self._standing.best()
+        if confirmation.tried and best is not None:
+            self._check_reuse(connection, self._optimization.iterations - 1)
+            self._verdict = confirmation.verdict(best[0])
+            if self._verdict not in self._campaign.notes:
+                events.add(connection, self._campaign.sequence, EventKind.NOTE, {"text": self._verdict})
+        self.finished = True
 
     def _tell(self) -> None:
         """Closes an iteration: every cell has its answer."""
@@ -304,6 +357,8 @@ class Calibration:
             if not self._repeatable_no_more:
                 events.add(connection, self._campaign.sequence, EventKind.NOTE, {"text": notes[-1]})
                 self._repeatable_no_more = True
+        if self._verdict is not None:
+            notes.append(self._verdict)
         campaigns.save_progress(
             connection,
             self._campaign.sequence,
@@ -322,4 +377,4 @@ class Calibration:
         )
 
     def _progress(self, counts: CellCounts) -> Progress:
-        return self._pace.progress(counts.requested, max(self._expected.calibration_at_most, counts.requested))
+        return self._pace.progress(counts.requested, max(self._expected.calibration_at_most, counts.requested + counts.pending))

@@ -11,6 +11,7 @@ from drivecal.analysis import comparison as analysis
 from drivecal.analysis.comparison import Course, Pair
 from drivecal.campaigns.comparison import runs_of
 from drivecal.campaigns.pinned import pinned
+from drivecal.contracts.campaign import CellCounts
 from drivecal.contracts.comparison import ComparedGroup, ComparedPair, ComparedRun, ComparisonSpecification, ReductionEffect
 from drivecal.contracts.validation import validated
 from drivecal.domain.campaigns import CampaignState
@@ -71,7 +72,14 @@ def _course(connection: Connection, run: StoredCampaign, conditions: analysis.Co
         ended=run.state is CampaignState.SUCCEEDED,
         reused=reused,
         simulated_best=_best_simulated(connection, run) if reused else None,
+        confirmations=_needed(run.cells) - sum(map(_needed, figures)) if len(figures) == _iterations(run) else 0,
     )
+
+
+def _iterations(run: StoredCampaign) -> int:
+    """Of its search: what is beyond them confirms its best set."""
+    wanted: int = run.spec["optimizer"]["iterations"]
+    return wanted
 
 
 def _best_simulated(connection: Connection, run: StoredCampaign) -> float | None:
@@ -90,7 +98,7 @@ _ended: dict[str, float | None] = {}
 """By the run's id, which no other run ever has."""
 
 
-def _needed(figures: Figures) -> int:
+def _needed(figures: Figures | CellCounts) -> int:
     """Cells without an answer among the campaign's own: they took a simulation, whoever made it, or failed to."""
     return figures.requested - figures.repeated - figures.reused
 
@@ -102,7 +110,8 @@ def _run(campaign: StoredCampaign, course: Course, best: float | None) -> Compar
         state=campaign.state,
         iterations=len(course.best),
         requested=campaign.cells.requested,
-        simulations=sum(course.simulations),
+        simulations=course.simulated,
+        confirmations=course.confirmations,
         analysis=campaign.sensitivity_cells.requested - campaign.sensitivity_cells.repeated,
         best=course.best[-1] if course.best else None,
         simulated_best=course.optimum,
@@ -130,7 +139,7 @@ def pair_row(pair: Pair, run: str, base_run: str) -> ComparedPair:
         best=pair.run.optimum or 0.0,
         base_best=pair.base.optimum or 0.0,
         difference=pair.difference,
-        simulations=sum(pair.run.simulations),
-        base_simulations=sum(pair.base.simulations),
+        simulations=pair.run.simulated,
+        base_simulations=pair.base.simulated,
         saved=pair.saved,
     )

@@ -16,6 +16,7 @@ from functools import partial
 from typing import Self
 
 from drivecal.campaigns.comparison import ComparisonProblem
+from drivecal.campaigns.confirmation import remarkable
 from drivecal.campaigns.ledger import Work
 from drivecal.campaigns.pace import Pace
 from drivecal.campaigns.selfcheck import clopper_pearson
@@ -220,7 +221,7 @@ class _Sum:
         self.baseline = self.baseline or one.baseline
         self.simulating_seconds += one.simulating_seconds
         self.begun += one.begun
-        for note in one.notes:
+        for note in remarkable(one.notes):  # optima are told by the tables
             self.notes.setdefault(note, []).append(one.name)
 
     def told(self) -> list[str]:

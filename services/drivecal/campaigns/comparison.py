@@ -22,6 +22,10 @@ from drivecal.storage.campaigns import StoredCampaign
 COMMON = {"population": "populations", "iterations": "iterations", "start": "start", "seed": "seeds"}
 """What an optimizer does not choose for itself here, and where it is chosen."""
 
+CONFIRMED = 100
+"""Sets of a run with reuse that are simulated after its search at most, where nothing else is asked for: a dozen is many. A run for which
+they were too few notes it."""
+
 
 @dataclass(frozen=True, slots=True)
 class Run:
@@ -149,7 +153,9 @@ def _campaign(
         "optimizer": chosen | {"seed": conditions.seed},
         "reduction": reduction.model_dump(),
     }
-    if reduction.mode != "influence":  # of no use to it, and its cells would count
+    if reduction.mode == "influence":  # what a run found is to be true of its set
+        document["reduction"]["confirm"] = reduction.confirm or CONFIRMED
+    else:  # of no use to it, and its cells would count
         document["sensitivity"] = None
     return validated(CampaignSpecification, document)
 

@@ -96,6 +96,10 @@ _REASONS: Mapping[Outcome, Reason] = {
 
 
 def _not_reused(case: _Case) -> Explanation:
+    trusted = _trusted(case)
+    if trusted is not None:
+        reference, differences = _reference(case, trusted)
+        return _explanation(case, "confirmation", reference=reference, differences=differences, audit=_audit(case, reference))
     reason, stop = _forbidden(case)
     if reason is not None:
         return _explanation(case, reason, stop=stop)
@@ -111,6 +115,16 @@ def _not_reused(case: _Case) -> Explanation:
         distance=found.distance,
         stored=stored,
     )
+
+
+def _trusted(case: _Case) -> int | None:
+    """The reference that had answered a cell before it was simulated to confirm the best set; None of any other cell."""
+    cell, specification = case.cell, case.specification
+    if specification is None or specification.optimizer is None or cell.stage is not Stage.CALIBRATION:
+        return None
+    if cell.iteration < specification.optimizer.iterations:
+        return None
+    return results.reference_of(case.connection, cell.campaign_sequence, cell.scenario, cell.parameter_set_id)
 
 
 def _forbidden(case: _Case) -> tuple[Reason | None, tuple[int, AuditCount] | None]:

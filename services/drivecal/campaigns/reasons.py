@@ -30,6 +30,9 @@ def _reason(one: Explanation, stop: tuple[int, AuditCount] | None) -> str:
             return f"Certified: with these values every decision is that of {where}, so both runs are the same. They differ in {names}."
         case "audited":
             return f"{beginning} to check the reduction, which would have reused {where}: {_listed(one.differences)}. {_verdict(one)}"
+        case "confirmation":
+            trusted = f"the best set's score here was that of {where}, which differs only where it should not matter"
+            return f"{beginning} after the search, to confirm it: {trusted}: {_listed(one.differences)}. {_verdict(one)}"
         case "blocked":
             blocking = [difference for difference in one.differences if difference.blocks]
             count = f"{len(blocking)} parameter{'s' if len(blocking) != 1 else ''}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 
 from drivecal.storage.results import CellAnswer
@@ -68,6 +68,17 @@ class Standing:
         best = min(self._solutions.values(), key=lambda solution: solution.order)
         equal = sum(1 for one in self._solutions.values() if abs(one.objective - best.objective) <= EQUAL)
         return best, equal
+
+    def doubtful(self, tried: Collection[int] = ()) -> Solution | None:
+        """The best of the solutions that owe a score to a reference and rank before every one that owes none, but for those `tried`, by
+        their ids; None where there is none."""
+        surest = min((one.order for one in self._solutions.values() if not one.reused), default=None)
+        found = [
+            one
+            for number, one in self._solutions.items()
+            if one.reused and number not in tried and (surest is None or one.order < surest)
+        ]
+        return min(found, key=lambda solution: solution.order, default=None)
 
     def get(self, parameter_set: int) -> Solution | None:
         """A parameter set's solution, None where a result is missing; `parameter_set` is its id."""

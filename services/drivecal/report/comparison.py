@@ -22,9 +22,11 @@ COUNTED = (
     "database. What several runs have in common was simulated once, and is counted by each."
 )
 BELIEVED = (
-    "Where references answer cells, a search prefers sets whose scores are too good. So what is said of optima here, but for the "
-    "searches' courses, is said of the best set of which each score was simulated for itself. That is a lower bound: a reference that is "
-    "right keeps its set out as well. The table of runs shows beside it what the run believed."
+    "Where references answer cells, a search prefers sets whose scores are too good. So after the search its best set is simulated where "
+    "its scores are references', and the next one where it falls, until the best set owes nothing to a reference; that counts among the "
+    "simulations. What is said of optima here, but for the searches' courses, is said of that set; the table of runs shows beside it "
+    "what the search believed. Of a run that has not come that far it is the best set of which each score was simulated for itself, a "
+    "lower bound."
 )
 CONVERGED = (
     "A run has converged in the iteration after which its best objective stayed as it was for at least 10 further ones (Table 5); means "
@@ -223,6 +225,7 @@ def _runs(runs: Sequence[ComparedRun], *, several: bool) -> str:
         ("sets", lambda one: one.alternatives),
         ("mean", lambda one: _number(one.mean, 3)),
         ("simulations", lambda one: one.simulations),
+        *([("confirming", _confirming)] if any(one.confirmations for one in runs) else []),
         *([("analysis", _analysis)] if analysed else []),
         ("converged", lambda one: one.converged_at),
         ("after", lambda one: one.simulations_to_converge),
@@ -231,7 +234,8 @@ def _runs(runs: Sequence[ComparedRun], *, several: bool) -> str:
     rows = [[tell(one) for _, tell in columns] for one in runs]
     caption = (
         "All runs; each is a campaign of its own, by whose id all of it can be read. Sets: with the best objective; mean: of the last "
-        "population; converged: in which iteration, after how many simulations"
+        "population; confirming: simulations of the best set after the search, among all; converged: in which iteration, after how many "
+        "simulations"
     )
     return table([name for name, _ in columns], rows, caption)
 
@@ -246,6 +250,10 @@ def _state(one: ComparedRun) -> str:
 
 def _believed(one: ComparedRun) -> Number | None:
     return _number(one.best, 4)
+
+
+def _confirming(one: ComparedRun) -> int:
+    return one.confirmations
 
 
 def _analysis(one: ComparedRun) -> int:

@@ -62,8 +62,9 @@ def _search(findings: Findings, drawn: Mapping[str, str]) -> list[str]:
     if not findings.generations:
         return [paragraph("There is no iteration (yet).")] if _searched(findings.campaign) else []
     found = search.convergence(findings.generations)
+    afterwards = search.afterwards(findings.campaign, findings.generations)
     return [
-        bullets(found) if found else "",
+        bullets([*found, *([afterwards] if afterwards else [])]) if found else "",
         *_figures(drawn, "figure-10-"),
         search.population_table(findings.generations),
     ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from drivecal.analysis.convergence import UNCHANGED_ALTERNATIVES, UNCHANGED_BEST, alternatives_at, best_at
-from drivecal.contracts.campaign import Generation
+from drivecal.contracts.campaign import Campaign, Generation
 from drivecal.report.markup import Number, table
 
 MOST_LINES = 13
@@ -37,6 +37,18 @@ def convergence(generations: Sequence[Generation]) -> list[str]:
             f"for more than {UNCHANGED_ALTERNATIVES} iterations (Table 7)",
         ),
     ]
+
+
+def afterwards(campaign: Campaign, generations: Sequence[Generation]) -> str:
+    """Of cells that are in no iteration, for they confirmed the best set; empty where there are none."""
+    added = campaign.cells.requested - sum(one.requested for one in generations)
+    if campaign.ended_at is None or added <= 0 or not campaign.spec.get("reduction", {}).get("confirm"):
+        return ""
+    cells = "1 cell was" if added == 1 else f"{added:,} cells were"
+    return (
+        f"After the last iteration {cells} asked for to confirm the best set by simulation. Iterations neither count nor know them: their "
+        "objectives are those that the search believed."
+    )
 
 
 def _sentence(what: str, of_it: str, converged: int | None, changed: int, iterations: int, criterion: str) -> str:

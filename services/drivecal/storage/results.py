@@ -84,14 +84,17 @@ def by_id(connection: Connection, evaluation_id: int) -> StoredEvaluation:
 
 
 def number_at(connection: Connection, campaign_sequence: int, iteration: int, individual: int, scenario: str) -> int:
-    """The number of the cell that a place in the calibration stage names. Raises NotFoundError."""
-    place = (Stage.CALIBRATION, iteration, individual, scenario)
-    wanted = (column == value for column, value in zip(_PLACE, place, strict=True))
-    query = select(evaluations.c.id).where(evaluations.c.campaign_sequence == campaign_sequence, *wanted)
-    found = connection.execute(query).scalar_one_or_none()
-    if found is None:
+    """The number of the cell by which the set at a place of the calibration stage is ranked in a scenario: one of its own, where another
+    was answered by a reference. Raises NotFoundError."""
+    table = evaluations.c
+    here = (table.campaign_sequence == campaign_sequence, table.stage == Stage.CALIBRATION, table.scenario == scenario)
+    at = select(table.parameter_set_id).where(*here, table.iteration == iteration, table.individual == individual)
+    number = connection.scalar(at)
+    if number is None:
         raise NotFoundError("evaluation", f"of individual {individual} in iteration {iteration}, {scenario}")
-    return int(found)
+    worth = case((table.score.is_(None), 2), (table.outcome == Outcome.REUSED, 1), else_=0)
+    cells = select(table.id).where(*here, table.parameter_set_id == number).order_by(worth, *_PLACE)
+    return int(connection.execute(cells.limit(1)).scalar_one())
 
 
 def page(
@@ -167,6 +170,28 @@ def best_simulated(connection: Connection, campaign_sequence: int, weights: Mapp
     )
     found: float | None = connection.scalar(select(func.max(objectives.c.objective)))
     return found
+
+
+def sets_since(connection: Connection, campaign_sequence: int, stage: Stage, iteration: int) -> list[int]:
+    """The parameter sets that a stage asked for from an iteration on, one after the other: their ids, in that order."""
+    table = evaluations.c
+    query = select(table.iteration, table.parameter_set_id).where(
+        table.campaign_sequence == campaign_sequence, table.stage == stage, table.iteration >= iteration
+    )
+    return [number for _, number in connection.execute(query.distinct().order_by(table.iteration))]
+
+
+def reference_of(connection: Connection, campaign_sequence: int, scenario: str, parameter_set_id: int) -> int | None:
+    """The evaluation by which a calibration answered a parameter set's cell first, where it was another set's; else None."""
+    table = evaluations.c
+    query = select(table.reference).where(
+        table.campaign_sequence == campaign_sequence,
+        table.stage == Stage.CALIBRATION,
+        table.scenario == scenario,
+        table.parameter_set_id == parameter_set_id,
+        table.outcome == Outcome.REUSED,
+    )
+    return connection.scalar(query.order_by(*_PLACE).limit(1))
 
 
 def has_iteration(connection: Connection, campaign_sequence: int, stage: Stage, iteration: int) -> bool:

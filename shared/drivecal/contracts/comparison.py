@@ -83,9 +83,10 @@ class ComparedRun(Answer):
     """One run. Iterations count from 1; `best` is the best objective found, by `alternatives` sets.
 
     `simulations`: cells of its calibration that had no answer among the run's own earlier cells, whoever simulated them: what the run
-    would have taken alone on an empty database. `analysis`: the same of its sensitivity stage. `converged_at`: the iteration after
-    which the best objective stayed for at least 10 further ones (Table 5), null where it did not; `alternatives_converged_at`: after
-    which the number of alternatives stayed for more than 5 (Table 7). `success`: no run of the comparison found better.
+    would have taken alone on an empty database; `confirmations` of them after the search, to simulate its best set. `analysis`: the same
+    of its sensitivity stage. `converged_at`: the iteration after which the best objective stayed for at least 10 further ones (Table 5),
+    null where it did not; `alternatives_converged_at`: after which the number of alternatives stayed for more than 5 (Table 7).
+    `success`: no run of the comparison found better.
     """
 
     run: str
@@ -98,11 +99,15 @@ class ComparedRun(Answer):
     iterations: int
     requested: int
     simulations: int
+    confirmations: int = 0
     analysis: int
     best: float | None
     simulated_best: float | None = None
     """The best objective of a set whose every score was simulated for itself. Where references answer cells, a search prefers sets whose
-    scores are too good: `best` is what it believes, this is what it has. What is said of groups, pairs and successes is said of this."""
+    scores are too good: `best` is what it believed, this is what it has. Runs with reuse have their best set simulated after the search,
+    and the next one where it falls (`reduction.confirm`): then this is the objective of the first set of the final ranking. Of runs that
+    are not that far, or that note that their best set is not confirmed, it is a lower bound. What is said of groups, pairs and successes is
+    said of this."""
     rating: float | None
     """The weighted continuous rating of the best set, which tells optima of the same objective apart."""
     alternatives: int

@@ -17,6 +17,7 @@ Reason = Literal[
     "reused",
     "certified",
     "audited",
+    "confirmation",
     "blocked",
     "nothing_stored",
     "unanswered",
@@ -27,9 +28,10 @@ Reason = Literal[
     "analysis",
     "study",
 ]
-"""`blocked`: something is stored, but every set differs where it matters. `unanswered`: the cell that was to answer it has no result.
-`stopped`: the self-check stopped reuse in this scenario. `no_map`, `exact_only`, `off`: the campaign allows no reuse. `analysis`: a cell
-of the sensitivity stage, which only repeats."""
+"""`confirmation`: simulated after the search, for the best set owed its score there to a reference. `blocked`: something is stored, but
+every set differs where it matters. `unanswered`: the cell that was to answer it has no result. `stopped`: the self-check stopped reuse in
+this scenario. `no_map`, `exact_only`, `off`: the campaign allows no reuse. `analysis`: a cell of the sensitivity stage, which only
+repeats."""
 
 
 class Difference(Answer):
@@ -59,8 +61,8 @@ class Reference(Answer):
 
 
 class Audit(Answer):
-    """What the self-check found in an audited cell: `agrees`: equal scores; `wrong`: they differ by more than 1 (Eq. 8). Null where one
-    of the two has no result."""
+    """What a simulation says of the reference that would have answered the cell (audited), or had (confirmation). `agrees`: equal scores;
+    `wrong`: they differ by more than 1 (Eq. 8). Null where one of the two has no result."""
 
     score: int | None
     reference_score: int | None
@@ -84,9 +86,10 @@ class Proof(Answer):
 class Explanation(Answer):
     """Why a cell was answered as it was.
 
-    `reference` is the donor (repeated, reused), the donor that was not trusted (audited), or the nearest stored set (blocked): fewest
-    blocking parameters first, then the smallest distance. `distance` is that of the blocking parameters, in units of their ranges
-    (Euclidean), and `stored` counts the results of the same setup that the campaign saw; both null where nothing was searched for.
+    `reference` is the donor (repeated, reused), the donor that was not trusted (audited, confirmation), or the nearest stored set
+    (blocked): fewest blocking parameters first, then the smallest distance. `distance` is that of the blocking parameters, in units of
+    their ranges (Euclidean), and `stored` counts the results of the same setup that the campaign saw; both null where nothing was
+    searched for.
     """
 
     evaluation: int

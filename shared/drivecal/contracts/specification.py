@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Discriminator, Field, StringConstrai
 
 LARGEST_POPULATION = 100_000
 LARGEST_ITERATIONS = 10_000
+LARGEST_CONFIRM = 1_000
 
 Name = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]+$")]
 Identifier = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[A-Za-z][A-Za-z0-9_.-]*$")]
@@ -87,7 +88,8 @@ class ReductionSpecification(Model):
     """Which cells may be answered without a simulation.
 
     `off`: none but in-population duplicates' own repeats is ever copied; `exact`: equal parameter sets; `influence`: Figure 6.
-    `narrow`: search only the smallest common area, where some scenario is influenced (Section III).
+    `narrow`: search only the smallest common area, where some scenario is influenced (Section III). `confirm`: at most so many sets are
+    simulated after the search, one after the other, until the best of the ranking has no score of a reference.
     """
 
     mode: Literal["off", "exact", "influence"] = "influence"
@@ -96,6 +98,7 @@ class ReductionSpecification(Model):
     narrow: bool = False
     certified: bool = True
     """Whether a cell may be answered by a run that it provably repeats, where the driving function allows it; changes no result."""
+    confirm: Annotated[int, Field(ge=0, le=LARGEST_CONFIRM)] = 0
 
 
 class RobustnessSpecification(Model):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -117,3 +118,19 @@ def test_the_interval_holds_the_mean_and_signs_add_up(differences: list[float]) 
         assert effect.lower_95 <= effect.mean_difference <= effect.upper_95
     assert 0 < effect.sign_test <= 1
     assert effect.different_upper_95 >= (effect.better + effect.worse) / effect.pairs
+
+
+def test_the_optimum_is_what_was_confirmed_and_what_that_took_counts() -> None:
+    base = course([6.0, 6.5])
+    confirmed = replace(
+        course([6.0, 7.0], reduction="influence", simulations=6), reused=True, simulated_best=6.25, confirmations=3
+    )
+    (pair,) = pairs([base, confirmed])
+    assert pair.difference == -0.25
+    assert pair.saved == 20 - 15
+    (effect,) = effects([pair])
+    assert (effect.simulations, effect.base_simulations) == (15, 20)
+    assert groups([confirmed])[0].simulations == 15
+    assert confirmed.simulations_to_converge is None
+    rounded = replace(confirmed, simulated_best=7.0 - 1e-12)
+    assert rounded.optimum == 7.0, "what differs by rounding alone is no other belief"

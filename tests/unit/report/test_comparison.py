@@ -134,12 +134,16 @@ def test_the_page_says_what_was_found_and_needs_nothing_else(tmp_path: Path) -> 
 
 def test_what_a_run_believed_stands_beside_what_it_has(tmp_path: Path) -> None:
     found = findings()
-    runs = [one.model_copy(update={"best": 7.5}) if one.reduction == "influence" else one for one in found.runs]
+    runs = [
+        one.model_copy(update={"best": 7.5, "confirmations": 4321}) if one.reduction == "influence" else one
+        for one in found.runs
+    ]
     believed = replace(found, runs=runs)
     assert summary(believed) == summary(found)
     page = write_comparison(believed, {}, tmp_path)[-1].read_text()
     assert "a search prefers sets whose scores are too good" in page
-    assert page.count(">7.5000<") == 12
+    assert page.count(">7.5000<") == page.count(">4,321<") == 12
+    assert ">confirming<" in page
     assert ">believed<" in page
 
 

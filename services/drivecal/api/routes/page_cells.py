@@ -16,7 +16,7 @@ Place = Annotated[int, Field(ge=0, le=2**31 - 1)]
 
 
 class CellOf(BaseModel):
-    """The place of a cell: `iteration` and `individual` of a solution, and a scenario."""
+    """A set of the ranking by `iteration` and `individual`, and a scenario."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -35,7 +35,7 @@ class CellAnswer(BaseModel):
 
 @router.get("/{campaign_id}/cell")
 def find_cell(campaign_id: str, query: Annotated[CellOf, Query()], database: DatabaseDependency) -> CellAnswer:
-    """The evaluation at a place of the calibration stage."""
+    """The evaluation by which the set at a place of the calibration stage is ranked."""
     with database.read() as connection:
         campaign = campaigns.get(connection, campaign_id)
         found = results.number_at(connection, campaign.sequence, query.iteration, query.individual, query.scenario)

@@ -5,7 +5,7 @@ test("what was asked for is told with all settings that were chosen, and nothing
   const spec = {
     catalogue: ["S3", "S5"], weights: { S3: 2 }, driving_function: "frenet", vehicle: { model: "hybrid", parameters: {} }, evaluator: "learned", fixed: {}, baseline: null,
     optimizer: { kind: "genetic", population: 200, iterations: 15, start: "lhs", seed: 1, start_sets: [], mutation: 0.2 },
-    reduction: { mode: "influence", audit: 0.02, max_error: 0.02, narrow: false, certified: true }, sensitivity: { map: "0123456789abcdef" }, robustness: null,
+    reduction: { mode: "influence", audit: 0.02, max_error: 0.02, narrow: false, confirm: 20, certified: true }, sensitivity: { map: "0123456789abcdef" }, robustness: null,
   };
   expect(asked({ kind: "calibration", spec }, null)).toEqual([
     ["Scenarios", "S3, S5"],
@@ -15,7 +15,7 @@ test("what was asked for is told with all settings that were chosen, and nothing
     ["Evaluator", "learned"],
     ["Optimizer", "genetic: population 200, iterations 15, start lhs, seed 1, mutation 0.2"],
     ["Sensitivity", "the stored influence map 01234567"],
-    ["Reduction", "influence: 2.0 % audited, stopped where more than 2.0 % are wrong, not narrow, certified"],
+    ["Reduction", "influence: 2.0 % audited, stopped where more than 2.0 % are wrong, not narrow, certified, the best confirmed by simulation, at most 20 sets"],
   ]);
 });
 

@@ -54,9 +54,10 @@ export function asked(campaign: Asked, setup: Setup | null): [string, string][] 
   if (isSettings(spec.optimizer)) rows.push(["Optimizer", named(spec.optimizer["kind"], list(spec.optimizer, ["kind"]))]);
   if (isSettings(spec.sensitivity)) rows.push(["Sensitivity", typeof spec.sensitivity["map"] === "string" ? `the stored influence map ${spec.sensitivity["map"].slice(0, 8)}` : list(spec.sensitivity)]);
   if (isSettings(spec.reduction) && spec.optimizer !== null) {
-    const { mode, audit, max_error: most } = spec.reduction;
+    const { mode, audit, max_error: most, confirm } = spec.reduction;
     const audits = mode === "influence" ? `${percent(Number(audit))} audited, stopped where more than ${percent(Number(most))} are wrong` : "";
-    rows.push(["Reduction", named(mode, [audits, list(spec.reduction, ["mode", "audit", "max_error"])].filter(Boolean).join(", "))]);
+    const confirmed = mode === "influence" && confirm ? `the best confirmed by simulation, at most ${String(confirm)} sets` : "";
+    rows.push(["Reduction", named(mode, [audits, list(spec.reduction, ["mode", "audit", "max_error", "confirm"]), confirmed].filter(Boolean).join(", "))]);
   }
   for (const stage of studiesOf(campaign)) rows.push([stage === "robustness" ? "Robustness" : "Validation", settingsText(stage, spec[stage] ?? {})]);
   return rows.filter((row): row is [string, string] => row[1] !== null && row[1] !== "");

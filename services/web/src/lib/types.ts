@@ -57,7 +57,7 @@ export interface Specification {
   weights?: Record<string, number>;
   optimizer?: { kind: string; population?: number; iterations?: number } | null;
   sensitivity?: Record<string, unknown> | null;
-  reduction?: { mode: string; audit: number; max_error: number; certified?: boolean };
+  reduction?: { mode: string; audit: number; max_error: number; certified?: boolean; confirm?: number };
   robustness?: Record<string, unknown> | null;
   validation?: Record<string, unknown> | null;
   [more: string]: unknown;
@@ -153,6 +153,7 @@ export interface ComparedRun {
   iterations: number;
   requested: number;
   simulations: number;
+  confirmations: number;
   analysis: number;
   best: number | null;
   simulated_best: number | null;

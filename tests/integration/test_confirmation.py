@@ -1,0 +1,260 @@
+"""A search that believed references ends with a best set that was simulated, whoever dies meanwhile."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from sqlalchemy import Connection
+from tests.support.computed import ComputedBackend
+from tests.support.runs import dispatcher, everything, get, post_map, run, submit
+
+from drivecal.campaigns.explaining import explain
+from drivecal.campaigns.verification import verify
+from drivecal.contracts.work import Cell, CellResult
+from drivecal.dispatch.dispatcher import Dispatcher
+from drivecal.dispatch.leasing import StoredLeases
+from drivecal.dispatch.tenure import Tenure
+from drivecal.domain.campaigns import Stage
+from drivecal.domain.evaluations import Outcome
+from drivecal.execution.pool import WorkPool
+from drivecal.storage import campaigns, events, generations, results
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.database import Database
+from drivecal.storage.results import StoredEvaluation
+
+ITERATIONS = 4
+STRIDE = 10
+"""Of moments to die at, so that those before, in and after transactions are among them; all of them take half a minute."""
+MATTERS = {"S1": "P1", "S2": "P3"}
+BLIND_MAP = {
+    scenario: {f"P{i}": {"influential": False} for i in range(1, 12) if f"P{i}" != name} for scenario, name in MATTERS.items()
+}
+"""What spoils S1 is what is good for S2, and the map knows nothing of it."""
+
+
+def spoiled(scenario: str, cell: Cell) -> CellResult:
+    p = cell.parameters
+    good, bad = (p["P1"], p["P3"]) if scenario == "S1" else (p["P3"], p["P1"])
+    rating = 2 + 4 * good - 2 * bad + 0.01 * p["P2"]
+    return CellResult(cell.id, rating, round(rating), {"rating": rating}, None, 7.0)
+
+
+def unreliable(scenario: str, cell: Cell) -> CellResult:
+    """The sets that seem to be the best cannot be simulated."""
+    if cell.parameters["P1"] == cell.parameters["P3"] == 1.0:
+        return CellResult(cell.id, None, None, {}, None, 1.0, "crash", "segmentation fault")
+    return spoiled(scenario, cell)
+
+
+def ask(database: Database, confirm: int, seed: int = 3, population: int = 16) -> StoredCampaign:
+    return submit(
+        database,
+        stored_map=post_map(database, BLIND_MAP),
+        catalogue=["S1", "S2"],
+        optimizer={"kind": "genetic", "population": population, "iterations": ITERATIONS, "seed": seed},
+        reduction={"audit": 0.1, "max_error": 1.0, "confirm": confirm},
+    )
+
+
+def rows_of(database: Database, campaign: StoredCampaign) -> list[StoredEvaluation]:
+    with database.read() as connection:
+        return list(results.stream(connection, campaign.sequence))
+
+
+def told(database: Database, campaign: StoredCampaign, kind: str) -> list[Any]:
+    with database.read() as connection:
+        found = events.since(connection, campaign.sequence, 0, 1_000)
+    return [one.data.get("text", one.data.get("iteration")) for one in found if one.kind == kind]
+
+
+def new(path: Path) -> Database:
+    opened = Database.open(f"sqlite:///{path}")
+    opened.upgrade()
+    return opened
+
+
+@pytest.fixture(scope="module")
+def confirmed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Database, StoredCampaign, StoredCampaign]]:
+    """A campaign that confirms its best, and one that does not, which sees the same."""
+    opened = [new(tmp_path_factory.mktemp("confirmed") / f"{confirm}.db") for confirm in (50, 0)]
+    one, plain = (
+        run(database, ask(database, confirm), ComputedBackend(answer=spoiled))
+        for database, confirm in zip(opened, (50, 0), strict=True)
+    )
+    with opened[0].read() as with_it, opened[1].read() as without:
+        figures = [
+            generations.page(connection, campaign.sequence)[0] for connection, campaign in ((with_it, one), (without, plain))
+        ]
+    assert figures[0] == figures[1], "the search itself is the same"
+    yield opened[0], one, plain
+    for database in opened:
+        database.dispose()
+
+
+def test_the_best_set_is_simulated_and_the_ranking_made_anew(
+    confirmed: tuple[Database, StoredCampaign, StoredCampaign],
+) -> None:
+    database, campaign, plain = confirmed
+    assert campaign.best is not None
+    assert plain.best is not None
+    assert campaign.best.objective < plain.best.objective
+    cells = {name: spoiled(name, Cell(1, campaign.best.parameters)).score for name in campaign.best.scores}
+    assert campaign.best.scores == cells
+    (note,) = campaign.notes
+    assert note.startswith(
+        f"confirmed by simulation: the best objective is {campaign.best.objective:.4f}, the search believed {plain.best.objective:.4f}; "
+    )
+    assert told(database, campaign, "note")[-1] == note
+    assert plain.notes == ()
+
+
+def test_what_confirms_is_counted_and_told_apart_from_the_search(
+    confirmed: tuple[Database, StoredCampaign, StoredCampaign],
+) -> None:
+    database, campaign, plain = confirmed
+    rows = rows_of(database, campaign)
+    added = [row for row in rows if row.iteration >= ITERATIONS]
+    places = {(row.iteration, row.individual): row.parameter_set_id for row in added}
+    assert list(places) == [(ITERATIONS + number, 0) for number in range(len(places))], "one set after the other"
+    assert len(set(places.values())) == len(places) > 1, "each once"
+    assert {row.outcome for row in added} == {Outcome.SIMULATED}
+    assert not any(row.audited or row.reference for row in added)
+    assert campaign.cells.requested - plain.cells.requested == len(added) == campaign.cells.simulated - plain.cells.simulated
+    assert (campaign.cells.reused, campaign.cells.audited) == (plain.cells.reused, plain.cells.audited)
+    audits = [{name: rate.audited for name, rate in one.error_rate.items()} for one in (campaign, plain)]
+    assert audits[0] == audits[1]
+    assert all(audits[0].values())
+    assert campaign.progress.done == campaign.cells.requested <= campaign.progress.total
+    assert [one for one in verify(database, full=True) if one.problems] == []
+
+
+def test_a_cell_that_confirmed_is_explained_and_found_in_the_place_of_the_reference(
+    confirmed: tuple[Database, StoredCampaign, StoredCampaign],
+) -> None:
+    database, campaign, _ = confirmed
+    rows = rows_of(database, campaign)
+    by_number = {row.id: row for row in rows}
+    own = next(row for row in rows if row.iteration == ITERATIONS)
+    copy = next(
+        row
+        for row in rows
+        if (row.outcome, row.parameter_set_id, row.scenario) == (Outcome.REUSED, own.parameter_set_id, own.scenario)
+    )
+    with database.read() as connection:
+        found = explain(connection, own.id)
+        ranked_by = results.number_at(connection, campaign.sequence, copy.iteration, copy.individual, copy.scenario)
+        other = next(row for row in rows if row.iteration == 0)
+        assert results.number_at(connection, campaign.sequence, 0, other.individual, other.scenario) == other.id
+    assert found.reason == "confirmation"
+    assert found.reference is not None
+    assert found.reference.evaluation == copy.reference
+    assert found.audit is not None
+    assert (found.audit.score, found.audit.reference_score) == (own.score, by_number[copy.reference or 0].score)
+    assert found.sentence.startswith(
+        "Simulated after the search, to confirm it: the best set's score here was that of evaluation "
+    )
+    assert ranked_by == own.id
+
+
+def test_no_more_sets_are_tried_than_asked_for_and_failing_ones_once(database: Database) -> None:
+    cut = run(database, ask(database, 1), ComputedBackend(answer=spoiled))
+    assert {row.iteration for row in rows_of(database, cut) if row.iteration >= ITERATIONS} == {ITERATIONS}
+    assert cut.notes[-1].endswith("is still a reference's; no more than 1 set (reduction.confirm) were tried")
+    failing = run(database, ask(database, 50, seed=5), ComputedBackend(answer=unreliable))
+    tried = [row for row in rows_of(database, failing) if row.iteration >= ITERATIONS]
+    assert Outcome.FAILED in {row.outcome for row in tried}
+    assert len({(row.parameter_set_id, row.scenario) for row in tried}) == len(tried)
+    assert "for its simulation failed" in failing.notes[-1]
+    assert [one for one in verify(database, full=True) if one.problems] == []
+
+
+class Killed(BaseException):
+    """The dispatcher's process is gone."""
+
+
+class DyingDatabase:
+    """Dies before a transaction begins, before it is committed, or right after."""
+
+    def __init__(self, database: Database, moments: int) -> None:
+        self._database, self._left = database, moments
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._database, name)
+
+    @contextmanager
+    def transaction(self) -> Iterator[Connection]:
+        self._moment()
+        with self._database.transaction() as connection:
+            yield connection
+            self._moment()
+        self._moment()
+
+    def _moment(self) -> None:
+        self._left -= 1
+        if self._left == 0:
+            raise Killed
+
+
+def mortal(database: Database, moments: int) -> Dispatcher:
+    own: Any = DyingDatabase(database.fenced(Tenure.begin(database).fence), moments)
+    ticks = iter(range(10**9))
+    return Dispatcher(
+        own, WorkPool(ComputedBackend(moments, answer=spoiled), StoredLeases(own)), clock=lambda: float(next(ticks))
+    )
+
+
+def step_until(database: Database, campaign: StoredCampaign, iteration: int, working: Dispatcher) -> None:
+    """Until an iteration of the stage was asked for."""
+    for _ in range(1_000):
+        with database.read() as connection:
+            if results.has_iteration(connection, campaign.sequence, Stage.CALIBRATION, iteration):
+                return
+        working.step()
+    raise AssertionError(f"iteration {iteration} was never asked for")
+
+
+def test_a_dispatcher_killed_at_any_moment_of_it_changes_nothing(tmp_path: Path) -> None:
+    used, kept = tmp_path / "used.db", tmp_path / "kept.db"
+    database = new(used)
+    campaign = ask(database, 50, population=10)
+    step_until(database, campaign, ITERATIONS - 1, dispatcher(database, ComputedBackend(answer=spoiled)))
+    database.dispose()
+    shutil.copy(used, kept)
+    ends: list[tuple[Any, ...]] = []
+    killed = True
+    while killed:
+        shutil.copy(kept, used)
+        database, killed = new(used), False
+        try:
+            working = mortal(database, STRIDE * len(ends))  # at 0 it lives
+            while not get(database, campaign).state.ended:
+                working.step()
+        except Killed:
+            killed = True
+            run(database, campaign, ComputedBackend(answer=spoiled))
+        ends.append((everything(database, campaign), told(database, campaign, "note"), told(database, campaign, "generation")))
+        killed = killed or len(ends) == 1
+        database.dispose()
+    assert len(ends) > 10
+    assert all(one == ends[0] for one in ends)
+    assert ends[0][0][0][-1][0] > ITERATIONS, "several sets were tried"
+    assert len(ends[0][1]) == 1
+    assert ends[0][2] == list(range(ITERATIONS))
+
+
+def test_a_campaign_that_was_paused_while_it_confirms_goes_on(database: Database) -> None:
+    campaign = ask(database, 50)
+    working = dispatcher(database, ComputedBackend(answer=spoiled))
+    step_until(database, campaign, ITERATIONS, working)
+    with database.transaction() as connection:
+        campaigns.request_action(connection, campaign.id, "pause")
+    for _ in range(5):
+        working.step()
+    with database.transaction() as connection:
+        campaigns.request_action(connection, campaign.id, "resume")
+    assert run(database, campaign, ComputedBackend(answer=spoiled)).notes[0].startswith("confirmed by simulation")
