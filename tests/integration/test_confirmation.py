@@ -130,6 +130,9 @@ def test_what_confirms_is_counted_and_told_apart_from_the_search(
     assert audits[0] == audits[1]
     assert all(audits[0].values())
     assert campaign.progress.done == campaign.cells.requested <= campaign.progress.total
+    with database.read() as connection:
+        counted = results.counted_since(connection, campaign.sequence, Stage.CALIBRATION, ITERATIONS)
+    assert counted == {name: sum(row.scenario == name for row in added) for name in MATTERS}
     assert [one for one in verify(database, full=True) if one.problems] == []
 
 

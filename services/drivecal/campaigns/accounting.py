@@ -1,7 +1,8 @@
 """What reuse saved and what that cost: the sensitivity stage beside the simulations that its map spared. Pure.
 
 A saved cell is worth the mean CPU time of the scenario's simulated cells. Audited cells are simulated like any other: they are a saving
-forgone, already missing among the reused, and not a cost on top.
+forgone, already missing among the reused, and not a cost on top. Reused cells that were simulated after the search to confirm its best
+set save nothing either.
 """
 
 from __future__ import annotations
@@ -37,13 +38,17 @@ def account(
     costs: Sequence[CellCosts],
     origin: MapOrigin | None,
     proofs: Iterable[AuditCount] = (),
+    confirmed: Mapping[str, int] | None = None,
 ) -> Accounting:
     """The account of a campaign from its `costs`; `scenarios` in the order in which they are to be listed; `proofs`: what certificates say
-    of reused cells."""
+    of reused cells; `confirmed`: how many of those were simulated after the search, by scenario."""
     proved = {one.scenario: one for one in proofs}
     rows = [
         _scenario(
-            name, [one for one in costs if one.stage is Stage.CALIBRATION and one.scenario == name], proved.get(name, _NOTHING)
+            name,
+            [one for one in costs if one.stage is Stage.CALIBRATION and one.scenario == name],
+            proved.get(name, _NOTHING),
+            (confirmed or {}).get(name, 0),
         )
         for name in scenarios
     ]
@@ -105,7 +110,7 @@ def break_even(map_seconds: float, reused_saved_seconds: float, requested: int) 
     return BreakEven(requested_cells=ceil(campaigns * requested - ROUNDING), campaigns=whole, reruns=whole - 1)
 
 
-def _scenario(name: str, costs: Sequence[CellCosts], proved: AuditCount) -> ScenarioAccount:
+def _scenario(name: str, costs: Sequence[CellCosts], proved: AuditCount, confirmed: int) -> ScenarioAccount:
     cells = _cells(costs)
     simulated = [one for one in costs if one.outcome is Outcome.SIMULATED]
     mean = _mean_seconds(simulated)
@@ -122,11 +127,12 @@ def _scenario(name: str, costs: Sequence[CellCosts], proved: AuditCount) -> Scen
         simulated=cells[Outcome.SIMULATED],
         failed=cells[Outcome.FAILED],
         audited=sum(one.cells for one in audited),
+        confirmed=confirmed,
         mean_seconds=mean,
         simulated_seconds=sum(one.seconds for one in simulated),
         audited_seconds=sum(one.seconds for one in audited),
         repeated_saved_seconds=cells[Outcome.REPEATED] * worth,
-        reused_saved_seconds=cells[Outcome.REUSED] * worth,
+        reused_saved_seconds=(cells[Outcome.REUSED] - confirmed) * worth,
         certified_saved_seconds=cells[Outcome.CERTIFIED] * worth,
         proved=proved.audited,
         proved_different=proved.different,

@@ -181,6 +181,14 @@ def sets_since(connection: Connection, campaign_sequence: int, stage: Stage, ite
     return [number for _, number in connection.execute(query.distinct().order_by(table.iteration))]
 
 
+def counted_since(connection: Connection, campaign_sequence: int, stage: Stage, iteration: int) -> dict[str, int]:
+    """How many cells a stage asked for from an iteration on, by scenario."""
+    table = evaluations.c
+    asked = (table.campaign_sequence == campaign_sequence, table.stage == stage, table.iteration >= iteration)
+    query = select(table.scenario, func.count()).where(*asked).group_by(table.scenario)
+    return dict(connection.execute(query).tuples().all())
+
+
 def reference_of(connection: Connection, campaign_sequence: int, scenario: str, parameter_set_id: int) -> int | None:
     """The evaluation by which a calibration answered a parameter set's cell first, where it was another set's; else None."""
     table = evaluations.c

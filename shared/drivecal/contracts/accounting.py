@@ -29,7 +29,8 @@ class MapCost(Answer):
 
 class ScenarioAccount(Answer):
     """The calibration stage in one scenario. `mean_seconds`: CPU time per simulated cell; where none was simulated, per stored run that
-    answered cells; null where there is neither. Savings are numbers of cells times it. `proved`: of the reused cells, those of which a
+    answered cells; null where there is neither. Savings are numbers of cells times it. `confirmed`: of the reused cells, those that were
+    simulated after the search to confirm its best set, and so save nothing. `proved`: of the reused cells, those of which a
     worker happened to know by a certificate what a simulation would have given; `proved_different`: their score is another one,
     `proved_wrong`: by more than 1 (Eq. 8). Two equal campaigns need not know the same."""
 
@@ -41,6 +42,7 @@ class ScenarioAccount(Answer):
     simulated: int
     failed: int
     audited: int
+    confirmed: int = 0
     mean_seconds: float | None
     simulated_seconds: float
     audited_seconds: float
@@ -67,10 +69,11 @@ class BreakEven(Answer):
 class Accounting(Answer):
     """What a campaign saved and what that cost, in cells and in CPU seconds of the workers.
 
-    `saved_seconds`: by repeated, reused and certified cells. `audited_seconds` is the price of the self-check: audited cells could have
-    been reused but were simulated, so they are not among the saved, and are not taken off once more. `net_seconds` = `saved_seconds` -
-    `sensitivity.seconds`. `map_net_seconds` = what reuse alone saved - what the map cost, whoever paid; null without a map.
-    `share_without_simulation`: (repeated + reused + certified) / requested; `share_reused`: reused / requested; null before the first.
+    `saved_seconds`: by repeated, reused and certified cells, without reused ones that were `confirmed`. `audited_seconds` is the price of
+    the self-check: audited cells could have been reused but were simulated, so they are not among the saved, and are not taken off once
+    more. `net_seconds` = `saved_seconds` - `sensitivity.seconds`. `map_net_seconds` = what reuse alone saved - what the map cost, whoever
+    paid; null without a map. `share_without_simulation`: (repeated + reused + certified) / requested; `share_reused`: reused / requested;
+    null before the first.
     """
 
     campaign: str

@@ -21,7 +21,7 @@ from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns
 from drivecal.contracts.specification import CampaignSpecification, RerunSpecification
 from drivecal.domain.campaigns import Stage
 from drivecal.domain.errors import ConflictError
-from drivecal.storage import audits, campaigns, comparisons, costs, glances, influence_maps
+from drivecal.storage import audits, campaigns, comparisons, costs, glances, influence_maps, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.database import Database
 from drivecal.storage.types import now
@@ -99,8 +99,10 @@ def accounting(campaign_id: str, database: DatabaseDependency) -> Accounting:
         found = costs.by_outcome(connection, stored.sequence)
         origin = _map_origin(connection, stored)
         proofs = audits.proofs(connection, stored.sequence, pinned(stored).evaluator) if stored.resolution else ()
+        searched = (stored.spec.get("optimizer") or {}).get("iterations", 0)
+        confirmed = results.counted_since(connection, stored.sequence, Stage.CALIBRATION, searched)
     known = [*stored.error_rate, *(one.scenario for one in found if one.stage is Stage.CALIBRATION)]
-    return account(stored.id, stored.state, dict.fromkeys(known), found, origin, proofs)
+    return account(stored.id, stored.state, dict.fromkeys(known), found, origin, proofs, confirmed)
 
 
 def _map_origin(connection: Connection, campaign: StoredCampaign) -> MapOrigin | None:

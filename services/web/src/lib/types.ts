@@ -242,6 +242,7 @@ export interface Accounting {
 
 export interface ScenarioAccount extends Outcomes {
   scenario: string;
+  confirmed: number;
   mean_seconds: number | null;
   simulated_seconds: number;
   audited_seconds: number;
