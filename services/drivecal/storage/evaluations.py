@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import lru_cache
 from typing import Any
 
 from sqlalchemy import Column, ColumnElement, Connection, Select, SmallInteger, bindparam, select, type_coerce, update
@@ -18,6 +19,8 @@ from drivecal.storage.tables import evaluations, parameter_sets
 COPIES = (Outcome.REPEATED, Outcome.REUSED)
 DONORS = (Outcome.SIMULATED, Outcome.CERTIFIED)
 """Only these answer other cells: reuse never chains through copies."""
+MOST_SETS = 10_000
+"""Parameter sets that a query's reader remembers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +109,7 @@ def pending(connection: Connection, campaign_sequence: int) -> list[PendingEvalu
         .where(evaluations.c.campaign_sequence == campaign_sequence, evaluations.c.outcome.is_(None))
         .order_by(evaluations.c.id)
     )
+    read = lru_cache(MOST_SETS)(ParameterSet.from_json)  # each set is asked for in several scenarios
     return [
         PendingEvaluation(
             id=row.id,
@@ -115,7 +119,7 @@ def pending(connection: Connection, campaign_sequence: int) -> list[PendingEvalu
             scenario=row.scenario,
             setup_id=row.setup_id,
             parameter_set_id=row.parameter_set_id,
-            parameters=ParameterSet.from_json(row.parameter_values),
+            parameters=read(row.parameter_values),
             plan=Outcome(row.plan),
             reference=row.reference,
             audited=row.audited,
@@ -139,7 +143,8 @@ def reused(connection: Connection, campaign_sequence: int, stage: Stage, iterati
         )
         .order_by(evaluations.c.id)
     )
-    return [(number, setup, ParameterSet.from_json(values)) for number, setup, values in connection.execute(query)]
+    read = lru_cache(MOST_SETS)(ParameterSet.from_json)
+    return [(number, setup, read(values)) for number, setup, values in connection.execute(query)]
 
 
 def note_proofs(connection: Connection, proofs: Mapping[int, int]) -> None:

@@ -187,7 +187,8 @@ class ParameterSet:
     @property
     def floats(self) -> dict[str, float]:
         """The nearest floats by name: what the driving function computes with and what JSON and tables show."""
-        return {name: float(value) for name, value in self.values.items()}
+        # a quotient of integers is rounded once, as the decimal would be, in a tenth of the time
+        return {name: value / BILLION for name, value in zip(self.names, self.billionths, strict=True)}
 
     def to_json(self) -> str:
         """Exact and readable: `{"P1": 0.5, ...}`."""
