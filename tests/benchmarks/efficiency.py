@@ -2,7 +2,8 @@
 
 A coordinator as a user starts it carries out a campaign with reduction off and without certificates. Efficiency = simulated cells x
 single-process cost of a cell / (wall x cores). The cost is measured in the same run, in one process on the otherwise idle machine, over a
-random sample of the campaign's own cells; a shared core or clock counts against the campaign.
+random sample of the campaign's own cells; a shared core or clock counts against the campaign. How much of that
+no coordinator could avoid is told by as many bare processes as there are cores, which simulate the same sample at the same time.
 """
 
 from __future__ import annotations
@@ -14,7 +15,10 @@ import random
 import sys
 import threading
 import time
+from multiprocessing import get_context
 from pathlib import Path
+from statistics import fmean
+from typing import Any
 
 import psutil
 
@@ -118,6 +122,25 @@ def single_process_cost(cells: list[tuple[str, list[float]]]) -> float:
     return seconds / len(cells)
 
 
+def _beside_others(cells: list[tuple[str, list[float]]], start: Any, costs: Any) -> None:
+    single_process_cost(cells[:: max(1, len(cells) // 50)])  # loads and compiles what it needs
+    start.wait()
+    costs.put(single_process_cost(cells))
+
+
+def cost_beside_others(cells: list[tuple[str, list[float]]], processes: int) -> float:
+    """Seconds per cell where so many processes simulate at a time."""
+    context = get_context("spawn")
+    start, costs = context.Barrier(processes), context.Queue()
+    started = [context.Process(target=_beside_others, args=(cells, start, costs)) for _ in range(processes)]
+    for one in started:
+        one.start()
+    found = [costs.get(timeout=300) for _ in started]
+    for one in started:
+        one.join()
+    return fmean(found)
+
+
 def sample_of(client: Client, campaign: Campaign) -> list[tuple[str, list[float]]]:
     """A random sample of the cells that were simulated."""
     rows = list(client.rows(campaign.id, "evaluations"))
@@ -142,6 +165,7 @@ def main() -> int:
         cells = sample_of(client, campaign)
     memory.stop()
     cost = single_process_cost(cells)
+    beside_others = cost_beside_others(cells, cores)
     wall, simulated = campaign.seconds.wall, campaign.cells.simulated
     efficiency = simulated * cost / (wall * cores)
     figures = {
@@ -151,6 +175,7 @@ def main() -> int:
         "simulated": simulated,
         "wall_seconds": wall,
         "single_process_milliseconds_per_cell": 1000 * cost,
+        "milliseconds_per_cell_of_a_process_per_core": 1000 * beside_others,
         "worker_milliseconds_per_cell": 1000 * campaign.seconds.simulating / simulated,
         "cells_per_second": simulated / wall,
         "efficiency": efficiency,
@@ -164,6 +189,9 @@ def main() -> int:
         f"one cell: {1000 * cost:.2f} ms in one process alone, {figures['worker_milliseconds_per_cell']:.2f} ms of CPU in a worker"
     )
     print(f"efficiency {efficiency:.3f} (target {AT_LEAST})")
+    bare = cost / beside_others
+    alike = f"{cores} bare processes at a time: {1000 * beside_others:.2f} ms"
+    print(f"{alike}, efficiency {bare:.3f}; the campaign's is {efficiency / bare:.3f} of that")
     print("processor time, s: " + ", ".join(f"{role} {seconds:.1f}" for role, seconds in sorted(used.items())))
     print("peak memory, MB: " + ", ".join(f"{role} {megabytes:.0f}" for role, megabytes in sorted(memory.peaks.items())))
     return 0 if efficiency >= AT_LEAST else 1
