@@ -77,7 +77,8 @@ def write_comparison(found: Compared, tables: Mapping[str, Iterable[bytes]], fol
 def _page(found: Compared, searches: Sequence[str], reduced: str, names: Sequence[str]) -> str:
     campaign = found.campaign
     several = len({one.reduction for one in found.groups}) > 1
-    believed = [paragraph(BELIEVED)] if any(one.best != one.simulated_best for one in found.runs) else []
+    doubted = any(one.best != one.simulated_best or one.confirmations for one in found.runs)
+    believed = [paragraph(BELIEVED)] if doubted else []
     sections = {
         "Summary": [paragraph(text, "key") for text in summary(found)],
         "Problem": [_problem(campaign)],
@@ -233,7 +234,8 @@ def _runs(runs: Sequence[ComparedRun], *, several: bool) -> str:
     ]
     rows = [[tell(one) for _, tell in columns] for one in runs]
     caption = (
-        "All runs; each is a campaign of its own, by whose id all of it can be read. Sets: with the best objective; mean: of the last "
+        "All runs; each is a campaign of its own, by whose id all of it can be read. Rating: of the best set, and sets: with the best "
+        "objective, as the search believed; mean: of the last "
         "population; confirming: simulations of the best set after the search, among all; converged: in which iteration, after how many "
         "simulations"
     )

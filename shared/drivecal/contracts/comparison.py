@@ -109,7 +109,8 @@ class ComparedRun(Answer):
     are not that far, or that note that their best set is not confirmed, it is a lower bound. What is said of groups, pairs and successes is
     said of this."""
     rating: float | None
-    """The weighted continuous rating of the best set, which tells optima of the same objective apart."""
+    """The weighted continuous rating of the best set, which tells optima of the same objective apart; as the search believed, as are
+    `alternatives` and `mean`."""
     alternatives: int
     mean: float | None
     """Of the last population's objectives."""
