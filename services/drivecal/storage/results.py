@@ -186,7 +186,7 @@ def counted_since(connection: Connection, campaign_sequence: int, stage: Stage, 
     table = evaluations.c
     asked = (table.campaign_sequence == campaign_sequence, table.stage == stage, table.iteration >= iteration)
     query = select(table.scenario, func.count()).where(*asked).group_by(table.scenario)
-    return dict(connection.execute(query).tuples().all())
+    return dict(connection.execute(query).all())
 
 
 def reference_of(connection: Connection, campaign_sequence: int, scenario: str, parameter_set_id: int) -> int | None:
