@@ -94,6 +94,8 @@ def test_a_node_of_another_release_gets_no_work_and_both_are_named(cluster: Clus
         )
         said = cluster.run("docker", "logs", container, check=False)
         assert f"this node has drivecal {OTHER_VERSION} and the head at ray-head:6379 has {version('drivecal')}" in said
+        said = cluster.compose("logs", "--no-log-prefix", "dispatcher")
+        assert f"node {container[:12]} gets no work: this coordinator has drivecal {version('drivecal')}" in said
         assert cluster.ready_nodes() == before
         assert cluster.is_ready()  # the others work on
     finally:

@@ -27,7 +27,7 @@ from drivecal.execution.backend import (
     Slot,
     WorkerInfo,
 )
-from drivecal.execution.placement import complaint, missing
+from drivecal.execution.placement import complaint, fits, missing
 from drivecal.execution.ray_actor import Actor, Call
 from drivecal.execution.ray_cluster import Cluster
 from drivecal.runtime.worker import Worker
@@ -160,8 +160,11 @@ class RayBackend:
             if node.cpus:
                 log.warning("node %s is gone (%d CPUs); its cells go elsewhere", node.name, node.cpus)
         for node in sorted(set(self._nodes) - set(before)):
-            if node.cpus:
-                log.info("node %s is there: %d CPUs, drivecal %s", node.name, node.cpus, node.version or "unknown")
+            if not node.cpus:
+                continue
+            log.info("node %s is there: %d CPUs, drivecal %s", node.name, node.cpus, node.version or "unknown")
+            if not fits(node, self._version):
+                log.warning("node %s gets no work: this coordinator has drivecal %s", node.name, self._version)
         return events
 
     def _homes(self) -> list[str]:
