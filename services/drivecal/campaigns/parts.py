@@ -69,6 +69,16 @@ def find_vehicle(specification: VehicleSpecification, findings: Findings) -> tup
     return vehicle, {name: parameter.nominal for name, parameter in known.items()} | specification.parameters
 
 
+def note_vehicle(vehicle: Vehicle | None, values: Mapping[str, float]) -> tuple[str, ...]:
+    """What is unusual about a vehicle, and no mistake in any case: values beyond the bounds of its model, by a wrong unit perhaps."""
+    return tuple(
+        f"vehicle.parameters.{one.name} is {values[one.name]:g} {one.unit}, beyond the {one.minimum:g} to {one.maximum:g} {one.unit}"
+        f" of {vehicle.name}"
+        for one in (() if vehicle is None else vehicle.parameters)
+        if not one.minimum <= values[one.name] <= one.maximum
+    )
+
+
 def choose_optimizer(specification: CampaignSpecification, findings: Findings) -> Optimization | None:
     """The optimizer with its checked settings; None where none is wanted."""
     wanted = specification.optimizer

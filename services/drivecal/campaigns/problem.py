@@ -187,6 +187,7 @@ def resolve(specification: CampaignSpecification) -> CalibrationProblem:
     evaluator = findings.attempt(lambda: registry.evaluator(specification.evaluator))
     optimization = parts.choose_optimizer(specification, findings)
     weights, notes = parts.normalise_weights(specification.weights, list(scenarios), findings)
+    notes += parts.note_vehicle(vehicle, vehicle_parameters)
     space = None if function is None else search_space(specification, function, findings)
     baseline = given_set(specification.baseline, space, "baseline", findings)
     start_sets = parts.find_start_sets(specification, baseline, space, findings)

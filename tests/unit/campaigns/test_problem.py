@@ -53,6 +53,12 @@ def test_a_weight_of_zero_leaves_the_scenario_out_and_says_so() -> None:
     assert any("S2" in note for note in problem.notes)
 
 
+def test_a_vehicle_beyond_the_bounds_of_its_model_is_driven_and_noted() -> None:
+    assert _resolve(vehicle={"parameters": {"mass": 1200.0}}).notes == ()
+    (note,) = _resolve(vehicle={"parameters": {"mass": 2.06}}).notes  # in tonnes, by mistake
+    assert note == "vehicle.parameters.mass is 2.06 kg, beyond the 1200 to 2600 kg of single_track"
+
+
 @pytest.mark.parametrize(
     ("document", "field", "says"),
     [
