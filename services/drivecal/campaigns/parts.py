@@ -71,10 +71,12 @@ def find_vehicle(specification: VehicleSpecification, findings: Findings) -> tup
 
 def note_vehicle(vehicle: Vehicle | None, values: Mapping[str, float]) -> tuple[str, ...]:
     """What is unusual about a vehicle, and no mistake in any case: values beyond the bounds of its model, by a wrong unit perhaps."""
+    if vehicle is None:
+        return ()
     return tuple(
         f"vehicle.parameters.{one.name} is {values[one.name]:g} {one.unit}, beyond the {one.minimum:g} to {one.maximum:g} {one.unit}"
         f" of {vehicle.name}"
-        for one in (() if vehicle is None else vehicle.parameters)
+        for one in vehicle.parameters
         if not one.minimum <= values[one.name] <= one.maximum
     )
 
