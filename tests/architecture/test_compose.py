@@ -143,7 +143,7 @@ def test_a_compose_command_in_the_documentation_names_what_there_is(line: str) -
         option, file, *words = words
         assert option != "-f" or (PROJECT / file).exists(), file
     verb, *rest = [word for word in words if not word.startswith("--")]
-    assert verb in {"up", "stop", "restart", "logs", "cp", *INSIDE}, verb
+    assert verb in {"build", "up", "stop", "restart", "logs", "cp", *INSIDE}, verb
     if verb in {*INSIDE, "stop", "restart"}:
         given = [word for word in rest if not word.startswith("-")]
         service, *command = given
