@@ -88,8 +88,9 @@ def measure(chosen: argparse.Namespace, cluster: Cluster | None) -> int:
         "cells_per_second": rates,
         "ideal_cells_per_second": ideal,
     }
-    TARGET.parent.mkdir(parents=True, exist_ok=True)
-    TARGET.write_text(json.dumps(figures, indent=2) + "\n")
+    target = TARGET if cluster is None else TARGET.with_stem("workers_compose")
+    target.parent.mkdir(parents=True, exist_ok=True)
+    target.write_text(json.dumps(figures, indent=2) + "\n")
     return 0 if all(rate >= AT_LEAST * ideal[workers] for workers, rate in rates.items() if workers < cores) else 1
 
 
