@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -183,8 +184,8 @@ class Killed(BaseException):
 class DyingDatabase:
     """Dies before a transaction begins, before it is committed, or right after."""
 
-    def __init__(self, database: Database, moments: int) -> None:
-        self._database, self._left = database, moments
+    def __init__(self, database: Database, dies: Callable[[], bool]) -> None:
+        self._database, self._dies = database, dies
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._database, name)
@@ -198,17 +199,32 @@ class DyingDatabase:
         self._moment()
 
     def _moment(self) -> None:
-        self._left -= 1
-        if self._left == 0:
+        if self._dies():
             raise Killed
 
 
-def mortal(database: Database, moments: int) -> Dispatcher:
-    own: Any = DyingDatabase(database.fenced(Tenure.begin(database).fence), moments)
+def mortal(database: Database, dies: Callable[[], bool], order: int = 0) -> Dispatcher:
+    own: Any = DyingDatabase(database.fenced(Tenure.begin(database).fence), dies)
     ticks = iter(range(10**9))
     return Dispatcher(
-        own, WorkPool(ComputedBackend(moments, answer=spoiled), StoredLeases(own)), clock=lambda: float(next(ticks))
+        own, WorkPool(ComputedBackend(order, answer=spoiled), StoredLeases(own)), clock=lambda: float(next(ticks))
     )
+
+
+def at(moment: int) -> Callable[[], bool]:
+    """Counted from 1."""
+    moments = count(1)
+    return lambda: next(moments) == moment
+
+
+def live(database: Database, campaign: StoredCampaign, working: Dispatcher) -> bool:
+    """Until the campaign has ended, or the dispatcher; whether it was killed."""
+    try:
+        while not get(database, campaign).state.ended:
+            working.step()
+    except Killed:
+        return True
+    return False
 
 
 def step_until(database: Database, campaign: StoredCampaign, iteration: int, working: Dispatcher) -> None:
@@ -232,13 +248,10 @@ def test_a_dispatcher_killed_at_any_moment_of_it_changes_nothing(tmp_path: Path)
     killed = True
     while killed:
         shutil.copy(kept, used)
-        database, killed = new(used), False
-        try:
-            working = mortal(database, STRIDE * len(ends))  # at 0 it lives
-            while not get(database, campaign).state.ended:
-                working.step()
-        except Killed:
-            killed = True
+        database = new(used)
+        moment = STRIDE * len(ends)  # at 0 it lives
+        killed = live(database, campaign, mortal(database, at(moment), order=moment))
+        if killed:
             run(database, campaign, ComputedBackend(answer=spoiled))
         ends.append((everything(database, campaign), told(database, campaign, "note"), told(database, campaign, "generation")))
         killed = killed or len(ends) == 1
@@ -248,6 +261,14 @@ def test_a_dispatcher_killed_at_any_moment_of_it_changes_nothing(tmp_path: Path)
     assert ends[0][0][0][-1][0] > ITERATIONS, "several sets were tried"
     assert len(ends[0][1]) == 1
     assert ends[0][2] == list(range(ITERATIONS))
+
+
+def test_a_verdict_is_told_once_however_often_dispatchers_die_after_it(database: Database) -> None:
+    campaign = ask(database, 50, population=10)
+    assert live(database, campaign, mortal(database, lambda: bool(get(database, campaign).notes)))
+    live(database, campaign, mortal(database, lambda: not get(database, campaign).notes))
+    ended = run(database, campaign, ComputedBackend(answer=spoiled))
+    assert told(database, campaign, "note") == list(ended.notes)
 
 
 def test_a_campaign_that_was_paused_while_it_confirms_goes_on(database: Database) -> None:

@@ -13,7 +13,7 @@ from dataclasses import asdict
 import numpy as np
 from sqlalchemy import Connection
 
-from drivecal.campaigns.confirmation import Confirmation
+from drivecal.campaigns.confirmation import Confirmation, verdict_in
 from drivecal.campaigns.ledger import Ledger, Work
 from drivecal.campaigns.narrowing import given_indices, search_area
 from drivecal.campaigns.pace import Pace
@@ -79,7 +79,7 @@ class Calibration:
         self._optimizer: Optimizer | None = None
         self._pace = Pace(clock, campaign.cells.requested)
         self._confirmation: Confirmation | None = None
-        self._verdict: str | None = None
+        self._verdict = verdict_in(campaign.notes)
         self.finished = False
 
     def work(self) -> list[Work]:
@@ -218,8 +218,8 @@ class Calibration:
         best = self._standing.best()
         if confirmation.tried and best is not None:
             self._check_reuse(connection, self._optimization.iterations - 1)
-            self._verdict = confirmation.verdict(best[0])
-            if self._verdict not in self._campaign.notes:
+            if self._verdict is None:
+                self._verdict = confirmation.verdict(best[0])
                 events.add(connection, self._campaign.sequence, EventKind.NOTE, {"text": self._verdict})
         self.finished = True
 

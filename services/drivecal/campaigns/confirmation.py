@@ -13,6 +13,8 @@ from drivecal.campaigns.solutions import EQUAL, Solution, Standing
 
 CONFIRMED = "confirmed by simulation"
 """How the verdict begins where the best set has only scores of its own."""
+NOT_CONFIRMED = "not confirmed"
+"""How it begins where a score of the best set is still a reference's."""
 
 
 @dataclass(slots=True)
@@ -35,9 +37,15 @@ class Confirmation:
                 return f"{CONFIRMED}: the best objective is {best.objective:.4f}, as the search believed; {sets} tried"
             return f"{CONFIRMED}: the best objective is {best.objective:.4f}, the search believed {self.believed:.4f}; {sets} tried"
         where = ", ".join(best.reused)
+        owed = f"{NOT_CONFIRMED}: the best set's score in {where} is still a reference's"
         if best.parameter_set in self.tried:
-            return f"not confirmed: the best set's score in {where} is still a reference's, for its simulation failed; {sets} tried"
-        return f"not confirmed: the best set's score in {where} is still a reference's; no more than {sets} (reduction.confirm) were tried"
+            return f"{owed}, for its simulation failed; {sets} tried"
+        return f"{owed}; no more than {sets} (reduction.confirm) were tried"
+
+
+def verdict_in(notes: Iterable[str]) -> str | None:
+    """The verdict among a campaign's notes; None before it was told."""
+    return next((note for note in notes if note.startswith((CONFIRMED, NOT_CONFIRMED))), None)
 
 
 def remarkable(notes: Iterable[str]) -> list[str]:
