@@ -40,9 +40,11 @@ def convergence(generations: Sequence[Generation]) -> list[str]:
 
 
 def afterwards(campaign: Campaign, generations: Sequence[Generation]) -> str:
-    """Of cells that are in no iteration, for they confirmed the best set; empty where there are none."""
+    """Of cells that are in no iteration, for they confirmed the best set; empty where there are none. Before the last iteration is finished
+    those of an unfinished one are in none, too."""
+    wanted = (campaign.spec.get("optimizer") or {}).get("iterations")
     added = campaign.cells.requested - sum(one.requested for one in generations)
-    if campaign.ended_at is None or added <= 0 or not campaign.spec.get("reduction", {}).get("confirm"):
+    if len(generations) != wanted or added <= 0:
         return ""
     cells = "1 cell was" if added == 1 else f"{added:,} cells were"
     return (

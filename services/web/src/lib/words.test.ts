@@ -1,6 +1,6 @@
 import { expect, test } from "vitest";
 import type { Moving } from "./types";
-import { eventLine, leadingStage, parts, sentence, stagesOf } from "./words";
+import { eventLine, leadingStage, parts, referenceWords, sentence, stagesOf } from "./words";
 
 const moving: Moving = {
   state: "running", requested_action: null, degraded: null, stage: "calibration", iteration: 3, progress: { done: 1, total: 2, eta_seconds: null },
@@ -28,4 +28,9 @@ test("only stages that asked for anything are shown", () => {
 test("an event that is not known is told by its name", () => {
   expect(eventLine("something_new", {})).toBe("Something new");
   expect(eventLine("generation", { iteration: 0, best: 5, mean: 4.25 })).toBe("Iteration 1: best 5.000, mean 4.250");
+});
+
+test("a cell that was simulated is not said to be answered by the reference that it checks", () => {
+  expect([referenceWords("reused"), referenceWords("repeated"), referenceWords("certified")]).toEqual(Array(3).fill("Answered by"));
+  for (const reason of ["audited", "confirmation", "blocked", "unanswered"]) expect(referenceWords(reason)).not.toContain("Answered");
 });

@@ -71,6 +71,15 @@ export function sentence(campaign: Moving & { kind?: string }): string {
   return "Running.";
 }
 
+/** What the evaluation beside a cell is to it, by the reason of its explanation. */
+export function referenceWords(reason: string): string {
+  if (reason === "blocked") return "Nearest stored:";
+  if (reason === "audited") return "Simulated to check the reduction, which would have taken";
+  if (reason === "confirmation") return "Simulated to confirm the best set, for which the search took";
+  if (reason === "unanswered") return "Would fit by now:";
+  return "Answered by";
+}
+
 /** An event as a line of a log; null for those that say nothing to people. */
 export function eventLine(kind: string, data: Record<string, unknown>): string {
   const text = (name: string): string => String(data[name] ?? "");
