@@ -132,7 +132,7 @@ def cost_beside_others(cells: list[tuple[str, list[float]]], processes: int) -> 
     """Seconds per cell where so many processes simulate at a time."""
     context = get_context("spawn")
     start, costs = context.Barrier(processes), context.Queue()
-    started = [context.Process(target=_beside_others, args=(cells, start, costs)) for _ in range(processes)]
+    started = [context.Process(target=_beside_others, args=(cells, start, costs), daemon=True) for _ in range(processes)]
     for one in started:
         one.start()
     found = [costs.get(timeout=300) for _ in started]

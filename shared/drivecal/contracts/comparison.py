@@ -106,8 +106,8 @@ class ComparedRun(Answer):
     """The best objective of a set whose every score was simulated for itself. Where references answer cells, a search prefers sets whose
     scores are too good: `best` is what it believed, this is what it has. Runs with reuse have their best set simulated after the search,
     and the next one where it falls (`reduction.confirm`): then this is the objective of the first set of the final ranking. Of runs that
-    are not that far, or that note that their best set is not confirmed, it is a lower bound. What is said of groups, pairs and successes is
-    said of this."""
+    are not that far, ended before, are of an earlier release or note that their best set is not confirmed, it is a lower bound. What is
+    said of groups, pairs and successes is said of this."""
     rating: float | None
     """The weighted continuous rating of the best set, which tells optima of the same objective apart; as the search believed, as are
     `alternatives` and `mean`."""
