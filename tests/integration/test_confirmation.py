@@ -16,6 +16,7 @@ from tests.support.runs import dispatcher, everything, get, post_map, run, submi
 
 from drivecal.campaigns.explaining import explain
 from drivecal.campaigns.verification import verify
+from drivecal.contracts.campaign import Best
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.leasing import StoredLeases
@@ -111,6 +112,10 @@ def test_the_best_set_is_simulated_and_the_ranking_made_anew(
         f"confirmed by simulation: the best objective is {campaign.best.objective:.4f}, the search believed {plain.best.objective:.4f}; "
     )
     assert told(database, campaign, "note")[-1] == note
+    with database.read() as connection:
+        best = [one.data for one in events.since(connection, campaign.sequence, 0, 1_000) if one.kind == "best"]
+    assert plain.best.objective in {one["objective"] for one in best}
+    assert Best.model_validate(best[-1]) == campaign.best, "whoever follows the events knows it as well"
     assert plain.notes == ()
 
 

@@ -221,6 +221,8 @@ class Calibration:
             if self._verdict is None:
                 self._verdict = confirmation.verdict(best[0])
                 events.add(connection, self._campaign.sequence, EventKind.NOTE, {"text": self._verdict})
+                if confirmation.changed(best[0]):
+                    self._tell_best(connection, best[0])
         self.finished = True
 
     def _tell(self) -> None:
@@ -319,12 +321,16 @@ class Calibration:
                 alternatives=alternatives,
             )
             if before is None or self._best.objective > before.objective + EQUAL:
-                told = self._best.model_dump() | {"iteration": solution.iteration}
-                events.add(connection, self._campaign.sequence, EventKind.BEST, told)
+                self._tell_best(connection, solution)
         unknown = self._baseline is None or self._baseline.objective is None
         self._remember_baseline(connection)
         if unknown and self._baseline is not None and self._baseline.objective is not None:
             events.add(connection, self._campaign.sequence, EventKind.BASELINE, self._baseline.model_dump())
+
+    def _tell_best(self, connection: Connection, solution: Solution) -> None:
+        if self._best is not None:
+            told = self._best.model_dump() | {"iteration": solution.iteration}
+            events.add(connection, self._campaign.sequence, EventKind.BEST, told)
 
     def _remember_baseline(self, connection: Connection) -> None:
         baseline: ParameterSet | None = self._problem.baseline

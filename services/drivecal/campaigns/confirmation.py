@@ -29,6 +29,10 @@ class Confirmation:
         """The next set to simulate; None where the first of the ranking has only scores of its own, or nothing more may be tried."""
         return None if len(self.tried) >= self.limit else standing.doubtful(self.tried)
 
+    def changed(self, best: Solution) -> bool:
+        """Whether the first of the final ranking is another set than the search believed, or another objective."""
+        return best.parameter_set != self.tried[0] or abs(best.objective - self.believed) > EQUAL
+
     def verdict(self, best: Solution) -> str:
         """What came out of it, in a sentence, from the first of the final ranking."""
         sets = "1 set" if len(self.tried) == 1 else f"{len(self.tried)} sets"

@@ -39,8 +39,8 @@ class EventKind(StrEnum):
     GENERATION = "generation"
     """An `iteration` (from 0) of the calibration stage is finished: its cells by outcome, `best`, `mean` and `minimum` objective."""
     BEST = "best"
-    """A parameter set is better than all before: `objective`, `parameters`, `scores`, `alternatives` with the same
-    objective, and the `iteration` that found it."""
+    """A parameter set is better than all before, or is the best one once those that seemed better were simulated: `objective`,
+    `parameters`, `scores`, `alternatives` with the same objective, and the `iteration` that found it."""
     BASELINE = "baseline"
     """The result of the user's own parameter set is known: `objective`, `scores`."""
     REUSE_STOPPED = "reuse_stopped"

@@ -94,7 +94,7 @@ export function eventLine(kind: string, data: Record<string, unknown>): string {
     case "generation":
       return `Iteration ${value("iteration") + 1}: best ${value("best").toFixed(3)}, mean ${value("mean").toFixed(3)}`;
     case "best":
-      return `A better set: ${value("objective").toFixed(3)}`;
+      return `The best set now: ${value("objective").toFixed(3)}`;
     case "baseline":
       return `The set to compare with: ${value("objective").toFixed(3)}`;
     case "reuse_stopped":
