@@ -140,6 +140,7 @@ class Dispatcher:
             case CampaignState.RUNNING | CampaignState.CANCELLING:
                 pause = CampaignState.PAUSED if campaign.requested_action == "pause" else None
                 stopping = CampaignState.CANCELLED if cancelled else pause  # before anything of it is sent
+                log.info("the campaign is taken up where it was")
                 self._active[campaign.sequence] = Active(campaign, stopping=stopping)
 
     def _has_room(self, campaign: CampaignHeading) -> bool:
