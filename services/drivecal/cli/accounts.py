@@ -52,6 +52,9 @@ def print_accounting(found: Accounting) -> None:
     if found.audited:
         price = _seconds(found.audited_seconds)
         typer.echo(f"  the self-check simulated {found.audited:,} reusable cells in {price}; they are not counted as saved")
+    confirmed = sum(one.confirmed for one in found.scenarios)
+    if confirmed:
+        typer.echo(f"  {confirmed:,} reused cells were simulated after all, to confirm the best set; they are not counted as saved")
     proved = sum(one.proved for one in found.scenarios)
     if proved:
         off = [
@@ -74,7 +77,7 @@ def print_accounting(found: Accounting) -> None:
 def break_even_text(found: BreakEven) -> str:
     """From when on the map pays."""
     if found.requested_cells is None:
-        return "break-even: never at this rate, nothing was reused"
+        return "break-even: never at this rate, reuse saved nothing"
     text = f"break-even: the map pays from {found.requested_cells:,} requested cells on"
     if found.campaigns is not None:
         text += f", that is from {found.campaigns:,} such campaign{'' if found.campaigns == 1 else 's'} on"

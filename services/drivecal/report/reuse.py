@@ -111,7 +111,7 @@ def accounting(found: Accounting | None) -> list[str]:
     parts = [paragraph(found.sentence), table(["", "CPU seconds"], rows, "Cost accounting, in CPU time of the workers")]
     even = found.break_even
     if even is not None and even.requested_cells is None:
-        parts.append(paragraph("Nothing was reused, so at this rate the influence map never pays."))
+        parts.append(paragraph("Reuse saved nothing, so at this rate the influence map never pays."))
     elif even is not None:
         plural = "" if even.campaigns == 1 else "s"
         campaigns = "" if even.campaigns is None else f", {even.campaigns:,} campaign{plural} like this one"
