@@ -54,7 +54,9 @@ def print_accounting(found: Accounting) -> None:
         typer.echo(f"  the self-check simulated {found.audited:,} reusable cells in {price}; they are not counted as saved")
     confirmed = sum(one.confirmed for one in found.scenarios)
     if confirmed:
-        typer.echo(f"  {confirmed:,} reused cells were simulated after all, to confirm the best set; they are not counted as saved")
+        typer.echo(
+            f"  {confirmed:,} reused cells were simulated after all, to confirm the best set; they are not counted as saved"
+        )
     proved = sum(one.proved for one in found.scenarios)
     if proved:
         off = [
