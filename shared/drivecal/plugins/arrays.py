@@ -76,7 +76,7 @@ def read_arrays(path: Path, kind: str, expected: Mapping[str, Expected]) -> dict
         zipfile.BadZipFile,
         zlib.error,
         AttributeError,
-        NotImplementedError,
+        RuntimeError,  # of zipfile: encrypted, or packed in a way that it does not know
     ) as error:
         raise DamagedArraysError(
             path.name, f"it cannot be read ({' '.join(str(error).split()) or type(error).__name__})"

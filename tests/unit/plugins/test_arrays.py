@@ -106,6 +106,14 @@ def test_pickled_objects_are_refused_without_being_loaded(file: Path, tmp_path: 
     assert not (tmp_path / "sprung").exists()
 
 
+def test_a_file_that_says_it_is_encrypted_is_refused(file: Path) -> None:
+    content = bytearray(file.read_bytes())
+    entry = content.index(b"PK\x01\x02")  # of the central directory
+    content[entry + 8] |= 1
+    file.write_bytes(content)
+    assert "encrypted" in refused(file)
+
+
 def test_a_huge_file_is_refused_without_being_read(file: Path) -> None:
     with file.open("ab") as end:
         end.truncate(10_000_000)
