@@ -146,7 +146,7 @@ def ray_tune(trials: int, cells_per_trial: int) -> tuple[float, Cells]:
     domains: dict[str, Any] = {one.name: tune.randint(0, one.n_values) for one in space()}
     domains["number"] = tune.grid_search(list(range(trials)))
     with tempfile.TemporaryDirectory() as folder:
-        ray.init(num_cpus=CORES, include_dashboard=False, log_to_driver=False, logging_level=logging.ERROR)
+        ray.init(address="local", num_cpus=CORES, include_dashboard=False, log_to_driver=False, logging_level=logging.ERROR)
         try:
             results = tune.Tuner(
                 Evaluation,

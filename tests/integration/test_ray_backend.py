@@ -134,7 +134,8 @@ def test_without_libsumo_no_worker_starts_and_the_reason_is_said(tmp_path: Path)
     kept = {name: value for name, value in os.environ.items() if not name.startswith("RAY_")}
     done = subprocess.run(
         [sys.executable, "-c", WITHOUT_SUMO],
-        env=kept | {"HOME": str(tmp_path), "PYTHONPATH": str(tmp_path)},
+        # and a local Ray is local, whatever cluster the environment names
+        env=kept | {"HOME": str(tmp_path), "PYTHONPATH": str(tmp_path), "RAY_ADDRESS": "127.0.0.1:1"},
         capture_output=True,
         text=True,
         timeout=240,

@@ -67,6 +67,7 @@ class Cluster:
                 if self._folder is not None:
                     with _spare_processes_left_out():
                         ray.init(
+                            address="local",  # whatever other cluster the machine or its environment knows
                             num_cpus=cpus,
                             include_dashboard=False,
                             object_store_memory=OBJECT_STORE_BYTES,
