@@ -14,7 +14,7 @@ from tests.support.misbehaviour import FOLDER
 from tests.support.postgres import running_postgres
 
 from drivecal.dispatch.trial import trial
-from drivecal.execution.ray_backend import RayBackend, RayOptions
+from drivecal.execution.ray.backend import RayBackend, RayOptions
 
 # No test asserts a time: a first example that imports or compiles something may take as long as it likes.
 hypothesis.settings.register_profile("drivecal", deadline=None)

@@ -11,19 +11,21 @@ from typing import Any
 import pytest
 import typer
 
-from drivecal.campaigns.comparison import resolve_comparison
-from drivecal.campaigns.maps import resolve_map
-from drivecal.campaigns.problem import resolve
+from drivecal.campaigns.comparisons.resolve import resolve_comparison
+from drivecal.campaigns.resolve.maps import resolve_map
+from drivecal.campaigns.resolve.problem import resolve
 from drivecal.cli.documents import read_document
 from drivecal.cli.main import app
 from drivecal.contracts.comparison import ComparisonSpecification
+from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import CampaignSpecification, InfluenceMapSpecification
-from drivecal.contracts.validation import validated
 from drivecal.planner.spaces import RANGES
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("*/README.md")])
-EXAMPLES = sorted([*(ROOT / "deploy" / "examples").glob("*.yaml"), ROOT / "services/drivecal/cli/demo/expert_map.yaml"])
+EXAMPLES = sorted(
+    [*(ROOT / "deploy" / "examples").glob("*.yaml"), ROOT / "services/drivecal/cli/commands/demo/expert_map.yaml"]
+)
 
 
 def shown_commands() -> Iterator[tuple[Path, list[str]]]:

@@ -6,18 +6,18 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 
 from drivecal.domain.parameters import Parameter
-from drivecal.episode.runner import Runner
+from drivecal.episode.runner import EpisodeRunner
 from drivecal.plugins import registry
 
 SCENARIOS = ("S1", "S2", "S3", "S4", "S5", "S6")
 
 
 @cache
-def runner(scenario: str) -> Runner:
+def runner(scenario: str) -> EpisodeRunner:
     """This process's runner of a scenario."""
     driving_function, vehicle = registry.driving_function("frenet"), registry.vehicle("single_track")
     nominal = {parameter.name: parameter.nominal for parameter in vehicle.parameters}
-    return Runner(
+    return EpisodeRunner(
         registry.catalogue("highway").scenarios[scenario],
         driving_function,
         vehicle.create(nominal),

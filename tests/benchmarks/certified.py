@@ -21,14 +21,14 @@ from typing import Any
 
 import yaml
 
-from drivecal.cli.demo.coordinator import coordinator, fresh_folder
+from drivecal.cli.commands.demo.coordinator import coordinator, fresh_folder
 from drivecal.client.client import Client
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.inventory import WorkerAnswer
 from drivecal.domain.campaigns import Stage
 from drivecal.planner.candidates import lateral_ends, longitudinal_ends
 from drivecal.planner.planner import PERIOD
-from drivecal.storage.types import STAGES
+from drivecal.storage.engine.types import STAGES
 
 HOME = Path(".drivecal/bench/certified").absolute()
 TARGET = Path(".drivecal/bench/certified.json")

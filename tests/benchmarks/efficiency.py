@@ -22,10 +22,10 @@ from typing import Any
 
 import psutil
 
-from drivecal.cli.demo.coordinator import coordinator, fresh_folder
+from drivecal.cli.commands.demo.coordinator import coordinator, fresh_folder
 from drivecal.client.client import Client
 from drivecal.contracts.campaign import Campaign
-from drivecal.episode.runner import Runner
+from drivecal.episode.runner import EpisodeRunner
 from drivecal.plugins import registry
 
 HOME = Path(".drivecal/bench/efficiency")
@@ -112,7 +112,7 @@ def single_process_cost(cells: list[tuple[str, list[float]]]) -> float:
     catalogue, evaluator = registry.catalogue("highway"), registry.evaluator("reference")
     seconds = 0.0
     for scenario in sorted({scenario for scenario, _ in cells}):
-        runner = Runner(catalogue.scenarios[scenario], driving_function, vehicle.create(nominal), evaluator)
+        runner = EpisodeRunner(catalogue.scenarios[scenario], driving_function, vehicle.create(nominal), evaluator)
         mine = [parameters for name, parameters in cells if name == scenario]
         runner.run(mine[0])
         begin = time.perf_counter()

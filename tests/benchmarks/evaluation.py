@@ -19,16 +19,16 @@ import libsumo
 import numpy as np
 from scipy.stats import qmc
 
-from drivecal.comfort.plugin import REFERENCE
+from drivecal.comfort.reference import REFERENCE
 from drivecal.domain.scenarios import Scenario
-from drivecal.episode.runner import Runner
-from drivecal.planner.plugin import FRENET
+from drivecal.episode.runner import EpisodeRunner
+from drivecal.planner.frenet import FRENET
 from drivecal.plugins.ports import Observation
-from drivecal.scenarios.plugin import HIGHWAY
+from drivecal.scenarios.highway import HIGHWAY
 from drivecal.traffic import simulation as traffic
 from drivecal.traffic.configuration import EGO
 from drivecal.traffic.simulation import simulation
-from drivecal.vehicle.plugin import SINGLE_TRACK
+from drivecal.vehicle.single_track import SINGLE_TRACK
 
 TARGET = Path(".drivecal/bench/evaluation.json")
 AT_MOST = 4.0
@@ -51,10 +51,10 @@ def latin_hypercube(count: int, seed: int) -> list[list[float]]:
     ]
 
 
-def runner_of(scenario: Scenario) -> Runner:
+def runner_of(scenario: Scenario) -> EpisodeRunner:
     """With the vehicle's nominal values."""
     vehicle = SINGLE_TRACK.create({parameter.name: parameter.nominal for parameter in SINGLE_TRACK.parameters})
-    return Runner(scenario, FRENET, vehicle, REFERENCE)
+    return EpisodeRunner(scenario, FRENET, vehicle, REFERENCE)
 
 
 def alone(scenario: Scenario) -> float:
@@ -93,7 +93,7 @@ class Tape:
     """Step, front and pose of the ego vehicle."""
 
 
-def record(runner: Runner, parameters: Sequence[float]) -> Tape:
+def record(runner: EpisodeRunner, parameters: Sequence[float]) -> Tape:
     """A run that leaves its tape."""
     tape, loop = Tape(), runner._loop
     planner, vehicle, simulated = loop._planner, loop._vehicle, loop._simulation
@@ -130,7 +130,7 @@ def replaced(owner: object, name: str, by: object) -> Iterator[None]:
             setattr(owner, name, own)
 
 
-def shares(runner: Runner, parameters: Sequence[float]) -> dict[str, float]:
+def shares(runner: EpisodeRunner, parameters: Sequence[float]) -> dict[str, float]:
     """Milliseconds of one evaluation by part: each part does again, by itself, what it did in the run, so that no clock runs inside of
     it. What is left is the loop's own."""
     tape, loop = record(runner, parameters), runner._loop

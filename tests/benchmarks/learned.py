@@ -20,18 +20,18 @@ from typing import Any
 import numpy as np
 from scipy.stats import qmc
 
-from drivecal.cli.demo.command import CAMPAIGN
-from drivecal.cli.demo.coordinator import coordinator, fresh_folder
+from drivecal.cli.commands.demo.command import CAMPAIGN
+from drivecal.cli.commands.demo.coordinator import coordinator, fresh_folder
 from drivecal.cli.documents import read_document
 from drivecal.client.client import Client
 from drivecal.comfort.learned import LEARNED
-from drivecal.comfort.plugin import REFERENCE
+from drivecal.comfort.reference import REFERENCE
 from drivecal.contracts.campaign import Campaign
-from drivecal.episode.runner import Runner
-from drivecal.planner.plugin import FRENET
-from drivecal.scenarios.plugin import HIGHWAY
+from drivecal.episode.runner import EpisodeRunner
+from drivecal.planner.frenet import FRENET
+from drivecal.scenarios.highway import HIGHWAY
 from drivecal.vehicle.hybrid import HYBRID
-from drivecal.vehicle.plugin import SINGLE_TRACK
+from drivecal.vehicle.single_track import SINGLE_TRACK
 
 HOME = Path(".drivecal/bench/learned")
 TARGET = Path(".drivecal/bench/learned.json")
@@ -61,7 +61,7 @@ def campaigns(population: int, iterations: int, rounds: int) -> dict[str, Campai
         with fresh_folder(HOME), coordinator(HOME) as client:
             while not (workers := client.workers().items) or any(worker.state != "idle" for worker in workers):
                 time.sleep(0.2)
-            with as_file(files("drivecal.cli.demo") / "expert_map.yaml") as file:
+            with as_file(files("drivecal.cli.commands.demo") / "expert_map.yaml") as file:
                 known = client.post_influence_map(read_document(str(file)))
             for parts in PARTS.values():  # what a worker has to load and compile first is not measured
                 warm = {"name": "warm", "sensitivity": None, "optimizer": {"kind": "random", "population": 12, "iterations": 1}}
@@ -106,7 +106,7 @@ def main() -> int:
     nominal = {parameter.name: parameter.nominal for parameter in SINGLE_TRACK.parameters}
     milliseconds, apart, outside = np.zeros((len(HIGHWAY.scenarios), len(kinds))), {}, {}
     for row, (name, scenario) in enumerate(HIGHWAY.scenarios.items()):
-        runners = [Runner(scenario, FRENET, vehicle.create(nominal), evaluator) for vehicle, evaluator in kinds]
+        runners = [EpisodeRunner(scenario, FRENET, vehicle.create(nominal), evaluator) for vehicle, evaluator in kinds]
         fastest = np.full((TIMED, len(kinds)), np.inf)
         for _, number, column in product(range(ROUNDS), range(TIMED), range(len(kinds))):
             begin = thread_time()

@@ -33,8 +33,8 @@ from drivecal.domain.evaluations import Donor
 from drivecal.domain.influence import Influence, InfluenceMap
 from drivecal.domain.parameters import ParameterSet, decimal
 from drivecal.reduction.keys import BELOW, ReferenceKeys
-from drivecal.storage import reference_keys, runs
-from drivecal.storage.database import Database
+from drivecal.storage.engine.database import Database
+from drivecal.storage.references import reference_keys, runs
 
 TARGET = Path(".drivecal/bench/lookup.json")
 CELLS = 6_000

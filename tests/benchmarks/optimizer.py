@@ -23,14 +23,14 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from drivecal.comfort.plugin import REFERENCE
+from drivecal.comfort.reference import REFERENCE
 from drivecal.domain.parameters import ParameterSet, ParameterSpace
-from drivecal.episode.runner import Runner
-from drivecal.optimizers.plugin import GENETIC, RANDOM, GeneticSettings
-from drivecal.planner.plugin import FRENET
+from drivecal.episode.runner import EpisodeRunner
+from drivecal.optimizers.built_in import GENETIC, RANDOM, GeneticSettings
+from drivecal.planner.frenet import FRENET
 from drivecal.plugins.ports import Optimizer, OptimizerPlugin
-from drivecal.scenarios.plugin import HIGHWAY
-from drivecal.vehicle.plugin import SINGLE_TRACK
+from drivecal.scenarios.highway import HIGHWAY
+from drivecal.vehicle.single_track import SINGLE_TRACK
 
 TARGET = Path(".drivecal/bench/optimizer.json")
 SPACE = ParameterSpace(FRENET.spaces["highway"])
@@ -44,10 +44,10 @@ Score = tuple[int, float]
 
 
 @cache
-def runner_of(scenario: str) -> Runner:
+def runner_of(scenario: str) -> EpisodeRunner:
     """With the vehicle's nominal values."""
     vehicle = SINGLE_TRACK.create({parameter.name: parameter.nominal for parameter in SINGLE_TRACK.parameters})
-    return Runner(HIGHWAY.scenarios[scenario], FRENET, vehicle, REFERENCE)
+    return EpisodeRunner(HIGHWAY.scenarios[scenario], FRENET, vehicle, REFERENCE)
 
 
 def run(scenario: str, sets: list[list[float]]) -> list[Score]:

@@ -32,7 +32,7 @@ from tests.support.runs import dispatcher, get, submit
 
 from drivecal.api.routes.page import FILES, START
 from drivecal.storage.campaigns import StoredCampaign
-from drivecal.storage.database import Database
+from drivecal.storage.engine.database import Database
 
 TARGET = Path(".drivecal/bench/page.json")
 SCENARIOS = 6

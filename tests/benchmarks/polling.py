@@ -27,10 +27,10 @@ from urllib.parse import urlsplit
 
 import psutil
 
-from drivecal.cli.demo.coordinator import coordinator, fresh_folder
+from drivecal.cli.commands.demo.coordinator import coordinator, fresh_folder
 from drivecal.client.client import Client
 from drivecal.storage import campaigns
-from drivecal.storage.database import Database
+from drivecal.storage.engine.database import Database
 
 HOME = Path(".drivecal/bench/polling").absolute()
 TARGET = Path(".drivecal/bench/polling.json")

@@ -21,7 +21,7 @@ from tests.benchmarks.evaluation import latin_hypercube, record, runner_of
 
 import drivecal.traffic.simulation
 from drivecal.domain.scenarios import Scenario
-from drivecal.scenarios.plugin import HIGHWAY
+from drivecal.scenarios.highway import HIGHWAY
 from drivecal.traffic.configuration import EGO
 from drivecal.traffic.simulation import MAPPED_ANYWHERE, MAPPED_WITHIN, simulation
 

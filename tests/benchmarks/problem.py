@@ -23,12 +23,12 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import qmc
 
-from drivecal.comfort.plugin import REFERENCE
+from drivecal.comfort.reference import REFERENCE
 from drivecal.domain.evaluations import Failure, RunResult
-from drivecal.episode.runner import Runner
-from drivecal.planner.plugin import FRENET
-from drivecal.scenarios.plugin import HIGHWAY
-from drivecal.vehicle.plugin import SINGLE_TRACK
+from drivecal.episode.runner import EpisodeRunner
+from drivecal.planner.frenet import FRENET
+from drivecal.scenarios.highway import HIGHWAY
+from drivecal.vehicle.single_track import SINGLE_TRACK
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -43,10 +43,10 @@ CHUNK = 50
 
 
 @cache
-def runner_of(scenario: str) -> Runner:
+def runner_of(scenario: str) -> EpisodeRunner:
     """With the vehicle's nominal values."""
     vehicle = SINGLE_TRACK.create({parameter.name: parameter.nominal for parameter in SINGLE_TRACK.parameters})
-    return Runner(HIGHWAY.scenarios[scenario], FRENET, vehicle, REFERENCE)
+    return EpisodeRunner(HIGHWAY.scenarios[scenario], FRENET, vehicle, REFERENCE)
 
 
 def run(scenario: str, sets: list[list[float]]) -> list[tuple[int, float, str | None]]:

@@ -19,7 +19,7 @@ import httpx
 import yaml
 from tests.benchmarks.efficiency import processor_seconds, wait_for_workers
 
-from drivecal.cli.demo.coordinator import coordinator, fresh_folder
+from drivecal.cli.commands.demo.coordinator import coordinator, fresh_folder
 from drivecal.client.client import Client
 from drivecal.contracts.campaign import Campaign
 

@@ -33,7 +33,7 @@ from drivecal.plugins import registry
 from drivecal.plugins.setups import setup_of
 from drivecal.storage import campaigns
 from drivecal.storage.campaigns import StoredCampaign
-from drivecal.storage.database import Database
+from drivecal.storage.engine.database import Database
 
 TARGET = Path(".drivecal/bench/scale.json")
 BACKENDS = {"sqlite": sqlite, "postgresql": postgresql}

@@ -28,19 +28,19 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from drivecal.comfort.plugin import REFERENCE
+from drivecal.comfort.reference import REFERENCE
 from drivecal.contracts.work import Batch, Cell, SetupRequest
 from drivecal.domain.influence import Influence
 from drivecal.domain.parameters import Indices, Parameter, ParameterSpace, text
-from drivecal.planner.plugin import FRENET
+from drivecal.planner.frenet import FRENET
 from drivecal.plugins.setups import setup_of
 from drivecal.runtime.worker import Worker
-from drivecal.scenarios.plugin import HIGHWAY
+from drivecal.scenarios.highway import HIGHWAY
 from drivecal.sensitivity.analysis import Phase, SensitivityAnalysis
 from drivecal.sensitivity.effects import Floats
 from drivecal.sensitivity.scenario import ScenarioInfluence
 from drivecal.sensitivity.settings import SensitivitySettings
-from drivecal.vehicle.plugin import SINGLE_TRACK
+from drivecal.vehicle.single_track import SINGLE_TRACK
 
 TARGET = Path(".drivecal/bench/sensitivity.json")
 SPACE = ParameterSpace(FRENET.spaces["highway"])

@@ -19,7 +19,7 @@ from pathlib import Path
 from tests.benchmarks.efficiency import run_campaign, sample_of, single_process_cost, wait_for_workers
 from tests.support.compose import Cluster, cluster_on_engine, engine
 
-from drivecal.cli.demo.coordinator import coordinator, fresh_folder
+from drivecal.cli.commands.demo.coordinator import coordinator, fresh_folder
 from drivecal.client.client import Client
 
 HOME = Path(".drivecal/bench/workers")

@@ -23,7 +23,7 @@ from tests.support.faults.lives import (
 )
 from tests.support.faults.workload import ANALYSING, post, submit
 
-from drivecal.storage.tables import campaigns
+from drivecal.storage.engine.tables import campaigns
 
 CLIENTS = 50
 MakeServer = Callable[[str], Coordinator]

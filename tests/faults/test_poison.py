@@ -17,11 +17,11 @@ from tests.support.misbehaviour import FOLDER, misbehaving_setup, plug_in
 
 from drivecal.contracts.work import Batch, Cell
 from drivecal.domain.evaluations import Breakdown
-from drivecal.execution.batching import BatchPolicy
 from drivecal.execution.pool import WorkPool
-from drivecal.execution.ray_backend import RayBackend
-from drivecal.execution.scheduler import ATTEMPTS, Completed
-from drivecal.storage.tables import evaluations
+from drivecal.execution.ray.backend import RayBackend
+from drivecal.execution.scheduling.batching import BatchPolicy
+from drivecal.execution.scheduling.scheduler import ATTEMPTS, Completed
+from drivecal.storage.engine.tables import evaluations
 
 POISON = plug_in("poisonous")
 CAUSES = {POISON.SEGFAULT: Breakdown.CRASH, POISON.HANG: Breakdown.HANG, POISON.MEMORY: Breakdown.MEMORY}

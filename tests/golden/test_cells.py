@@ -18,12 +18,12 @@ from typing import Any
 
 import pytest
 
-from drivecal.comfort.plugin import REFERENCE
-from drivecal.episode.runner import Runner
-from drivecal.planner.plugin import FRENET
+from drivecal.comfort.reference import REFERENCE
+from drivecal.episode.runner import EpisodeRunner
+from drivecal.planner.frenet import FRENET
 from drivecal.plugins.setups import simulator
-from drivecal.scenarios.plugin import HIGHWAY
-from drivecal.vehicle.plugin import SINGLE_TRACK
+from drivecal.scenarios.highway import HIGHWAY
+from drivecal.vehicle.single_track import SINGLE_TRACK
 
 FILE = Path(__file__).with_name("cells.json")
 SETS: dict[str, list[float]] = {
@@ -46,7 +46,7 @@ def results() -> dict[str, dict[str, Any]]:
     found: dict[str, dict[str, Any]] = {}
     for name, scenario in HIGHWAY.scenarios.items():
         vehicle = SINGLE_TRACK.create({parameter.name: parameter.nominal for parameter in SINGLE_TRACK.parameters})
-        runner = Runner(scenario, FRENET, vehicle, REFERENCE)
+        runner = EpisodeRunner(scenario, FRENET, vehicle, REFERENCE)
         for label, parameters in SETS.items():
             result = runner.run(parameters)
             floats = {"rating": result.rating.rating} | {metric: result.metrics[metric] for metric in METRICS}

@@ -7,7 +7,7 @@ import hashlib
 import numpy as np
 import pytest
 
-from drivecal.optimizers.plugin import GENETIC, RANDOM
+from drivecal.optimizers.built_in import GENETIC, RANDOM
 from drivecal.plugins.ports import OptimizerPlugin
 
 HIGHWAY = np.array([59, 201, 201, 2001, 1501, 101, 201, 2001, 101, 201, 201])

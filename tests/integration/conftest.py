@@ -9,7 +9,7 @@ import pytest
 from tests.support.command import Run, command
 from tests.support.server import RunningApi
 
-from drivecal.storage.database import Database
+from drivecal.storage.engine.database import Database
 
 
 @pytest.fixture

@@ -14,10 +14,10 @@ import pytest
 from tests.support.found import METRICS, carry_out, carry_out_evaluation
 from tests.support.server import RunningApi, serving
 
-from drivecal.api import remembered
+from drivecal.api.live import response_cache
 from drivecal.domain.campaigns import CampaignState
 from drivecal.storage import campaigns, processes
-from drivecal.storage.types import now
+from drivecal.storage.engine.types import now
 
 SMALL: dict[str, Any] = {"name": "small", "sensitivity": None, "optimizer": {"population": 10, "iterations": 3}}
 MIDDLE = {"P1": 0, "P2": 1, "P3": 100, "P4": 1000, "P5": 750, "P6": 0.5, "P7": 100, "P8": 1000, "P9": 5, "P10": 10, "P11": 100}
@@ -100,7 +100,7 @@ def test_an_etag_spares_what_has_not_changed(api: RunningApi) -> None:
 def test_time_that_passes_does_not_change_the_etag_of_a_running_campaign(
     api: RunningApi, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(remembered, "SECONDS", 0.0)
+    monkeypatch.setattr(response_cache, "SECONDS", 0.0)
     campaign = submit(api)
     carry_out(api.database, campaign["id"], end=False)
     first, second = (api.http.get(campaign["links"]["self"]) for _ in range(2))

@@ -22,7 +22,8 @@ from typer.testing import CliRunner
 
 from drivecal.cli.main import app
 from drivecal.domain.campaigns import CampaignState
-from drivecal.storage import campaigns, locks
+from drivecal.storage import campaigns
+from drivecal.storage.engine import locks
 
 MIDDLE = (0, 1, 100, 1000, 750, 0.5, 100, 1000, 5, 10, 100)
 SETS = [f"P{number}={value}" for number, value in enumerate(MIDDLE, 1)]

@@ -180,7 +180,7 @@ NAMES = [
         "/etc/passwd",
         "os.system",
         "os:system",
-        "drivecal.planner.plugin:FRENET",
+        "drivecal.planner.frenet:FRENET",
         "frenet/../frenet",
         "frenet\0",
         "http://x/y",

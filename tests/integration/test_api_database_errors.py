@@ -18,8 +18,8 @@ from tests.support.server import RunningApi, new_database, serving
 
 from drivecal.client.client import Client
 from drivecal.domain.errors import UnavailableError
-from drivecal.storage.database import Database
-from drivecal.storage.tables import campaigns
+from drivecal.storage.engine.database import Database
+from drivecal.storage.engine.tables import campaigns
 
 SMALL: dict[str, Any] = {"sensitivity": None, "optimizer": {"population": 10, "iterations": 2}}
 AT_COMMIT = """

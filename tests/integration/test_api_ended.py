@@ -10,7 +10,7 @@ from tests.support.found import analyse, carry_out, carry_out_evaluation
 from tests.support.server import RunningApi, serving
 
 from drivecal.plugins import registry
-from drivecal.storage import cursors
+from drivecal.storage.engine import cursors
 
 SMALL: dict[str, Any] = {
     "catalogue": ["S1", "S4"],

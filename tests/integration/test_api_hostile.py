@@ -16,7 +16,7 @@ from sqlalchemy import func, select
 from tests.support.server import RunningApi, new_database, serving
 
 from drivecal.contracts.specification import CampaignSpecification
-from drivecal.storage.tables import campaigns, influence_maps
+from drivecal.storage.engine.tables import campaigns, influence_maps
 
 POSTS = [
     "/api/v1/campaigns",

@@ -15,10 +15,10 @@ from sqlalchemy import func, select
 from tests.support.found import carry_out
 from tests.support.server import RunningApi, new_database, serving
 
-from drivecal.api import limits, protocol
+from drivecal.api.http import limits, protocol
 from drivecal.client.client import Client
 from drivecal.domain.errors import InvalidInputError, UnavailableError
-from drivecal.storage.tables import campaigns
+from drivecal.storage.engine.tables import campaigns
 
 SMALL: dict[str, Any] = {"sensitivity": None, "optimizer": {"population": 10, "iterations": 3}}
 MIDDLE = [0, 1, 100, 1000, 750, 0.5, 100, 1000, 5, 10, 100]

@@ -20,9 +20,9 @@ from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.evaluations import Outcome
 from drivecal.execution.measures import BOUNDS, Measures
 from drivecal.storage import campaigns, processes
-from drivecal.storage.tables import campaigns as table
-from drivecal.storage.tables import processes as process_table
-from drivecal.storage.types import now
+from drivecal.storage.engine.tables import campaigns as table
+from drivecal.storage.engine.tables import processes as process_table
+from drivecal.storage.engine.types import now
 
 OPEN = {"Accept": "application/openmetrics-text; version=1.0.0; charset=utf-8"}
 UNITS = ("_seconds", "_bytes")

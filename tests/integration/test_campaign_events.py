@@ -12,7 +12,7 @@ from tests.support.runs import WITH_ANALYSIS, dispatcher, get, influenced, nothi
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.storage import campaigns, events, generations
 from drivecal.storage.campaigns import StoredCampaign
-from drivecal.storage.database import Database
+from drivecal.storage.engine.database import Database
 
 STATES = {"queued", "running", "succeeded"}
 

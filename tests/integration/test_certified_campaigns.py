@@ -10,15 +10,16 @@ from tests.support.computed import ComputedBackend
 from tests.support.runs import SMALL, WITH_ANALYSIS, get, influenced, nothing_matters, post_map, run, submit
 from tests.support.runs import dispatcher as dispatching
 
-from drivecal.campaigns.explaining import explain
-from drivecal.campaigns.pinned import pinned
-from drivecal.campaigns.verification import verify
+from drivecal.campaigns.resolve.resolved_spec import resolved_spec
+from drivecal.campaigns.results.explanation import explain
+from drivecal.campaigns.results.verification import verify
 from drivecal.contracts.work import Cell
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.evaluations import Outcome
-from drivecal.storage import audits, generations, results, runs
+from drivecal.storage import audits, generations, results
 from drivecal.storage.campaigns import StoredCampaign
-from drivecal.storage.database import Database
+from drivecal.storage.engine.database import Database
+from drivecal.storage.references import runs
 
 
 def alike(scenario: str, cell: Cell) -> object:
@@ -161,7 +162,7 @@ def test_certificates_say_of_reused_cells_whether_the_reference_was_right(databa
     changes = {"catalogue": ["S1", "S2"], "reduction": {"mode": "influence", "audit": 0.4, "max_error": 0.9}}
     ended = run(database, submit(database, stored_map=post_map(database, scenarios), **changes), certifying())
     with database.read() as connection:
-        found = {one.scenario: one for one in audits.proofs(connection, ended.sequence, pinned(ended).evaluator)}
+        found = {one.scenario: one for one in audits.proofs(connection, ended.sequence, resolved_spec(ended).evaluator)}
         rows = [row for row in results.stream(connection, ended.sequence) if row.outcome is Outcome.REUSED]
     assert 0 < sum(one.audited for one in found.values()) <= len(rows) == ended.cells.reused
     assert bool(found["S1"].different) is not right

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from drivecal.certification.memory import Memory
-from drivecal.comfort.plugin import REFERENCE
+from drivecal.comfort.reference import REFERENCE
 from drivecal.domain.evaluations import RunResult
 from drivecal.episode.certified import CertifiedRunner
-from drivecal.episode.runner import Runner
-from drivecal.planner.plugin import FRENET
+from drivecal.episode.runner import EpisodeRunner
+from drivecal.planner.frenet import FRENET
 from drivecal.planner.spaces import HIGHWAY as SPACE
-from drivecal.scenarios.plugin import HIGHWAY
-from drivecal.vehicle.plugin import SINGLE_TRACK
+from drivecal.scenarios.highway import HIGHWAY
+from drivecal.vehicle.single_track import SINGLE_TRACK
 
 NOMINAL = {one.name: one.nominal for one in SINGLE_TRACK.parameters}
 GRIDS = [[float(parameter.value(index)) for index in range(parameter.n_values)] for parameter in SPACE]
@@ -40,7 +40,7 @@ def runner(name: str, memory: Memory | None = None) -> CertifiedRunner:
 @pytest.mark.parametrize("name", list(HIGHWAY.scenarios))
 def test_what_is_certified_is_what_a_simulation_gives_bit_for_bit(name: str) -> None:
     certifying = runner(name)
-    judge = Runner(HIGHWAY.scenarios[name], FRENET, SINGLE_TRACK.create(NOMINAL), REFERENCE)
+    judge = EpisodeRunner(HIGHWAY.scenarios[name], FRENET, SINGLE_TRACK.create(NOMINAL), REFERENCE)
     simulated: dict[int, RunResult] = {}
     proved = 0
     for number, parameters in enumerate(sets(seed=4, families=3, members=20)):
@@ -75,7 +75,7 @@ def test_a_small_memory_forgets_in_all_scenarios_and_stays_right() -> None:
     memory = Memory(megabytes=1)
     names = ("S3", "S5")
     certifying = {name: runner(name, memory) for name in names}
-    judges = {name: Runner(HIGHWAY.scenarios[name], FRENET, SINGLE_TRACK.create(NOMINAL), REFERENCE) for name in names}
+    judges = {name: EpisodeRunner(HIGHWAY.scenarios[name], FRENET, SINGLE_TRACK.create(NOMINAL), REFERENCE) for name in names}
     before, forgot = 0, 0
     for number, parameters in enumerate(sets(seed=9, families=3, members=6)):
         for name in names:

@@ -13,17 +13,17 @@ from tests.support.comparisons import runs_of, submit_comparison
 from tests.support.computed import ComputedBackend, computed
 from tests.support.runs import dispatcher, everything, get, nothing_matters, post_map, run, submit
 
-from drivecal.campaigns.compared import compared as read_compared
-from drivecal.campaigns.comparison import CONFIRMED
-from drivecal.campaigns.ledger import Work
-from drivecal.campaigns.staged import StagedCampaign
-from drivecal.campaigns.verification import verify
+from drivecal.campaigns.cells.cell_tracker import Work
+from drivecal.campaigns.comparisons.resolve import CONFIRMED
+from drivecal.campaigns.comparisons.results import compared as read_compared
+from drivecal.campaigns.results.verification import verify
+from drivecal.campaigns.stages.campaign import StagedCampaign
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import CampaignState
-from drivecal.execution.scheduler import Completed
+from drivecal.execution.scheduling.scheduler import Completed
 from drivecal.storage import campaigns, generations, results
 from drivecal.storage.campaigns import StoredCampaign
-from drivecal.storage.database import Database
+from drivecal.storage.engine.database import Database
 
 
 def cells_of(database: Database, one: StoredCampaign, iteration: int = 0) -> list[tuple[Any, ...]]:
@@ -264,7 +264,7 @@ def test_what_a_search_believed_of_references_is_confirmed_after_it(database: Da
 def test_runs_of_an_earlier_release_have_the_best_of_what_they_simulated(
     database: Database, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("drivecal.campaigns.comparison.CONFIRMED", 0)
+    monkeypatch.setattr("drivecal.campaigns.comparisons.resolve.CONFIRMED", 0)
     stored_map = post_map(database, nothing_matters() | {"S1": {"P1": {"influential": True}}})
     given = {"optimizers": [{"kind": "genetic"}], "populations": [9], "reductions": [{"mode": "influence", "audit": 0.4}]}
     ended = run(database, submit_comparison(database, stored_map, **given))

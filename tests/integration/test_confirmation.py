@@ -14,19 +14,19 @@ from sqlalchemy import Connection
 from tests.support.computed import ComputedBackend
 from tests.support.runs import dispatcher, everything, get, post_map, run, submit
 
-from drivecal.campaigns.explaining import explain
-from drivecal.campaigns.verification import verify
+from drivecal.campaigns.results.explanation import explain
+from drivecal.campaigns.results.verification import verify
 from drivecal.contracts.campaign import Best
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.dispatch.dispatcher import Dispatcher
+from drivecal.dispatch.leadership import Leadership
 from drivecal.dispatch.leasing import StoredLeases
-from drivecal.dispatch.tenure import Tenure
 from drivecal.domain.campaigns import Stage
 from drivecal.domain.evaluations import Outcome
 from drivecal.execution.pool import WorkPool
 from drivecal.storage import campaigns, events, generations, results
 from drivecal.storage.campaigns import StoredCampaign
-from drivecal.storage.database import Database
+from drivecal.storage.engine.database import Database
 from drivecal.storage.results import StoredEvaluation
 
 ITERATIONS = 4
@@ -209,7 +209,7 @@ class DyingDatabase:
 
 
 def mortal(database: Database, dies: Callable[[], bool], order: int = 0) -> Dispatcher:
-    own: Any = DyingDatabase(database.fenced(Tenure.begin(database).fence), dies)
+    own: Any = DyingDatabase(database.fenced(Leadership.begin(database).fence), dies)
     ticks = iter(range(10**9))
     return Dispatcher(
         own, WorkPool(ComputedBackend(order, answer=spoiled), StoredLeases(own)), clock=lambda: float(next(ticks))

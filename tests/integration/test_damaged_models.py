@@ -13,7 +13,7 @@ from tests.support.server import serving
 from drivecal.comfort import learned
 from drivecal.comfort.learned import LEARNED
 from drivecal.domain.campaigns import CampaignState
-from drivecal.storage.database import Database
+from drivecal.storage.engine.database import Database
 from drivecal.vehicle import hybrid, residual
 from drivecal.vehicle.hybrid import HYBRID
 

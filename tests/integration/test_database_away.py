@@ -17,8 +17,8 @@ from tests.support.faults.postgres import KillablePostgres, killable_postgres
 from tests.support.server import RunningApi, serving
 
 from drivecal.storage import processes
-from drivecal.storage.tables import processes as process_table
-from drivecal.storage.types import now
+from drivecal.storage.engine.tables import processes as process_table
+from drivecal.storage.engine.types import now
 
 PROMISED_SECONDS = 5.0
 SPARE_SECONDS = 1.0
@@ -108,7 +108,7 @@ def test_a_server_that_accepts_connections_and_answers_nothing_is_noticed(
         with postgres.frozen():
             says_so_everywhere(api)
         recovers(api)
-    told = [record.getMessage() for record in caplog.records if record.name == "drivecal.storage.answering"]
+    told = [record.getMessage() for record in caplog.records if record.name == "drivecal.storage.engine.liveness"]
     assert ["does not answer" in told[0], "answers again" in told[-1], len(told)] == [True, True, 2], told
 
 

@@ -14,8 +14,9 @@ from tests.support.runs import dispatcher, get, run, submit
 from typer.testing import CliRunner, Result
 
 from drivecal.cli.main import app
-from drivecal.storage import campaigns, locks
-from drivecal.storage.database import Database
+from drivecal.storage import campaigns
+from drivecal.storage.engine import locks
+from drivecal.storage.engine.database import Database
 
 SEARCH: dict[str, Any] = {"kind": "genetic", "population": 8, "iterations": 2, "seed": 1}
 
@@ -100,8 +101,8 @@ def test_what_is_broken_is_told_and_is_the_exit_status(database: Database, url: 
 
 
 def test_how_far_a_copy_is_is_told_on_stderr(url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drivecal.cli.maintenance.TOLD_SECONDS", 0.0)
-    monkeypatch.setattr("drivecal.storage.backup.PAGES", 8)
+    monkeypatch.setattr("drivecal.cli.commands.db.TOLD_SECONDS", 0.0)
+    monkeypatch.setattr("drivecal.storage.maintenance.backup.PAGES", 8)
     written = db("backup", tmp_path / "backup.db", "--database-url", url, "--json")
     assert "drivecal: pages: " in written.stderr
     assert json.loads(written.stdout)["database"]

@@ -10,14 +10,14 @@ from tests.support.fake_backend import FakeBackend
 
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.dispatch.dispatcher import Dispatcher
+from drivecal.dispatch.heartbeat import Heartbeat
+from drivecal.dispatch.leadership import Leadership
 from drivecal.dispatch.leasing import StoredLeases
-from drivecal.dispatch.pulse import Pulse
-from drivecal.dispatch.tenure import Tenure
 from drivecal.domain.campaigns import CampaignState
 from drivecal.execution.pool import WorkPool
 from drivecal.storage import campaigns, processes
 from drivecal.storage.campaigns import StoredCampaign
-from drivecal.storage.database import Database
+from drivecal.storage.engine.database import Database
 
 REASON = "coordinator and worker differ: simulator is libsumo 1.28 at the coordinator and libsumo 1.20 at the worker"
 SPECIFICATION = {"sensitivity": None, "optimizer": {"kind": "genetic", "population": 12, "iterations": 2, "seed": 3}}
@@ -41,15 +41,15 @@ class _Beating(Dispatcher):
     """Its pulse beats with every step."""
 
     def __init__(self, database: Database, backend: FakeBackend) -> None:
-        tenure = Tenure.begin(database)
-        own, ticks = database.fenced(tenure.fence), iter(range(10**9))
-        self.pulse = Pulse(own, tenure)
+        leadership = Leadership.begin(database)
+        own, ticks = database.fenced(leadership.fence), iter(range(10**9))
+        self.heartbeat = Heartbeat(own, leadership)
         pool = WorkPool(backend, StoredLeases(own), clock=lambda: backend.now)
-        super().__init__(own, pool, self.pulse.tell, clock=lambda: float(next(ticks)))
+        super().__init__(own, pool, self.heartbeat.tell, clock=lambda: float(next(ticks)))
 
     def step(self) -> None:
         super().step()
-        self.pulse.beat()
+        self.heartbeat.beat()
 
 
 def _get(database: Database, campaign: StoredCampaign) -> StoredCampaign:

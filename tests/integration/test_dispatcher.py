@@ -16,8 +16,8 @@ from drivecal.domain.campaigns import CampaignState, Stage
 from drivecal.domain.evaluations import Outcome
 from drivecal.storage import campaigns, generations, results
 from drivecal.storage.campaigns import StoredCampaign
-from drivecal.storage.database import Database
-from drivecal.storage.tables import runs
+from drivecal.storage.engine.database import Database
+from drivecal.storage.engine.tables import runs
 
 TRUE_MAP = {scenario: {name: {"influential": False}} for scenario, name in IGNORED.items()}
 """Says exactly what the formula ignores."""

@@ -9,14 +9,14 @@ import pytest
 from sqlalchemy import text
 from tests.support.storage import campaign
 
-from drivecal.api import streams
-from drivecal.api.streams import EventHub
+from drivecal.api.live import streams
+from drivecal.api.live.streams import EventHub
 from drivecal.client.event_stream import EventParser
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.events import EventKind
 from drivecal.storage import campaigns, events
-from drivecal.storage.database import Database
+from drivecal.storage.engine.database import Database
 
 
 @pytest.fixture(autouse=True)

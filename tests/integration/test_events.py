@@ -16,7 +16,7 @@ from sqlalchemy import text
 from tests.support.serve import until
 from tests.support.server import RunningApi, free_port, new_database, serving
 
-from drivecal.api import streams
+from drivecal.api.live import streams
 from drivecal.api.routes import events as route
 from drivecal.client.client import Client
 from drivecal.client.event_stream import EventParser, ServerSentEvent
@@ -26,8 +26,8 @@ from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.events import EventKind
 from drivecal.storage import campaigns, events, processes
 from drivecal.storage.campaigns import StoredCampaign
-from drivecal.storage.database import Database
-from drivecal.storage.types import now
+from drivecal.storage.engine.database import Database
+from drivecal.storage.engine.types import now
 
 
 @pytest.fixture(autouse=True)

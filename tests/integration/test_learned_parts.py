@@ -8,19 +8,19 @@ import pytest
 
 from drivecal.comfort import learned
 from drivecal.comfort.learned import LEARNED
-from drivecal.comfort.plugin import REFERENCE
+from drivecal.comfort.reference import REFERENCE
 from drivecal.contracts.work import Batch, Cell, SetupRequest
 from drivecal.domain.evaluations import FAILED_RATING, Failure, RunResult
-from drivecal.episode.runner import Runner
-from drivecal.planner.plugin import FRENET
+from drivecal.episode.runner import EpisodeRunner
+from drivecal.planner.frenet import FRENET
 from drivecal.plugins.arrays import DamagedArraysError
 from drivecal.plugins.ports import Evaluator, Vehicle
 from drivecal.plugins.setups import setup_of
 from drivecal.runtime.worker import Worker
-from drivecal.scenarios.plugin import HIGHWAY
+from drivecal.scenarios.highway import HIGHWAY
 from drivecal.vehicle import hybrid
 from drivecal.vehicle.hybrid import HYBRID
-from drivecal.vehicle.plugin import SINGLE_TRACK
+from drivecal.vehicle.single_track import SINGLE_TRACK
 
 CALM = [11.0, 0.04, 174, 1692, 153, 0.67, 73, 195, 5.8, 9.9, 164]
 HASTY = [-14.5, 0.06, 182, 235, 132, 0.77, 124, 1486, 5.9, 8.3, 87]
@@ -31,7 +31,7 @@ every_scenario = pytest.mark.parametrize("name", list(SCENARIOS))
 
 
 def run(name: str, parameters: list[float], vehicle: Vehicle = HYBRID, evaluator: Evaluator = LEARNED) -> RunResult:
-    return Runner(SCENARIOS[name], FRENET, vehicle.create(NOMINAL), evaluator).run(parameters)
+    return EpisodeRunner(SCENARIOS[name], FRENET, vehicle.create(NOMINAL), evaluator).run(parameters)
 
 
 @every_scenario
@@ -58,7 +58,7 @@ def test_the_learned_evaluator_prefers_the_calm_lane_change(name: str) -> None:
 
 def test_a_missed_task_scores_0_whatever_the_evaluator() -> None:
     missed = replace(SCENARIOS["S1"], task=replace(SCENARIOS["S1"].task, speed_tolerance=1e-9))
-    result = Runner(missed, FRENET, HYBRID.create(NOMINAL), LEARNED).run(CALM)
+    result = EpisodeRunner(missed, FRENET, HYBRID.create(NOMINAL), LEARNED).run(CALM)
     assert result.failure is Failure.TASK_MISSED
     assert result.rating == FAILED_RATING
 

@@ -11,19 +11,20 @@ import pytest
 from sqlalchemy import Connection
 from tests.support.computed import ComputedBackend
 
-from drivecal.campaigns.maps import resolve_map, store_posted_map
-from drivecal.campaigns.problem import CalibrationProblem
+from drivecal.campaigns.resolve.maps import resolve_map, store_posted_map
+from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, InfluenceMapSpecification
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.dispatch.dispatcher import Dispatcher
+from drivecal.dispatch.leadership import Leadership
 from drivecal.dispatch.leasing import StoredLeases
-from drivecal.dispatch.tenure import Tenure
+from drivecal.domain.actions import Action
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import UnavailableError
 from drivecal.execution.pool import WorkPool
 from drivecal.storage import campaigns, generations, results
-from drivecal.storage.campaigns import Action, StoredCampaign
-from drivecal.storage.database import Database
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.engine.database import Database
 
 SPECIFICATION: dict[str, Any] = {
     "sensitivity": None,
@@ -51,7 +52,7 @@ def _submit(database: Database, **changes: Any) -> StoredCampaign:
 
 def _dispatcher(database: Database, backend: ComputedBackend) -> Dispatcher:
     """A newly elected one."""
-    Tenure.begin(database)
+    Leadership.begin(database)
     ticks = iter(range(10**9))
     return Dispatcher(database, WorkPool(backend, StoredLeases(database)), clock=lambda: float(next(ticks)))
 

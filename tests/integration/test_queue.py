@@ -17,21 +17,21 @@ from tests.support.server import new_database
 
 from drivecal.contracts.work import Batch, Cell, CellResult
 from drivecal.dispatch.dispatcher import Dispatcher
+from drivecal.dispatch.leadership import Leadership
 from drivecal.dispatch.leasing import StoredLeases
-from drivecal.dispatch.tenure import Tenure
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import SupersededError
 from drivecal.domain.evaluations import Outcome
 from drivecal.execution.backend import Finished, Lost
 from drivecal.execution.measures import MEASURES
 from drivecal.execution.pool import WorkPool
-from drivecal.execution.scheduler import ATTEMPTS
+from drivecal.execution.scheduling.scheduler import ATTEMPTS
 from drivecal.storage import campaigns, leases
 from drivecal.storage.campaigns import StoredCampaign
-from drivecal.storage.database import Database
-from drivecal.storage.tables import evaluations as evaluations_table
-from drivecal.storage.tables import leases as leases_table
-from drivecal.storage.tables import runs
+from drivecal.storage.engine.database import Database
+from drivecal.storage.engine.tables import evaluations as evaluations_table
+from drivecal.storage.engine.tables import leases as leases_table
+from drivecal.storage.engine.tables import runs
 
 TINY: dict[str, Any] = {
     "optimizer": {"kind": "genetic", "population": 16, "iterations": 4, "seed": 3},
@@ -116,7 +116,7 @@ class MortalBackend(ComputedBackend):
 
 
 def mortal(database: Database, seed: int, fate: Fate) -> Dispatcher:
-    own: Any = MortalDatabase(database.fenced(Tenure.begin(database).fence), fate)
+    own: Any = MortalDatabase(database.fenced(Leadership.begin(database).fence), fate)
     backend = MortalBackend(seed)
     backend.fate = fate
     ticks = iter(range(10**9))
@@ -299,7 +299,7 @@ def test_campaigns_start_by_priority_then_age_and_only_so_many_run(database: Dat
             ),
             {"a": submitted[0].id, "b": submitted[1].id},
         )
-    own = database.fenced(Tenure.begin(database).fence)
+    own = database.fenced(Leadership.begin(database).fence)
     ticks = iter(range(10**9))
 
     def limited(most: int) -> Dispatcher:

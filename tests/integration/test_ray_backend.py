@@ -16,8 +16,8 @@ from tests.support.misbehaviour import misbehaving_cells, misbehaving_setup
 from drivecal.contracts.work import Batch, Cell
 from drivecal.execution.backend import Finished, Lost
 from drivecal.execution.pool import WorkPool
-from drivecal.execution.ray_backend import RayBackend
-from drivecal.execution.scheduler import Completed
+from drivecal.execution.ray.backend import RayBackend
+from drivecal.execution.scheduling.scheduler import Completed
 
 
 @pytest.fixture
@@ -116,7 +116,7 @@ def test_ray_leaves_the_signal_handlers_alone() -> None:
 WITHOUT_SUMO = """
 from drivecal.execution.backend import BackendLostError
 from drivecal.dispatch.trial import trial
-from drivecal.execution.ray_backend import RayBackend, RayOptions
+from drivecal.execution.ray.backend import RayBackend, RayOptions
 backend = RayBackend(RayOptions(workers=1), trial())
 try:
     while True:

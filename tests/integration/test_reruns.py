@@ -14,22 +14,24 @@ from tests.support.runs import WITH_ANALYSIS, dispatcher, get, influenced, run
 
 from drivecal.api import submission
 from drivecal.api.dependencies import Limits
-from drivecal.campaigns.maps import map_from_document
-from drivecal.campaigns.planning import View
-from drivecal.campaigns.problem import resolve
-from drivecal.campaigns.rerating import rate_stored_runs
+from drivecal.campaigns.cells.planning import View
+from drivecal.campaigns.cells.rerating import rate_stored_runs
+from drivecal.campaigns.resolve.maps import map_from_document
+from drivecal.campaigns.resolve.problem import resolve
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, RerunSpecification
 from drivecal.contracts.work import Cell, CellResult
+from drivecal.domain.actions import Action
 from drivecal.domain.campaigns import CampaignState, Stage
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.evaluations import Outcome, Rating
 from drivecal.domain.scenarios import Manoeuvre
 from drivecal.plugins import registry
 from drivecal.plugins.ports import Evaluator
-from drivecal.storage import campaigns, influence_maps, results
-from drivecal.storage.campaigns import Action, StoredCampaign
-from drivecal.storage.database import Database
+from drivecal.storage import campaigns, results
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.engine.database import Database
+from drivecal.storage.references import influence_maps
 
 LIMITS = Limits.of(load_settings())
 

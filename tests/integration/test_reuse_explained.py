@@ -8,14 +8,14 @@ import pytest
 from tests.support.computed import IGNORED, ComputedBackend, computed
 from tests.support.runs import EXPERT_SPACE, SMALL, nothing_matters, post_map, run, submit
 
-from drivecal.campaigns.explaining import explain
+from drivecal.campaigns.results.explanation import explain
 from drivecal.contracts.explanation import Explanation
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import Stage
 from drivecal.domain.evaluations import Outcome
 from drivecal.storage import results
 from drivecal.storage.campaigns import StoredCampaign
-from drivecal.storage.database import Database
+from drivecal.storage.engine.database import Database
 from drivecal.storage.results import StoredEvaluation
 
 TRUE_MAP = {scenario: {name: {"influential": False}} for scenario, name in IGNORED.items()}

@@ -11,10 +11,10 @@ import pytest
 from tests.support.serve import until
 from tests.support.server import free_port
 
-from drivecal.api.readiness import judge
+from drivecal.api.live.dispatcher_health import judge
 from drivecal.storage import processes
-from drivecal.storage.database import Database
-from drivecal.storage.types import now
+from drivecal.storage.engine.database import Database
+from drivecal.storage.engine.types import now
 
 TOKEN = "0123456789abcdef"
 

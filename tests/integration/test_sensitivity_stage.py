@@ -11,15 +11,16 @@ import pytest
 from tests.support.computed import ComputedBackend
 from tests.support.runs import WITH_ANALYSIS, dispatcher
 
-from drivecal.campaigns.maps import map_from_document
+from drivecal.campaigns.resolve.maps import map_from_document
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import CampaignState, Stage
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.influence import InfluenceMap
-from drivecal.storage import campaigns, influence_maps, results
+from drivecal.storage import campaigns, results
 from drivecal.storage.campaigns import StoredCampaign
-from drivecal.storage.database import Database
+from drivecal.storage.engine.database import Database
+from drivecal.storage.references import influence_maps
 
 LEVELS = 21
 

@@ -12,7 +12,7 @@ from tests.support.runs import WITH_ANALYSIS, dispatcher, everything, get, influ
 
 from drivecal.api import submission
 from drivecal.api.dependencies import Limits
-from drivecal.campaigns.verification import verify
+from drivecal.campaigns.results.verification import verify
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.specification import CampaignSpecification, RerunSpecification
 from drivecal.contracts.work import Cell, CellResult
@@ -23,7 +23,7 @@ from drivecal.plugins import registry
 from drivecal.plugins.ports import Evaluator, Series
 from drivecal.storage import campaigns
 from drivecal.storage.campaigns import StoredCampaign
-from drivecal.storage.database import Database
+from drivecal.storage.engine.database import Database
 
 LIMITS = Limits.of(load_settings())
 MAPPED = WITH_ANALYSIS | {"sensitivity": {"intervals": 2, "samples": 4, "threshold": 0.02}}

@@ -13,18 +13,18 @@ import libsumo
 import numpy as np
 import pytest
 
-from drivecal.comfort.plugin import REFERENCE
+from drivecal.comfort.reference import REFERENCE
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.evaluations import Failure
 from drivecal.domain.roads import Floats, reference_line, to_cartesian
 from drivecal.domain.scenarios import Scenario, SpeedKnot, TrafficVehicle
 from drivecal.episode.loop import ClosedLoop
-from drivecal.episode.runner import Runner
+from drivecal.episode.runner import EpisodeRunner
 from drivecal.episode.trace import EGO_COLUMNS
 from drivecal.plugins.ports import Observation, VehicleModel
-from drivecal.scenarios.plugin import HIGHWAY
+from drivecal.scenarios.highway import HIGHWAY
 from drivecal.traffic.simulation import SimulationError, simulation
-from drivecal.vehicle.plugin import SINGLE_TRACK
+from drivecal.vehicle.single_track import SINGLE_TRACK
 
 S1 = HIGHWAY.scenarios["S1"]
 SCENARIOS = list(HIGHWAY.scenarios.values())
@@ -72,8 +72,8 @@ def model() -> VehicleModel:
     return SINGLE_TRACK.create({parameter.name: parameter.nominal for parameter in SINGLE_TRACK.parameters})
 
 
-def runner(scenario: Scenario) -> Runner:
-    return Runner(scenario, Gliding(), model(), REFERENCE)  # type: ignore[arg-type]  # it has no space to search
+def runner(scenario: Scenario) -> EpisodeRunner:
+    return EpisodeRunner(scenario, Gliding(), model(), REFERENCE)  # type: ignore[arg-type]  # it has no space to search
 
 
 def driven(scenario: Scenario, *parameters: float) -> list[bytes]:
@@ -99,7 +99,7 @@ def test_all_vehicles_start_where_the_definition_says_and_stay_on_the_road(scena
     assert sumo.neighbours[:, 1] == pytest.approx(starts[:, 1], abs=0.02)
     assert sumo.neighbours[:, 2] == pytest.approx(starts[:, 2], rel=0.02)
     seen: list[Floats] = []
-    Runner(scenario, Gliding(), model(), REFERENCE)._loop.drive(  # type: ignore[arg-type]
+    EpisodeRunner(scenario, Gliding(), model(), REFERENCE)._loop.drive(  # type: ignore[arg-type]
         (scenario.ego.d, 1.0, 0.0), lambda _, __, ___, neighbours: seen.append(neighbours.copy())
     )
     drifts = np.array([max((abs(offset) for _, offset in vehicle.drift), default=0.0) for vehicle in scenario.traffic])
@@ -206,7 +206,7 @@ def test_an_unstable_vehicle_scores_nothing_and_says_so() -> None:
             self.steps += 1
             return self.model.follow(trajectory, since, duration, dynamics) and self.steps < 30
 
-    result = Runner(S1, Gliding(), Spinning(), REFERENCE).run(changes_lane(S1))  # type: ignore[arg-type]
+    result = EpisodeRunner(S1, Gliding(), Spinning(), REFERENCE).run(changes_lane(S1))  # type: ignore[arg-type]
     assert result.failure is Failure.UNSTABLE
     assert result.rating.score == 0
     assert result.metrics["driven_s"] == pytest.approx(3.0)

@@ -16,7 +16,7 @@ from tests.support.server import RunningApi, serving
 
 from drivecal.client.client import Client
 from drivecal.contracts.work import Cell, CellResult, SetupRequest
-from drivecal.report.findings import collect
+from drivecal.report.data import collect
 
 
 def fragile(setup: SetupRequest, cell: Cell) -> CellResult:
@@ -194,7 +194,7 @@ def test_the_optima_are_the_best_solutions_with_their_regions(
     assert all(one["to_worse"] > 0 for one in optima)
     rows = list(csv.DictReader(io.StringIO(api.http.get(f"{url}/optima?format=csv").text)))
     assert [(int(row["rank"]), int(row["region"])) for row in rows] == [(one["rank"], one["region"]) for one in optima]
-    monkeypatch.setattr("drivecal.campaigns.optima.MOST_BEST", 1)
+    monkeypatch.setattr("drivecal.campaigns.results.optima.MOST_BEST", 1)
     (first,) = api.http.get(f"{url}/optima").json()["items"]
     assert first["to_worse"] == optima[0]["to_worse"], "sets that are not looked at are not worse"
 

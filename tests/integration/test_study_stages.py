@@ -10,15 +10,16 @@ import pytest
 from tests.support.computed import ComputedBackend
 from tests.support.runs import SMALL, dispatcher, get, influenced, nothing_matters, post_map, run, submit
 
-from drivecal.campaigns.problem import resolve
+from drivecal.campaigns.resolve.problem import resolve
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.contracts.work import Cell, CellResult, SetupRequest
 from drivecal.domain.campaigns import CampaignState, Stage
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.evaluations import Outcome
-from drivecal.storage import results, setups, studies
+from drivecal.storage import results, studies
 from drivecal.storage.campaigns import StoredCampaign
-from drivecal.storage.database import Database
+from drivecal.storage.engine.database import Database
+from drivecal.storage.references import setups
 
 ROBUST: dict[str, Any] = {"delta": 0.05, "steps": 6, "samples": 8, "solutions": 5}
 NOMINAL_MASS, MASS_RANGE = 2060.0, 1400.0

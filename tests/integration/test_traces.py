@@ -18,14 +18,14 @@ from tests.support.computed import ComputedBackend, computed
 from tests.support.runs import dispatcher, get, run, submit
 from tests.support.server import RunningApi, serving
 
-from drivecal.cli import traces as files
+from drivecal.cli.views import traces as files
 from drivecal.contracts.evaluation import TraceAnswer
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins import registry
 from drivecal.storage import campaigns, results, traces
-from drivecal.storage.types import now
+from drivecal.storage.engine.types import now
 
 MIDDLE = {"P1": 0, "P2": 1, "P3": 100, "P4": 1000, "P5": 750, "P6": 0.5, "P7": 100, "P8": 1000, "P9": 5, "P10": 10, "P11": 100}
 SERIES = {"s_m": [0.1, 3.0], "speed_mps": [30.0, 29.5]}
@@ -167,7 +167,7 @@ def test_what_failed_for_a_passing_reason_is_driven_again_by_who_asks_later(
     assert [one.status_code for one in answers] == [409, 409]
     assert "it took too long. That may have passed: ask again after 30 s" in answers[0].json()["detail"]
     assert work(api).sent == [], "who polls is told and starts nothing"
-    monkeypatch.setattr("drivecal.campaigns.tracing.AGAIN_AFTER", timedelta(0))
+    monkeypatch.setattr("drivecal.campaigns.cells.tracing.AGAIN_AFTER", timedelta(0))
     FAILING.clear()
     assert ask(api, number).status_code == 202
     work(api)

@@ -15,7 +15,7 @@ from tests.support.serve import Server, serving
 from drivecal.client.client import Client
 from drivecal.contracts.campaign import Campaign, CellCounts
 from drivecal.domain.evaluations import Failure
-from drivecal.episode.runner import Runner
+from drivecal.episode.runner import EpisodeRunner
 from drivecal.plugins import registry
 
 OPTIMIZER = {"kind": "genetic", "population": 12, "iterations": 3, "seed": 4}
@@ -101,7 +101,7 @@ def test_a_plain_runner_in_another_process_gives_the_same_bits(two_workers: Gone
     nominal = {parameter.name: parameter.nominal for parameter in vehicle.parameters}
     evaluator = registry.evaluator("reference")
     runners = {
-        name: Runner(scenario, function, vehicle.create(nominal), evaluator)
+        name: EpisodeRunner(scenario, function, vehicle.create(nominal), evaluator)
         for name, scenario in registry.catalogue("highway").scenarios.items()
     }
     simulated = [row for row in two_workers.rows if row["outcome"] == "simulated"]

@@ -15,7 +15,7 @@ import httpx
 import psutil
 from tests.support.server import free_port
 
-from drivecal.storage.database import Database
+from drivecal.storage.engine.database import Database
 
 
 @dataclass(frozen=True)

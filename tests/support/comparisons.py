@@ -6,11 +6,11 @@ from typing import Any
 
 from tests.support.runs import EXPERT_SPACE
 
-from drivecal.campaigns.comparison import queue, resolve_comparison
+from drivecal.campaigns.comparisons.resolve import queue, resolve_comparison
 from drivecal.contracts.comparison import ComparisonSpecification
 from drivecal.storage import campaigns
 from drivecal.storage.campaigns import StoredCampaign
-from drivecal.storage.database import Database
+from drivecal.storage.engine.database import Database
 
 TWO_OPTIMIZERS: dict[str, Any] = {
     "parameters": EXPERT_SPACE,

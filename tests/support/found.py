@@ -9,20 +9,21 @@ from typing import Any
 import numpy as np
 from sqlalchemy import Connection
 
-from drivecal.campaigns.maps import analysis_to_document, smallest_s_rel
-from drivecal.campaigns.problem import CalibrationProblem, resolve, resolve_evaluation
-from drivecal.campaigns.spaces import space_to_document
-from drivecal.contracts.campaign import Best, CellCounts, ErrorRate, Progress, SensitivityCellCounts
+from drivecal.campaigns.resolve.maps import analysis_to_document, smallest_s_rel
+from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve, resolve_evaluation
+from drivecal.campaigns.resolve.spaces import space_to_document
+from drivecal.contracts.campaign import Best, CellCounts, ErrorRate, Progress, StageCellCounts
+from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
-from drivecal.contracts.validation import validated
 from drivecal.domain.campaigns import CampaignState, Stage
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.parameters import ParameterSet, text
-from drivecal.storage import campaigns, evaluations, generations, influence_maps, parameter_sets, runs, setups
+from drivecal.storage import campaigns, evaluations, generations
 from drivecal.storage.campaigns import Snapshot, StoredCampaign
-from drivecal.storage.database import Database
-from drivecal.storage.evaluations import Answer, NewEvaluation
-from drivecal.storage.runs import NewRun
+from drivecal.storage.engine.database import Database
+from drivecal.storage.evaluations import AnsweredCell, NewEvaluation
+from drivecal.storage.references import influence_maps, parameter_sets, runs, setups
+from drivecal.storage.references.runs import NewRun
 
 METRICS = {"peak_lateral_acceleration_mps2": 1.25, "peak_lateral_jerk_mps3": 0.1}
 
@@ -64,7 +65,7 @@ def carry_out(database: Database, campaign_id: str, individuals: int = 5, *, end
             iteration=0,
             cells=CellCounts(proposed=cells, requested=cells, simulated=cells),
             progress=Progress(done=cells, total=cells, eta_seconds=0.0),
-            sensitivity_cells=SensitivityCellCounts(),
+            sensitivity_cells=StageCellCounts(),
             error_rate={name: ErrorRate() for name in problem.scenarios},
             best=best,
             baseline=None,
@@ -124,7 +125,7 @@ def _answer(
     ]
     stored = runs.insert_results(connection, new)
     answers = [
-        Answer(evaluation, Outcome.SIMULATED, run.score, run.rating, at.id, None, 7.5, "worker 1", 1)
+        AnsweredCell(evaluation, Outcome.SIMULATED, run.score, run.rating, at.id, None, 7.5, "worker 1", 1)
         for evaluation, run, at in zip(evaluation_ids, new, stored, strict=True)
     ]
     evaluations.answer(connection, answers)

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from drivecal.contracts.work import BatchResult, Cell, CellResult, SetupRequest
-from drivecal.execution.batching import BatchPolicy
-from drivecal.execution.scheduler import Completed, Dispatch, Scheduler
+from drivecal.execution.scheduling.batching import BatchPolicy
+from drivecal.execution.scheduling.scheduler import Completed, Dispatch, Scheduler
 
 TARGET = BatchPolicy().target_seconds
 

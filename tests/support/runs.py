@@ -9,17 +9,17 @@ from typing import Any
 
 from tests.support.computed import ComputedBackend
 
-from drivecal.campaigns.maps import resolve_map, store_posted_map
+from drivecal.campaigns.resolve.maps import resolve_map, store_posted_map
 from drivecal.contracts.specification import CampaignSpecification, InfluenceMapSpecification
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.dispatch.dispatcher import Dispatcher
+from drivecal.dispatch.leadership import Leadership
 from drivecal.dispatch.leasing import StoredLeases
-from drivecal.dispatch.tenure import Tenure
 from drivecal.execution.backend import Backend
 from drivecal.execution.pool import WorkPool
 from drivecal.storage import campaigns, generations, results
 from drivecal.storage.campaigns import StoredCampaign
-from drivecal.storage.database import Database
+from drivecal.storage.engine.database import Database
 
 EXPERT_SPACE: list[dict[str, Any]] = [{"name": f"P{i}", "lower": 0, "upper": 1, "step": 0.5} for i in range(1, 12)]
 SMALL: dict[str, Any] = {
@@ -119,7 +119,7 @@ def everything(database: Database, campaign: StoredCampaign) -> tuple[Any, ...]:
 def dispatcher(database: Database, backend: Backend | None = None) -> Dispatcher:
     """A newly elected one, that looks and reports in every step. Those before write nothing any more."""
     ticks = iter(range(10**9))
-    own = database.fenced(Tenure.begin(database).fence)
+    own = database.fenced(Leadership.begin(database).fence)
     return Dispatcher(own, WorkPool(backend or ComputedBackend(), StoredLeases(own)), clock=lambda: float(next(ticks)))
 
 

@@ -19,9 +19,9 @@ from psycopg import sql
 from sqlalchemy import make_url
 
 from drivecal.api.app import create_app
-from drivecal.api.protocol import Server, configuration
+from drivecal.api.http.protocol import Server, configuration
 from drivecal.configuration.settings import load_settings
-from drivecal.storage.database import Database
+from drivecal.storage.engine.database import Database
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,11 @@ from drivecal.domain.campaigns import Stage
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.parameters import ParameterSet
 from drivecal.domain.setups import Setup
-from drivecal.storage import campaigns, evaluations, parameter_sets, runs, setups
+from drivecal.storage import campaigns, evaluations
 from drivecal.storage.campaigns import StoredCampaign
-from drivecal.storage.evaluations import Answer, NewEvaluation
-from drivecal.storage.runs import NewRun
+from drivecal.storage.evaluations import AnsweredCell, NewEvaluation
+from drivecal.storage.references import parameter_sets, runs, setups
+from drivecal.storage.references.runs import NewRun
 
 EVALUATOR = "reference 1"
 SETUP = Setup(
@@ -107,7 +108,7 @@ def simulate(
     ]
     stored = runs.insert_results(connection, results)
     answers = [
-        Answer(one, Outcome.SIMULATED, score, rating, run.id, worker="worker 1", milliseconds=7.0, attempts=1)
+        AnsweredCell(one, Outcome.SIMULATED, score, rating, run.id, worker="worker 1", milliseconds=7.0, attempts=1)
         for (one, _), run in zip(simulated, stored, strict=True)
     ]
     evaluations.answer(connection, answers)

@@ -16,9 +16,9 @@ from tests.support.plant import setup
 
 from drivecal.contracts.work import BatchResult, Cell, CellResult
 from drivecal.domain.evaluations import Breakdown
-from drivecal.execution.batching import BatchPolicy
-from drivecal.execution.outstanding import WITNESSES
-from drivecal.execution.scheduler import ATTEMPTS, Completed, Dispatch, Scheduler
+from drivecal.execution.scheduling.batching import BatchPolicy
+from drivecal.execution.scheduling.in_flight import WITNESSES
+from drivecal.execution.scheduling.scheduler import ATTEMPTS, Completed, Dispatch, Scheduler
 
 TAGS = ("a", "b", "c")
 PLACES = 3

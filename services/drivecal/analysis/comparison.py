@@ -86,7 +86,7 @@ def succeeds(course: Course, best: float | None) -> bool:
 
 
 @dataclass(frozen=True, slots=True)
-class Group:
+class RunGroup:
     """What runs that differ in their seeds alone found; see `drivecal.contracts.comparison.ComparedGroup`."""
 
     optimizer: str
@@ -105,7 +105,7 @@ class Group:
     successes: int
 
 
-def groups(courses: Sequence[Course]) -> list[Group]:
+def groups(courses: Sequence[Course]) -> list[RunGroup]:
     """Runs with equal optimizer, population and reduction together, in the order of the first of each."""
     best = best_of_all(courses)
     found: dict[tuple[str, int, str], list[Course]] = {}
@@ -115,11 +115,11 @@ def groups(courses: Sequence[Course]) -> list[Group]:
     return [_group(*key, members, best) for key, members in found.items()]
 
 
-def _group(optimizer: str, population: int, reduction: str, members: Sequence[Course], best: float | None) -> Group:
+def _group(optimizer: str, population: int, reduction: str, members: Sequence[Course], best: float | None) -> RunGroup:
     optima = [one.optimum for one in members if one.optimum is not None]
     begun = [one for one in members if one.best]
     converged = [one for one in members if one.converged_at is not None]
-    return Group(
+    return RunGroup(
         optimizer=optimizer,
         population=population,
         reduction=reduction,

@@ -9,10 +9,10 @@ import socket
 import sys
 from importlib.metadata import version
 
-from drivecal.api import memory
 from drivecal.api.app import create_app
-from drivecal.api.awaiting import tell_of_database
-from drivecal.api.protocol import Server, configuration
+from drivecal.api.http import memory
+from drivecal.api.http.protocol import Server, configuration
+from drivecal.api.http.startup_log import tell_of_database
 from drivecal.configuration import logs
 from drivecal.configuration.access import check_exposure
 from drivecal.configuration.settings import load_settings

@@ -8,14 +8,16 @@ from importlib.metadata import version
 
 from fastapi import FastAPI
 
-from drivecal.api import document, problems
-from drivecal.api.answers import ROOT
-from drivecal.api.auth import Authorisation
+from drivecal.api import document
 from drivecal.api.dependencies import Limits
-from drivecal.api.limits import Concurrency, Requests
+from drivecal.api.http import problems
+from drivecal.api.http.auth import Authorisation
+from drivecal.api.http.limits import Concurrency, Requests
+from drivecal.api.http.requests import RequestRecords
+from drivecal.api.live.response_cache import ResponseCache
+from drivecal.api.live.streams import EventHub
 from drivecal.api.metrics import Meters
-from drivecal.api.remembered import Remembered
-from drivecal.api.requests import RequestRecords
+from drivecal.api.responses import ROOT
 from drivecal.api.routes import (
     background,
     campaigns,
@@ -33,10 +35,9 @@ from drivecal.api.routes import (
     tables,
     traces,
 )
-from drivecal.api.streams import EventHub
 from drivecal.configuration.settings import Settings
 from drivecal.configuration.tokens import TokenFile
-from drivecal.storage.database import PROMPT, Database
+from drivecal.storage.engine.database import PROMPT, Database
 
 
 def create_app(settings: Settings) -> FastAPI:
@@ -51,7 +52,7 @@ def create_app(settings: Settings) -> FastAPI:
         app.state.database = database
         app.state.meters = meters
         app.state.limits = Limits.of(settings)
-        app.state.remembered = Remembered()
+        app.state.remembered = ResponseCache()
         async with EventHub(database).running() as app.state.event_hub:
             yield
         database.dispose()

@@ -9,9 +9,9 @@ from typing import Annotated, Self
 from anyio import CapacityLimiter
 from fastapi import Depends, Header, Request
 
-from drivecal.api.limits import Places
+from drivecal.api.http.limits import Places
 from drivecal.configuration.settings import Settings
-from drivecal.storage.database import Database
+from drivecal.storage.engine.database import Database
 
 
 async def _database(request: Request) -> Database:

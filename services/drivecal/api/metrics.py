@@ -18,16 +18,16 @@ from prometheus_client.registry import Collector
 from prometheus_client.utils import floatToGoString
 from sqlalchemy.exc import SQLAlchemyError
 
-from drivecal.api.readiness import judge, silent_seconds
+from drivecal.api.live.dispatcher_health import judge, silent_seconds
 from drivecal.domain.campaigns import CampaignState, Stage
 from drivecal.domain.errors import DrivecalError
 from drivecal.domain.evaluations import Outcome
 from drivecal.execution.measures import BOUNDS, DURATIONS, KINDS, Duration, Happening
-from drivecal.storage import statistics
-from drivecal.storage.database import Database
+from drivecal.storage.engine.database import Database
+from drivecal.storage.engine.types import now
+from drivecal.storage.maintenance import statistics
+from drivecal.storage.maintenance.statistics import CampaignKey, CellKey, Statistics, Tally
 from drivecal.storage.processes import StoredProcess
-from drivecal.storage.statistics import CampaignKey, CellKey, Statistics, Tally
-from drivecal.storage.types import now
 
 WORKER_STATES = ("starting", "idle", "busy")
 DURATION_METRICS: dict[Duration, tuple[str, str]] = {

@@ -8,26 +8,27 @@ from typing import Any
 from pydantic import BaseModel
 from sqlalchemy import Connection
 
-from drivecal.api.answers import refuse_comparison
 from drivecal.api.dependencies import Limits
-from drivecal.campaigns.maps import check_basis
-from drivecal.campaigns.problem import CalibrationProblem, evaluator_id, resolve, resolve_evaluation
-from drivecal.campaigns.robustness import check_source
+from drivecal.api.responses import refuse_comparison
+from drivecal.campaigns.resolve.maps import check_basis
+from drivecal.campaigns.resolve.problem import CalibrationProblem, evaluator_id, resolve, resolve_evaluation
+from drivecal.campaigns.stages.robustness import check_source
 from drivecal.contracts.campaign import ExpectedRuns
+from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import (
     CampaignSpecification,
     EvaluationSpecification,
     MapReference,
     RerunSpecification,
 )
-from drivecal.contracts.validation import validated
 from drivecal.domain.errors import ConflictError, InvalidInputError, NotFoundError, Problem, TooLargeError
 from drivecal.domain.setups import canonical_json, digest
 from drivecal.plugins import registry
-from drivecal.storage import admission, campaigns, influence_maps
+from drivecal.storage import admission, campaigns
 from drivecal.storage.campaigns import StoredCampaign
-from drivecal.storage.database import Database
-from drivecal.storage.influence_maps import StoredInfluenceMap
+from drivecal.storage.engine.database import Database
+from drivecal.storage.references import influence_maps
+from drivecal.storage.references.influence_maps import StoredInfluenceMap
 
 
 def submit(database: Database, limits: Limits, specification: CampaignSpecification, key: str | None) -> StoredCampaign:

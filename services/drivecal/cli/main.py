@@ -7,40 +7,40 @@ from typing import Annotated
 
 import typer
 
-from drivecal.cli import (
+from drivecal.cli.application import app
+from drivecal.cli.commands import (
     campaigns,
-    comparing,
-    evaluations,
+    compare_optimizers,
+    db,
+    evaluate,
     explain,
     influence,
     influence_maps,
-    maintenance,
     report,
     results,
     robustness,
     serve,
-    validation,
+    validate,
     workers,
 )
-from drivecal.cli.commands import app
-from drivecal.cli.demo import command as demo
+from drivecal.cli.commands.demo import command as demo
 
 __all__ = [
     "app",
     "campaigns",
-    "comparing",
+    "compare_optimizers",
+    "db",
     "demo",
-    "evaluations",
+    "evaluate",
     "explain",
     "influence",
     "influence_maps",
     "main",
-    "maintenance",
     "report",
     "results",
     "robustness",
     "serve",
-    "validation",
+    "validate",
     "workers",
 ]
 

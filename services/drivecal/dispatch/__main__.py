@@ -14,16 +14,16 @@ from typing import TypeVar
 from drivecal.configuration import logs
 from drivecal.configuration.settings import Settings, load_settings
 from drivecal.dispatch.dispatcher import Dispatcher
+from drivecal.dispatch.heartbeat import Heartbeat
+from drivecal.dispatch.leadership import Leadership
 from drivecal.dispatch.leasing import StoredLeases
-from drivecal.dispatch.pulse import Pulse
-from drivecal.dispatch.tenure import Tenure
 from drivecal.dispatch.trial import trial
 from drivecal.domain.errors import DatabaseError, DrivecalError, UnavailableError
 from drivecal.execution.backend import BackendLostError
 from drivecal.execution.pool import WorkPool
-from drivecal.execution.ray_backend import RayBackend, RayOptions
-from drivecal.storage import locks
-from drivecal.storage.database import PROMPT, Database
+from drivecal.execution.ray.backend import RayBackend, RayOptions
+from drivecal.storage.engine import locks
+from drivecal.storage.engine.database import PROMPT, Database
 
 LONGEST_PAUSE = 10.0
 
@@ -60,20 +60,20 @@ def serve(settings: Settings, stop: threading.Event) -> None:
     if lock is None:
         return
     with lock:
-        tenure = _awaited("the database", lambda: Tenure.begin(database), stop)
-        if tenure is None:
+        leadership = _awaited("the database", lambda: Leadership.begin(database), stop)
+        if leadership is None:
             return
-        log.info("elected for term %d", tenure.term)
-        beating = Database.open(settings.database_url, PROMPT).fenced(tenure.fence)
-        with Pulse(beating, tenure, lock.renew) as pulse:
-            _dispatch(settings, database.fenced(tenure.fence), pulse, stop)
+        log.info("elected for term %d", leadership.term)
+        beating = Database.open(settings.database_url, PROMPT).fenced(leadership.fence)
+        with Heartbeat(beating, leadership, lock.renew) as heartbeat:
+            _dispatch(settings, database.fenced(leadership.fence), heartbeat, stop)
 
 
-def _dispatch(settings: Settings, database: Database, pulse: Pulse, stop: threading.Event) -> None:
+def _dispatch(settings: Settings, database: Database, heartbeat: Heartbeat, stop: threading.Event) -> None:
     address = settings.ray_address
-    pulse.tell((), "Ray is being started" if address is None else f"waiting for the Ray cluster at {address}")
+    heartbeat.tell((), "Ray is being started" if address is None else f"waiting for the Ray cluster at {address}")
     options = RayOptions(address, settings.workers, certificates_mb=settings.certificates_mb)
-    backend = _awaited("Ray", lambda: RayBackend(options, trial()), stop, lambda words: pulse.tell((), words))
+    backend = _awaited("Ray", lambda: RayBackend(options, trial()), stop, lambda words: heartbeat.tell((), words))
     if backend is None:
         return
     # the first campaign's start design needs it; while the workers start, a second of it costs nothing
@@ -82,14 +82,14 @@ def _dispatch(settings: Settings, database: Database, pulse: Pulse, stop: thread
         dispatcher = Dispatcher(
             database,
             WorkPool(backend, StoredLeases(database)),
-            pulse.tell,
+            heartbeat.tell,
             running_campaigns=settings.running_campaigns,
             event_days=settings.event_days,
         )
         dispatcher.run(stop)
     except BackendLostError as error:
-        pulse.tell((), f"{error}; Ray is started or joined anew")
-        pulse.wait_until_told()
+        heartbeat.tell((), f"{error}; Ray is started or joined anew")
+        heartbeat.wait_until_told()
         raise  # what is gone cannot be closed
     except BaseException:
         backend.close()

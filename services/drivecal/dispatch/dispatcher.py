@@ -13,7 +13,7 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from datetime import timedelta
 
-from drivecal.campaigns.ledger import Work
+from drivecal.campaigns.cells.cell_tracker import Work
 from drivecal.configuration import logs
 from drivecal.dispatch.jobs import Active, take_up
 from drivecal.domain.campaigns import CampaignState
@@ -24,8 +24,8 @@ from drivecal.execution.pool import WorkPool
 from drivecal.plugins.arrays import DamagedArraysError
 from drivecal.storage import campaigns, events, traces
 from drivecal.storage.campaigns import CampaignHeading
-from drivecal.storage.database import Database
-from drivecal.storage.types import now
+from drivecal.storage.engine.database import Database
+from drivecal.storage.engine.types import now
 
 LOOK_SECONDS = 0.25
 """How often new campaigns and requests are looked for."""

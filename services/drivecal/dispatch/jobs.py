@@ -6,26 +6,26 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from drivecal.campaigns.comparing import Comparison
-from drivecal.campaigns.comparison import resolve_comparison
-from drivecal.campaigns.evaluation import SingleEvaluation
-from drivecal.campaigns.pinned import problem_of
-from drivecal.campaigns.planning import View
-from drivecal.campaigns.problem import EvaluationProblem
-from drivecal.campaigns.staged import StagedCampaign
+from drivecal.campaigns.cells.planning import View
+from drivecal.campaigns.comparisons.resolve import resolve_comparison
+from drivecal.campaigns.comparisons.runs import ComparisonJob
+from drivecal.campaigns.resolve.problem import EvaluationProblem
+from drivecal.campaigns.resolve.resolved_spec import problem_of
+from drivecal.campaigns.stages.campaign import StagedCampaign
+from drivecal.campaigns.stages.evaluation import SingleEvaluation
 from drivecal.contracts.comparison import ComparisonSpecification
-from drivecal.contracts.validation import validated
+from drivecal.contracts.input_errors import validated
 from drivecal.domain.campaigns import CampaignState, Stage
 from drivecal.domain.errors import ConflictError
-from drivecal.execution.scheduler import Completed
+from drivecal.execution.scheduling.scheduler import Completed
 from drivecal.storage import campaigns, traces
 from drivecal.storage.campaigns import CampaignHeading, StoredCampaign
-from drivecal.storage.database import Database
+from drivecal.storage.engine.database import Database
 
 EVALUATION_PRIORITY = 1000
 """Somebody waits for a single evaluation; a campaign can wait a batch longer."""
 
-Job = StagedCampaign | SingleEvaluation | Comparison
+Job = StagedCampaign | SingleEvaluation | ComparisonJob
 
 
 @dataclass(slots=True)
@@ -53,11 +53,11 @@ class Active:
     @property
     def goes_on(self) -> bool:
         """Whether it has more to do without any result."""
-        return isinstance(self.job, Comparison) and self.job.goes_on
+        return isinstance(self.job, ComparisonJob) and self.job.goes_on
 
     def sum_up(self) -> None:
         """Has the row of a comparison say what its runs count, where it rests or is cancelled: no later sum would."""
-        if isinstance(self.job, Comparison):
+        if isinstance(self.job, ComparisonJob):
             self.job.sum_up()
 
     @property
@@ -72,7 +72,7 @@ def take_up(database: Database, sequence: int) -> Job:
         campaign = campaigns.by_sequence(connection, sequence)
     if campaign.kind == "comparison":
         compared = resolve_comparison(validated(ComparisonSpecification, campaign.spec))
-        return Comparison(database, campaign, compared, lambda number: _staged(database, number))
+        return ComparisonJob(database, campaign, compared, lambda number: _staged(database, number))
     return _alone(database, campaign)
 
 

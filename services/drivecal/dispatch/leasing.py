@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from drivecal.execution.measures import MEASURES
 from drivecal.storage import leases
-from drivecal.storage.database import Database
+from drivecal.storage.engine.database import Database
 
 
 class StoredLeases:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from drivecal.campaigns.problem import resolve
+from drivecal.campaigns.resolve.problem import resolve
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.contracts.work import Batch, Cell
 

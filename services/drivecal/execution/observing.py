@@ -8,10 +8,10 @@ from collections.abc import Collection, Mapping
 
 from drivecal.contracts.work import BatchResult
 from drivecal.domain.evaluations import Breakdown
-from drivecal.execution.activity import Activity
 from drivecal.execution.backend import Finished, Lost, WorkerInfo
 from drivecal.execution.measures import MEASURES
-from drivecal.execution.scheduler import Completed, Dispatch
+from drivecal.execution.scheduling.activity import Activity
+from drivecal.execution.scheduling.scheduler import Completed, Dispatch
 
 FAILURES_TOLD = 20
 """Of a campaign, before only the 32nd, 64th, 128th ... are."""

@@ -10,10 +10,10 @@ from dataclasses import replace
 from drivecal.contracts.work import BatchResult, Cell, SetupRequest
 from drivecal.domain.errors import UnavailableError
 from drivecal.execution.backend import DEADLINE_FACTOR, DEADLINE_SECONDS, Backend, Finished, Lost, WorkerInfo
-from drivecal.execution.batching import BatchPolicy
 from drivecal.execution.leasing import Leases
 from drivecal.execution.observing import Observer, breakdowns
-from drivecal.execution.scheduler import Completed, Dispatch, Scheduler
+from drivecal.execution.scheduling.batching import BatchPolicy
+from drivecal.execution.scheduling.scheduler import Completed, Dispatch, Scheduler
 
 PATIENCE_WITH_REFUSALS = 30.0
 """Seconds after which a worker that refuses what is to be done is replaced: its installation may have been mended meanwhile."""

@@ -9,8 +9,8 @@ from pydantic import ConfigDict, Field
 
 from drivecal.contracts.specification import OptimizerSpecification
 from drivecal.domain.parameters import Indices
+from drivecal.optimizers.built_in import BuiltIn
 from drivecal.optimizers.checks import searchable
-from drivecal.optimizers.plugin import BuiltIn
 from drivecal.optimizers.ranking import ranking
 from drivecal.optimizers.replayed import Replayed, require
 from drivecal.plugins.ports import Floats, OptimizerPlugin

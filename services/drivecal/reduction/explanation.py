@@ -22,7 +22,7 @@ _NONE_BELOW, _NONE_ABOVE = np.iinfo(np.int64).min, np.iinfo(np.int64).max
 
 
 @dataclass(frozen=True, slots=True)
-class Difference:
+class ParameterDifference:
     """A parameter in which a cell and a stored set differ; values in billionths. It `blocks` where a change may change the score."""
 
     parameter: str
@@ -49,7 +49,7 @@ class Nearest:
         return self.blocking, self.distance, self.place
 
 
-class Comparison:
+class CellComparison:
     """Compares one cell with stored sets, under an influence map in one scenario."""
 
     def __init__(
@@ -104,11 +104,11 @@ class Comparison:
         place = tuple(int(one) for one in places[first])
         return Nearest(int(counts[first]), float(distances[first]), place, int(evaluations[first]))
 
-    def differences(self, stored: Integers) -> list[Difference]:
+    def differences(self, stored: Integers) -> list[ParameterDifference]:
         """Every parameter in which one stored set, shape (n_p,), differs from the cell; in the order of the names."""
         blocking = self.blocking(stored[np.newaxis, :])[0]
         return [
-            Difference(
+            ParameterDifference(
                 parameter=name,
                 value=int(self._values[column]),
                 reference_value=int(stored[column]),

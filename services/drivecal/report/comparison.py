@@ -11,7 +11,7 @@ from pathlib import Path
 from drivecal.client.client import Client
 from drivecal.contracts.campaign import Campaign, Generation
 from drivecal.contracts.comparison import ComparedGroup, ComparedPair, ComparedRun, ReductionEffect
-from drivecal.report.comparison_figures import effects_figure, optima_figure, search_figures
+from drivecal.report.figures.comparison import effects_figure, optima_figure, search_figures
 from drivecal.report.folder import writable
 from drivecal.report.markup import Number, contents, document, files, heading, paragraph, section, table, verbatim
 
@@ -35,7 +35,7 @@ CONVERGED = (
 
 
 @dataclass(frozen=True, slots=True)
-class Compared:
+class ComparisonData:
     """A comparison with what its runs found; `generations` by the id of the run."""
 
     campaign: Campaign
@@ -46,10 +46,10 @@ class Compared:
     generations: Mapping[str, Sequence[Generation]]
 
 
-def collect_comparison(client: Client, campaign: Campaign) -> Compared:
+def collect_comparison(client: Client, campaign: Campaign) -> ComparisonData:
     """Asks for it. Raises whatever the client raises."""
     runs = client.compared_runs(campaign.id)
-    return Compared(
+    return ComparisonData(
         campaign=campaign,
         runs=runs,
         groups=client.compared_groups(campaign.id),
@@ -59,7 +59,7 @@ def collect_comparison(client: Client, campaign: Campaign) -> Compared:
     )
 
 
-def write_comparison(found: Compared, tables: Mapping[str, Iterable[bytes]], folder: Path) -> list[Path]:
+def write_comparison(found: ComparisonData, tables: Mapping[str, Iterable[bytes]], folder: Path) -> list[Path]:
     """Writes page, figures, the `tables` (CSV by name, in pieces) and the comparison as it was submitted; returns what was written, the
     page last. Raises InvalidInputError where it cannot be written."""
     with writable(folder) as target:
@@ -74,7 +74,7 @@ def write_comparison(found: Compared, tables: Mapping[str, Iterable[bytes]], fol
     return target.written
 
 
-def _page(found: Compared, searches: Sequence[str], reduced: str, names: Sequence[str]) -> str:
+def _page(found: ComparisonData, searches: Sequence[str], reduced: str, names: Sequence[str]) -> str:
     campaign = found.campaign
     several = len({one.reduction for one in found.groups}) > 1
     doubted = any(one.best != one.simulated_best or one.confirmations for one in found.runs)
@@ -101,7 +101,7 @@ def _page(found: Compared, searches: Sequence[str], reduced: str, names: Sequenc
     return document(campaign.name, parts)
 
 
-def summary(found: Compared) -> list[str]:
+def summary(found: ComparisonData) -> list[str]:
     """What the comparison says, in sentences."""
     told = []
     best = max((one.simulated_best for one in found.runs if one.simulated_best is not None), default=None)

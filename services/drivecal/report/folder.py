@@ -10,7 +10,7 @@ from html import escape
 from pathlib import Path
 
 from drivecal.domain.errors import InvalidInputError, Problem
-from drivecal.report.drawing import Drawn, inlined, png, svg
+from drivecal.report.figures.drawing import Drawn, inlined, png, svg
 from drivecal.report.markup import figure
 
 FORMS = ("svg", "png")

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from drivecal.contracts.campaign import Campaign
-from drivecal.report import cells, influence, optima, problem, results, reuse, robustness, search, validation
-from drivecal.report.findings import Findings
+from drivecal.report.data import ReportData
+from drivecal.report.figures import cells
+from drivecal.report.figures.spider import by_scenario
 from drivecal.report.markup import bullets, contents, document, files, heading, paragraph, section, verbatim
-from drivecal.report.spider import by_scenario
+from drivecal.report.sections import influence, optima, problem, results, reuse, robustness, search, validation
 
 
-def page(findings: Findings, drawn: Mapping[str, str], names: Sequence[str], version: str) -> str:
+def page(findings: ReportData, drawn: Mapping[str, str], names: Sequence[str], version: str) -> str:
     """The page. `drawn`: the figures as parts of it, by name; `names`: files to link to, relative to the page."""
     campaign = findings.campaign
     sections = {
@@ -52,13 +53,13 @@ def _searched(campaign: Campaign) -> bool:
     return campaign.spec.get("optimizer", {}) is not None
 
 
-def _influence(findings: Findings, drawn: Mapping[str, str]) -> list[str]:
+def _influence(findings: ReportData, drawn: Mapping[str, str]) -> list[str]:
     if not findings.influence and not _searched(findings.campaign):
         return []
     return influence.parts(findings.influence, findings.basis, _figures(drawn, "figure-9-"))
 
 
-def _search(findings: Findings, drawn: Mapping[str, str]) -> list[str]:
+def _search(findings: ReportData, drawn: Mapping[str, str]) -> list[str]:
     if not findings.generations:
         return [paragraph("There is no iteration (yet).")] if _searched(findings.campaign) else []
     found = search.convergence(findings.generations)
@@ -70,7 +71,7 @@ def _search(findings: Findings, drawn: Mapping[str, str]) -> list[str]:
     ]
 
 
-def _best(findings: Findings, drawn: Mapping[str, str]) -> list[str]:
+def _best(findings: ReportData, drawn: Mapping[str, str]) -> list[str]:
     if not findings.optima:
         return []
     best = findings.campaign.best
@@ -81,7 +82,7 @@ def _best(findings: Findings, drawn: Mapping[str, str]) -> list[str]:
     ]
 
 
-def _robustness(findings: Findings, drawn: Mapping[str, str]) -> list[str]:
+def _robustness(findings: ReportData, drawn: Mapping[str, str]) -> list[str]:
     identifier = findings.campaign.id
     if findings.robustness:
         drawing = "".join(_figures(drawn, "figure-12-robustness"))
@@ -94,7 +95,7 @@ def _robustness(findings: Findings, drawn: Mapping[str, str]) -> list[str]:
     ]
 
 
-def _reuse(findings: Findings, drawn: Mapping[str, str]) -> list[str]:
+def _reuse(findings: ReportData, drawn: Mapping[str, str]) -> list[str]:
     campaign = findings.campaign
     found = [reuse.cells_by_stage(campaign)]
     if campaign.cells.requested:
@@ -107,7 +108,7 @@ def _reuse(findings: Findings, drawn: Mapping[str, str]) -> list[str]:
     return found
 
 
-def _validation(findings: Findings, drawn: Mapping[str, str]) -> list[str]:
+def _validation(findings: ReportData, drawn: Mapping[str, str]) -> list[str]:
     identifier = findings.campaign.id
     if findings.validation:
         drawing = "".join(_figures(drawn, "figure-14-"))

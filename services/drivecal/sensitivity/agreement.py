@@ -15,7 +15,7 @@ ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
-class Difference:
+class Disagreement:
     """A pair on which two maps do not agree."""
 
     first: InfluenceRow
@@ -27,7 +27,7 @@ class Agreement:
     """`pairs`: how many both maps know. `only_first`, `only_second`: pairs that the other does not know."""
 
     pairs: int
-    differences: tuple[Difference, ...]
+    differences: tuple[Disagreement, ...]
     only_first: tuple[Pair, ...]
     only_second: tuple[Pair, ...]
 
@@ -72,7 +72,7 @@ def agreement(first: Iterable[InfluenceRow], second: Iterable[InfluenceRow]) -> 
     shared = [pair for pair in ours if pair in theirs]
     return Agreement(
         pairs=len(shared),
-        differences=tuple(Difference(ours[pair], theirs[pair]) for pair in shared if not agree(ours[pair], theirs[pair])),
+        differences=tuple(Disagreement(ours[pair], theirs[pair]) for pair in shared if not agree(ours[pair], theirs[pair])),
         only_first=tuple(pair for pair in ours if pair not in theirs),
         only_second=tuple(pair for pair in theirs if pair not in ours),
     )

@@ -70,7 +70,7 @@ class DesignBuilder:
 
 
 @dataclass(frozen=True, slots=True)
-class Measures:
+class EffectStatistics:
     """What r elementary effects of one parameter say: mean, mean of magnitudes, standard deviation, and how many there were.
 
     Fewer than two effects have no standard deviation: all figures are NaN then.
@@ -87,15 +87,15 @@ class Measures:
         return sqrt(self.mu**2 + self.sigma**2)
 
 
-def measures(effects: Floats) -> Measures:
+def measures(effects: Floats) -> EffectStatistics:
     """Of the effects of one analysis, shape (r,); NaN ones, whose run failed, do not count."""
     known = effects[~np.isnan(effects)]
     if known.size < 2:
-        return Measures(nan, nan, nan, known.size)
+        return EffectStatistics(nan, nan, nan, known.size)
     mean, magnitude = float(known.mean()), float(np.abs(known).mean())
-    return Measures(mean, magnitude, float(known.std(ddof=1)), known.size)
+    return EffectStatistics(mean, magnitude, float(known.std(ddof=1)), known.size)
 
 
-def smallest_nonzero(found: Sequence[Measures]) -> float | None:
+def smallest_nonzero(found: Sequence[EffectStatistics]) -> float | None:
     """The smallest s_rel that is not zero, None where all are: with few samples a threshold below it means any change at all."""
     return min((one.s_rel for one in found if one.s_rel > 0), default=None)

@@ -10,12 +10,12 @@ import numpy as np
 from drivecal.domain.influence import EVERYWHERE, Influence
 from drivecal.domain.parameters import Indices, ParameterSpace
 from drivecal.sensitivity.cutting import Region, cut
-from drivecal.sensitivity.effects import Floats, Measures, measures, smallest_nonzero
+from drivecal.sensitivity.effects import EffectStatistics, Floats, measures, smallest_nonzero
 from drivecal.sensitivity.thresholds import Threshold, Verdict, verdict
 
 
 @dataclass(frozen=True, slots=True)
-class Confirmation:
+class RegionConfirmation:
     """One analysis over a whole cut region: its first and last grid index, and what it found."""
 
     region: Region
@@ -34,7 +34,7 @@ class ParameterInfluence:
 
     influence: Influence
     intervals: tuple[Verdict, ...]
-    confirmations: tuple[Confirmation, ...]
+    confirmations: tuple[RegionConfirmation, ...]
     overall: Verdict | None
 
     @property
@@ -71,7 +71,7 @@ class ScenarioState:
         self._edges = edges
         self._threshold = threshold
         self._intervals: list[tuple[Verdict, ...]] = [() for _ in edges]
-        self._confirmations: list[list[Confirmation]] = [[] for _ in edges]
+        self._confirmations: list[list[RegionConfirmation]] = [[] for _ in edges]
         self._cut: list[dict[str, Region]] = [{} for _ in edges]
         self._overall: list[Verdict] | None = None
         self.unknown = False
@@ -94,7 +94,7 @@ class ScenarioState:
         for region, *row in zip(regions, effects, steps, strict=True):
             found = self._verdict(*row)
             lower, upper = self.bounds(region)
-            self._confirmations[region.column].append(Confirmation(region, lower, upper, found))
+            self._confirmations[region.column].append(RegionConfirmation(region, lower, upper, found))
             if found.influential:
                 del self._cut[region.column][region.side]
                 left = region.given_back()
@@ -131,7 +131,7 @@ class ScenarioState:
             confirmations = tuple(self._confirmations[column])
             found[parameter.name] = ParameterInfluence(self._influence(column), self._intervals[column], confirmations, overall)
         all_intervals = [one.measures for row in self._intervals for one in row]
-        all_overall: list[Measures] = [] if self._overall is None else [one.measures for one in self._overall]
+        all_overall: list[EffectStatistics] = [] if self._overall is None else [one.measures for one in self._overall]
         return ScenarioInfluence(found, self.unknown, smallest_nonzero(all_intervals), smallest_nonzero(all_overall))
 
     def _influence(self, column: int) -> Influence:

@@ -7,7 +7,7 @@ from math import isfinite
 from typing import Literal
 
 from drivecal.domain.errors import InvalidInputError, Problem
-from drivecal.sensitivity.thresholds import SeparateThresholds, Threshold
+from drivecal.sensitivity.thresholds import MuSigmaThresholds, Threshold
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +35,7 @@ class SensitivitySettings:
             )
         if self.seed < 0:
             problems.append(_problem("seed", f"{self.seed} is negative", "give at least 0"))
-        if isinstance(self.threshold, SeparateThresholds):
+        if isinstance(self.threshold, MuSigmaThresholds):
             limits = {"threshold.mu": self.threshold.mu, "threshold.sigma": self.threshold.sigma}
         else:
             limits = {} if self.threshold == "auto" else {"threshold": self.threshold}

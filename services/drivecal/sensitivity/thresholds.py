@@ -23,7 +23,7 @@ from typing import Literal
 
 import numpy as np
 
-from drivecal.sensitivity.effects import LARGEST_SCORE, Floats, Measures
+from drivecal.sensitivity.effects import LARGEST_SCORE, EffectStatistics, Floats
 
 TOLERATED_RATE = 0.01
 """Changes of one point per step that count as negligible; the largest error ratio in Table 2 is 0.0108."""
@@ -31,14 +31,14 @@ CONFIDENCE = 0.95
 
 
 @dataclass(frozen=True, slots=True)
-class SeparateThresholds:
+class MuSigmaThresholds:
     """Influential from |mu| >= `mu` or sigma >= `sigma` on (Section IV-E)."""
 
     mu: float
     sigma: float
 
 
-Threshold = float | SeparateThresholds | Literal["auto"]
+Threshold = float | MuSigmaThresholds | Literal["auto"]
 """A number is a threshold on s_rel."""
 
 
@@ -63,19 +63,19 @@ class Verdict:
     `threshold` is what was applied: on s_rel, or on |mu| and sigma; None where there was nothing to apply it to.
     """
 
-    measures: Measures
-    threshold: float | SeparateThresholds | None
+    measures: EffectStatistics
+    threshold: float | MuSigmaThresholds | None
     influential: bool
 
 
-def verdict(found: Measures, steps: Floats, threshold: Threshold) -> Verdict:
+def verdict(found: EffectStatistics, steps: Floats, threshold: Threshold) -> Verdict:
     """Applies a threshold to measures; `steps` are those of the effects that count, shape (n_effects,).
 
     With fewer than two effects nothing is known, which counts as influential.
     """
     if found.n_effects < 2:
         return Verdict(found, None, influential=True)
-    if isinstance(threshold, SeparateThresholds):
+    if isinstance(threshold, MuSigmaThresholds):
         return Verdict(found, threshold, abs(found.mu) >= threshold.mu or found.sigma >= threshold.sigma)
     limit = automatic(steps) if threshold == "auto" else float(threshold)
     return Verdict(found, limit, found.s_rel >= limit)

@@ -12,9 +12,10 @@ from drivecal.configuration.access import is_loopback
 from drivecal.configuration.settings import Settings
 from drivecal.domain.errors import ConflictError, DrivecalError, InvalidInputError, Problem
 from drivecal.server.supervisor import ChildProcess, Supervisor
-from drivecal.storage import locks, processes
-from drivecal.storage.database import Database
-from drivecal.storage.types import now
+from drivecal.storage import processes
+from drivecal.storage.engine import locks
+from drivecal.storage.engine.database import Database
+from drivecal.storage.engine.types import now
 
 DISPATCHER = (sys.executable, "-m", "drivecal.dispatch")
 BACKLOG = 512

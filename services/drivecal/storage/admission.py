@@ -5,7 +5,7 @@ from __future__ import annotations
 from sqlalchemy import Connection, func, select, text
 
 from drivecal.domain.errors import OverloadError, Problem, TooLargeError
-from drivecal.storage.tables import campaigns, influence_maps
+from drivecal.storage.engine.tables import campaigns, influence_maps
 
 KEY = 0x64726332
 """First key of the advisory lock on PostgreSQL; the second is a hash of the schema."""

@@ -7,28 +7,17 @@ campaign's evaluator: the evaluation that made the run may have been rated by an
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
 from typing import Any
 
 from sqlalchemy import Connection, FromClause, case, func, select, update
 
 from drivecal.domain.campaigns import Stage
-from drivecal.domain.evaluations import Outcome
+from drivecal.domain.evaluations import AuditCount, Outcome
+from drivecal.storage.engine.tables import evaluations, ratings, reference_indexes, reference_keys
 from drivecal.storage.evaluations import DONORS
-from drivecal.storage.tables import evaluations, ratings, reference_indexes, reference_keys
 
 _donor = evaluations.alias("donor")
 _trusted = ratings.alias("trusted")
-
-
-@dataclass(frozen=True, slots=True)
-class AuditCount:
-    """The self-check of one scenario: `different`: any change of the score; `wrong`: by more than 1 (Eq. 8 of the paper)."""
-
-    scenario: str
-    audited: int
-    different: int
-    wrong: int
 
 
 def settle(connection: Connection, campaign_sequence: int, stage: Stage, iteration: int, evaluator: str) -> None:

@@ -10,29 +10,23 @@ from typing import Any, Literal
 
 from sqlalchemy import ColumnElement, Connection, Row, Select, Text, Update, bindparam, case, cast, func, select, update
 
-from drivecal.contracts.campaign import (
-    Baseline,
-    Best,
-    CellCounts,
-    ErrorRate,
-    Narrowed,
-    Progress,
-    SensitivityCellCounts,
-    StageCellCounts,
-)
+from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, Narrowed, Progress, StageCellCounts
+from drivecal.domain.actions import Action
+from drivecal.domain.actions import change as change_by
 from drivecal.domain.campaigns import CampaignState, Stage
 from drivecal.domain.errors import ConflictError, NotFoundError
 from drivecal.domain.events import EventKind
-from drivecal.storage import actions, comparisons, cursors, events, leases, runs
-from drivecal.storage.identifiers import is_identifier
-from drivecal.storage.membership import insert as insert_into
-from drivecal.storage.tables import campaigns
-from drivecal.storage.types import now
+from drivecal.storage import comparisons, events, leases
+from drivecal.storage.engine import cursors
+from drivecal.storage.engine.bulk import insert as insert_into
+from drivecal.storage.engine.identifiers import is_identifier
+from drivecal.storage.engine.tables import campaigns
+from drivecal.storage.engine.types import now
+from drivecal.storage.references import runs
 
 Kind = Literal["calibration", "comparison", "evaluation"]
 Listed = Literal["calibration", "evaluation"]
 """What is listed together: campaigns, comparisons among them, and single evaluations."""
-Action = actions.Action
 LONGEST_LISTED = 20_000
 """Characters of a specification that a list still carries: a page of a thousand has 20 MB at most, where it could have had a GB."""
 
@@ -73,7 +67,7 @@ class StoredCampaign(CampaignHeading):
     error: str | None
     notes: tuple[str, ...]
     cells: CellCounts
-    sensitivity_cells: SensitivityCellCounts
+    sensitivity_cells: StageCellCounts
     robustness_cells: StageCellCounts
     validation_cells: StageCellCounts
     progress: Progress
@@ -95,7 +89,7 @@ class Snapshot:
     stage: Stage | None
     iteration: int | None
     cells: CellCounts
-    sensitivity_cells: SensitivityCellCounts
+    sensitivity_cells: StageCellCounts
     progress: Progress
     error_rate: Mapping[str, ErrorRate]
     best: Best | None
@@ -135,7 +129,7 @@ def insert(
         "body_digest": body_digest,
         "notes": [],
         "cells": CellCounts().model_dump(mode="json"),
-        "sensitivity_cells": SensitivityCellCounts().model_dump(mode="json"),
+        "sensitivity_cells": StageCellCounts().model_dump(mode="json"),
         "progress": Progress().model_dump(mode="json"),
         "error_rate": {},
         "simulating_seconds": 0.0,
@@ -239,7 +233,7 @@ def request_action(connection: Connection, campaign_id: str, action: Action) -> 
     campaign = _campaign(row)
     comparisons.refuse_run(connection, campaign.id, campaign.parent_sequence, action)
     asked = campaign.requested_action
-    change = actions.change(campaign.id, campaign.state, asked, action, has_started=campaign.started_at is not None)
+    change = change_by(campaign.id, campaign.state, asked, action, has_started=campaign.started_at is not None, now=now())
     if change is None:
         return campaign
     kind, changes = change
@@ -387,7 +381,7 @@ def _campaign(row: Row[Any]) -> StoredCampaign:
         "spec": row.spec or {},
         "notes": tuple(row.notes),
         "cells": CellCounts(**row.cells),
-        "sensitivity_cells": SensitivityCellCounts(**row.sensitivity_cells),
+        "sensitivity_cells": StageCellCounts(**row.sensitivity_cells),
         "robustness_cells": StageCellCounts(**(row.robustness_cells or {})),
         "validation_cells": StageCellCounts(**(row.validation_cells or {})),
         "progress": Progress(**row.progress),

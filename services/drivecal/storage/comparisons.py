@@ -12,8 +12,8 @@ from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import ConflictError
 from drivecal.domain.events import EventKind
 from drivecal.storage import events, leases
-from drivecal.storage.tables import campaigns
-from drivecal.storage.types import now
+from drivecal.storage.engine.tables import campaigns
+from drivecal.storage.engine.types import now
 
 BATCH = 100
 """Runs that a sum over all of them holds in memory at a time."""

@@ -3,38 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from statistics import fmean
 
 from sqlalchemy import Connection, func, select
 
-from drivecal.domain.campaigns import Stage
-from drivecal.domain.evaluations import Outcome
-from drivecal.storage.membership import among
-from drivecal.storage.tables import evaluations, runs, setups
+from drivecal.domain.evaluations import Outcome, OutcomeCosts
+from drivecal.storage.engine.bulk import among
+from drivecal.storage.engine.tables import evaluations, runs, setups
 
 RECENT_RUNS = 1_000
 """Of a setup, which tell what the next one will take."""
 
 
-@dataclass(frozen=True, slots=True)
-class CellCosts:
-    """Answered cells of one stage and scenario that have outcome and `audited` in common.
-
-    `seconds`: CPU time that the campaign's own attempts took; `run_seconds`: that of the `runs` stored runs that answered the cells.
-    """
-
-    stage: Stage
-    scenario: str
-    outcome: Outcome
-    audited: bool
-    cells: int
-    seconds: float
-    runs: int
-    run_seconds: float
-
-
-def by_outcome(connection: Connection, campaign_sequence: int) -> list[CellCosts]:
+def by_outcome(connection: Connection, campaign_sequence: int) -> list[OutcomeCosts]:
     """The answered cells of a campaign, ordered by stage and scenario."""
     group = (evaluations.c.stage, evaluations.c.scenario, evaluations.c.outcome, evaluations.c.audited)
     query = (
@@ -51,7 +32,7 @@ def by_outcome(connection: Connection, campaign_sequence: int) -> list[CellCosts
         .order_by(*group)
     )
     return [
-        CellCosts(stage, scenario, Outcome(outcome), audited, cells, own / 1000, stored, answered / 1000)
+        OutcomeCosts(stage, scenario, Outcome(outcome), audited, cells, own / 1000, stored, answered / 1000)
         for stage, scenario, outcome, audited, cells, own, stored, answered in connection.execute(query)
     ]
 

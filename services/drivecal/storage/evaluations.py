@@ -13,8 +13,8 @@ from drivecal.domain.campaigns import Stage
 from drivecal.domain.evaluations import Donor, Outcome
 from drivecal.domain.parameters import ParameterSet
 from drivecal.storage import leases
-from drivecal.storage.membership import among
-from drivecal.storage.tables import evaluations, parameter_sets
+from drivecal.storage.engine.bulk import among
+from drivecal.storage.engine.tables import evaluations, parameter_sets
 
 COPIES = (Outcome.REPEATED, Outcome.REUSED)
 DONORS = (Outcome.SIMULATED, Outcome.CERTIFIED)
@@ -63,7 +63,7 @@ class PendingEvaluation:
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class AnsweredCell:
     """What answers a pending cell. `failure` is a `Failure` of a run or a `Breakdown` of the attempts, whose cause `detail` says in words;
     `agrees`: of an audited cell."""
 
@@ -155,7 +155,7 @@ def note_proofs(connection: Connection, proofs: Mapping[int, int]) -> None:
         connection.execute(statement.values(proven_by=bindparam("proof")), rows)
 
 
-def answer(connection: Connection, answers: Sequence[Answer]) -> int:
+def answer(connection: Connection, answers: Sequence[AnsweredCell]) -> int:
     """Stores answers; says how many. A cell that has its answer keeps it: a late result of an earlier attempt changes nothing. An answered
     cell has no lease any more."""
     if not answers:
@@ -171,7 +171,7 @@ def answer(connection: Connection, answers: Sequence[Answer]) -> int:
     return answered
 
 
-_ANSWER = tuple(one.name for one in fields(Answer) if one.name != "id")
+_ANSWER = tuple(one.name for one in fields(AnsweredCell) if one.name != "id")
 
 
 def simulate_instead(connection: Connection, evaluation_ids: Sequence[int]) -> None:

@@ -15,8 +15,8 @@ from typing import Any
 from sqlalchemy import Connection, Row, delete, func, insert, select
 
 from drivecal.domain.events import EventKind
-from drivecal.storage.tables import campaigns, events
-from drivecal.storage.types import now
+from drivecal.storage.engine.tables import campaigns, events
+from drivecal.storage.engine.types import now
 
 
 @dataclass(frozen=True, slots=True)

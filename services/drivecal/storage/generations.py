@@ -8,9 +8,9 @@ from typing import Any
 
 from sqlalchemy import Connection, Row, select, update
 
-from drivecal.storage import cursors
-from drivecal.storage.tables import generations
-from drivecal.storage.types import finite
+from drivecal.storage.engine import cursors
+from drivecal.storage.engine.tables import generations
+from drivecal.storage.engine.types import finite
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,10 +15,10 @@ from datetime import timedelta
 
 from sqlalchemy import Connection, bindparam, delete, select, update
 
-from drivecal.storage.membership import among, insert
+from drivecal.storage.engine.bulk import among, insert
+from drivecal.storage.engine.tables import evaluations, leases
+from drivecal.storage.engine.types import now
 from drivecal.storage.processes import term_in_office
-from drivecal.storage.tables import evaluations, leases
-from drivecal.storage.types import now
 
 
 def take(connection: Connection, breakdowns: Mapping[int, int], seconds: float) -> dict[int, int]:

@@ -15,9 +15,9 @@ from typing import Any
 from sqlalchemy import Connection, Select, select
 
 from drivecal.domain.errors import SupersededError
-from drivecal.storage.membership import insert
-from drivecal.storage.tables import processes
-from drivecal.storage.types import now
+from drivecal.storage.engine.bulk import insert
+from drivecal.storage.engine.tables import processes
+from drivecal.storage.engine.types import now
 
 DISPATCHER = "dispatcher"
 """Under which the dispatcher reports itself, and whose terms are counted."""

@@ -11,11 +11,11 @@ from sqlalchemy import Connection, Row, Select, case, func, literal, select, tup
 
 from drivecal.domain.campaigns import Stage
 from drivecal.domain.errors import NotFoundError
-from drivecal.domain.evaluations import Outcome
+from drivecal.domain.evaluations import CellScore, Outcome
 from drivecal.domain.parameters import ParameterSet
-from drivecal.storage import cursors
-from drivecal.storage.tables import evaluations, parameter_sets
-from drivecal.storage.types import ORDER, STAGES
+from drivecal.storage.engine import cursors
+from drivecal.storage.engine.tables import evaluations, parameter_sets
+from drivecal.storage.engine.types import ORDER, STAGES
 
 BATCH = 1_000
 """Rows that an export holds in memory at a time."""
@@ -54,23 +54,6 @@ class StoredEvaluation:
     check a certificate, and of reused ones by chance."""
     proof_agrees: bool | None
     """Where it was simulated to check: whether both runs are the same."""
-
-
-@dataclass(frozen=True, slots=True)
-class CellAnswer:
-    """The answer of one requested cell; `score` and `rating` are None where there is no result.
-
-    `own` is False where it was copied from a reference: the set's own result, if there is one, counts more.
-    """
-
-    parameter_set: int
-    """Its id."""
-    scenario: str
-    score: int | None
-    rating: float | None
-    own: bool
-    iteration: int
-    individual: int
 
 
 def by_id(connection: Connection, evaluation_id: int) -> StoredEvaluation:
@@ -123,7 +106,7 @@ def stream(connection: Connection, campaign_sequence: int) -> Iterator[StoredEva
         yield _evaluation(row)
 
 
-def answers(connection: Connection, campaign_sequence: int, stage: Stage, iteration: int | None = None) -> Iterator[CellAnswer]:
+def answers(connection: Connection, campaign_sequence: int, stage: Stage, iteration: int | None = None) -> Iterator[CellScore]:
     """The answered cells of one iteration, or of all, in the order of `page`; the connection must stay open meanwhile."""
     table = evaluations.c
     query = (
@@ -143,7 +126,7 @@ def answers(connection: Connection, campaign_sequence: int, stage: Stage, iterat
     if iteration is not None:
         query = query.where(table.iteration == iteration)
     for row in connection.execute(query):
-        yield CellAnswer(*row)
+        yield CellScore(*row)
 
 
 def best_simulated(connection: Connection, campaign_sequence: int, weights: Mapping[str, float]) -> float | None:

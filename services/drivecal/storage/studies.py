@@ -11,8 +11,8 @@ from sqlalchemy import Connection, and_, or_, select, update
 
 from drivecal.contracts.campaign import Progress, StageCellCounts
 from drivecal.domain.campaigns import Stage
-from drivecal.storage.membership import insert
-from drivecal.storage.tables import campaigns, studies
+from drivecal.storage.engine.bulk import insert
+from drivecal.storage.engine.tables import campaigns, studies
 
 
 def save(connection: Connection, campaign_sequence: int, stage: Stage, document: Mapping[str, Any]) -> None:

@@ -7,8 +7,8 @@ from datetime import datetime
 
 from sqlalchemy import Connection, delete, exists, insert, select, update
 
-from drivecal.storage.tables import campaigns, evaluations, traces
-from drivecal.storage.types import now
+from drivecal.storage.engine.tables import campaigns, evaluations, traces
+from drivecal.storage.engine.types import now
 
 
 @dataclass(frozen=True, slots=True)

@@ -56,9 +56,6 @@ class StageCellCounts(Answer):
     unrepeatable: int = 0
 
 
-SensitivityCellCounts = StageCellCounts
-
-
 class ErrorRate(Answer):
     """What the self-check found in one scenario: `different`: any change; `wrong`: |dF| > 1 (Eq. 8); `upper_95`: the upper end of
     the 95 % Clopper-Pearson interval of wrong / audited, null before the first audit; `contradictions`: reference keys under which
@@ -128,7 +125,7 @@ class Campaign(Answer):
     iteration: int | None = None
     progress: Progress = Progress()
     cells: CellCounts = CellCounts()
-    sensitivity_cells: SensitivityCellCounts = SensitivityCellCounts()
+    sensitivity_cells: StageCellCounts = StageCellCounts()
     robustness_cells: StageCellCounts = StageCellCounts()
     validation_cells: StageCellCounts = StageCellCounts()
     error_rate: dict[str, ErrorRate] = {}

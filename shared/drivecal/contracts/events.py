@@ -7,7 +7,7 @@ from typing import Any
 
 from pydantic import Field
 
-from drivecal.contracts.campaign import Answer, CellCounts, Progress, Seconds, SensitivityCellCounts, StageCellCounts
+from drivecal.contracts.campaign import Answer, CellCounts, Progress, Seconds, StageCellCounts
 
 PROGRESS = "progress"
 """The name of what is sent between events, without an id: how far the campaign is now."""
@@ -36,7 +36,7 @@ class CampaignProgress(Answer):
     iteration: int | None = None
     progress: Progress = Progress()
     cells: CellCounts = CellCounts()
-    sensitivity_cells: SensitivityCellCounts = SensitivityCellCounts()
+    sensitivity_cells: StageCellCounts = StageCellCounts()
     robustness_cells: StageCellCounts = StageCellCounts()
     validation_cells: StageCellCounts = StageCellCounts()
     best_objective: float | None = None

@@ -1,7 +1,7 @@
 """The campaign file: what a user submits, as YAML, JSON or REST body. Bounds on everything; unknown fields are refused.
 
 These models check each field by itself. What needs the installed plug-ins (does the scenario exist, is the value on the grid) is
-checked by `drivecal.campaigns.problem`, which both `POST /campaigns` and `drivecal submit --dry-run` go through.
+checked by `drivecal.campaigns.resolve.problem`, which both `POST /campaigns` and `drivecal submit --dry-run` go through.
 """
 
 from __future__ import annotations

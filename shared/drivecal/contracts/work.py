@@ -81,7 +81,7 @@ class CellResult:
 
 
 @dataclass(frozen=True, slots=True)
-class Remembered:
+class CertificateMemory:
     """What a worker keeps to certify runs, of all setups: planning states, and the memory (bytes) that they take of what they may."""
 
     states: int
@@ -99,4 +99,4 @@ class BatchResult:
     """Wall-clock time on the worker, loading the setup included: what batches are sized by."""
     refusal: str | None = None
     """Why this worker cannot run the setup at all, in words; there are no results then. Another worker may be able to."""
-    remembered: Remembered | None = None
+    remembered: CertificateMemory | None = None

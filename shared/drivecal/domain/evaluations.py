@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
+from drivecal.domain.campaigns import Stage
+
 
 class Outcome(StrEnum):
     """What answered a requested cell. Order of trying: repeated, reused, certified, simulated."""
@@ -81,3 +83,47 @@ class Donor:
     score: int
     rating: float
     failure: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class CellScore:
+    """The answer of one requested cell; `score` and `rating` are None where there is no result.
+
+    `own` is False where it was copied from a reference: the set's own result, if there is one, counts more.
+    """
+
+    parameter_set: int
+    """Its id."""
+    scenario: str
+    score: int | None
+    rating: float | None
+    own: bool
+    iteration: int
+    individual: int
+
+
+@dataclass(frozen=True, slots=True)
+class AuditCount:
+    """The self-check of one scenario: `different`: any change of the score; `wrong`: by more than 1 (Eq. 8 of the paper)."""
+
+    scenario: str
+    audited: int
+    different: int
+    wrong: int
+
+
+@dataclass(frozen=True, slots=True)
+class OutcomeCosts:
+    """Answered cells of one stage and scenario that have outcome and `audited` in common.
+
+    `seconds`: CPU time that the campaign's own attempts took; `run_seconds`: that of the `runs` stored runs that answered the cells.
+    """
+
+    stage: Stage
+    scenario: str
+    outcome: Outcome
+    audited: bool
+    cells: int
+    seconds: float
+    runs: int
+    run_seconds: float

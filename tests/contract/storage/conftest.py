@@ -12,8 +12,8 @@ import pytest
 from psycopg import sql
 from sqlalchemy import make_url
 
-from drivecal.storage.database import Database
-from drivecal.storage.tables import metadata
+from drivecal.storage.engine.database import Database
+from drivecal.storage.engine.tables import metadata
 
 Backend = Literal["sqlite", "postgresql"]
 

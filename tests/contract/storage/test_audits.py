@@ -7,11 +7,11 @@ from sqlalchemy import Connection
 from tests.support.storage import EVALUATOR, campaign, sample_set_ids, setup_id, simulate
 
 from drivecal.domain.campaigns import Stage
-from drivecal.domain.evaluations import Outcome, Rating
-from drivecal.storage import audits, evaluations, ratings, reference_keys, results, runs
-from drivecal.storage.audits import AuditCount
-from drivecal.storage.database import Database
+from drivecal.domain.evaluations import AuditCount, Outcome, Rating
+from drivecal.storage import audits, evaluations, results
+from drivecal.storage.engine.database import Database
 from drivecal.storage.evaluations import NewEvaluation
+from drivecal.storage.references import ratings, reference_keys, runs
 
 SIMULATED = Outcome.SIMULATED
 KEY, OTHER_KEY = b"k" * 16, b"o" * 16

@@ -18,13 +18,15 @@ from tests.support.revisions import load
 from tests.support.runs import MOST_STEPS, dispatcher, get, post_map, submit
 from tests.support.storage import campaign
 
-from drivecal.campaigns.verification import verify
+from drivecal.campaigns.results.verification import verify
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import DatabaseError, UnavailableError
 from drivecal.domain.events import EventKind
-from drivecal.storage import backup, campaigns, events, generations, results, schema
-from drivecal.storage.database import Database
-from drivecal.storage.transfer import copy_rows, tables_of
+from drivecal.storage import campaigns, events, generations, results
+from drivecal.storage.engine import schema
+from drivecal.storage.engine.database import Database
+from drivecal.storage.maintenance import backup
+from drivecal.storage.maintenance.transfer import copy_rows, tables_of
 
 INFLUENCES = {"S1": {"P1": {"influential": False}, "P2": {"influential": True, "lower": 0.5}}}
 
@@ -130,8 +132,8 @@ def test_a_campaign_that_ran_when_it_was_backed_up_ends_alike_in_the_restored_da
 def test_a_backup_holds_one_moment_however_much_is_written_meanwhile(
     used: Database, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("drivecal.storage.backup.PAGES", 8)
-    monkeypatch.setattr("drivecal.storage.transfer.CHUNK", 50)
+    monkeypatch.setattr("drivecal.storage.maintenance.backup.PAGES", 8)
+    monkeypatch.setattr("drivecal.storage.maintenance.transfer.CHUNK", 50)
     written = []
 
     def write_meanwhile(*_: object) -> None:
@@ -185,7 +187,7 @@ def test_a_backup_that_fails_leaves_nothing_behind(used: Database, tmp_path: Pat
     with pytest.raises(UnavailableError, match="the disk is gone"):
         backup.write(used, tmp_path / "backup.db", fail)
     assert sorted(tmp_path.iterdir()) == there
-    monkeypatch.setattr("drivecal.storage.backup._compare", fail)
+    monkeypatch.setattr("drivecal.storage.maintenance.backup._compare", fail)
     with pytest.raises(UnavailableError, match="the disk is gone"):
         backup.write(used, tmp_path / "backup.db", silent)
     assert sorted(tmp_path.iterdir()) == there
@@ -352,7 +354,7 @@ def test_a_backup_is_one_file_that_can_be_read_where_nothing_can_be_written(used
 
 
 def test_rows_are_copied_in_portions(used: Database, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drivecal.storage.transfer.CHUNK", 100)
+    monkeypatch.setattr("drivecal.storage.maintenance.transfer.CHUNK", 100)
     told: list[tuple[str, int, int]] = []
     target = Database.open(f"sqlite:///{tmp_path / 'copy.db'}")
     target.upgrade()

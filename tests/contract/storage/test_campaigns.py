@@ -7,12 +7,14 @@ from typing import get_args
 import pytest
 from tests.support.storage import campaign, new_run, sample_set_ids, setup_id
 
-from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, Progress, SensitivityCellCounts
+from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, Progress, StageCellCounts
+from drivecal.domain.actions import Action
 from drivecal.domain.campaigns import CampaignState, Stage
 from drivecal.domain.errors import ConflictError, InvalidInputError, NotFoundError
-from drivecal.storage import campaigns, influence_maps, runs
-from drivecal.storage.campaigns import Action, CampaignHeading, Snapshot
-from drivecal.storage.database import Database
+from drivecal.storage import campaigns
+from drivecal.storage.campaigns import CampaignHeading, Snapshot
+from drivecal.storage.engine.database import Database
+from drivecal.storage.references import influence_maps, runs
 
 QUEUED, RUNNING, PAUSED = CampaignState.QUEUED, CampaignState.RUNNING, CampaignState.PAUSED
 CANCELLING, CANCELLED, SUCCEEDED = CampaignState.CANCELLING, CampaignState.CANCELLED, CampaignState.SUCCEEDED
@@ -151,7 +153,7 @@ def test_progress_is_written_and_read_back_whole(database: Database) -> None:
         iteration=3,
         cells=CellCounts(proposed=10, pending=4, requested=6, simulated=6, audited=1),
         progress=Progress(done=6, total=10, eta_seconds=1.5),
-        sensitivity_cells=SensitivityCellCounts(requested=3, simulated=3),
+        sensitivity_cells=StageCellCounts(requested=3, simulated=3),
         error_rate={"S1": ErrorRate(audited=1, upper_95=0.975)},
         best=Best(objective=5.67, parameters={"P1": 0.5}, scores={"S1": 6}, alternatives=2),
         baseline=Baseline(objective=None, parameters={"P1": 0.25}, scores={"S1": None}),

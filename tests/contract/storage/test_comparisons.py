@@ -8,10 +8,11 @@ from sqlalchemy import Connection, text
 from drivecal.contracts.campaign import CellCounts, Progress, StageCellCounts
 from drivecal.domain.campaigns import CampaignState, Stage
 from drivecal.domain.errors import ConflictError, OverloadError
-from drivecal.storage import admission, campaigns, comparisons, events, statistics
+from drivecal.storage import admission, campaigns, comparisons, events
 from drivecal.storage.campaigns import Snapshot, StoredCampaign
-from drivecal.storage.database import Database
-from drivecal.storage.invariants import check_comparisons
+from drivecal.storage.engine.database import Database
+from drivecal.storage.maintenance import statistics
+from drivecal.storage.maintenance.invariants import check_comparisons
 
 
 def insert(connection: Connection) -> tuple[StoredCampaign, list[StoredCampaign]]:

@@ -12,13 +12,14 @@ from tests.support.computed import ComputedBackend
 from tests.support.revisions import load
 from tests.support.runs import WITH_ANALYSIS, dispatcher, get, influenced, submit
 
-from drivecal.campaigns import verification
-from drivecal.campaigns.maps import stored_map
-from drivecal.campaigns.verification import verify
+from drivecal.campaigns.resolve.maps import stored_map
+from drivecal.campaigns.results import verification
+from drivecal.campaigns.results.verification import verify
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.evaluations import Breakdown
-from drivecal.storage import campaigns, influence_maps, reference_keys, setups
-from drivecal.storage.database import Database
+from drivecal.storage import campaigns
+from drivecal.storage.engine.database import Database
+from drivecal.storage.references import influence_maps, reference_keys, setups
 
 SMALL: dict[str, Any] = WITH_ANALYSIS | {
     "sensitivity": {"intervals": 2, "samples": 3, "threshold": 0.02},

@@ -15,9 +15,9 @@ from tests.support.storage import campaign
 
 from drivecal.domain.errors import DatabaseError, UnavailableError
 from drivecal.storage import campaigns
-from drivecal.storage.database import PROMPT, Database
-from drivecal.storage.schema import REVISION_TABLE
-from drivecal.storage.tables import metadata
+from drivecal.storage.engine.database import PROMPT, Database
+from drivecal.storage.engine.schema import REVISION_TABLE
+from drivecal.storage.engine.tables import metadata
 
 
 def test_the_revisions_make_exactly_the_tables(database: Database) -> None:
@@ -182,7 +182,7 @@ def test_a_folder_that_cannot_be_created_is_named(tmp_path: Path) -> None:
 
 def test_a_folder_without_the_right_to_write_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # For root every folder is writable, and tests run as root in containers: take the right away where it is asked for.
-    monkeypatch.setattr("drivecal.storage.schema.os.access", lambda *_: False)
+    monkeypatch.setattr("drivecal.storage.engine.schema.os.access", lambda *_: False)
     with pytest.raises(DatabaseError, match="is not writable; give the user that runs drivecal the right"):
         Database.open(f"sqlite:///{tmp_path / 'drivecal.db'}").upgrade()
 

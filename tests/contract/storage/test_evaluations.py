@@ -10,8 +10,8 @@ from tests.support.storage import campaign, sample_set_ids, sample_sets, setup_i
 from drivecal.domain.campaigns import Stage
 from drivecal.domain.evaluations import Donor, Outcome
 from drivecal.storage import evaluations, results
-from drivecal.storage.database import Database
-from drivecal.storage.evaluations import Answer, NewEvaluation
+from drivecal.storage.engine.database import Database
+from drivecal.storage.evaluations import AnsweredCell, NewEvaluation
 
 SIMULATED, REPEATED, REUSED, FAILED = Outcome.SIMULATED, Outcome.REPEATED, Outcome.REUSED, Outcome.FAILED
 
@@ -88,7 +88,7 @@ def test_an_answer_is_stored_once_and_a_late_one_changes_nothing(database: Datab
         ids = evaluations.insert(
             connection, sequence, [cell(n, setup, one) for n, one in enumerate(sample_set_ids(connection, 3))]
         )
-        broken = Answer(ids[0], FAILED, None, None, None, failure="hang", worker="w", attempts=3)
+        broken = AnsweredCell(ids[0], FAILED, None, None, None, failure="hang", worker="w", attempts=3)
         assert evaluations.answer(connection, [broken]) == 1
         late = [replace(broken, id=one, outcome=SIMULATED, score=1, rating=1.0, failure=None) for one in ids[:2]]
         assert evaluations.answer(connection, late) == 1
@@ -131,7 +131,7 @@ def test_own_references_are_the_first_simulated_answers_in_the_order_of_the_camp
         pending = cell(1, setup, sets[3], reference_key=key)
         failed = cell(2, setup, sets[4], reference_key=key)
         others = evaluations.insert(connection, sequence, [copy, pending, failed])
-        evaluations.answer(connection, [Answer(others[2], FAILED, None, None, None, failure="crash")])
+        evaluations.answer(connection, [AnsweredCell(others[2], FAILED, None, None, None, failure="crash")])
         simulate(connection, sequence, [cell(9, setup, sets[5], scenario="S2", reference_key=other)])
         simulate(connection, campaign(connection).sequence, [cell(0, setup, sets[5], reference_key=other)])
 
@@ -160,7 +160,7 @@ def test_copies_of_a_cell_without_a_result_are_simulated_instead(database: Datab
         sets = sample_set_ids(connection, 3)
         cells = [cell(0, setup, sets[0]), *(cell(n, setup, sets[n], plan=REUSED, leader=0) for n in (1, 2))]
         leader, copy, answered = evaluations.insert(connection, sequence, cells)
-        broken = [Answer(one, FAILED, None, None, None, failure="hang") for one in (leader, answered)]
+        broken = [AnsweredCell(one, FAILED, None, None, None, failure="hang") for one in (leader, answered)]
         evaluations.answer(connection, broken)
         evaluations.simulate_instead(connection, [copy, answered])
         evaluations.simulate_instead(connection, [])

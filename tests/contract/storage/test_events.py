@@ -13,8 +13,8 @@ from tests.support.storage import campaign
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.events import EventKind
 from drivecal.storage import campaigns, events
-from drivecal.storage.database import Database
-from drivecal.storage.types import now
+from drivecal.storage.engine.database import Database
+from drivecal.storage.engine.types import now
 
 MANY = 100
 

@@ -5,8 +5,9 @@ from sqlalchemy import select
 from tests.support.storage import campaign
 
 from drivecal.domain.errors import InvalidInputError
-from drivecal.storage import generations, tables
-from drivecal.storage.database import Database
+from drivecal.storage import generations
+from drivecal.storage.engine import tables
+from drivecal.storage.engine.database import Database
 from drivecal.storage.generations import Figures
 
 ASKED = Figures(proposed=4, carried_over=1)

@@ -3,9 +3,9 @@ from __future__ import annotations
 import pytest
 
 from drivecal.domain.errors import NotFoundError
-from drivecal.storage import influence_maps
-from drivecal.storage.database import Database
-from drivecal.storage.influence_maps import StoredInfluenceMap
+from drivecal.storage.engine.database import Database
+from drivecal.storage.references import influence_maps
+from drivecal.storage.references.influence_maps import StoredInfluenceMap
 
 SCENARIOS = {
     "S2": {"P9": {"influential": False, "lower": None, "upper": None}},

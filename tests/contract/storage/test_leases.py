@@ -14,10 +14,10 @@ from tests.support.storage import campaign, sample_set_ids, setup_id
 from drivecal.domain.campaigns import Stage
 from drivecal.domain.evaluations import Outcome
 from drivecal.storage import evaluations, leases, processes
-from drivecal.storage.database import Database
-from drivecal.storage.evaluations import Answer, NewEvaluation
-from drivecal.storage.tables import leases as table
-from drivecal.storage.types import now
+from drivecal.storage.engine.database import Database
+from drivecal.storage.engine.tables import leases as table
+from drivecal.storage.engine.types import now
+from drivecal.storage.evaluations import AnsweredCell, NewEvaluation
 
 HOUR = 3600.0
 
@@ -62,7 +62,7 @@ def test_an_expired_lease_and_one_of_an_earlier_term_are_over(database: Database
 def test_what_has_its_answer_is_not_leased(database: Database) -> None:
     ids = pending(database, 3)
     with database.transaction() as connection:
-        evaluations.answer(connection, [Answer(ids[1], Outcome.FAILED, None, None, None, "crash")])
+        evaluations.answer(connection, [AnsweredCell(ids[1], Outcome.FAILED, None, None, None, "crash")])
     assert take(database, [*ids, 10**9]) == {ids[0]: 1, ids[2]: 1}
 
 

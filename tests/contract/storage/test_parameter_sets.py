@@ -8,8 +8,9 @@ from sqlalchemy import func, select
 from tests.support.storage import SETUP, sample_sets
 
 from drivecal.domain.parameters import ParameterSet
-from drivecal.storage import parameter_sets, setups, tables
-from drivecal.storage.database import Database
+from drivecal.storage.engine import tables
+from drivecal.storage.engine.database import Database
+from drivecal.storage.references import parameter_sets, setups
 
 
 def test_sets_are_stored_once_and_ids_come_in_the_order_of_the_sets(database: Database) -> None:

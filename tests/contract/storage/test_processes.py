@@ -10,8 +10,9 @@ import pytest
 from tests.contract.storage.conftest import Backend
 
 from drivecal.domain.errors import DatabaseError, UnavailableError
-from drivecal.storage import locks, processes
-from drivecal.storage.database import Database
+from drivecal.storage import processes
+from drivecal.storage.engine import locks
+from drivecal.storage.engine.database import Database
 
 HOLD = "import sys, time; from drivecal.storage import locks; lock = locks.hold(sys.argv[1]); print('held', flush=True); time.sleep(60)"
 

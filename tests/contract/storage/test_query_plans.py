@@ -20,26 +20,15 @@ from tests.support.storage import EVALUATOR, campaign, new_run, sample_set_ids, 
 from drivecal.domain.campaigns import Stage
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.events import EventKind
-from drivecal.storage import (
-    audits,
-    campaigns,
-    evaluations,
-    events,
-    glances,
-    leases,
-    parameter_sets,
-    processes,
-    reference_keys,
-    results,
-    runs,
-    statistics,
-)
-from drivecal.storage.database import Database
-from drivecal.storage.evaluations import Answer, NewEvaluation
-from drivecal.storage.membership import LARGEST_IN
-from drivecal.storage.statistics import Tally
-from drivecal.storage.types import now
-from drivecal.storage.visible import Integers
+from drivecal.storage import audits, campaigns, evaluations, events, leases, processes, results, revision_queries
+from drivecal.storage.engine.bulk import LARGEST_IN
+from drivecal.storage.engine.database import Database
+from drivecal.storage.engine.types import now
+from drivecal.storage.evaluations import AnsweredCell, NewEvaluation
+from drivecal.storage.maintenance import statistics
+from drivecal.storage.maintenance.statistics import Tally
+from drivecal.storage.references import parameter_sets, reference_keys, runs
+from drivecal.storage.references.reference_candidates import Integers
 
 ROWS = 4_000
 SMALL = {"reference_indexes", "leases", "processes"}
@@ -64,7 +53,7 @@ def filled(database: Database) -> Database:
             )
             evaluations.answer(
                 connection,
-                [Answer(n, Outcome.SIMULATED, 5, 5.25, run.id) for n, run in zip(ids, stored, strict=True) if n % 100],
+                [AnsweredCell(n, Outcome.SIMULATED, 5, 5.25, run.id) for n, run in zip(ids, stored, strict=True) if n % 100],
             )
     reference_keys.sync(database, 1, setup, EVALUATOR, 10**9, key_of)
     gather_statistics(database)
@@ -141,7 +130,7 @@ LOOK_UPS: dict[str, tuple[Callable[[Connection], Any], str]] = {
     "leases of a campaign": (lambda connection: leases.forget(connection, 1), "ix_evaluations_pending"),
     "pending cells": (lambda connection: evaluations.pending(connection, 1), "ix_evaluations_pending"),
     "answers": (
-        lambda connection: evaluations.answer(connection, [Answer(100, Outcome.FAILED, None, None, None)]),
+        lambda connection: evaluations.answer(connection, [AnsweredCell(100, Outcome.FAILED, None, None, None)]),
         "pk_evaluations|INTEGER PRIMARY KEY",
     ),
     "a page in the middle": (
@@ -188,7 +177,7 @@ def test_the_self_check_reads_the_campaigns_own_cells_only(filled: Database, sub
             for n in range(30)
         ]
         ids = evaluations.insert(connection, sequence, cells)
-        evaluations.answer(connection, [Answer(n, Outcome.SIMULATED, 5, 5.25, 1) for n in ids])
+        evaluations.answer(connection, [AnsweredCell(n, Outcome.SIMULATED, 5, 5.25, 1) for n in ids])
     gather_statistics(filled)
     checks: dict[str, Callable[[Connection], Any]] = {
         "contradictions": lambda connection: audits.contradictions(connection, sequence, 1, EVALUATOR, 10**6),
@@ -214,9 +203,9 @@ def test_a_campaign_and_the_active_ones_are_found_among_many_ended_ones(database
         assert scanned(plan) == set(), plan
         assert "ix_campaigns_active" in plan
         some_id = campaigns.by_sequence(connection, 700).id
-        plan = plans(connection, lambda one: glances.glance(one, some_id))
+        plan = plans(connection, lambda one: revision_queries.campaign_revision(one, some_id))
         assert scanned(plan) <= {"processes"}, plan  # of which there are two
-        plan = plans(connection, lambda one: glances.revisions(one, [7, 8, 9]))
+        plan = plans(connection, lambda one: revision_queries.revisions(one, [7, 8, 9]))
         assert scanned(plan) == set(), plan
 
 

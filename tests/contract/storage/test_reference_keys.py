@@ -15,9 +15,9 @@ from drivecal.domain.evaluations import Donor
 from drivecal.domain.influence import Influence, InfluenceMap
 from drivecal.domain.parameters import ParameterSet, billionths, decimal
 from drivecal.reduction.keys import ReferenceKeys, billionths_matrix
-from drivecal.storage import parameter_sets, reference_keys, runs
-from drivecal.storage.database import Database
-from drivecal.storage.runs import NewRun
+from drivecal.storage.engine.database import Database
+from drivecal.storage.references import parameter_sets, reference_keys, runs
+from drivecal.storage.references.runs import NewRun
 
 MAP = InfluenceMap(
     {"S1": {"P1": Influence(influential=True, lower=decimal("0.3"), upper=decimal("0.5")), "P2": Influence(influential=False)}}

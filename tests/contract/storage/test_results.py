@@ -7,11 +7,12 @@ from tests.support.storage import campaign, sample_set_ids, sample_sets, setup_i
 
 from drivecal.domain.campaigns import Stage
 from drivecal.domain.errors import InvalidInputError, NotFoundError
-from drivecal.domain.evaluations import Outcome
-from drivecal.storage import cursors, evaluations, results
-from drivecal.storage.database import Database
-from drivecal.storage.evaluations import Answer, NewEvaluation
-from drivecal.storage.results import CellAnswer, StoredEvaluation
+from drivecal.domain.evaluations import CellScore, Outcome
+from drivecal.storage import evaluations, results
+from drivecal.storage.engine import cursors
+from drivecal.storage.engine.database import Database
+from drivecal.storage.evaluations import AnsweredCell, NewEvaluation
+from drivecal.storage.results import StoredEvaluation
 
 CALIBRATION = Stage.CALIBRATION
 
@@ -78,13 +79,13 @@ def test_answers_say_whether_they_are_the_sets_own(database: Database) -> None:
         evaluations.insert(connection, sequence, copies)
         waiting = [NewEvaluation(CALIBRATION, 1, n, "S2", setup, sets[n], Outcome.SIMULATED) for n in (0, 1)]
         broken, _ = evaluations.insert(connection, sequence, waiting)
-        evaluations.answer(connection, [Answer(broken, Outcome.FAILED, None, None, None, failure="crash")])
+        evaluations.answer(connection, [AnsweredCell(broken, Outcome.FAILED, None, None, None, failure="crash")])
         everything = list(results.answers(connection, sequence, CALIBRATION))
         assert everything == [
-            CellAnswer(sets[0], "S1", 5, 5.25, own=True, iteration=0, individual=5),
-            CellAnswer(sets[1], "S1", 5, 5.25, own=False, iteration=0, individual=6),
-            CellAnswer(sets[0], "S1", 5, 5.25, own=True, iteration=1, individual=0),
-            CellAnswer(sets[0], "S2", None, None, own=True, iteration=1, individual=0),
+            CellScore(sets[0], "S1", 5, 5.25, own=True, iteration=0, individual=5),
+            CellScore(sets[1], "S1", 5, 5.25, own=False, iteration=0, individual=6),
+            CellScore(sets[0], "S1", 5, 5.25, own=True, iteration=1, individual=0),
+            CellScore(sets[0], "S2", None, None, own=True, iteration=1, individual=0),
         ]
         assert {type(one.own) for one in everything} == {bool}
         assert list(results.answers(connection, sequence, CALIBRATION, iteration=1)) == everything[2:]
@@ -134,5 +135,5 @@ def test_the_best_simulated_set_has_a_score_of_its_own_in_every_scenario(databas
         simulate(connection, sequence, [cell(0, "S1", first), cell(1, "S1", second)], score=4)
         simulate(connection, sequence, [cell(0, "S2", first), cell(2, "S1", third)], score=6)
         reused = evaluations.insert(connection, sequence, [cell(1, "S2", second)])
-        evaluations.answer(connection, [Answer(reused[0], Outcome.REUSED, 7, 7.0, 1)])
+        evaluations.answer(connection, [AnsweredCell(reused[0], Outcome.REUSED, 7, 7.0, 1)])
         assert results.best_simulated(connection, sequence, weights) == pytest.approx(0.25 * 4 + 0.75 * 6)

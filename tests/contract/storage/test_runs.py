@@ -7,9 +7,10 @@ from sqlalchemy import func, select
 from tests.support.storage import EVALUATOR, new_run, sample_set_ids, setup_id
 
 from drivecal.domain.evaluations import Donor, Rating
-from drivecal.storage import ratings, runs, setups, tables
-from drivecal.storage.database import Database
-from drivecal.storage.runs import NewRun, StoredRun
+from drivecal.storage.engine import tables
+from drivecal.storage.engine.database import Database
+from drivecal.storage.references import ratings, runs, setups
+from drivecal.storage.references.runs import NewRun, StoredRun
 
 
 def test_results_are_found_by_setup_parameter_set_and_evaluator(database: Database) -> None:
@@ -123,8 +124,8 @@ def test_what_was_seen_in_the_series_of_a_run_simulated_again_is_kept_for_campai
             sets[0]: Donor(1, stored[0].id, 3, 3.0, None),
             sets[3]: Donor(1, stored[3].id, 3, 3.0, None),
         }
-        assert ratings.standing(connection, [setup], "learned 1", before) == ratings.Standing(0, 0, 4)
-        assert ratings.standing(connection, [setup], "learned 1", after) == ratings.Standing(0, 2, 2)
+        assert ratings.standing(connection, [setup], "learned 1", before) == ratings.RatingCoverage(0, 0, 4)
+        assert ratings.standing(connection, [setup], "learned 1", after) == ratings.RatingCoverage(0, 2, 2)
         [new] = runs.insert_results(connection, [new_run(setup, sets[4])])
         assert new.id > after
 

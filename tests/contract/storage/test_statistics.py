@@ -10,12 +10,13 @@ from tests.support.storage import campaign, sample_set_ids, setup_id
 
 from drivecal.domain.campaigns import CampaignState, Stage
 from drivecal.domain.evaluations import Outcome
-from drivecal.storage import campaigns, evaluations, leases, processes, statistics
-from drivecal.storage.database import Database
+from drivecal.storage import campaigns, evaluations, leases, processes
+from drivecal.storage.engine.database import Database
+from drivecal.storage.engine.tables import campaigns as table
+from drivecal.storage.engine.types import now
 from drivecal.storage.evaluations import NewEvaluation
-from drivecal.storage.statistics import CampaignKey, CellKey, Statistics, Tally
-from drivecal.storage.tables import campaigns as table
-from drivecal.storage.types import now
+from drivecal.storage.maintenance import statistics
+from drivecal.storage.maintenance.statistics import CampaignKey, CellKey, Statistics, Tally
 
 OLD = timedelta(hours=1)
 

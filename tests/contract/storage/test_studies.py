@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from drivecal.domain.campaigns import Stage
-from drivecal.storage import campaigns, influence_maps, studies
-from drivecal.storage.database import Database
+from drivecal.storage import campaigns, studies
+from drivecal.storage.engine.database import Database
+from drivecal.storage.references import influence_maps
 
 
 def test_the_studies_about_a_campaign_are_found_whoever_made_them(database: Database) -> None:

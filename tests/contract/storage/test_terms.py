@@ -13,8 +13,8 @@ from tests.support.storage import campaign
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import SupersededError
 from drivecal.storage import campaigns, processes
-from drivecal.storage.database import Database
-from drivecal.storage.types import now
+from drivecal.storage.engine.database import Database
+from drivecal.storage.engine.types import now
 
 
 def elect(database: Database, pid: int = 1) -> Database:

@@ -14,13 +14,15 @@ from tests.support.computed import ComputedBackend
 from tests.support.revisions import load
 from tests.support.runs import MOST_STEPS, dispatcher, get, run, submit
 
-from drivecal.campaigns.verification import verify
+from drivecal.campaigns.results.verification import verify
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import DatabaseError
 from drivecal.plugins import registry
-from drivecal.storage import campaigns, events, reference_keys, results, runs, schema, setups
+from drivecal.storage import campaigns, events, results
 from drivecal.storage.campaigns import StoredCampaign
-from drivecal.storage.database import Database
+from drivecal.storage.engine import schema
+from drivecal.storage.engine.database import Database
+from drivecal.storage.references import reference_keys, runs, setups
 
 REVISIONS = ("0001", "0002", "0003", "0004", "0005")
 RELEASED = ("0001", "0003", "0005")

@@ -21,7 +21,7 @@ from tests.support.server import free_port
 
 from drivecal.domain.errors import DrivecalError
 from drivecal.storage import processes
-from drivecal.storage.database import Database
+from drivecal.storage.engine.database import Database
 from drivecal.storage.processes import StoredProcess
 
 READY_SECONDS = 60.0

@@ -14,11 +14,11 @@ from tests.support.faults.workload import Accepted
 from drivecal.client.client import Client, Table
 from drivecal.contracts.campaign import Campaign
 from drivecal.domain.campaigns import CampaignState
-from drivecal.execution.scheduler import ATTEMPTS
+from drivecal.execution.scheduling.scheduler import ATTEMPTS
 from drivecal.storage import campaigns
-from drivecal.storage.database import Database
-from drivecal.storage.tables import campaigns as campaigns_table
-from drivecal.storage.tables import evaluations, leases, parameter_sets, ratings, runs, setups
+from drivecal.storage.engine.database import Database
+from drivecal.storage.engine.tables import campaigns as campaigns_table
+from drivecal.storage.engine.tables import evaluations, leases, parameter_sets, ratings, runs, setups
 
 STAGES = {
     "calibration": "cells",

@@ -21,7 +21,7 @@ from tests.support.faults.workload import ANALYSING, Accepted, single_evaluation
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import DrivecalError
 from drivecal.storage import campaigns
-from drivecal.storage.tables import evaluations
+from drivecal.storage.engine.tables import evaluations
 
 LOOK_SECONDS = 0.03
 SAID_SECONDS = 5.0

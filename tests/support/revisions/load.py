@@ -8,8 +8,8 @@ from typing import Any
 
 from sqlalchemy import Connection, LargeBinary, column, insert, inspect, table, text
 
-from drivecal.storage import schema
-from drivecal.storage.database import Database
+from drivecal.storage.engine import schema
+from drivecal.storage.engine.database import Database
 
 FOLDER = Path(__file__).parent
 Rows = dict[str, list[list[Any]]]

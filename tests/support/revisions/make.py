@@ -26,8 +26,8 @@ from tests.support.runs import EXPERT_SPACE, WITH_ANALYSIS, dispatcher, get, inf
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
 from drivecal.storage import campaigns
 from drivecal.storage.campaigns import StoredCampaign
-from drivecal.storage.database import Database
-from drivecal.storage.tables import metadata
+from drivecal.storage.engine.database import Database
+from drivecal.storage.engine.tables import metadata
 
 ANALYSED: dict[str, Any] = WITH_ANALYSIS | {
     "sensitivity": {"intervals": 2, "samples": 4, "threshold": 0.02},

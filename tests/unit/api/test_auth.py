@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 from starlette.types import Message, Receive, Scope, Send
 
-from drivecal.api import sessions
-from drivecal.api.auth import ANYBODY, LIVE, Authorisation, Tokens, is_loopback_host
+from drivecal.api.http import sessions
+from drivecal.api.http.auth import ANYBODY, LIVE, Authorisation, Tokens, is_loopback_host
 from drivecal.configuration import logs
 from drivecal.configuration.tokens import TokenFile, parse
 

@@ -14,9 +14,9 @@ from fastapi.responses import StreamingResponse
 from starlette.exceptions import HTTPException
 from starlette.types import Message, Receive, Scope, Send
 
-from drivecal.api import problems
 from drivecal.api.dependencies import EventStreamPlace, Limits
-from drivecal.api.limits import LARGEST_HEAD, LONGEST_PATH, LONGEST_QUERY, Concurrency, Places, Requests
+from drivecal.api.http import problems
+from drivecal.api.http.limits import LARGEST_HEAD, LONGEST_PATH, LONGEST_QUERY, Concurrency, Places, Requests
 from drivecal.configuration.settings import load_settings
 from drivecal.domain.errors import OverloadError
 

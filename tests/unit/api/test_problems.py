@@ -13,7 +13,7 @@ import pytest
 from fastapi import FastAPI
 from sqlalchemy.exc import InternalError, OperationalError, PendingRollbackError
 
-from drivecal.api import problems
+from drivecal.api.http import problems
 from drivecal.domain.errors import (
     ConflictError,
     DatabaseError,

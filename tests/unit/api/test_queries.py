@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from drivecal.api.queries import TableOf, form_of
+from drivecal.api.http.queries import TableOf, form_of
 
 
 @pytest.mark.parametrize(

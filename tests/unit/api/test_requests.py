@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from drivecal.api.http.requests import RequestRecords
 from drivecal.api.metrics import Meters
-from drivecal.api.requests import RequestRecords
 from drivecal.configuration import logs
-from drivecal.storage.database import Database
+from drivecal.storage.engine.database import Database
 
 
 @pytest.fixture

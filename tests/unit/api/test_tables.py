@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivecal.api.tables import Column, download
+from drivecal.api.tables.files import Column, download
 
 COLUMNS = [
     Column("id", "integer"),

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from tests.support.runs import EXPERT_SPACE
 
-from drivecal.campaigns.comparison import resolve_comparison, runs_of
+from drivecal.campaigns.comparisons.resolve import resolve_comparison, runs_of
 from drivecal.contracts.comparison import ComparisonSpecification
-from drivecal.contracts.validation import validated
+from drivecal.contracts.input_errors import validated
 from drivecal.domain.errors import InvalidInputError
 from drivecal.optimizers.genetic import pairs_per_generation
 from drivecal.plugins import registry

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from drivecal.analysis.optima import optima, regions
-from drivecal.campaigns.optima import Alternatives
+from drivecal.campaigns.results.optima import Alternatives
 
 
 def test_some_of_many_optima_are_told_without_the_distances_of_all() -> None:

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from drivecal.campaigns.maps import map_from_document, map_to_document, resolve_map
-from drivecal.campaigns.problem import CalibrationProblem, resolve, resolve_evaluation
+from drivecal.campaigns.resolve.maps import map_from_document, map_to_document, resolve_map
+from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve, resolve_evaluation
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, InfluenceMapSpecification
 from drivecal.domain.errors import InvalidInputError
 

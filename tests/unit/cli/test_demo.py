@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from drivecal.campaigns.problem import resolve
-from drivecal.cli.demo.command import BASELINE, CAMPAIGN, OTHER_WEIGHTS
-from drivecal.cli.demo.coordinator import coordinator, fresh_folder
+from drivecal.campaigns.resolve.problem import resolve
+from drivecal.cli.commands.demo.command import BASELINE, CAMPAIGN, OTHER_WEIGHTS
+from drivecal.cli.commands.demo.coordinator import coordinator, fresh_folder
+from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import CampaignSpecification
-from drivecal.contracts.validation import validated
 from drivecal.domain.errors import ConflictError, DatabaseError, DrivecalError
-from drivecal.storage import locks
+from drivecal.storage.engine import locks
 
 
 def test_the_campaign_is_large_enough_and_can_run() -> None:

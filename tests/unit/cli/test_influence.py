@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from drivecal.cli.influence import decided_text
+from drivecal.cli.commands.influence import decided_text
 from drivecal.contracts.inventory import InfluenceRow
 
 

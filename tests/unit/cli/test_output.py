@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from drivecal.cli.campaigns import kind_text
+from drivecal.cli.commands.campaigns import kind_text
 from drivecal.cli.main import app
-from drivecal.cli.output import cells_text, duration, print_campaign, print_columns, print_solutions, saved
-from drivecal.cli.watching import Lines
+from drivecal.cli.views.output import cells_text, duration, print_campaign, print_columns, print_solutions, saved
+from drivecal.cli.views.progress import Lines
 from drivecal.contracts.campaign import Best, Campaign, CellCounts, ErrorRate, Progress, Seconds, Solution
 
 CELLS = CellCounts(proposed=100, carried_over=40, requested=60, repeated=6, reused=9, simulated=44, failed=1, audited=2)

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivecal.comfort.metrics import comfort_metrics
-from drivecal.comfort.plugin import REFERENCE
+from drivecal.comfort.reference import REFERENCE
 from drivecal.comfort.scale import LANE_KEEPING, MOTION, Criterion, criteria, rate
 from drivecal.domain.scenarios import Manoeuvre
 from drivecal.plugins import registry
@@ -100,7 +100,7 @@ def test_the_evaluator_is_found_by_its_entry_point_and_rates_on_this_scale() -> 
 def test_the_coordinator_can_rate_without_numba_and_scipy() -> None:
     program = f"""
 import sys
-from drivecal.comfort.plugin import REFERENCE
+from drivecal.comfort.reference import REFERENCE
 from drivecal.domain.scenarios import Manoeuvre
 assert REFERENCE.rate(Manoeuvre.LANE_KEEPING, {COMFORTABLE!r}).score == 7
 assert not {{"numba", "scipy"}} & set(sys.modules)

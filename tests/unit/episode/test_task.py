@@ -7,7 +7,7 @@ import pytest
 
 from drivecal.domain.roads import Floats
 from drivecal.episode.task import fulfilled, speed_errors, target_offsets
-from drivecal.scenarios.plugin import HIGHWAY
+from drivecal.scenarios.highway import HIGHWAY
 
 S1, S5 = HIGHWAY.scenarios["S1"], HIGHWAY.scenarios["S5"]
 STEPS = round(S1.duration / S1.step)

@@ -7,8 +7,8 @@ from tests.support.plant import TARGET, answers, cells, ids, setup
 
 from drivecal.contracts.work import BatchResult, CellResult
 from drivecal.domain.evaluations import Breakdown
-from drivecal.execution.batching import BatchPolicy
-from drivecal.execution.scheduler import ATTEMPTS, MOST_PASSED_OVER, Completed, Dispatch, Scheduler
+from drivecal.execution.scheduling.batching import BatchPolicy
+from drivecal.execution.scheduling.scheduler import ATTEMPTS, MOST_PASSED_OVER, Completed, Dispatch, Scheduler
 
 W, V = "worker 1", "worker 2"
 

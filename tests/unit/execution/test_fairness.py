@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from tests.support.plant import TARGET, Plant, answers, cells, ids, setup
 
 from drivecal.domain.evaluations import Breakdown
-from drivecal.execution.batching import BatchPolicy, CellCosts, kind_of
-from drivecal.execution.outstanding import key_of
-from drivecal.execution.scheduler import Scheduler
+from drivecal.execution.scheduling.batching import BatchPolicy, CellCosts, kind_of
+from drivecal.execution.scheduling.in_flight import key_of
+from drivecal.execution.scheduling.scheduler import Scheduler
 
 
 def test_a_lower_priority_gets_nothing_while_a_higher_one_waits() -> None:

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivecal.cluster.members import Node
-from drivecal.execution.placement import complaint, missing
+from drivecal.execution.ray.placement import complaint, missing
 
 OURS = "1.0"
 

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from tests.support.fake_backend import Behaviour, FakeBackend
 
 from drivecal.contracts.work import Cell, SetupRequest
-from drivecal.execution.outstanding import WITNESSES
 from drivecal.execution.pool import PATIENCE_WITH_REFUSALS, WorkPool
-from drivecal.execution.scheduler import ATTEMPTS, Completed
-from drivecal.execution.standing import BATCHES_WITHOUT_RESULT
+from drivecal.execution.scheduling.in_flight import WITNESSES
+from drivecal.execution.scheduling.scheduler import ATTEMPTS, Completed
+from drivecal.execution.scheduling.worker_health import BATCHES_WITHOUT_RESULT
 
 
 def setup(scenario: str = "S1") -> SetupRequest:

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from drivecal.execution import ray_cluster
-from drivecal.execution.ray_cluster import LONGEST_FOLDER, _PrivateFolder
+from drivecal.execution.ray import cluster
+from drivecal.execution.ray.cluster import LONGEST_FOLDER, _PrivateFolder
 
 
 @pytest.fixture
 def parent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path))
-    monkeypatch.setattr(ray_cluster, "LONGEST_FOLDER", 1000)
+    monkeypatch.setattr(cluster, "LONGEST_FOLDER", 1000)
     return tmp_path
 
 
@@ -44,7 +44,7 @@ def test_folders_of_dead_processes_are_removed_those_of_living_ones_are_not(
     os.close(lock)
     monkeypatch.undo()
     monkeypatch.setattr("tempfile.gettempdir", lambda: str(parent))
-    monkeypatch.setattr(ray_cluster, "LONGEST_FOLDER", 1000)
+    monkeypatch.setattr(cluster, "LONGEST_FOLDER", 1000)
     young.mkdir()
     _PrivateFolder().remove()
     assert young.exists()

@@ -4,7 +4,7 @@ import threading
 import time
 from collections.abc import Callable
 
-from drivecal.execution.ray_watch import GIVEN_UP_AFTER, PATIENCE_SECONDS, StartedAnewError, Watch
+from drivecal.execution.ray.watch import GIVEN_UP_AFTER, PATIENCE_SECONDS, ClusterWatch, StartedAnewError
 
 
 class Store:
@@ -21,9 +21,9 @@ class Store:
             raise self.error
 
 
-def watched(use: Callable[[Store, Watch], None]) -> None:
+def watched(use: Callable[[Store, ClusterWatch], None]) -> None:
     store = Store()
-    watch = Watch("the Ray cluster at home", store.ask, clock=lambda: store.now)
+    watch = ClusterWatch("the Ray cluster at home", store.ask, clock=lambda: store.now)
     try:
         use(store, watch)
     finally:
@@ -39,7 +39,7 @@ def asked_again(store: Store) -> None:
 
 
 def test_silence_is_told_after_a_while_and_forgotten_with_an_answer() -> None:
-    def use(store: Store, watch: Watch) -> None:
+    def use(store: Store, watch: ClusterWatch) -> None:
         asked_again(store)
         assert watch.trouble() is None
         store.error = TimeoutError("Deadline Exceeded")
@@ -56,7 +56,7 @@ def test_silence_is_told_after_a_while_and_forgotten_with_an_answer() -> None:
 
 
 def test_who_is_silent_for_long_is_given_up() -> None:
-    def use(store: Store, watch: Watch) -> None:
+    def use(store: Store, watch: ClusterWatch) -> None:
         store.error = TimeoutError()
         asked_again(store)
         store.now += GIVEN_UP_AFTER + 0.1
@@ -66,7 +66,7 @@ def test_who_is_silent_for_long_is_given_up() -> None:
 
 
 def test_a_store_that_began_anew_is_lost_at_once() -> None:
-    def use(store: Store, watch: Watch) -> None:
+    def use(store: Store, watch: ClusterWatch) -> None:
         store.error = StartedAnewError("has started anew")
         deadline = time.monotonic() + 30
         while watch.lost() is None:
@@ -78,7 +78,7 @@ def test_a_store_that_began_anew_is_lost_at_once() -> None:
 
 
 def test_an_answer_counts_for_what_was_before_it() -> None:
-    def use(store: Store, watch: Watch) -> None:
+    def use(store: Store, watch: ClusterWatch) -> None:
         store.now = 10.0
         asked_again(store)
         assert watch.answered_since(5.0)

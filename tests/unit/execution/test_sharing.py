@@ -12,8 +12,8 @@ from tests.support.plant import Plant, answers, cells, ids, setup
 
 from drivecal.contracts.work import Cell, SetupRequest
 from drivecal.domain.evaluations import Breakdown
-from drivecal.execution.batching import BatchPolicy
-from drivecal.execution.scheduler import ATTEMPTS, Completed, Dispatch, Scheduler
+from drivecal.execution.scheduling.batching import BatchPolicy
+from drivecal.execution.scheduling.scheduler import ATTEMPTS, Completed, Dispatch, Scheduler
 
 W, V = "worker 1", "worker 2"
 

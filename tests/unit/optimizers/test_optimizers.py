@@ -16,8 +16,8 @@ from scipy import stats
 
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.parameters import Indices
+from drivecal.optimizers.built_in import GENETIC, RANDOM, SWARM, GeneticSettings, RandomSettings
 from drivecal.optimizers.encoding import BitEncoding
-from drivecal.optimizers.plugin import GENETIC, RANDOM, SWARM, GeneticSettings, RandomSettings
 from drivecal.optimizers.ranking import ranking
 from drivecal.plugins.ports import Floats, Optimizer, OptimizerPlugin
 

@@ -16,8 +16,8 @@ from pymoo.optimize import minimize
 from scipy import stats
 
 from drivecal.domain.parameters import Indices
+from drivecal.optimizers.built_in import GENETIC, RANDOM
 from drivecal.optimizers.encoding import BitEncoding
-from drivecal.optimizers.plugin import GENETIC, RANDOM
 from drivecal.plugins.ports import Floats, OptimizerPlugin
 
 SEEDS = range(30)

@@ -14,7 +14,7 @@ from scipy import stats
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.parameters import Indices
 from drivecal.optimizers import cma_es, optuna_samplers
-from drivecal.optimizers.plugin import RANDOM
+from drivecal.optimizers.built_in import RANDOM
 from drivecal.plugins import registry
 from drivecal.plugins.ports import Floats, Optimizer, OptimizerPlugin
 

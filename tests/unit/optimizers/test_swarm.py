@@ -16,7 +16,7 @@ from scipy import stats
 
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.parameters import Indices
-from drivecal.optimizers.plugin import RANDOM, SWARM, SwarmSettings
+from drivecal.optimizers.built_in import RANDOM, SWARM, SwarmSettings
 from drivecal.plugins.ports import Floats, OptimizerPlugin
 
 GRID = np.array([59, 201, 201, 2001, 1501, 101])

@@ -15,10 +15,10 @@ from drivecal.domain import roads
 from drivecal.domain.parameters import ParameterSpace
 from drivecal.domain.scenarios import Scenario
 from drivecal.domain.setups import digest
-from drivecal.planner import plugin
+from drivecal.planner import frenet
 from drivecal.planner.cost import TERMS, scales, weights
-from drivecal.planner.plugin import FRENET
-from drivecal.scenarios.plugin import HIGHWAY
+from drivecal.planner.frenet import FRENET
+from drivecal.scenarios.highway import HIGHWAY
 
 TABLE_6 = {
     "P1": ("-15", "14", 59),
@@ -101,10 +101,10 @@ def test_scales_are_positive() -> None:
 
 
 def test_the_version_changes_with_every_file_that_decides_what_is_driven() -> None:
-    package = Path(plugin.__file__).parent
-    harmless = {"__init__.py", "deciding.py", "plugin.py", "spaces.py"}
-    assert {path.name for path in package.glob("*.py")} - harmless == {path.name for path in plugin.ARITHMETIC}
-    content = b"".join(path.read_bytes() for path in [*plugin.ARITHMETIC, Path(roads.__file__)])
+    package = Path(frenet.__file__).parent
+    harmless = {"__init__.py", "deciding.py", "frenet.py", "spaces.py"}
+    assert {path.name for path in package.glob("*.py")} - harmless == {path.name for path in frenet.ARITHMETIC}
+    content = b"".join(path.read_bytes() for path in [*frenet.ARITHMETIC, Path(roads.__file__)])
     assert FRENET.version == f"1.{digest(content)[:8]}"
     assert FRENET.certifiable
 
@@ -117,5 +117,5 @@ def test_a_planner_can_be_made_for_every_built_in_scenario(scenario: Scenario) -
 
 
 def test_describing_itself_needs_no_compiler() -> None:
-    program = "import sys, drivecal.planner.plugin; sys.exit('numba' in sys.modules)"
+    program = "import sys, drivecal.planner.frenet; sys.exit('numba' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0

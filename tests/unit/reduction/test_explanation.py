@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from drivecal.domain.influence import EVERYWHERE, Influence, InfluenceMap
 from drivecal.domain.parameters import BILLION, billionths
-from drivecal.reduction.explanation import Comparison, Nearest
+from drivecal.reduction.explanation import CellComparison, Nearest
 from drivecal.reduction.keys import ReferenceKeys
 
 NAMES = ("P1", "P2", "P3")
@@ -32,8 +32,8 @@ values = st.tuples(*(st.integers(0, 4) for _ in NAMES))
 tables = st.lists(values, max_size=30)
 
 
-def _compare(influence_map: InfluenceMap, cell: tuple[int, ...]) -> Comparison:
-    return Comparison(influence_map, "S1", NAMES, np.array(cell) * BILLION, RANGES)
+def _compare(influence_map: InfluenceMap, cell: tuple[int, ...]) -> CellComparison:
+    return CellComparison(influence_map, "S1", NAMES, np.array(cell) * BILLION, RANGES)
 
 
 def _stored(table: list[tuple[int, ...]]) -> np.ndarray[tuple[int, int], np.dtype[np.int64]]:

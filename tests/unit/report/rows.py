@@ -9,7 +9,7 @@ from drivecal.contracts.campaign import Baseline, Best, Campaign, CellCounts, Er
 from drivecal.contracts.inventory import InfluenceRow
 from drivecal.contracts.setup import CampaignSetup, ScenarioSetup, SearchedParameter
 from drivecal.contracts.studies import BoxTrial, OptimumRow, RobustnessRow, Study, ValidationRow
-from drivecal.report.findings import Findings, Studied
+from drivecal.report.data import ReportData, Studied
 
 
 def row(
@@ -145,7 +145,7 @@ def validated(scenario: str, histogram: dict[int, int], reducible: int = 2) -> V
 VALIDATED = [validated("S1", {0: 90, -1: 4, 2: 5, -7: 1}), validated("S2", {}, reducible=0)]
 
 
-def findings(**given: Any) -> Findings:
+def findings(**given: Any) -> ReportData:
     """A small campaign, whole."""
     campaign = Campaign(
         id="0" * 32,
@@ -183,4 +183,4 @@ def findings(**given: Any) -> Findings:
         "titles": {"S1": "Change lane", "S2": "Keep the lane"},
         "accounting": ACCOUNT,
     }
-    return Findings(**{**known, **given})
+    return ReportData(**{**known, **given})

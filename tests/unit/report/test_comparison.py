@@ -14,19 +14,19 @@ from matplotlib.lines import Line2D
 from tests.unit.report.rows import generation
 
 from drivecal.analysis import comparison as analysis
-from drivecal.campaigns.compared import Compared as Rows
-from drivecal.campaigns.compared import pair_row
+from drivecal.campaigns.comparisons.results import ComparisonResults as Rows
+from drivecal.campaigns.comparisons.results import pair_row
 from drivecal.contracts.campaign import Best, Campaign
 from drivecal.contracts.comparison import ComparedRun
 from drivecal.plugins.ports import Floats
-from drivecal.report.comparison import Compared, summary, write_comparison
-from drivecal.report.comparison_figures import effects_figure, optima_figure, search_figures
+from drivecal.report.comparison import ComparisonData, summary, write_comparison
+from drivecal.report.figures.comparison import effects_figure, optima_figure, search_figures
 
 OPTIMIZERS, POPULATIONS, SEEDS, REDUCTIONS = ("genetic", "swarm"), (10, 20), (1, 2, 3), ("exact", "influence")
 ITERATIONS = 4
 
 
-def findings() -> Compared:
+def findings() -> ComparisonData:
     """All swarms end at 6, genetic searches at 7; with the map the third seed of the latter ends at 6.5."""
     runs, courses, listed = [], [], {}
     for number, one in enumerate(product(OPTIMIZERS, POPULATIONS, SEEDS, REDUCTIONS)):
@@ -72,7 +72,7 @@ def findings() -> Compared:
     )
     pairs = analysis.pairs(courses)
     told = {one.conditions: run.run for one, run in zip(courses, runs, strict=True)}
-    return Compared(
+    return ComparisonData(
         campaign,
         runs,
         rows.groups(),
@@ -147,7 +147,7 @@ def test_what_a_run_believed_stands_beside_what_it_has(tmp_path: Path) -> None:
     assert ">believed<" in page
 
 
-def renamed(found: Compared, **labels: str) -> Compared:
+def renamed(found: ComparisonData, **labels: str) -> ComparisonData:
     """With other labels of the optimizers."""
 
     def changed(rows: Sequence[Any]) -> list[Any]:
@@ -181,5 +181,5 @@ def test_an_optimizer_of_which_nothing_is_answered_yet_spoils_no_report() -> Non
 
 
 def test_a_comparison_without_any_result_has_a_report(tmp_path: Path) -> None:
-    empty = Compared(Campaign(id="c" * 32, name="queued", kind="comparison", state="queued"), [], [], [], [], {})
+    empty = ComparisonData(Campaign(id="c" * 32, name="queued", kind="comparison", state="queued"), [], [], [], [], {})
     assert "queued" in write_comparison(empty, {}, tmp_path)[-1].read_text()

@@ -15,8 +15,8 @@ from tests.unit.report.rows import ACCOUNT, ROBUST, ROWS, SETUP, findings, row, 
 
 from drivecal.contracts.campaign import Campaign
 from drivecal.domain.errors import InvalidInputError
-from drivecal.report import problem, results, reuse
-from drivecal.report.findings import Findings, Studied
+from drivecal.report.data import ReportData, Studied
+from drivecal.report.sections import problem, results, reuse
 from drivecal.report.writing import write_report
 
 VOID = {"meta", "link", "br"}
@@ -61,7 +61,7 @@ def read(page: str) -> Reader:
     return reader
 
 
-def written(found: Findings, folder: Path) -> tuple[Reader, set[str]]:
+def written(found: ReportData, folder: Path) -> tuple[Reader, set[str]]:
     tables = {"generations": [b"iteration\n", b"0\n"], "solutions": [b"rank\n"]}
     paths = write_report(found, tables, folder)
     assert paths[-1] == folder / "index.html"

@@ -7,7 +7,8 @@ import re
 from tests.unit.report.rows import generation
 
 from drivecal.contracts.campaign import Campaign, CellCounts
-from drivecal.report import cells, search
+from drivecal.report.figures import cells
+from drivecal.report.sections import search
 
 
 def test_the_criteria_of_tables_5_and_7_are_stated_with_what_was_found() -> None:

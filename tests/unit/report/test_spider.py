@@ -16,8 +16,8 @@ from matplotlib.text import Text
 from tests.unit.report.rows import ROWS, nowhere, row
 
 from drivecal.contracts.inventory import InfluenceRow
-from drivecal.report.drawing import png, svg
-from drivecal.report.spider import HUB, PANELS_PER_SHEET, overview_figures, scenario_figure, segment
+from drivecal.report.figures.drawing import png, svg
+from drivecal.report.figures.spider import HUB, PANELS_PER_SHEET, overview_figures, scenario_figure, segment
 
 TITLES = {"S1": "Change lane on a curved road to overtake a slower vehicle", "S2": "Keep the lane"}
 LARGE = [

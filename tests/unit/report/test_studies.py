@@ -14,9 +14,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from tests.unit.report.rows import OPTIMA, PARAMETERS, ROBUST, VALIDATED, findings, nowhere, optimum, robust, row, study, trial
 
-from drivecal.report import optima, optima_figure, robustness, robustness_figure, validation
-from drivecal.report.drawing import KINDS, svg
-from drivecal.report.findings import Studied
+from drivecal.report.data import Studied
+from drivecal.report.figures import optima_coordinates, robustness_degrees
+from drivecal.report.figures.drawing import KINDS, svg
+from drivecal.report.sections import optima, robustness, validation
 
 
 def lines(figure: Figure, name: str) -> list[list[list[float]]]:
@@ -32,7 +33,7 @@ def bars(figure: Figure) -> dict[str, Rectangle]:
 
 def test_each_best_set_is_a_line_through_its_values_in_the_searched_ranges() -> None:
     worse = [one for one in findings().solutions if one.rank > len(OPTIMA)]
-    figure = optima_figure.drawn(OPTIMA, findings().solutions, PARAMETERS).figure
+    figure = optima_coordinates.drawn(OPTIMA, findings().solutions, PARAMETERS).figure
     assert lines(figure, "optima.0") == [[[0, 0.55], [1, 0.5]], [[0, 0.55], [1, 0.6]]]
     assert lines(figure, "optima.1") == [[[0, 0.55], [1, 1.0]]]
     assert lines(figure, "optima.worse") == [[[0, 0.0], [1, 0.0]]]
@@ -46,17 +47,17 @@ def test_each_best_set_is_a_line_through_its_values_in_the_searched_ranges() -> 
 def test_an_axis_is_marked_where_all_best_sets_agree() -> None:
     assert optima.constant(OPTIMA, PARAMETERS[:2]) == {"P1": 1}
     assert optima.constant(OPTIMA[:1], PARAMETERS[:2]) == {}
-    same = optima_figure.drawn(OPTIMA, OPTIMA, PARAMETERS)
+    same = optima_coordinates.drawn(OPTIMA, OPTIMA, PARAMETERS)
     assert [one.get_gid() for one in same.figure.axes[0].lines] == ["same.P1"]
     assert "A diamond marks" in same.caption
-    other = optima_figure.drawn([*OPTIMA, optimum(4, 2, 1)], OPTIMA, PARAMETERS)
+    other = optima_coordinates.drawn([*OPTIMA, optimum(4, 2, 1)], OPTIMA, PARAMETERS)
     assert not other.figure.axes[0].lines
     assert "A diamond marks" not in other.caption
 
 
 def test_regions_beyond_the_kinds_of_lines_are_drawn_together() -> None:
     many = [optimum(number + 1, number, 1, region=number) for number in range(len(KINDS) + 3)]
-    figure = optima_figure.drawn(many, many, PARAMETERS).figure
+    figure = optima_coordinates.drawn(many, many, PARAMETERS).figure
     assert len(lines(figure, f"optima.{len(KINDS)}")) == 3
     assert "3 other regions: 3 sets" in svg(figure, "test")
 
@@ -67,7 +68,7 @@ def test_regions_tell_how_far_the_nearest_worse_set_is() -> None:
 
 
 def test_a_bar_ends_where_the_boxes_end_and_says_where_the_condition_broke() -> None:
-    figure = robustness_figure.robustness_figure(ROBUST)
+    figure = robustness_degrees.robustness_figure(ROBUST)
     found = bars(figure)
     assert sorted(found) == ["box.1.1", "box.1.2", "box.2.1", "box.2.2", "box.3.1"]
     assert found["box.1.2"].get_x() == pytest.approx(0.1)
@@ -80,7 +81,7 @@ def test_a_bar_ends_where_the_boxes_end_and_says_where_the_condition_broke() -> 
 
 def test_halved_boxes_are_drawn_in_the_order_of_their_widths() -> None:
     halved = robust(1, 1, [trial(2, True, 0), trial(8, False, 3), trial(5, True, 1), trial(6, False, 2)])
-    found = bars(robustness_figure.robustness_figure([halved]))
+    found = bars(robustness_degrees.robustness_figure([halved]))
     ends = [(bar.get_x(), bar.get_x() + bar.get_width()) for bar in found.values()]
     assert list(found) == ["box.1.2", "box.1.5", "box.1.6", "box.1.8"]
     assert all(end == pytest.approx(start) for (_, end), (start, _) in pairwise(ends))
@@ -150,7 +151,7 @@ def test_tables_1_and_2_and_the_histogram_in_numbers() -> None:
 
 def test_small_figures_have_room_for_their_labels() -> None:
     histogram = validation.validation_figure(VALIDATED[:1])
-    bar = robustness_figure.robustness_figure(ROBUST[:1])
+    bar = robustness_degrees.robustness_figure(ROBUST[:1])
     for figure in (histogram, bar):
         FigureCanvasAgg(figure)
         figure.draw_without_rendering()

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from drivecal.contracts.work import Batch, Cell, CellResult, Probe, Remembered, SetupRequest
+from drivecal.contracts.work import Batch, Cell, CellResult, CertificateMemory, Probe, SetupRequest
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Answered, Failure, Rating, RunResult
 from drivecal.plugins import registry
@@ -307,7 +307,7 @@ def test_without_leave_nothing_is_certified() -> None:
 
 def test_a_worker_says_what_it_remembers_of_what_it_may() -> None:
     worker = Worker("w", lambda _: ScriptedRunner(), certificates_mb=7)
-    assert worker.run(Batch(SETUP, ())).remembered == Remembered(0, 0, 7 * 2**20)
+    assert worker.run(Batch(SETUP, ())).remembered == CertificateMemory(0, 0, 7 * 2**20)
 
 
 def test_what_a_worker_knows_of_cells_that_a_reference_answered_it_tells_without_a_simulation() -> None:

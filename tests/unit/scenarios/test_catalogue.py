@@ -11,7 +11,7 @@ import pytest
 from drivecal.domain.roads import reference_line
 from drivecal.domain.scenarios import Manoeuvre, Scenario
 from drivecal.scenarios.build import build, edge_ranges, without_origin
-from drivecal.scenarios.plugin import HIGHWAY
+from drivecal.scenarios.highway import HIGHWAY
 
 SCENARIOS = list(HIGHWAY.scenarios.values())
 
@@ -93,7 +93,7 @@ def test_only_the_comment_about_the_origin_is_taken_out_of_a_network() -> None:
 
 def test_the_coordinator_can_load_the_catalogue_without_simulator_and_kernels() -> None:
     code = (
-        "import sys; from drivecal.scenarios.plugin import HIGHWAY; HIGHWAY.scenarios; "
+        "import sys; from drivecal.scenarios.highway import HIGHWAY; HIGHWAY.scenarios; "
         "print('libsumo' in sys.modules, 'numba' in sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

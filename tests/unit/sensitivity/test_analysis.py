@@ -22,7 +22,7 @@ from drivecal.sensitivity.cutting import interval_edges
 from drivecal.sensitivity.effects import Floats
 from drivecal.sensitivity.scenario import ScenarioState
 from drivecal.sensitivity.settings import SensitivitySettings
-from drivecal.sensitivity.thresholds import SeparateThresholds
+from drivecal.sensitivity.thresholds import MuSigmaThresholds
 
 SPACE = space_of(41, 101, 61)
 SETTINGS = SensitivitySettings("lines", 8, 12, "auto", 5)
@@ -168,7 +168,7 @@ def test_intervals_of_which_too_few_runs_worked_are_not_cut() -> None:
     assert [one.influential for one in found["P2"].intervals] == [False] * 4 + [True] * 4
 
 
-@pytest.mark.parametrize("threshold", [0.02, "auto", SeparateThresholds(0.01, 0.02)])
+@pytest.mark.parametrize("threshold", [0.02, "auto", MuSigmaThresholds(0.01, 0.02)])
 def test_every_kind_of_threshold_finds_the_same_clear_regions(threshold: Any) -> None:
     found = finished(SCORES, replace(SETTINGS, threshold=threshold))
     for scenario, one in finished(SCORES).items():

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from drivecal.sensitivity.effects import Floats, Measures, measures
+from drivecal.sensitivity.effects import EffectStatistics, Floats, measures
 from drivecal.sensitivity.radial import COLUMNS, SHORTEST, SobolRows, radial_design
 
 SAMPLES = 4096
@@ -22,7 +22,7 @@ A = np.array([0.0, 1.0, 4.5, 9.0])
 Function = Callable[[Floats], Floats]
 
 
-def analysed(function: Function, dimensions: int, shortest: float, grid: int = 10_001, seed: int = 1) -> list[Measures]:
+def analysed(function: Function, dimensions: int, shortest: float, grid: int = 10_001, seed: int = 1) -> list[EffectStatistics]:
     """Of `function` on the unit cube, with values 7 times as large, since effects are in units of the scale 0..7."""
     n_values = np.full(dimensions, grid)
     rows = SobolRows(COLUMNS * dimensions, seed)

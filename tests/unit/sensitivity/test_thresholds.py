@@ -14,7 +14,7 @@ from drivecal.sensitivity.effects import Floats, measures
 from drivecal.sensitivity.lines import lines_design
 from drivecal.sensitivity.radial import COLUMNS, SobolRows, radial_design
 from drivecal.sensitivity.settings import SensitivitySettings
-from drivecal.sensitivity.thresholds import SeparateThresholds, Threshold, automatic, tolerated_changes, verdict
+from drivecal.sensitivity.thresholds import MuSigmaThresholds, Threshold, automatic, tolerated_changes, verdict
 
 
 def effects_of_changes(points: list[int], n: int, step: float) -> Floats:
@@ -39,18 +39,18 @@ def test_a_number_is_a_threshold_on_the_relative_sensitivity_and_reaching_it_cou
     [([0.2, 0.2], True), ([-0.2, -0.2], True), ([0.5, -0.5], True), ([0.09, 0.09], False), ([0.2, -0.2], False)],
 )
 def test_separate_thresholds_look_at_the_magnitude_of_mu_and_at_sigma(effects: list[float], influential: bool) -> None:
-    assert is_influential(np.array(effects), 0.1, SeparateThresholds(mu=0.1, sigma=0.4)) == influential
+    assert is_influential(np.array(effects), 0.1, MuSigmaThresholds(mu=0.1, sigma=0.4)) == influential
 
 
 def test_the_threshold_that_was_applied_is_reported() -> None:
-    apart = SeparateThresholds(0.1, 0.2)
+    apart = MuSigmaThresholds(0.1, 0.2)
     steps, found = np.full(3, 0.5), measures(np.array([0.1, 0.2, 0.3]))
     assert verdict(found, steps, apart).threshold == apart
     assert verdict(found, steps, 0.02).threshold == 0.02
     assert verdict(found, steps, "auto").threshold == automatic(steps)
 
 
-@pytest.mark.parametrize("threshold", ["auto", 0.02, SeparateThresholds(0.1, 0.1)])
+@pytest.mark.parametrize("threshold", ["auto", 0.02, MuSigmaThresholds(0.1, 0.1)])
 def test_where_nothing_is_known_influence_is_assumed(threshold: Threshold) -> None:
     found = verdict(measures(np.array([np.nan, 0.0])), np.array([0.1]), threshold)
     assert found.influential
@@ -128,8 +128,8 @@ def test_a_fixed_number_cannot_do_that() -> None:
         ("intervals", 0, "intervals"), ("samples", 1, "samples"), ("samples", -3, "samples"), ("seed", -1, "seed"),
         ("design", "star", "design"),
         ("threshold", 0.0, "threshold"), ("threshold", -0.1, "threshold"), ("threshold", float("nan"), "threshold"),
-        ("threshold", float("inf"), "threshold"), ("threshold", SeparateThresholds(0, 0.1), "threshold.mu"),
-        ("threshold", SeparateThresholds(0.1, float("nan")), "threshold.sigma"),
+        ("threshold", float("inf"), "threshold"), ("threshold", MuSigmaThresholds(0, 0.1), "threshold.mu"),
+        ("threshold", MuSigmaThresholds(0.1, float("nan")), "threshold.sigma"),
     ],
 )  # fmt: skip
 def test_settings_that_cannot_be_used_are_refused_by_name(field: str, value: object, reported: str) -> None:
@@ -143,5 +143,5 @@ def test_settings_that_cannot_be_used_are_refused_by_name(field: str, value: obj
 
 def test_everything_that_is_wrong_is_named_at_once() -> None:
     with pytest.raises(InvalidInputError) as refused:
-        SensitivitySettings("lines", 0, 1, SeparateThresholds(-1, -1), -1)
+        SensitivitySettings("lines", 0, 1, MuSigmaThresholds(-1, -1), -1)
     assert len(refused.value.problems) == 5

@@ -6,7 +6,7 @@ from typing import Any
 import psycopg
 import pytest
 
-from drivecal.storage.answering import TRY_AGAIN_SECONDS, Watch, WatchedConnection
+from drivecal.storage.engine.liveness import TRY_AGAIN_SECONDS, ServerLiveness, WatchedConnection
 
 
 class FakeServer:
@@ -16,7 +16,7 @@ class FakeServer:
         self.answers = True
         self.asked = 0
         self.now = 0.0
-        self.watch = Watch("the database", lambda: self.now)
+        self.watch = ServerLiveness("the database", lambda: self.now)
         monkeypatch.setattr(WatchedConnection, "connect", self._connect)
 
     def _connect(self, *_: Any, **__: Any) -> WatchedConnection:

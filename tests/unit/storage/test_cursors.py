@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivecal.domain.errors import InvalidInputError
-from drivecal.storage import cursors
+from drivecal.storage.engine import cursors
 
 NUMBERS = st.integers(0, 2**31 - 1)
 NAMES = st.from_regex(r"[A-Za-z][A-Za-z0-9_.-]{0,63}", fullmatch=True)

@@ -7,7 +7,7 @@ import pytest
 from sqlalchemy.exc import DBAPIError, OperationalError
 
 from drivecal.domain.errors import DatabaseError, UnavailableError
-from drivecal.storage.failures import translated
+from drivecal.storage.engine.failures import translated
 
 
 def sqlite_error(code: int) -> sqlite3.Error:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from sqlalchemy.dialects import sqlite
 
 from drivecal.domain.campaigns import Stage
-from drivecal.storage.types import ORDER, StageNumber, UtcDateTime, to_json
+from drivecal.storage.engine.types import ORDER, StageNumber, UtcDateTime, to_json
 
 DIALECT = sqlite.dialect()
 

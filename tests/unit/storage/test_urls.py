@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from drivecal.domain.errors import DatabaseError
-from drivecal.storage import urls
+from drivecal.storage.engine import urls
 
 
 @pytest.mark.parametrize(

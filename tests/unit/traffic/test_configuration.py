@@ -8,7 +8,7 @@ from xml.etree import ElementTree as ET
 import pytest
 
 from drivecal.domain.errors import InvalidInputError
-from drivecal.scenarios.plugin import HIGHWAY
+from drivecal.scenarios.highway import HIGHWAY
 from drivecal.traffic.configuration import drift_offsets, edges, options, routes
 
 S3 = HIGHWAY.scenarios["S3"]

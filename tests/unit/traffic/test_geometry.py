@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivecal.domain.roads import Floats, project, reference_line, to_cartesian, to_frenet
-from drivecal.scenarios.plugin import HIGHWAY
+from drivecal.scenarios.highway import HIGHWAY
 from drivecal.traffic.geometry import foot, hits, locate, place, with_directions
 
 S4 = HIGHWAY.scenarios["S4"]

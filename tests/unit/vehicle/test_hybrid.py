@@ -24,8 +24,8 @@ from drivecal.vehicle import hybrid, kernels, residual
 from drivecal.vehicle.hybrid import HYBRID, Hybrid
 from drivecal.vehicle.model import HybridModel, SingleTrackModel
 from drivecal.vehicle.parameters import NOMINAL, TABLE_8, SingleTrackParameters
-from drivecal.vehicle.plugin import SINGLE_TRACK
 from drivecal.vehicle.residual import Residual, shipped
+from drivecal.vehicle.single_track import SINGLE_TRACK
 
 boxes = st.builds(SingleTrackParameters, *(st.floats(parameter.minimum, parameter.maximum) for parameter in TABLE_8))
 inputs = st.tuples(*([st.floats(-1.0, 1.0)] * 6))

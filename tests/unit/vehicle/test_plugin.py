@@ -8,7 +8,7 @@ import sys
 from drivecal.plugins import registry
 from drivecal.vehicle.model import SingleTrackModel
 from drivecal.vehicle.parameters import NOMINAL
-from drivecal.vehicle.plugin import SINGLE_TRACK
+from drivecal.vehicle.single_track import SINGLE_TRACK
 
 
 def test_the_vehicle_is_found_by_its_entry_point() -> None:
@@ -24,7 +24,7 @@ def test_it_creates_a_model_with_the_values_given() -> None:
 def test_the_coordinator_can_load_it_without_numba_and_scipy() -> None:
     program = """
 import sys
-from drivecal.vehicle.plugin import SINGLE_TRACK
+from drivecal.vehicle.single_track import SINGLE_TRACK
 assert not {"numba", "scipy"} & set(sys.modules)
 """
     subprocess.run([sys.executable, "-c", program], check=True)

@@ -13,7 +13,7 @@ from drivecal.contracts.comparison import ComparisonSpecification
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.plugins import registry
 
-FIELDS = json.loads((PROJECT / "services" / "web" / "src" / "lib" / "fields.json").read_text())
+FIELDS = json.loads((PROJECT / "services" / "web" / "src" / "lib" / "forms" / "fields.json").read_text())
 GROUPS = {
     "vehicle.model": "vehicles",
     "evaluator": "evaluators",

@@ -35,7 +35,7 @@ class NotDeterministicError(DrivecalError):
 
 
 @dataclass(frozen=True, slots=True)
-class Proof(Generic[Result]):
+class Certificate(Generic[Result]):
     """A parameter set would drive as the run `proven_by` did, whose result is `result`."""
 
     result: Result
@@ -49,7 +49,7 @@ class Trie(Generic[Result]):
         """`memory`: shared with the other tries of the process."""
         self._planner = planner
         self._nodes = Nodes(planner.n_values, planner.n_candidates, planner.grid)
-        self._results: list[Proof[Result]] = []
+        self._results: list[Certificate[Result]] = []
         self._memory = memory
         memory.join(self)
 
@@ -73,7 +73,7 @@ class Trie(Generic[Result]):
         """When each node was visited last, by the memory's clock, shape (nodes,)."""
         return self._nodes.visited[: self._nodes.count]
 
-    def prove(self, parameters: Sequence[float]) -> Proof[Result] | None:
+    def prove(self, parameters: Sequence[float]) -> Certificate[Result] | None:
         """The stored run that these parameters would repeat; None where that is not proved. No run may be recording."""
         nodes, planner, described = self._nodes, self._planner, False
         node = planner.walk(nodes, parameters, 0)
@@ -96,11 +96,11 @@ class Trie(Generic[Result]):
             self._memory.settle()
         return found
 
-    def record(self) -> Recording[Result]:
+    def record(self) -> RecordingPlanner[Result]:
         """Takes part in a run, as its planner, and learns from it."""
-        return Recording(self._planner, self)
+        return RecordingPlanner(self._planner, self)
 
-    def learn(self, recording: Recording[Result], result: Result, run: int) -> None:
+    def learn(self, recording: RecordingPlanner[Result], result: Result, run: int) -> None:
         """A run, known as number `run`. Raises NotDeterministicError where a state is not what the same decisions led to before."""
         end, other = self._nodes.extend(recording.decisions, np.array(recording.states))
         if other is not None:
@@ -110,13 +110,13 @@ class Trie(Generic[Result]):
             )
         if self._nodes.leaf[end] == NONE:
             self._nodes.leaf[end] = len(self._results)
-            self._results.append(Proof(result, run))
+            self._results.append(Certificate(result, run))
         for index, infeasible in recording.refused:
             self._refuse(recording, index, infeasible)
         self._visit(end)
         self._memory.settle()
 
-    def _refuse(self, recording: Recording[Result], index: int, infeasible: npt.NDArray[np.bool_]) -> None:
+    def _refuse(self, recording: RecordingPlanner[Result], index: int, infeasible: npt.NDArray[np.bool_]) -> None:
         """In the state of a run's plan number `index` candidates were found infeasible: who cannot be driven keeps nobody else out. Where
         the state is not described the planner will find out by itself."""
         nodes, node = self._nodes, 0
@@ -145,7 +145,7 @@ class Trie(Generic[Result]):
         visit(node, self._nodes.parent, self._nodes.visited, self._memory.clock)
 
 
-class Recording(Generic[Result]):
+class RecordingPlanner(Generic[Result]):
     """A planner that plans as its own does and notes the run for the trie."""
 
     def __init__(self, planner: CertifiablePlanner, trie: Trie[Result]) -> None:

@@ -9,11 +9,11 @@ from drivecal.certification.memory import Memory
 from drivecal.certification.trie import NotDeterministicError, Trie
 from drivecal.domain.evaluations import Answered, RunResult
 from drivecal.domain.scenarios import Scenario
-from drivecal.episode.runner import Runner
+from drivecal.episode.runner import EpisodeRunner
 from drivecal.plugins.ports import DrivingFunction, Evaluator, VehicleModel
 
 
-class CertifiedRunner(Runner):
+class CertifiedRunner(EpisodeRunner):
     """A runner that remembers decisions where its driving function can be certified."""
 
     def __init__(
@@ -24,7 +24,7 @@ class CertifiedRunner(Runner):
         evaluator: Evaluator,
         memory: Memory,
     ) -> None:
-        """See `Runner`; `memory`: for what is remembered."""
+        """See `EpisodeRunner`; `memory`: for what is remembered."""
         super().__init__(scenario, driving_function, vehicle, evaluator)
         self._certifiable = driving_function.certifiable
         self._memory = memory

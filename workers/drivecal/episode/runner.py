@@ -14,7 +14,7 @@ from drivecal.plugins.ports import DrivingFunction, Evaluator, Planner, Series, 
 from drivecal.traffic.simulation import simulation
 
 
-class Runner:
+class EpisodeRunner:
     """Simulates and rates parameter sets in one scenario, all of them in this process's one SUMO simulation.
 
     Runners of several scenarios live side by side; changing from one to another costs a reload of some milliseconds. The same

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from drivecal.certification.memory import Memory
-from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult, Probe, Remembered, SetupRequest
+from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult, CertificateMemory, Probe, SetupRequest
 from drivecal.domain.errors import ConflictError, DrivecalError, UnavailableError
 from drivecal.domain.evaluations import Answered, Breakdown
 from drivecal.runtime.compilation import prepare_cache
@@ -77,7 +77,7 @@ class Worker:
         except RefusedError as error:
             refusal = describe(error)
         seconds, memory = time.perf_counter() - start, self._memory
-        return BatchResult(self._name, results, seconds, refusal, Remembered(memory.states, memory.bytes, memory.limit))
+        return BatchResult(self._name, results, seconds, refusal, CertificateMemory(memory.states, memory.bytes, memory.limit))
 
     def _run_cell(self, setup: SetupRequest, cell: Cell) -> CellResult:
         start = time.thread_time_ns()

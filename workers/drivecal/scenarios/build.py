@@ -22,7 +22,7 @@ from drivecal.domain.errors import UnavailableError
 from drivecal.domain.roads import Floats, pose_on, reference_line, to_cartesian
 from drivecal.domain.scenarios import Road
 from drivecal.scenarios.definitions import DEFINITIONS
-from drivecal.scenarios.plugin import network_name
+from drivecal.scenarios.highway import network_name
 
 POINT_SPACING = 20.0
 """Metres between points of an edge that bends: on a radius of 900 m the chord stays within 6 cm of the arc."""

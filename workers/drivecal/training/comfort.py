@@ -101,7 +101,7 @@ def fit(drives: Sequence[RatedDrive], targets: Floats, seed: int) -> Fit:
 
 
 @dataclass(frozen=True, slots=True)
-class Agreement:
+class PanelAgreement:
     """How well ratings agree with the panel's: shares of equal scores and of those at most one apart, quadratic weighted kappa, r.m.s.
     error of the rating."""
 
@@ -112,7 +112,7 @@ class Agreement:
     error: float
 
     @classmethod
-    def of(cls, ratings: Floats, panel: Floats) -> Agreement:
+    def of(cls, ratings: Floats, panel: Floats) -> PanelAgreement:
         """Of ratings in 0..7, each of shape (n,)."""
         ours, theirs = np.floor(ratings + 0.5).astype(int), np.floor(panel + 0.5).astype(int)
         apart = np.abs(ours - theirs)

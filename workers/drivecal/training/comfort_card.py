@@ -10,7 +10,7 @@ from drivecal.comfort.learned import Regression
 from drivecal.comfort.regression import Rater
 from drivecal.domain.scenarios import Manoeuvre
 from drivecal.plugins.ports import Floats
-from drivecal.training.comfort import Agreement, rated_by_panel
+from drivecal.training.comfort import PanelAgreement, rated_by_panel
 from drivecal.training.rated_drives import RatedDrive
 from drivecal.training.tables import table
 
@@ -37,7 +37,7 @@ def agreement_table(ours: Floats, drives: Sequence[RatedDrive]) -> str:
             (f"{manoeuvre.value}, built-in scenarios only", chosen & ran, ours),
             (f"{manoeuvre.value}, the reference scale itself", chosen, reference),
         ):
-            one = Agreement.of(rated[which], panel[which])
+            one = PanelAgreement.of(rated[which], panel[which])
             rows.append(
                 [label, str(one.count), f"{one.equal:.2f}", f"{one.within_one:.2f}", f"{one.kappa:.2f}", f"{one.error:.2f}"]
             )

@@ -20,7 +20,7 @@ UNSEEN = "swerve"
 
 
 @dataclass(frozen=True, slots=True)
-class Manoeuvre:
+class OpenLoopManoeuvre:
     """`steering`: front wheel angle (rad) over time, twice differentiable; `pull`: wanted longitudinal acceleration (m/s^2), shape (n,)."""
 
     kind: str
@@ -58,7 +58,7 @@ def _shape(kind: str, time: Floats, rng: np.random.Generator) -> Floats:
     return np.asarray(waves / np.abs(waves).max() * rng.uniform(0.2, 0.8))
 
 
-def draw(kind: str, rng: np.random.Generator, wheelbase: float) -> Manoeuvre:
+def draw(kind: str, rng: np.random.Generator, wheelbase: float) -> OpenLoopManoeuvre:
     """One manoeuvre of this kind: 14 to 36 m/s, up to 4.6 m/s^2 across (of a neutral vehicle), half of them braking or accelerating."""
     speed = rng.uniform(14.0, 36.0)
     across = rng.uniform(0.3, 4.6) * rng.choice([-1.0, 1.0])
@@ -67,4 +67,4 @@ def draw(kind: str, rng: np.random.Generator, wheelbase: float) -> Manoeuvre:
     angle = _shape(kind, since, rng) * across * wheelbase / speed**2
     pull = rng.uniform(-3.2, 2.6) if rng.random() < 0.5 else 0.0
     begins = rng.uniform(0.0, 1.5)
-    return Manoeuvre(kind, speed, times, CubicSpline(times, angle), pull * _smooth((since - begins) / 0.6))
+    return OpenLoopManoeuvre(kind, speed, times, CubicSpline(times, angle), pull * _smooth((since - begins) / 0.6))

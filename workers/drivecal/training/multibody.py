@@ -18,7 +18,7 @@ from vehiclemodels.parameters_vehicle2 import parameters_vehicle2
 from vehiclemodels.vehicle_dynamics_mb import vehicle_dynamics_mb
 
 from drivecal.plugins.ports import Floats
-from drivecal.training.manoeuvres import STEP, Manoeuvre
+from drivecal.training.manoeuvres import STEP, OpenLoopManoeuvre
 from drivecal.vehicle.parameters import SingleTrackParameters
 
 GRAVITY = 9.81
@@ -35,7 +35,7 @@ class Recording:
     `acceleration` is that of the speed over ground, `lateral_acceleration` that of the centre of mass across its course.
     """
 
-    manoeuvre: Manoeuvre
+    manoeuvre: OpenLoopManoeuvre
     steering_angle: Floats
     speed: Floats
     acceleration: Floats
@@ -71,7 +71,7 @@ class _ChatteringError(Exception):
     """The tyres' lateral shift changes sign with camber at once; where a manoeuvre rests on that edge, steps become ever smaller."""
 
 
-def record(manoeuvre: Manoeuvre) -> Recording | None:
+def record(manoeuvre: OpenLoopManoeuvre) -> Recording | None:
     """Drives a manoeuvre; None where it cannot be integrated in reasonable time. Raises ArithmeticError where the integration fails."""
     p = vehicle()
     steering, pull = manoeuvre.steering, manoeuvre.pull

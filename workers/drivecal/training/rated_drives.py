@@ -14,10 +14,10 @@ from drivecal.comfort.metrics import comfort_metrics
 from drivecal.comfort.rocket import Integers
 from drivecal.domain.evaluations import Rating
 from drivecal.domain.scenarios import Manoeuvre
-from drivecal.episode.runner import Runner
-from drivecal.planner.plugin import FRENET
+from drivecal.episode.runner import EpisodeRunner
+from drivecal.planner.frenet import FRENET
 from drivecal.plugins.ports import Floats, Series
-from drivecal.scenarios.plugin import HIGHWAY
+from drivecal.scenarios.highway import HIGHWAY
 from drivecal.vehicle.model import HybridModel, SingleTrackModel
 from drivecal.vehicle.parameters import NOMINAL
 from drivecal.vehicle.residual import shipped
@@ -80,7 +80,7 @@ def simulated(total: int, numbers: Sequence[int], seed: int) -> list[RatedDrive]
     for scenario in HIGHWAY.scenarios.values():
         recorder = _Recorder()
         models = SingleTrackModel(NOMINAL), HybridModel(NOMINAL, shipped())
-        runners = [Runner(scenario, FRENET, model, recorder) for model in models]
+        runners = [EpisodeRunner(scenario, FRENET, model, recorder) for model in models]
         for number in numbers:
             row = zip(unit[number], space, strict=True)
             result = runners[number % 2].run([float(one.value(round(u * (one.n_values - 1)))) for u, one in row])

@@ -9,8 +9,8 @@ from drivecal.domain.vehicles import VehicleParameter
 from drivecal.plugins.arrays import content_digest
 from drivecal.plugins.ports import Vehicle, VehicleModel
 from drivecal.vehicle.parameters import TABLE_8, SingleTrackParameters
-from drivecal.vehicle.plugin import SINGLE_TRACK
 from drivecal.vehicle.residual import shipped
+from drivecal.vehicle.single_track import SINGLE_TRACK
 
 
 class Hybrid:

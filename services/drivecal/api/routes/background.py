@@ -8,16 +8,17 @@ from typing import Any
 
 from fastapi import APIRouter
 
-from drivecal.api.answers import refuse_comparison
-from drivecal.api.bodies import StrictRoute
 from drivecal.api.dependencies import DatabaseDependency
-from drivecal.campaigns.pinned import Pinned, pinned
+from drivecal.api.http.bodies import StrictRoute
+from drivecal.api.responses import refuse_comparison
+from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec
 from drivecal.contracts.setup import CampaignSetup, ScenarioSetup, SearchedParameter
 from drivecal.contracts.studies import Study, StudyPage
 from drivecal.domain.errors import ConflictError
 from drivecal.domain.setups import Setup
-from drivecal.storage import campaigns, setups, studies
+from drivecal.storage import campaigns, studies
 from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.references import setups
 from drivecal.storage.studies import StoredStudy
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["results"], route_class=StrictRoute)
@@ -31,7 +32,7 @@ def setup(campaign_id: str, database: DatabaseDependency) -> CampaignSetup:
     """The parameters, versions and fingerprints that the campaign was taken up with; while it is queued, those of today."""
     with database.read() as connection:
         campaign = _calibration(campaigns.get(connection, campaign_id))
-        begun_with = pinned(campaign)
+        begun_with = resolved_spec(campaign)
         documents = setups.documents(connection, list(begun_with.setups.values()))
     fixed = {name: float(value) for name, value in begun_with.space.fixed.items()}
     return CampaignSetup(
@@ -68,7 +69,7 @@ def _calibration(campaign: StoredCampaign) -> StoredCampaign:
     return campaign
 
 
-def _scenario(name: str, begun_with: Pinned, documents: Mapping[str, Mapping[str, Any]]) -> ScenarioSetup:
+def _scenario(name: str, begun_with: ResolvedSpec, documents: Mapping[str, Mapping[str, Any]]) -> ScenarioSetup:
     fingerprint = begun_with.setups[name]
     known: dict[str, Any] = {}
     if fingerprint in documents:

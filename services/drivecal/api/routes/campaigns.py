@@ -7,24 +7,26 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Header, Request, Response
 from sqlalchemy import Connection
 
+from drivecal.analysis.savings import MapOrigin, account
 from drivecal.api import submission
-from drivecal.api.answers import ROOT, campaign_answer, etag, list_etag, matches, refuse_comparison
-from drivecal.api.bodies import StrictRoute
 from drivecal.api.dependencies import DatabaseDependency, IdempotencyKey, LimitsDependency
-from drivecal.api.queries import CampaignsQuery, SubmissionQuery
-from drivecal.api.remembered import Remembered
-from drivecal.api.silence import silence
-from drivecal.campaigns.accounting import MapOrigin, account
-from drivecal.campaigns.pinned import pinned
+from drivecal.api.http.bodies import StrictRoute
+from drivecal.api.http.queries import CampaignsQuery, SubmissionQuery
+from drivecal.api.live.dispatcher_health import silence
+from drivecal.api.live.response_cache import ResponseCache
+from drivecal.api.responses import ROOT, campaign_answer, etag, list_etag, matches, refuse_comparison
+from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns
 from drivecal.contracts.specification import CampaignSpecification, RerunSpecification
+from drivecal.domain.actions import Action
 from drivecal.domain.campaigns import Stage
 from drivecal.domain.errors import ConflictError
-from drivecal.storage import audits, campaigns, comparisons, costs, glances, influence_maps, results
+from drivecal.storage import audits, campaigns, comparisons, costs, results, revision_queries
 from drivecal.storage.campaigns import StoredCampaign
-from drivecal.storage.database import Database
-from drivecal.storage.types import now
+from drivecal.storage.engine.database import Database
+from drivecal.storage.engine.types import now
+from drivecal.storage.references import influence_maps
 
 router = APIRouter(prefix="/campaigns", tags=["campaigns"], route_class=StrictRoute)
 
@@ -55,8 +57,8 @@ def list_campaigns(query: CampaignsQuery, database: DatabaseDependency, if_none_
     """Campaigns, newest first. The page has an `ETag`, as a campaign has."""
     moment = now()
     with database.read() as connection:
-        seen = glances.page(connection, kind="calibration", state=query.state, limit=query.limit, cursor=query.cursor)
-        silent = silence(glances.heartbeat(connection), moment)
+        seen = revision_queries.page(connection, kind="calibration", state=query.state, limit=query.limit, cursor=query.cursor)
+        silent = silence(revision_queries.heartbeat(connection), moment)
         headers = {"ETag": list_etag(seen, silent), "Cache-Control": "no-cache"}
         if matches(if_none_match, headers["ETag"]):
             return Response(status_code=304, headers=headers)
@@ -69,9 +71,9 @@ def list_campaigns(query: CampaignsQuery, database: DatabaseDependency, if_none_
 def read(campaign_id: str, request: Request, database: DatabaseDependency, if_none_match: IfNoneMatch = None) -> Response:
     """One campaign. Send its `ETag` back as `If-None-Match` to be told 304 while nothing changed."""
     moment = now()
-    remembered: Remembered = request.app.state.remembered
+    remembered: ResponseCache = request.app.state.remembered
     with database.read() as connection:
-        seen, heartbeat_at = glances.glance(connection, campaign_id)
+        seen, heartbeat_at = revision_queries.campaign_revision(connection, campaign_id)
         silent = silence(heartbeat_at, moment)
         tag = etag(seen, silent)
         headers = {"ETag": tag, "Cache-Control": "no-cache"}
@@ -98,7 +100,7 @@ def accounting(campaign_id: str, database: DatabaseDependency) -> Accounting:
             raise ConflictError(f"{stored.id} is a single evaluation, which saves nothing; GET {ROOT}/evaluations/{stored.id}")
         found = costs.by_outcome(connection, stored.sequence)
         origin = _map_origin(connection, stored)
-        proofs = audits.proofs(connection, stored.sequence, pinned(stored).evaluator) if stored.resolution else ()
+        proofs = audits.proofs(connection, stored.sequence, resolved_spec(stored).evaluator) if stored.resolution else ()
         searched = (stored.spec.get("optimizer") or {}).get("iterations", 0)
         confirmed = results.counted_since(connection, stored.sequence, Stage.CALIBRATION, searched)
     known = [*stored.error_rate, *(one.scenario for one in found if one.stage is Stage.CALIBRATION)]
@@ -146,7 +148,7 @@ def rerun(
     return accepted(response, database, submission.rerun(database, limits, campaign_id, changes, idempotency_key))
 
 
-def _asked(database: Database, campaign_id: str, action: campaigns.Action, response: Response) -> Campaign:
+def _asked(database: Database, campaign_id: str, action: Action, response: Response) -> Campaign:
     with database.transaction() as connection:
         stored = campaigns.request_action(connection, campaign_id, action)
     return accepted(response, database, stored)
@@ -157,5 +159,5 @@ def accepted(response: Response, database: Database, stored: StoredCampaign) -> 
     response.headers["Location"] = f"{ROOT}/campaigns/{stored.id}"
     moment = now()
     with database.read() as connection:
-        silent = silence(glances.heartbeat(connection), moment)
+        silent = silence(revision_queries.heartbeat(connection), moment)
     return campaign_answer(stored, moment, silent)

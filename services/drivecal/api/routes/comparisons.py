@@ -9,14 +9,14 @@ from typing import get_args
 from fastapi import APIRouter, Response
 from pydantic import BaseModel
 
-from drivecal.api import comparing
-from drivecal.api.bodies import StrictRoute
+from drivecal.api import comparison_submission
 from drivecal.api.dependencies import Accept, DatabaseDependency, IdempotencyKey, LimitsDependency
-from drivecal.api.paging import slices, table_answer
-from drivecal.api.queries import SubmissionQuery, TableQuery
+from drivecal.api.http.bodies import StrictRoute
+from drivecal.api.http.queries import SubmissionQuery, TableQuery
 from drivecal.api.routes.campaigns import accepted
-from drivecal.api.tables import TABLE_ANSWERS, Column, Kind, Row
-from drivecal.campaigns.compared import Compared, compared
+from drivecal.api.tables.files import TABLE_ANSWERS, Column, Kind, Row
+from drivecal.api.tables.paging import slices, table_answer
+from drivecal.campaigns.comparisons.results import ComparisonResults, compared
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.comparison import (
     ComparedGroup,
@@ -28,7 +28,7 @@ from drivecal.contracts.comparison import (
 )
 from drivecal.domain.errors import ConflictError
 from drivecal.storage import campaigns
-from drivecal.storage.database import Database
+from drivecal.storage.engine.database import Database
 
 router = APIRouter(tags=["comparisons"], route_class=StrictRoute)
 
@@ -53,8 +53,8 @@ def submit(
     nothing."""
     if query.validate_only:
         response.status_code = 200
-        return comparing.expected(database, limits, specification)
-    return accepted(response, database, comparing.submit(database, limits, specification, idempotency_key))
+        return comparison_submission.expected(database, limits, specification)
+    return accepted(response, database, comparison_submission.submit(database, limits, specification, idempotency_key))
 
 
 @router.get("/campaigns/{campaign_id}/comparison", responses=TABLE_ANSWERS)
@@ -85,7 +85,7 @@ def list_effects(campaign_id: str, query: TableQuery, database: DatabaseDependen
     return _table(f"comparison-effects-{campaign_id}", query, accept, ReductionEffect, found.effects())
 
 
-def _compared(database: Database, campaign_id: str) -> Compared:
+def _compared(database: Database, campaign_id: str) -> ComparisonResults:
     with database.read() as connection:
         campaign = campaigns.get(connection, campaign_id)
         if campaign.kind != "comparison":

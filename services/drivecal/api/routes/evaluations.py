@@ -8,16 +8,17 @@ from fastapi import APIRouter, Response
 from sqlalchemy import Connection
 
 from drivecal.api import submission
-from drivecal.api.answers import evaluated_cell, evaluation_answer, evaluation_row
-from drivecal.api.bodies import StrictRoute
 from drivecal.api.dependencies import DatabaseDependency, IdempotencyKey, LimitsDependency
-from drivecal.campaigns.explaining import explain
+from drivecal.api.http.bodies import StrictRoute
+from drivecal.api.responses import evaluated_cell, evaluation_answer, evaluation_row
+from drivecal.campaigns.results.explanation import explain
 from drivecal.contracts.evaluation import Evaluation
 from drivecal.contracts.explanation import Explanation
 from drivecal.contracts.specification import EvaluationSpecification
 from drivecal.domain.errors import ConflictError, NotFoundError
-from drivecal.storage import campaigns, results, runs
+from drivecal.storage import campaigns, results
 from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.references import runs
 
 router = APIRouter(prefix="/evaluations", tags=["evaluations"], route_class=StrictRoute)
 

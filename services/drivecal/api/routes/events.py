@@ -13,13 +13,13 @@ from fastapi.responses import StreamingResponse
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.types import Send
 
-from drivecal.api.bodies import StrictRoute
 from drivecal.api.dependencies import DatabaseDependency, EventStreamPlace
-from drivecal.api.streams import EventHub
+from drivecal.api.http.bodies import StrictRoute
+from drivecal.api.live.streams import EventHub
 from drivecal.contracts.events import CampaignEvent, CampaignProgress
 from drivecal.domain.events import EventKind
-from drivecal.storage import events, glances
-from drivecal.storage.database import Database
+from drivecal.storage import events, revision_queries
+from drivecal.storage.engine.database import Database
 
 router = APIRouter(prefix="/campaigns", tags=["campaigns"], route_class=StrictRoute)
 
@@ -95,7 +95,7 @@ async def stream(
     return EventStream(hub.stream(seen.sequence, seen.id, last))
 
 
-def _look(database: Database, campaign_id: str) -> tuple[glances.Glance, int]:
+def _look(database: Database, campaign_id: str) -> tuple[revision_queries.CampaignRevision, int]:
     with database.read() as connection:
-        seen, _ = glances.glance(connection, campaign_id)
+        seen, _ = revision_queries.campaign_revision(connection, campaign_id)
         return seen, events.newest_id(connection, seen.sequence)

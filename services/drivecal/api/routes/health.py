@@ -5,12 +5,12 @@ from __future__ import annotations
 from fastapi import APIRouter, Request, Response
 
 from drivecal.api.dependencies import DatabaseDependency
-from drivecal.api.readiness import Judgement, judge
+from drivecal.api.live.dispatcher_health import Judgement, judge
 from drivecal.contracts.inventory import Readiness
 from drivecal.domain.errors import DrivecalError, UnavailableError
 from drivecal.storage import processes
-from drivecal.storage.database import Database
-from drivecal.storage.types import now
+from drivecal.storage.engine.database import Database
+from drivecal.storage.engine.types import now
 
 router = APIRouter(tags=["health"])
 

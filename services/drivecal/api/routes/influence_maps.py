@@ -5,17 +5,18 @@ from __future__ import annotations
 from fastapi import APIRouter, Response
 from fastapi.responses import JSONResponse
 
-from drivecal.api.answers import ROOT
-from drivecal.api.bodies import StrictRoute
 from drivecal.api.dependencies import Accept, DatabaseDependency, LimitsDependency
-from drivecal.api.influence import COLUMNS, map_rows
-from drivecal.api.queries import FormQuery, PageQuery, form_of
-from drivecal.api.tables import TABLE_ANSWERS, download
-from drivecal.campaigns.maps import EXPERT, resolve_map, store_posted_map
+from drivecal.api.http.bodies import StrictRoute
+from drivecal.api.http.queries import FormQuery, PageQuery, form_of
+from drivecal.api.responses import ROOT
+from drivecal.api.tables.files import TABLE_ANSWERS, download
+from drivecal.api.tables.influence import COLUMNS, map_rows
+from drivecal.campaigns.resolve.maps import EXPERT, resolve_map, store_posted_map
 from drivecal.contracts.inventory import InfluenceMapAnswer, InfluenceMapPage
 from drivecal.contracts.specification import InfluenceMapSpecification
-from drivecal.storage import admission, influence_maps
-from drivecal.storage.influence_maps import StoredInfluenceMap
+from drivecal.storage import admission
+from drivecal.storage.references import influence_maps
+from drivecal.storage.references.influence_maps import StoredInfluenceMap
 
 router = APIRouter(prefix="/influence-maps", tags=["influence maps"], route_class=StrictRoute)
 

@@ -8,7 +8,7 @@ import numpy as np
 from fastapi import APIRouter
 
 from drivecal.api.dependencies import DatabaseDependency
-from drivecal.api.readiness import judge
+from drivecal.api.live.dispatcher_health import judge
 from drivecal.contracts.inventory import (
     ParameterAnswer,
     ParameterSpaceAnswer,
@@ -29,9 +29,10 @@ from drivecal.domain.roads import reference_line
 from drivecal.domain.scenarios import Scenario
 from drivecal.domain.setups import Setup
 from drivecal.plugins import registry
-from drivecal.storage import processes, setups
-from drivecal.storage.setups import SetupCount
-from drivecal.storage.types import now
+from drivecal.storage import processes
+from drivecal.storage.engine.types import now
+from drivecal.storage.references import setups
+from drivecal.storage.references.setups import SetupCount
 
 router = APIRouter(tags=["inventory"])
 

@@ -13,7 +13,7 @@ from typing import Annotated
 from fastapi import APIRouter, Header, Response
 from starlette.exceptions import HTTPException
 
-from drivecal.api.auth import PAGE
+from drivecal.api.http.auth import PAGE
 
 router = APIRouter(include_in_schema=False)
 

@@ -19,11 +19,11 @@ from fastapi.concurrency import run_in_threadpool
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from drivecal.api.dependencies import Limits
-from drivecal.api.streams import KEEPALIVE_SECONDS, EventHub
+from drivecal.api.live.streams import KEEPALIVE_SECONDS, EventHub
 from drivecal.contracts.events import PROGRESS
 from drivecal.domain.errors import DrivecalError, OverloadError
-from drivecal.storage import events, glances
-from drivecal.storage.database import Database
+from drivecal.storage import events, revision_queries
+from drivecal.storage.engine.database import Database
 
 router = APIRouter()
 
@@ -138,9 +138,9 @@ class _Line:
         if not self._hub.closed:
             await self._send({"campaign": campaign, "ended": True})
 
-    def _look(self, campaign: str) -> tuple[glances.Glance, int]:
+    def _look(self, campaign: str) -> tuple[revision_queries.CampaignRevision, int]:
         with self._database.read() as connection:
-            seen, _ = glances.glance(connection, campaign)
+            seen, _ = revision_queries.campaign_revision(connection, campaign)
             return seen, events.newest_id(connection, seen.sequence)
 
     async def _stay_alive(self) -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel, ConfigDict
 
-from drivecal.api import sessions
-from drivecal.api.auth import ANYBODY
+from drivecal.api.http import sessions
+from drivecal.api.http.auth import ANYBODY
 from drivecal.configuration.tokens import Token
 
 router = APIRouter(tags=["page"])

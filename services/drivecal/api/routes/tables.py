@@ -8,23 +8,24 @@ from typing import Any
 
 from fastapi import APIRouter, Response
 
-from drivecal.api import influence, studies
-from drivecal.api.answers import evaluation_row, parameter_column, refuse_comparison
-from drivecal.api.bodies import StrictRoute
 from drivecal.api.dependencies import Accept, DatabaseDependency
-from drivecal.api.paging import Page, slices, table_answer
-from drivecal.api.queries import SolutionsQuery, TableQuery, form_of
-from drivecal.api.ranking import Ranking, ranking
-from drivecal.api.tables import TABLE_ANSWERS, Column, Row
-from drivecal.campaigns.optima import alternatives
-from drivecal.campaigns.pinned import Pinned, pinned
+from drivecal.api.http.bodies import StrictRoute
+from drivecal.api.http.queries import SolutionsQuery, TableQuery, form_of
+from drivecal.api.responses import evaluation_row, parameter_column, refuse_comparison
+from drivecal.api.tables import influence, studies
+from drivecal.api.tables.files import TABLE_ANSWERS, Column, Row
+from drivecal.api.tables.paging import Page, slices, table_answer
+from drivecal.api.tables.ranking import CampaignRanking, ranking
+from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec
+from drivecal.campaigns.results.optima import alternatives
 from drivecal.contracts.campaign import Solution
 from drivecal.domain.campaigns import Stage
 from drivecal.domain.errors import ConflictError
-from drivecal.storage import campaigns, generations, influence_maps, results
+from drivecal.storage import campaigns, generations, results
 from drivecal.storage import studies as stored_studies
 from drivecal.storage.campaigns import StoredCampaign
-from drivecal.storage.database import Database
+from drivecal.storage.engine.database import Database
+from drivecal.storage.references import influence_maps
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["results"], route_class=StrictRoute)
 
@@ -173,17 +174,17 @@ def _campaign(database: Database, campaign_id: str) -> StoredCampaign:
     return found
 
 
-def _pinned(campaign: StoredCampaign) -> Pinned:
+def _pinned(campaign: StoredCampaign) -> ResolvedSpec:
     if campaign.kind != "calibration":
         raise ConflictError(f"{campaign.id} is a single evaluation, which ranks nothing; GET /api/v1/evaluations/{campaign.id}")
-    return pinned(campaign)
+    return resolved_spec(campaign)
 
 
 def _parameter_names(database: Database, campaign: StoredCampaign) -> Iterable[str]:
     """Those of the first row; of a campaign without rows yet, those it will have."""
     with database.read() as connection:
         rows, _ = results.page(connection, campaign.sequence, limit=1)
-    return rows[0].parameters if rows else pinned(campaign).space.names
+    return rows[0].parameters if rows else resolved_spec(campaign).space.names
 
 
 def _solution_row(solution: Solution, *, flat: bool) -> Row:
@@ -194,7 +195,7 @@ def _solution_row(solution: Solution, *, flat: bool) -> Row:
     return row | {parameter_column(name): value for name, value in solution.parameters.items()}
 
 
-def _solution_columns(ranked: Ranking, begun_with: Pinned) -> list[Column]:
+def _solution_columns(ranked: CampaignRanking, begun_with: ResolvedSpec) -> list[Column]:
     return [
         Column("rank", "integer"),
         Column("objective", "number"),

@@ -8,11 +8,11 @@ from typing import Annotated
 
 from fastapi import APIRouter, Header, Request, Response
 
-from drivecal.api.auth import refuse_reader
-from drivecal.api.bodies import StrictRoute
 from drivecal.api.dependencies import DatabaseDependency, LimitsDependency
+from drivecal.api.http.auth import refuse_reader
+from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.routes.evaluations import number_of
-from drivecal.campaigns.tracing import is_to_be_made, no_trace, request_trace
+from drivecal.campaigns.cells.tracing import is_to_be_made, no_trace, request_trace
 from drivecal.contracts.evaluation import PendingTrace, TraceAnswer
 from drivecal.domain.errors import ConflictError
 from drivecal.storage import admission, results, traces

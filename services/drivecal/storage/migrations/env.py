@@ -1,11 +1,11 @@
-"""Runs revisions on the connection that `drivecal.storage.schema.upgrade` gives, inside its transaction."""
+"""Runs revisions on the connection that `drivecal.storage.engine.schema.upgrade` gives, inside its transaction."""
 
 from __future__ import annotations
 
 from alembic import context
 
-from drivecal.storage.schema import REVISION_TABLE
-from drivecal.storage.tables import metadata
+from drivecal.storage.engine.schema import REVISION_TABLE
+from drivecal.storage.engine.tables import metadata
 
 context.configure(
     connection=context.config.attributes["connection"],

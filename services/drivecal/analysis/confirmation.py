@@ -1,0 +1,57 @@
+"""Whether the best set of a search is as good as it seems: where its scores are references', it is simulated after the search. Pure.
+
+A search that reuses scores prefers sets whose references are too good. So the first set of the ranking is simulated where it has a
+reference's score, and the ranking is made anew; one set after the other, until the first one owes nothing to references.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+from drivecal.analysis.solutions import EQUAL, EvaluatedSet, Ranking
+
+CONFIRMED = "confirmed by simulation"
+"""How the verdict begins where the best set has only scores of its own."""
+NOT_CONFIRMED = "not confirmed"
+"""How it begins where a score of the best set is still a reference's."""
+
+
+@dataclass(slots=True)
+class Confirmation:
+    """Of one search: at most `limit` sets are `tried`, each once, by their ids; `believed` is the best objective that it ended with."""
+
+    limit: int
+    believed: float
+    tried: list[int] = field(default_factory=list)
+
+    def choose(self, ranking: Ranking) -> EvaluatedSet | None:
+        """The next set to simulate; None where the first of the ranking has only scores of its own, or nothing more may be tried."""
+        return None if len(self.tried) >= self.limit else ranking.doubtful(self.tried)
+
+    def changed(self, best: EvaluatedSet) -> bool:
+        """Whether the first of the final ranking is another set than the search believed, or another objective."""
+        return best.parameter_set != self.tried[0] or abs(best.objective - self.believed) > EQUAL
+
+    def verdict(self, best: EvaluatedSet) -> str:
+        """What came out of it, in a sentence, from the first of the final ranking."""
+        sets = "1 set" if len(self.tried) == 1 else f"{len(self.tried)} sets"
+        if not best.reused:
+            if abs(best.objective - self.believed) <= EQUAL:
+                return f"{CONFIRMED}: the best objective is {best.objective:.4f}, as the search believed; {sets} tried"
+            return f"{CONFIRMED}: the best objective is {best.objective:.4f}, the search believed {self.believed:.4f}; {sets} tried"
+        where = ", ".join(best.reused)
+        owed = f"{NOT_CONFIRMED}: the best set's score in {where} is still a reference's"
+        if best.parameter_set in self.tried:
+            return f"{owed}, for its simulation failed; {sets} tried"
+        return f"{owed}; no more than {sets} (reduction.confirm) were tried"
+
+
+def verdict_in(notes: Iterable[str]) -> str | None:
+    """The verdict among a campaign's notes; None before it was told."""
+    return next((note for note in notes if note.startswith((CONFIRMED, NOT_CONFIRMED))), None)
+
+
+def remarkable(notes: Iterable[str]) -> list[str]:
+    """A campaign's notes without the verdict that all is as it should be."""
+    return [note for note in notes if not note.startswith(CONFIRMED)]

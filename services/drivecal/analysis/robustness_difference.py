@@ -1,0 +1,64 @@
+"""Differences between two robustness studies of the same sets, as in a plain and a hybrid vehicle."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from scipy.stats import kendalltau
+
+from drivecal.contracts.studies import RobustnessRow
+
+
+@dataclass(frozen=True, slots=True)
+class StudyDifference:
+    """Between two studies; pairs are (this one's, the other one's).
+
+    `degrees`, `scores`: how many are equal, lower and higher in the other study, of sets and of (set, scenario) pairs; `mean_degree`:
+    where a degree is only known to be at least so large, that counts. `tau`: Kendall's rank correlation of both orders (no ties), None for
+    fewer than two sets.
+    """
+
+    sets: int
+    only_one: int
+    degrees: tuple[int, int, int]
+    mean_degree: tuple[float, float]
+    scores: tuple[int, int, int]
+    tau: float | None
+    same_recommended: bool
+
+
+def pairs_of(rows: Sequence[RobustnessRow], others: Sequence[RobustnessRow]) -> list[tuple[RobustnessRow, RobustnessRow]]:
+    """The sets that both have, in the order of the first."""
+    known = {_key(row): row for row in others}
+    return [(row, known[_key(row)]) for row in rows if _key(row) in known]
+
+
+def difference(rows: Sequence[RobustnessRow], others: Sequence[RobustnessRow]) -> StudyDifference:
+    """What changes."""
+    pairs = pairs_of(rows, others)
+    count = max(len(pairs), 1)
+    ranks = [(row.rank, other.rank) for row, other in pairs]
+    scores = [
+        (score, other.scores[scenario])
+        for row, other in pairs
+        for scenario, score in row.scores.items()
+        if score is not None and other.scores.get(scenario) is not None
+    ]
+    return StudyDifference(
+        sets=len(pairs),
+        only_one=len(rows) + len(others) - 2 * len(pairs),
+        degrees=_changes([(row.degree, other.degree) for row, other in pairs]),
+        mean_degree=(sum(row.degree for row, _ in pairs) / count, sum(other.degree for _, other in pairs) / count),
+        scores=_changes([(here, there) for here, there in scores if there is not None]),
+        tau=float(kendalltau(*zip(*ranks, strict=True)).statistic) if len(ranks) > 1 else None,
+        same_recommended=[_key(row) for row in rows if row.recommended] == [_key(row) for row in others if row.recommended],
+    )
+
+
+def _key(row: RobustnessRow) -> tuple[tuple[str, float], ...]:
+    return tuple(sorted(row.parameters.items()))
+
+
+def _changes(pairs: Sequence[tuple[int, int]]) -> tuple[int, int, int]:
+    return sum(a == b for a, b in pairs), sum(b < a for a, b in pairs), sum(b > a for a, b in pairs)

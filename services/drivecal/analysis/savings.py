@@ -1,0 +1,175 @@
+"""What reuse saved and what that cost: the sensitivity stage beside the simulations that its map spared. Pure.
+
+A saved cell is worth the mean CPU time of the scenario's simulated cells. Audited cells are simulated like any other: they are a saving
+forgone, already missing among the reused, and not a cost on top. Reused cells that were simulated after the search to confirm its best
+set save nothing either.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from math import ceil
+
+from drivecal.contracts.accounting import Accounting, BreakEven, MapCost, ScenarioAccount, SensitivityCost
+from drivecal.domain.campaigns import Stage
+from drivecal.domain.evaluations import AuditCount, Outcome, OutcomeCosts
+
+ROUNDING = 1e-9
+"""Quotients this close above a whole number are that number."""
+
+
+@dataclass(frozen=True, slots=True)
+class MapOrigin:
+    """The influence map in use. `made_by`: the campaign whose sensitivity stage made it, None where a user posted it; `costs`: of that
+    campaign's cells."""
+
+    id: str
+    made_by: str | None
+    costs: Sequence[OutcomeCosts] = ()
+
+
+def account(
+    campaign: str,
+    state: str,
+    scenarios: Iterable[str],
+    costs: Sequence[OutcomeCosts],
+    origin: MapOrigin | None,
+    proofs: Iterable[AuditCount] = (),
+    confirmed: Mapping[str, int] | None = None,
+) -> Accounting:
+    """The account of a campaign from its `costs`; `scenarios` in the order in which they are to be listed; `proofs`: what certificates say
+    of reused cells; `confirmed`: how many of those were simulated after the search, by scenario."""
+    proved = {one.scenario: one for one in proofs}
+    rows = [
+        _scenario(
+            name,
+            [one for one in costs if one.stage is Stage.CALIBRATION and one.scenario == name],
+            proved.get(name, _NOTHING),
+            (confirmed or {}).get(name, 0),
+        )
+        for name in scenarios
+    ]
+    sensitivity = sensitivity_cost(costs)
+    used = None if origin is None else _map_cost(origin, campaign)
+    requested, reused = sum(one.requested for one in rows), sum(one.reused for one in rows)
+    answered = sum(one.repeated + one.reused + one.certified for one in rows)
+    totals = {name: sum(getattr(one, name) for one in rows) for name in _SECONDS}
+    saved = totals["repeated_saved_seconds"] + totals["reused_saved_seconds"] + totals["certified_saved_seconds"]
+    found = Accounting(
+        campaign=campaign,
+        state=state,
+        sensitivity=sensitivity,
+        map=used,
+        scenarios=rows,
+        requested=requested,
+        answered_without_simulation=answered,
+        simulated=sum(one.simulated for one in rows),
+        audited=sum(one.audited for one in rows),
+        share_without_simulation=answered / requested if requested else None,
+        share_reused=reused / requested if requested else None,
+        **totals,
+        saved_seconds=saved,
+        net_seconds=saved - sensitivity.seconds,
+        map_net_seconds=None if used is None else totals["reused_saved_seconds"] - used.seconds,
+        break_even=None if used is None else break_even(used.seconds, totals["reused_saved_seconds"], requested),
+        sentence="",
+    )
+    return found.model_copy(update={"sentence": _sentence(found)})
+
+
+_NOTHING = AuditCount("", 0, 0, 0)
+_SECONDS = ("simulated_seconds", "audited_seconds", "repeated_saved_seconds", "reused_saved_seconds", "certified_saved_seconds")
+
+
+def sensitivity_cost(costs: Iterable[OutcomeCosts]) -> SensitivityCost:
+    """What the sensitivity stage among `costs` took."""
+    stage = [one for one in costs if one.stage is Stage.SENSITIVITY]
+    cells = _cells(stage)
+    return SensitivityCost(
+        requested=sum(cells.values()),
+        repeated=cells[Outcome.REPEATED],
+        certified=cells[Outcome.CERTIFIED],
+        simulated=cells[Outcome.SIMULATED],
+        failed=cells[Outcome.FAILED],
+        seconds=sum(one.seconds for one in stage),
+    )
+
+
+def break_even(map_seconds: float, reused_saved_seconds: float, requested: int) -> BreakEven | None:
+    """When a map pays that cost `map_seconds`, at the rate at which `requested` cells saved `reused_saved_seconds`; None where it cost
+    nothing."""
+    if not map_seconds:
+        return None
+    if not reused_saved_seconds:
+        return BreakEven(requested_cells=None, campaigns=None, reruns=None)
+    campaigns = map_seconds / reused_saved_seconds
+    whole = max(1, ceil(campaigns - ROUNDING))
+    return BreakEven(requested_cells=ceil(campaigns * requested - ROUNDING), campaigns=whole, reruns=whole - 1)
+
+
+def _scenario(name: str, costs: Sequence[OutcomeCosts], proved: AuditCount, confirmed: int) -> ScenarioAccount:
+    cells = _cells(costs)
+    simulated = [one for one in costs if one.outcome is Outcome.SIMULATED]
+    mean = _mean_seconds(simulated)
+    if mean is None:
+        mean = _mean_seconds(costs)
+    audited = [one for one in simulated if one.audited]
+    worth = mean or 0.0
+    return ScenarioAccount(
+        scenario=name,
+        requested=sum(cells.values()),
+        repeated=cells[Outcome.REPEATED],
+        reused=cells[Outcome.REUSED],
+        certified=cells[Outcome.CERTIFIED],
+        simulated=cells[Outcome.SIMULATED],
+        failed=cells[Outcome.FAILED],
+        audited=sum(one.cells for one in audited),
+        confirmed=confirmed,
+        mean_seconds=mean,
+        simulated_seconds=sum(one.seconds for one in simulated),
+        audited_seconds=sum(one.seconds for one in audited),
+        repeated_saved_seconds=cells[Outcome.REPEATED] * worth,
+        reused_saved_seconds=(cells[Outcome.REUSED] - confirmed) * worth,
+        certified_saved_seconds=cells[Outcome.CERTIFIED] * worth,
+        proved=proved.audited,
+        proved_different=proved.different,
+        proved_wrong=proved.wrong,
+    )
+
+
+def _cells(costs: Iterable[OutcomeCosts]) -> Mapping[Outcome, int]:
+    cells = dict.fromkeys(Outcome, 0)
+    for one in costs:
+        cells[one.outcome] += one.cells
+    return cells
+
+
+def _mean_seconds(costs: Sequence[OutcomeCosts]) -> float | None:
+    count = sum(one.runs for one in costs)
+    return sum(one.run_seconds for one in costs) / count if count else None
+
+
+def _map_cost(origin: MapOrigin, campaign: str) -> MapCost:
+    made = sensitivity_cost(origin.costs)
+    return MapCost(
+        id=origin.id,
+        made_by=origin.made_by,
+        paid_here=origin.made_by == campaign,
+        runs=made.simulated,
+        seconds=made.seconds,
+    )
+
+
+def _sentence(one: Accounting) -> str:
+    if one.share_without_simulation is None:
+        return (
+            f"No cell of the calibration stage has its answer yet; the sensitivity stage took {one.sensitivity.seconds:,.1f} s."
+        )
+    share = f"{one.share_without_simulation:.1%} of {one.requested:,} requested cells were answered without a simulation"
+    balance = f"that saved {one.saved_seconds:,.1f} s of CPU time"
+    if one.sensitivity.requested:
+        verb = "net saving" if one.net_seconds >= 0 else "net loss"
+        cost = f"the sensitivity stage cost {one.sensitivity.seconds:,.1f} s ({one.sensitivity.simulated:,} runs)"
+        balance = f"{balance}, {cost}: a {verb} of {abs(one.net_seconds):,.1f} s"
+    return f"{share}; {balance}."

@@ -1,0 +1,113 @@
+"""Ranks the parameter sets that were evaluated, under any weights, without a new simulation. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass
+
+from drivecal.domain.evaluations import CellScore
+
+EQUAL = 1e-9
+"""Objectives that differ by no more than this are equal: alternatives of each other."""
+
+
+@dataclass(frozen=True, slots=True)
+class EvaluatedSet:
+    """A parameter set with a result in every weighted scenario; `iteration` and `individual` say where it was found first."""
+
+    parameter_set: int
+    objective: float
+    rating: float
+    scores: Mapping[str, int]
+    reused: tuple[str, ...]
+    """Scenarios whose score is a reference's: this very set was not simulated there."""
+    iteration: int
+    individual: int
+
+    @property
+    def order(self) -> tuple[int, float, int, int]:
+        """Sorts best first: equal objectives by the weighted continuous rating, then by discovery."""
+        return -round(self.objective / EQUAL), -self.rating, self.iteration, self.individual
+
+
+class Ranking:
+    """All parameter sets with what they scored, under one choice of weights; grows as answers come in."""
+
+    def __init__(self, weights: Mapping[str, float]) -> None:
+        """`weights` by scenario need not be normalised; scenarios of weight 0 and those not named take no part."""
+        total = sum(weights.values())
+        self._shares = {name: weight / total for name, weight in weights.items() if weight > 0}
+        self._answers: dict[int, dict[str, CellScore]] = {}
+        self._places: dict[int, tuple[int, int]] = {}
+        self._solutions: dict[int, EvaluatedSet] = {}
+
+    def add(self, answers: Iterable[CellScore]) -> None:
+        """Takes answers in, in any order."""
+        touched: set[int] = set()
+        for answer in answers:
+            number = answer.parameter_set
+            place = (answer.iteration, answer.individual)
+            self._places[number] = min(self._places.get(number, place), place)
+            cells = self._answers.setdefault(number, {})
+            if answer.scenario in self._shares and _counts_more(answer, cells.get(answer.scenario)):
+                cells[answer.scenario] = answer
+            touched.add(number)
+        for number in touched:
+            solution = self._solution(number)
+            if solution is not None:
+                self._solutions[number] = solution
+
+    def ranking(self) -> list[EvaluatedSet]:
+        """All solutions, best first."""
+        return sorted(self._solutions.values(), key=lambda solution: solution.order)
+
+    def best(self) -> tuple[EvaluatedSet, int] | None:
+        """The best solution and how many share its objective, itself included; None before the first."""
+        if not self._solutions:
+            return None
+        best = min(self._solutions.values(), key=lambda solution: solution.order)
+        equal = sum(1 for one in self._solutions.values() if abs(one.objective - best.objective) <= EQUAL)
+        return best, equal
+
+    def doubtful(self, tried: Collection[int] = ()) -> EvaluatedSet | None:
+        """The best of the solutions that owe a score to a reference and rank before every one that owes none, but for those `tried`, by
+        their ids; None where there is none."""
+        surest = min((one.order for one in self._solutions.values() if not one.reused), default=None)
+        found = [
+            one
+            for number, one in self._solutions.items()
+            if one.reused and number not in tried and (surest is None or one.order < surest)
+        ]
+        return min(found, key=lambda solution: solution.order, default=None)
+
+    def get(self, parameter_set: int) -> EvaluatedSet | None:
+        """A parameter set's solution, None where a result is missing; `parameter_set` is its id."""
+        return self._solutions.get(parameter_set)
+
+    def _solution(self, number: int) -> EvaluatedSet | None:
+        cells = self._answers[number]
+        objective = rating = 0.0
+        scores: dict[str, int] = {}
+        reused: list[str] = []
+        for scenario, share in self._shares.items():
+            cell = cells.get(scenario)
+            if cell is None or cell.score is None or cell.rating is None:
+                return None
+            objective += share * cell.score
+            rating += share * cell.rating
+            scores[scenario] = cell.score
+            if not cell.own:
+                reused.append(scenario)
+        return EvaluatedSet(number, objective, rating, scores, tuple(reused), *self._places[number])
+
+
+def _counts_more(new: CellScore, known: CellScore | None) -> bool:
+    """Whether an answer takes the place of another one for the same cell: a result counts more than none, an own one than a copy,
+    an earlier one than a later one."""
+    if known is None:
+        return True
+
+    def worth(answer: CellScore) -> tuple[bool, bool, int, int]:
+        return answer.score is not None, answer.own, -answer.iteration, -answer.individual
+
+    return worth(new) > worth(known)

@@ -1,0 +1,71 @@
+"""Puts comparisons into the queue, and says beforehand what they would cost."""
+
+from __future__ import annotations
+
+from sqlalchemy import Connection
+
+from drivecal.api.dependencies import Limits
+from drivecal.api.live.dispatcher_health import judge
+from drivecal.api.submission import digest_of, named_map
+from drivecal.campaigns.comparisons.resolve import ComparisonProblem, queue, resolve_comparison
+from drivecal.contracts.comparison import ComparisonSpecification, ExpectedComparison
+from drivecal.domain.errors import Problem, TooLargeError
+from drivecal.storage import admission, costs, processes
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.engine.database import Database
+from drivecal.storage.engine.types import now
+
+ASSUMED_MILLISECONDS = 8.0
+"""CPU time of one simulation in the built-in scenarios, on a machine of today."""
+
+
+def submit(database: Database, limits: Limits, specification: ComparisonSpecification, key: str | None) -> StoredCampaign:
+    """Queues a comparison with its runs. Raises InvalidInputError for one that cannot run, TooLargeError for one that is too large, and
+    OverloadError where the queue is full."""
+    problem = _checked(limits, specification)
+    with database.transaction() as connection:
+        admission.admit(connection, limits.queued_campaigns, key)
+        return queue(connection, problem, _map(connection, problem), key, digest_of("comparisons", specification))
+
+
+def expected(database: Database, limits: Limits, specification: ComparisonSpecification) -> ExpectedComparison:
+    """What a comparison would cost. Raises InvalidInputError and TooLargeError as `submit` does."""
+    problem = _checked(limits, specification)
+    with database.read() as connection:
+        _map(connection, problem)
+        milliseconds = costs.recent_milliseconds(connection, _fingerprints(problem))
+        dispatcher = processes.read(connection, processes.DISPATCHER)
+    workers = None
+    if dispatcher is not None and not judge(dispatcher, now()).silent:
+        workers = len(dispatcher.detail.get("workers", [])) or None
+    return ExpectedComparison(
+        runs=len(problem.runs),
+        proposed=problem.proposed,
+        at_most=problem.at_most,
+        milliseconds=milliseconds or ASSUMED_MILLISECONDS,
+        measured=milliseconds is not None,
+        workers=workers,
+        seconds=None if workers is None else problem.at_most * (milliseconds or ASSUMED_MILLISECONDS) / 1000 / workers,
+        notes=list(dict.fromkeys(note for one in problem.problems for note in one.notes)),
+    )
+
+
+def _checked(limits: Limits, specification: ComparisonSpecification) -> ComparisonProblem:
+    problem = resolve_comparison(specification)
+    if problem.proposed > limits.largest_campaign:
+        message = f"the {len(problem.runs):,} runs of the comparison may propose {problem.proposed:,} cells"
+        remedy = (
+            f"this server takes {limits.largest_campaign:,}; reduce populations, iterations, seeds, optimizers or scenarios"
+        )
+        raise TooLargeError(Problem("populations", message, remedy))
+    return problem
+
+
+def _map(connection: Connection, problem: ComparisonProblem) -> str | None:
+    """The id of the influence map that the comparison names. Raises InvalidInputError where it does not hold for the runs."""
+    return next((named_map(connection, one) for one in problem.problems if one.specification.sensitivity is not None), None)
+
+
+def _fingerprints(problem: ComparisonProblem) -> list[str]:
+    """Of the setups that are simulated, which all runs have in common."""
+    return [setup.fingerprint for setup in problem.problems[0].bench.setups.values()]

@@ -1,0 +1,173 @@
+"""Who may do what: in front of everything else, so that no route, known or not, is ever reached without it.
+
+With a tokens file every request needs `Authorization: Bearer TOKEN`, or the session that the page was given for one, and every one that
+changes something a token that may write; with a session, it also has to come from a page of this very origin. Without a tokens file the
+server listens on loopback only, and what is left to keep out are web pages that the user's browser has open: those that give a name of
+their own to 127.0.0.1 (DNS rebinding) by the Host header, those that post blindly, or open a WebSocket, by the Origin header.
+No answer ever carries a CORS header.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from starlette.exceptions import HTTPException
+from starlette.requests import HTTPConnection, Request
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from drivecal.api.http import sessions
+from drivecal.api.http.problems import problem_response
+from drivecal.api.responses import ROOT
+from drivecal.configuration import logs
+from drivecal.configuration.access import is_loopback
+from drivecal.configuration.tokens import Token
+
+OPEN = {"/healthz", "/readyz"}
+"""For supervisors and load balancers, which have no token: they are told no more than whether the service works."""
+PAGE = "/page/"
+"""Where the files of the page lie, which is shown at `/`: they hold nothing but the program, which asks for a token itself."""
+LIVE = f"{ROOT}/live"
+"""The only WebSocket."""
+READING = {"GET", "HEAD", "OPTIONS"}
+CHECKED = {f"{ROOT}/campaigns", f"{ROOT}/comparisons"}
+"""Where `validate_only=true` stores nothing."""
+ANYBODY = Token("anybody", may_write=True, digest=b"")
+"""Who asks where no tokens are asked for."""
+CHALLENGE = 'Bearer realm="drivecal"'
+
+
+class Tokens(Protocol):
+    """Where tokens are looked up."""
+
+    def find(self, presented: bytes) -> Token | None:
+        """Whose token it is; None where it is nobody's."""
+
+    def named(self, name: str) -> Token | None:
+        """The token of this name; None where there is none."""
+
+
+class Authorisation:
+    """ASGI middleware. `request.state.token` is the token that was shown, ANYBODY where none is asked for, and None on the open
+    routes where none was shown."""
+
+    def __init__(self, app: ASGIApp, tokens: Tokens | None) -> None:
+        self.app = app
+        self.tokens = tokens
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Passes on what is allowed."""
+        if scope["type"] == "lifespan":
+            await self.app(scope, receive, send)
+            return
+        if scope["type"] != "http":
+            if scope["path"] == LIVE and self._admits_live(HTTPConnection(scope)):
+                await self.app(scope, receive, send)
+            else:
+                await send({"type": "websocket.close", "code": 1008})
+            return
+        request = Request(scope)
+        refusal = self._admit_by_origin(request) if self.tokens is None else self._admit_by_token(request, self.tokens)
+        if refusal is not None:
+            status, detail, headers = refusal
+            await problem_response(request, status, detail, headers=headers)(scope, receive, send)
+        else:
+            await self.app(scope, receive, send)
+
+    def _admits_live(self, connection: HTTPConnection) -> bool:
+        """Browsers let every page open a WebSocket to everywhere and send cookies along: the origin decides, then who asks."""
+        headers, hosts = connection.headers, connection.headers.getlist("host")
+        if self.tokens is None:
+            connection.state.token = ANYBODY
+            return len(hosts) == 1 and is_loopback_host(hosts[0]) and ("origin" not in headers or sessions.same_origin(headers))
+        connection.state.token = token = _holder(connection, self.tokens)
+        return token is not None and ("origin" not in headers or sessions.same_origin(headers))
+
+    def _admit_by_token(self, request: Request, tokens: Tokens) -> tuple[int, str, dict[str, str]] | None:
+        """Status, sentence and headers of a refusal; None where the request may go on."""
+        given = request.headers.getlist("authorization")
+        request.state.token = token = _holder(request, tokens)
+        logs.note(token=None if token is None else token.name)
+        if _is_open(request):
+            return None
+        if token is None and not given:
+            return 401, "this server asks for a token: send Authorization: Bearer TOKEN", {"WWW-Authenticate": CHALLENGE}
+        if token is None:
+            wrong = CHALLENGE + ', error="invalid_token"'
+            return (
+                401,
+                "this server does not know that token; it takes Authorization: Bearer TOKEN",
+                {"WWW-Authenticate": wrong},
+            )
+        if request.method in READING or _only_checks(request):
+            return None
+        if not given and not sessions.same_origin(request.headers):
+            return 403, "with a session this server takes changes from its own page only; send Authorization: Bearer TOKEN", {}
+        if not token.may_write and request.scope["path"] != sessions.PATH:
+            return _insufficient(token)
+        return None
+
+    def _admit_by_origin(self, request: Request) -> tuple[int, str, dict[str, str]] | None:
+        request.state.token = ANYBODY
+        hosts, origins = request.headers.getlist("host"), request.headers.getlist("origin")
+        if len(hosts) != 1 or not is_loopback_host(hosts[0]):
+            detail = "without tokens this server answers to localhost, 127.0.0.1 and [::1] only; use one of them as the address"
+            return 421, detail, {}
+        if request.method not in READING and origins and origins not in ([f"http://{hosts[0]}"], [f"https://{hosts[0]}"]):
+            return 403, "without tokens this server takes no changes from web pages of other origins", {}
+        return None
+
+
+def refuse_reader(request: Request) -> None:
+    """Raises HTTPException (403) where the token may only read: for what is asked for by GET and changes something all the same."""
+    token: Token = request.state.token
+    if not token.may_write:
+        status, detail, headers = _insufficient(token)
+        raise HTTPException(status, detail, headers)
+
+
+def _insufficient(token: Token) -> tuple[int, str, dict[str, str]]:
+    insufficient = CHALLENGE + ', error="insufficient_scope"'
+    detail = f"the token of {token.name} may only read; changing something needs one that may write"
+    return 403, detail, {"WWW-Authenticate": insufficient}
+
+
+def _holder(connection: HTTPConnection, tokens: Tokens) -> Token | None:
+    """Whose token was shown; where none was shown at all, whose session."""
+    given = connection.headers.getlist("authorization")
+    if not given:
+        session = sessions.presented(connection.headers)
+        return None if session is None else sessions.holder(session, tokens)
+    presented = _bearer(given[0]) if len(given) == 1 else None
+    return None if presented is None else tokens.find(presented)
+
+
+def _is_open(request: Request) -> bool:
+    path = request.scope["path"]
+    return path in OPEN or (request.method in READING and (path == "/" or path.startswith(PAGE)))
+
+
+def _bearer(header: str) -> bytes | None:
+    """The token in an Authorization header, as the bytes that were sent; None where the scheme is another one."""
+    scheme, _, token = header.encode("latin-1").partition(b" ")
+    return token.strip(b" ") if scheme.lower() == b"bearer" else None
+
+
+def _only_checks(request: Request) -> bool:
+    """A post that stores nothing. Compared to the letter, so that nobody reads the query in another way than the route does."""
+    checked = request.scope["path"] in CHECKED and request.scope["query_string"] == b"validate_only=true"
+    return request.method == "POST" and checked
+
+
+def is_loopback_host(host: str) -> bool:
+    """True for localhost and addresses of the loopback interface, with any port: what no stranger's name can stand for."""
+    name, colon, port = host.rpartition(":")
+    if not colon or host.endswith("]"):
+        name, port = host, ""
+    if port and not (port.isascii() and port.isdecimal()):
+        return False
+    if name.lower() == "localhost":
+        return True
+    try:
+        return is_loopback(name[1:-1] if name.startswith("[") and name.endswith("]") else name)
+    except ValueError:
+        return False

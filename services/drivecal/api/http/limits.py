@@ -1,0 +1,187 @@
+"""What is too much is refused at once: the size of a request, the time it takes to arrive, and how many are answered at a time."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+from typing import Self
+
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from drivecal.api.http.problems import problem_response
+from drivecal.domain.errors import OverloadError
+
+LARGEST_BODY = 1_048_576
+"""Bytes. The largest campaign that the contracts allow takes a fraction of it."""
+SECONDS_FOR_A_BODY = 30.0
+"""From the head of a request to the end of its body."""
+LONGEST_PATH = 8_192
+LONGEST_QUERY = 32_768
+LARGEST_HEAD = 65_536
+"""Bytes of all headers together. The parser refuses most that is larger than 16 kB, but not what arrives in one piece."""
+MOST_REQUESTS = 200
+"""Requests that are answered or wait for one of the 40 threads. Were they not bounded, those that nobody waits for any more would be
+answered before those that somebody waits for."""
+MOST_REQUESTS_OF_STRANGERS = 8
+"""Of those who have no token, where one is asked for: supervisors that ask /readyz."""
+CLOSE = {"Connection": "close"}
+
+
+class Requests:
+    """ASGI middleware, the outermost: bounds the head, the body's size and its time, and ends a connection on which a body was left
+    unread, which would otherwise be read to its end, if it has one."""
+
+    def __init__(self, app: ASGIApp, largest: int = LARGEST_BODY, seconds: float = SECONDS_FOR_A_BODY) -> None:
+        self.app = app
+        self.largest = largest
+        self.seconds = seconds
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Passes the request on, counting."""
+        if scope["type"] != "http":
+            await self.app(scope, receive, send)
+            return
+        request = Request(scope)
+        too_much = self._too_much(request)
+        if too_much is not None:
+            await problem_response(request, *too_much, headers=CLOSE)(scope, receive, send)
+            return
+        body = _Body(receive, self.largest, self.seconds, unread=_has_body(request))
+
+        async def closing(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                body.answered = True
+                if body.unread:
+                    kept = [pair for pair in message.get("headers", []) if pair[0].lower() != b"connection"]
+                    message = {**message, "headers": [*kept, (b"connection", b"close")]}
+            await send(message)
+
+        await self.app(scope, body.receive, closing)
+
+    def _too_much(self, request: Request) -> tuple[int, str] | None:
+        """Status and sentence where the head of a request alone is reason enough to refuse it."""
+        path, query = request.scope.get("raw_path") or b"", request.scope["query_string"]
+        if len(path) > LONGEST_PATH or len(query) > LONGEST_QUERY:
+            read = f"at most {LONGEST_PATH:,} and {LONGEST_QUERY:,} are read"
+            return 414, f"the path has {len(path):,} bytes and the query {len(query):,}; {read}"
+        head = sum(len(name) + len(value) for name, value in request.scope["headers"])
+        if head > LARGEST_HEAD:
+            return 431, f"the headers have {head:,} bytes; at most {LARGEST_HEAD:,} are read"
+        declared = request.headers.get("content-length", "0")
+        if not declared.isdecimal() or len(declared) > 20 or int(declared) > self.largest:
+            return 413, _too_large(self.largest)
+        return None
+
+
+class _Body:
+    """The body of one request as it comes in."""
+
+    def __init__(self, receive: Receive, largest: int, seconds: float, *, unread: bool) -> None:
+        self._receive = receive
+        self._largest = largest
+        self._seconds = seconds
+        self._until = time.monotonic() + seconds
+        self._received = 0
+        self.unread = unread
+        """True while a part of it may still come."""
+        self.answered = False
+        """True once the status has been sent: then nothing can be refused any more, only ended."""
+
+    async def receive(self) -> Message:
+        """The next part. Raises HTTPException 413 or 408."""
+        if not self.unread:
+            return await self._receive()
+        try:
+            async with asyncio.timeout(self._until - time.monotonic()):
+                message = await self._receive()
+        except TimeoutError:
+            return self._refuse(408, f"the body was not complete after {self._seconds:g} seconds")
+        self._received += len(message.get("body", b""))
+        if self._received > self._largest:
+            return self._refuse(413, _too_large(self._largest))
+        self.unread = message["type"] == "http.request" and message.get("more_body", False)
+        return message
+
+    def _refuse(self, status: int, detail: str) -> Message:
+        if self.answered:
+            return {"type": "http.disconnect"}
+        raise HTTPException(status, detail, headers=CLOSE)
+
+
+def _has_body(request: Request) -> bool:
+    return "transfer-encoding" in request.headers or request.headers.get("content-length", "0").strip("0") != ""
+
+
+def _too_large(largest: int) -> str:
+    return f"the body is larger than {largest:,} bytes; send a smaller one"
+
+
+class Places:
+    """How many of something there may be at once. Any thread may take a place and give it back."""
+
+    def __init__(self, most: int, what: str, retry_seconds: int) -> None:
+        self._most = most
+        self._what = what
+        self._retry_seconds = retry_seconds
+        self._lock = threading.Lock()
+        self.taken = 0
+
+    def take(self) -> Place:
+        """A place, to be given back. Raises OverloadError where there is none."""
+        with self._lock:
+            if self.taken >= self._most:
+                raise OverloadError(f"{self._most:,} {self._what} already; try again later", self._retry_seconds)
+            self.taken += 1
+        return Place(self)
+
+    def _give_back(self) -> None:
+        with self._lock:
+            self.taken -= 1
+
+
+class Place:
+    """One place; given back once, however often that is asked."""
+
+    def __init__(self, places: Places) -> None:
+        self._places: Places | None = places
+
+    def give_back(self) -> None:
+        """Lets somebody else have it."""
+        places, self._places = self._places, None
+        if places is not None:
+            places._give_back()  # noqa: SLF001  the other half of one thing
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.give_back()
+
+
+class Concurrency:
+    """ASGI middleware: answers 503 where too many requests are being answered. `request.state.place` is the request's place, which an
+    event stream gives back because it waits, and works no more. Those who showed no token and should have take no place from others."""
+
+    def __init__(self, app: ASGIApp, most: int = MOST_REQUESTS, strangers: int = MOST_REQUESTS_OF_STRANGERS) -> None:
+        self.app = app
+        self.places = Places(most, "requests are being answered", retry_seconds=2)
+        self.places_of_strangers = Places(strangers, "requests without a token are being answered", retry_seconds=2)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Passes the request on if there is a place for it."""
+        if scope["type"] != "http" or scope["path"] == "/healthz":  # a server that has much to do lives
+            await self.app(scope, receive, send)
+            return
+        stranger = scope.setdefault("state", {}).get("token") is None
+        try:
+            place = (self.places_of_strangers if stranger else self.places).take()
+        except OverloadError as error:
+            headers = {"Retry-After": str(error.retry_seconds)}
+            await problem_response(Request(scope), 503, str(error), headers=headers)(scope, receive, send)
+            return
+        with place:
+            scope["state"]["place"] = place
+            await self.app(scope, receive, send)

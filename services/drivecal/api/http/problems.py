@@ -1,0 +1,176 @@
+"""Every error as problem+json (RFC 9457): one document shape, with each field that is wrong and what would be right."""
+
+from __future__ import annotations
+
+import json
+import logging
+import re
+from collections.abc import Mapping, Sequence
+from http import HTTPStatus
+from typing import Any
+
+from fastapi import FastAPI, Request, Response
+from fastapi.exceptions import RequestValidationError
+from pydantic import BaseModel
+from sqlalchemy.exc import SQLAlchemyError
+from starlette.exceptions import HTTPException
+
+from drivecal.contracts import input_errors
+from drivecal.contracts.strict_json import shown
+from drivecal.domain.errors import (
+    ConflictError,
+    DatabaseError,
+    DrivecalError,
+    InvalidInputError,
+    NotFoundError,
+    OverloadError,
+    Problem,
+    TooLargeError,
+    UnavailableError,
+)
+
+MEDIA_TYPE = "application/problem+json"
+RETRY_SECONDS = 5
+"""What a client is told to wait when something the service depends on does not answer."""
+REQUEST_ID = "X-Request-ID"
+"""The header with the id under which the log speaks of a request."""
+MOST_PROBLEMS = 100
+"""Problems that one answer lists: who sends 10,000 wrong fields mends the first ones first."""
+
+log = logging.getLogger("drivecal.api")
+
+
+class FieldProblem(BaseModel):
+    """One thing that is wrong: `field` is a dotted path, empty where it is about the request as a whole."""
+
+    field: str
+    message: str
+    remedy: str
+
+
+class ProblemDocument(BaseModel):
+    """RFC 9457, with `errors` as an extension."""
+
+    type: str
+    title: str
+    status: int
+    detail: str
+    instance: str
+    errors: list[FieldProblem]
+
+
+RESPONSES: dict[int | str, dict[str, Any]] = {
+    status: {"model": ProblemDocument, "description": description, "content": {MEDIA_TYPE: {}}}
+    for status, description in {
+        400: "The request is not complete",
+        401: "A token is missing or unknown",
+        403: "The token may only read, or a web page of another origin asks",
+        404: "There is no such thing",
+        405: "The method is not possible here",
+        408: "The body did not arrive in time",
+        409: "The request contradicts the state or an earlier request",
+        413: "The body, or the campaign that it describes, is too large, or there are too many influence maps",
+        414: "The address is too long",
+        415: "The body is not declared as JSON, or is compressed",
+        421: "The Host is none that a server without tokens answers to",
+        422: "Fields do not fit; `errors` names each",
+        429: "The queue is full, or too many event streams are open",
+        431: "The headers are too large",
+        503: "The database does not answer, or too many requests are being answered",
+    }.items()
+}
+
+
+def problem_response(
+    request: Request, status: int, detail: str, errors: Sequence[Problem] = (), headers: Mapping[str, str] | None = None
+) -> Response:
+    """The answer for something that went wrong."""
+    title = HTTPStatus(status).phrase
+    if len(errors) > MOST_PROBLEMS:
+        errors = [
+            *errors[:MOST_PROBLEMS],
+            Problem("", f"{len(errors) - MOST_PROBLEMS:,} more are not listed", "mend these first"),
+        ]
+        detail = "\n".join(map(str, errors))
+    document = {
+        "type": "about:blank",
+        "title": title,
+        "status": status,
+        "detail": detail or title,
+        "instance": request.url.path,
+        "errors": [{"field": one.field, "message": one.message, "remedy": one.remedy} for one in errors],
+    }
+    content = json.dumps(document, ensure_ascii=True).encode()
+    return Response(content, status, headers=dict(headers or {}), media_type=MEDIA_TYPE)
+
+
+def install(app: FastAPI) -> None:
+    """Registers the handlers, so that every error of the service has this one shape."""
+    app.add_exception_handler(DrivecalError, _drivecal_error)
+    app.add_exception_handler(RequestValidationError, _validation_error)
+    app.add_exception_handler(HTTPException, _http_error)
+    app.add_exception_handler(SQLAlchemyError, _database_error)
+    app.add_exception_handler(Exception, _unexpected)
+
+
+async def _drivecal_error(request: Request, error: Exception) -> Response:
+    if isinstance(error, InvalidInputError):
+        status = 413 if isinstance(error, TooLargeError) else 422
+        return problem_response(request, status, str(error), error.problems)
+    if isinstance(error, OverloadError):
+        return problem_response(request, 429, str(error), headers={"Retry-After": str(error.retry_seconds)})
+    if isinstance(error, NotFoundError):
+        return problem_response(request, 404, str(error))
+    if isinstance(error, ConflictError):
+        return problem_response(request, 409, str(error))
+    if isinstance(error, (UnavailableError, DatabaseError)):
+        return problem_response(request, 503, str(error), headers={"Retry-After": str(RETRY_SECONDS)})
+    return await _unexpected(request, error)
+
+
+async def _validation_error(request: Request, error: Exception) -> Response:
+    """What FastAPI itself found: query, path and header parameters. Bodies are read by `drivecal.api.http.bodies`."""
+    if not isinstance(error, RequestValidationError):
+        raise error
+    found = [
+        input_errors.problem(".".join(shown(part) for part in detail["loc"][1:]), detail)
+        for detail in error.errors()[: MOST_PROBLEMS + 1]
+    ]
+    return problem_response(request, 422, "\n".join(map(str, found)), found)
+
+
+async def _database_error(request: Request, error: Exception) -> Response:
+    """What the storage could not name, such as a table that is gone. Whatever ails a database, trying again later may work."""
+    log.error("%s %s: the database fails", request.method, request.url.path, exc_info=error)
+    detail = "the database does not do what drivecal asks of it; the server's log says more"
+    return problem_response(request, 503, detail, headers={"Retry-After": str(RETRY_SECONDS)})
+
+
+async def _http_error(request: Request, error: Exception) -> Response:
+    if not isinstance(error, HTTPException):
+        raise error
+    detail = str(error.detail)
+    if error.status_code == HTTPStatus.NOT_FOUND and detail == HTTPStatus.NOT_FOUND.phrase:
+        detail = f"there is nothing at {shown(request.url.path)}; see /docs for what there is"
+    headers = error.headers
+    if error.status_code == HTTPStatus.METHOD_NOT_ALLOWED:
+        headers = {"Allow": ", ".join(_methods(request)) or "GET"}
+        detail = f"{shown(request.method)} is not possible here; {headers['Allow']} is"
+    return problem_response(request, error.status_code, detail, headers=headers)
+
+
+def _methods(request: Request) -> list[str]:
+    """What is possible where a request went: of all routes, not of the first one only that has the path."""
+    found: set[str] = set()
+    for template, methods in request.app.openapi()["paths"].items():
+        pattern = "".join("[^/]+" if part.startswith("{") else re.escape(part) for part in re.split(r"(\{\w+\})", template))
+        if re.fullmatch(pattern, request.scope["path"], re.DOTALL):
+            found |= {method.upper() for method in methods}
+    return sorted(found)
+
+
+async def _unexpected(request: Request, error: Exception) -> Response:
+    log.error("%s %s failed", request.method, request.url.path, exc_info=error)
+    request_id = getattr(request.state, "request_id", "")
+    detail = f"drivecal made a mistake; the server's log says more about request {request_id}"
+    return problem_response(request, 500, detail, headers={REQUEST_ID: request_id})

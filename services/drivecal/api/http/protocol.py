@@ -1,0 +1,136 @@
+"""HTTP on the wire: uvicorn's protocol, with an end to heads that never arrive and connections without number, and with refusals
+in the same form as all others."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import socket
+import sys
+from http import HTTPStatus
+
+import h11
+import uvicorn
+from fastapi import FastAPI
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
+from drivecal.api.http.closing import ClosingGently
+from drivecal.api.http.problems import MEDIA_TYPE
+
+SECONDS_FOR_A_HEAD = 15.0
+"""From the connection, or from the first byte after an answer, to the end of the headers."""
+MOST_CONNECTIONS = 500
+"""Open at a time, those included that wait for their client's next request. Below the 1,024 files that a process may have open on most
+systems, of which the database takes 40 and more."""
+SECONDS_IDLE = 15
+"""How long a connection stays open for the next request."""
+SECONDS_TO_STOP = 5
+LARGEST_LIVE_MESSAGE = 4_096
+"""Bytes that a page may send at once over a WebSocket."""
+
+
+class Protocol(H11Protocol):
+    """One connection."""
+
+    _impatience: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as uvicorn's own
+        """Answers 503 where there are too many already."""
+        connection = transport.get_extra_info("socket")
+        if connection is not None and connection.family != socket.AF_UNIX:
+            # asyncio does this for listeners that name their protocol, which those of `socket.create_server` do not; without it every
+            # answer on a kept connection waits 40 ms for the client's acknowledgement.
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._gently = ClosingGently(transport, self._expects_more)
+        super().connection_made(self._gently)
+        if len(self.connections) > MOST_CONNECTIONS:
+            self._refuse(503, f"{MOST_CONNECTIONS:,} connections are open already; try again later", "Retry-After: 2\r\n")
+        self._expect_a_head()
+
+    def handle_websocket_upgrade(self, event: h11.Request) -> None:
+        """Hands the connection on, with nothing between it and its new protocol."""
+        self._stop_waiting()
+        self.transport = self._gently.handed_on()
+        super().handle_websocket_upgrade(event)
+
+    def data_received(self, data: bytes) -> None:
+        """Hands on what came in, and watches how long a head takes."""
+        if self._gently.lingers:
+            self._gently.throw_away(data)
+            return
+        super().data_received(data)
+        if not self._gently.gone:
+            self._expect_a_head()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Nothing is expected any more."""
+        self._gently.stop()
+        super().connection_lost(exc)
+        self._stop_waiting()
+
+    def send_400_response(self, msg: str) -> None:
+        """What is no HTTP, or has too large a head, is refused as everything else is."""
+        error = sys.exception()
+        hint = error.error_status_hint if isinstance(error, h11.RemoteProtocolError) else 400
+        detail = "the head of the request is too large" if hint == 431 else f"this is no HTTP request: {error or msg}"
+        if self.conn.our_state in {h11.IDLE, h11.SEND_RESPONSE}:
+            self._refuse(hint, detail)
+        else:
+            self.transport.close()
+
+    def _expects_more(self) -> bool:
+        """Whether the client may be in the middle of something."""
+        done = {h11.DONE, h11.MUST_CLOSE, h11.CLOSED}
+        return not (self.conn.their_state in done or (self.cycle is not None and self.conn.their_state is h11.IDLE))
+
+    def _expect_a_head(self) -> None:
+        if self.conn.their_state is not h11.IDLE or self.transport.is_closing():
+            self._stop_waiting()
+        elif self._impatience is None and (self.cycle is None or self.conn.trailing_data[0]):
+            self._impatience = self.loop.call_later(SECONDS_FOR_A_HEAD, self._give_up)
+
+    def _stop_waiting(self) -> None:
+        if self._impatience is not None:
+            self._impatience.cancel()
+            self._impatience = None
+
+    def _give_up(self) -> None:
+        self._impatience = None
+        if not self.transport.is_closing():
+            self._refuse(408, f"the head of the request was not complete after {SECONDS_FOR_A_HEAD:g} seconds")
+
+    def _refuse(self, status: int, detail: str, headers: str = "") -> None:
+        title = HTTPStatus(status).phrase
+        document = {"type": "about:blank", "title": title, "status": status, "detail": detail, "instance": "", "errors": []}
+        content = json.dumps(document).encode()
+        head = f"HTTP/1.1 {status} {title}\r\nContent-Type: {MEDIA_TYPE}\r\nContent-Length: {len(content)}\r\n{headers}"
+        self.transport.write(head.encode() + b"Connection: close\r\n\r\n" + content)
+        self.transport.close()
+
+
+class Server(uvicorn.Server):
+    """uvicorn, which ends event streams before it waits for everything that is being answered."""
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """To be called by uvicorn."""
+        app = self.config.app
+        if isinstance(app, FastAPI):
+            app.state.event_hub.close()
+        await super().shutdown(sockets)
+
+
+def configuration(app: FastAPI) -> uvicorn.Config:
+    """How uvicorn serves the API."""
+    return uvicorn.Config(
+        app,
+        http=Protocol,
+        ws="websockets-sansio",
+        ws_max_size=LARGEST_LIVE_MESSAGE,
+        ws_per_message_deflate=False,
+        log_config=None,
+        access_log=False,
+        server_header=False,
+        proxy_headers=False,
+        timeout_keep_alive=SECONDS_IDLE,
+        timeout_graceful_shutdown=SECONDS_TO_STOP,
+    )

@@ -1,0 +1,92 @@
+"""What is known of every request: its id, its line in the log, its place in the metrics. Around everything else."""
+
+from __future__ import annotations
+
+import logging
+import re
+import time
+import uuid
+from http import HTTPStatus
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from drivecal.api.http.problems import REQUEST_ID
+from drivecal.api.metrics import Meters
+from drivecal.api.responses import ROOT
+from drivecal.configuration import logs
+
+METHODS = {"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"}
+READING = {"GET", "HEAD", "OPTIONS"}
+LONGEST_PATH = 200
+"""Characters of a path that the log shows."""
+_SANE = re.compile(r"[\w.:/+=-]{1,100}", re.ASCII)
+
+log = logging.getLogger("drivecal.api")
+
+
+class RequestRecords:
+    """ASGI middleware. A request keeps the id that it comes with in `X-Request-ID`, where that is short and plain, or is given one;
+    the answer and all lines that are logged meanwhile carry it. What may change something is logged with its end at level info, the rest
+    at debug, so that clients which ask every few seconds do not flood the log."""
+
+    def __init__(self, app: ASGIApp, meters: Meters) -> None:
+        self.app = app
+        self.meters = meters
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Passes the request on and writes down what became of it."""
+        if scope["type"] != "http":
+            await self.app(scope, receive, send)
+            return
+        begin = time.perf_counter()
+        given = Headers(scope=scope).get(REQUEST_ID, "")
+        request_id = given if _SANE.fullmatch(given) else uuid.uuid4().hex
+        scope.setdefault("state", {})["request_id"] = request_id
+        logs.begin(request=request_id)
+        status = int(HTTPStatus.INTERNAL_SERVER_ERROR)  # where nothing is answered here, an error is answered outside
+        streams = False
+
+        async def noting(message: Message) -> None:
+            nonlocal status, streams
+            if message["type"] == "http.response.start":
+                status = message["status"]
+                headers = MutableHeaders(scope=message)
+                headers[REQUEST_ID] = request_id
+                streams = headers.get("content-type", "").startswith("text/event-stream")
+                if streams:
+                    self.meters.event_streams.inc()
+            await send(message)
+
+        try:
+            await self.app(scope, receive, noting)
+        finally:
+            if streams:
+                self.meters.event_streams.dec()
+            self._note(scope, status, None if streams else time.perf_counter() - begin)
+
+    def _note(self, scope: Scope, status: int, seconds: float | None) -> None:
+        """`seconds` is None for an event stream, which lasts as long as somebody listens."""
+        route = _template(scope)
+        method = scope["method"] if scope["method"] in METHODS else "other"
+        self.meters.requests.labels(route, method, status).inc()
+        if seconds is not None:
+            self.meters.request_seconds.labels(route, method).observe(seconds)
+        level = logging.DEBUG if method in READING else logging.INFO
+        if log.isEnabledFor(level):
+            known = {
+                "campaign": scope.get("path_params", {}).get("campaign_id"),
+                "method": method,
+                "path": scope["path"][:LONGEST_PATH],
+            }
+            known |= {"status": status, "milliseconds": None if seconds is None else round(1000 * seconds, 1)}
+            told = {name: value for name, value in known.items() if value is not None}
+            log.log(level, "%s %s: %d", method, known["path"], status, extra=told)
+
+
+def _template(scope: Scope) -> str:
+    """The path with its parameters' names, `none` where no route was reached. FastAPI may leave out what a router was included under."""
+    route: str | None = getattr(scope.get("route"), "path", None)
+    if route is None:
+        return "none"
+    return ROOT + route if scope["path"].startswith(ROOT) and not route.startswith(ROOT) else route

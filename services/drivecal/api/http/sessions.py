@@ -1,0 +1,76 @@
+"""The page's sessions: who logged in once in a browser, told by a cookie instead of a header.
+
+A session is a signed statement, kept by nobody: the name of a token, an end, and a signature with a key that only the token gives. So it
+survives a restart of the server, ends with the token, and is worth nothing to anybody who guesses. The cookie is out of reach of
+scripts and sent with requests of the page itself only; shared/decisions/018-the-page-and-its-session.md says what else there was.
+"""
+
+from __future__ import annotations
+
+import hmac
+import time
+from hashlib import sha256
+from http.cookies import CookieError, SimpleCookie
+from typing import Protocol
+
+from starlette.datastructures import Headers
+
+from drivecal.api.responses import ROOT
+from drivecal.configuration.tokens import Token
+
+SECONDS = 12 * 3600
+"""How long a session lasts: a day's work."""
+PATH = f"{ROOT}/session"
+"""Where sessions begin and end."""
+_LONGEST = 300
+
+
+class Names(Protocol):
+    """Where tokens are looked up by their names."""
+
+    def named(self, name: str) -> Token | None:
+        """The token of this name; None where there is none."""
+
+
+def cookie_name(host: str) -> str:
+    """Browsers keep cookies by host, whatever the port: two servers on one machine must not take each other's."""
+    port = host.rpartition(":")[2]
+    return f"drivecal-session-{port}" if port.isascii() and port.isdecimal() else "drivecal-session"
+
+
+def begin(token: Token, moment: float | None = None) -> str:
+    """The cookie's value for a session that begins now; `moment`: now, in seconds since 1970."""
+    end = int((time.time() if moment is None else moment) + SECONDS)
+    return f"{end}-{_signature(token, end)}-{token.name}"
+
+
+def holder(value: str, names: Names, moment: float | None = None) -> Token | None:
+    """Whose session a cookie's value is; None where it is nobody's, or over."""
+    if len(value) > _LONGEST or value.count("-") < 2:
+        return None
+    end, signature, name = value.split("-", 2)
+    if not (end.isascii() and end.isdecimal()) or int(end) <= (time.time() if moment is None else moment):
+        return None
+    token = names.named(name)
+    if token is None or not hmac.compare_digest(signature.encode(), _signature(token, int(end)).encode()):
+        return None
+    return token
+
+
+def presented(headers: Headers) -> str | None:
+    """The value of the session's cookie; None where there is none."""
+    try:
+        found = SimpleCookie(headers.get("cookie", "")).get(cookie_name(headers.get("host", "")))
+    except CookieError:
+        return None
+    return None if found is None else found.value
+
+
+def same_origin(headers: Headers) -> bool:
+    """Whether the page that asks is one that this very host and port served. False where the browser does not say."""
+    hosts, origins = headers.getlist("host"), headers.getlist("origin")
+    return len(hosts) == 1 and origins in ([f"http://{hosts[0]}"], [f"https://{hosts[0]}"])
+
+
+def _signature(token: Token, end: int) -> str:
+    return hmac.new(token.digest, f"drivecal page {end} {token.name}".encode(), sha256).hexdigest()

@@ -1,0 +1,43 @@
+"""Says in the log what keeps an API that has just started from its database, so that nobody has to ask `/readyz` to learn of it."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+
+from drivecal.domain.errors import DatabaseError
+from drivecal.storage.engine.database import PROMPT, Database
+
+LOOK_SECONDS = 2.0
+
+log = logging.getLogger("drivecal.api")
+
+
+def tell_of_database(url: str) -> None:
+    """Looks, in a thread of its own, until the database at `url` can be used. Nothing waits for it: the API answers meanwhile, and says
+    the same."""
+    database = Database.open(url, PROMPT)
+
+    def run() -> None:
+        watch(database.check, threading.Event().wait)
+        database.dispose()
+
+    threading.Thread(target=run, name="await database", daemon=True).start()
+
+
+def watch(check: Callable[[], None], pause: Callable[[float], object]) -> None:
+    """Returns once `check` does not raise DatabaseError any more. Each reason is logged once; where nothing was wrong, nothing is."""
+    told = None
+    while True:
+        try:
+            check()
+        except DatabaseError as error:
+            if str(error) != told:
+                told = str(error)
+                log.error("campaigns wait: %s", told)  # noqa: TRY400  # the sentence says it all; a traceback would bury it
+            pause(LOOK_SECONDS)
+        else:
+            if told is not None:
+                log.info("the database can be used now")
+            return

@@ -1,0 +1,1 @@
+"""Live answers: event streams, cached responses, the health of the dispatcher."""

@@ -1,0 +1,85 @@
+"""Health of the dispatcher as others see it: silent or not, ready for campaigns or not, and what to do about it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+
+from drivecal.domain.campaigns import CampaignState
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.processes import StoredProcess
+from drivecal.storage.revision_queries import CampaignRevision
+
+SILENT_SECONDS = 4.0
+"""A dispatcher that has not spoken for longer does not work; it speaks every second."""
+GONE_AFTER_SECONDS = 10.0
+"""A dispatcher that has been silent for longer counts as gone. Earlier (SILENT_SECONDS) it is only told of: it may have planned a large
+population meanwhile, or be starting again."""
+STEPS = (
+    (SILENT_SECONDS, "4 s"),
+    (10, "10 s"),
+    (30, "30 s"),
+    (60, "a minute"),
+    (300, "5 minutes"),
+    (900, "15 minutes"),
+    (3600, "an hour"),
+)
+"""So coarse that what is said about a silence stays the same for a while, and with it the ETag."""
+NOT_STARTED = "no dispatcher is running"
+
+
+def silence(heartbeat_at: datetime | None, now: datetime) -> str | None:
+    """What to say of a dispatcher that was last heard of at `heartbeat_at`; None where it works."""
+    if heartbeat_at is None:
+        return NOT_STARTED
+    silent = (now - heartbeat_at) / timedelta(seconds=1)
+    said = None
+    for seconds, words in STEPS:
+        if silent > seconds:
+            said = f"the dispatcher has been silent for more than {words}"
+    return said
+
+
+def degraded(campaign: CampaignRevision | StoredCampaign, silent: str | None) -> str | None:
+    """Why a campaign goes on more slowly, or not at all: what `silence` says, and what the dispatcher said of it last."""
+    waits = not campaign.state.ended and (campaign.state is not CampaignState.PAUSED or campaign.requested_action is not None)
+    if silent is None or not waits:
+        return campaign.degraded
+    return silent if campaign.degraded is None else f"{silent}; it last said: {campaign.degraded}"
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """`problems` are sentences; with one, work may still go on (`ready`). `silent`: the dispatcher counts as gone."""
+
+    ready: bool
+    problems: tuple[str, ...] = ()
+    silent: bool = False
+
+
+def silent_seconds(dispatcher: StoredProcess, now: datetime) -> float:
+    """Since when nothing was heard of the dispatcher, never negative: the clocks of two machines may differ."""
+    return max(0.0, (now - dispatcher.heartbeat_at) / timedelta(seconds=1))
+
+
+def judge(dispatcher: StoredProcess | None, now: datetime) -> Judgement:
+    """Ready is who can have a campaign simulated: a dispatcher that speaks, with at least one worker that has started."""
+    if dispatcher is None:
+        reason = "no dispatcher has started yet; `drivecal serve` starts one, and in a cluster its log says what keeps it"
+        return Judgement(ready=False, problems=(reason,), silent=True)
+    problems = []
+    silent = silent_seconds(dispatcher, now)
+    if silent > SILENT_SECONDS:
+        problems.append(
+            f"the dispatcher has been silent for {silent:.0f} s; it is started again by itself, and its log says why"
+        )
+    if dispatcher.detail.get("degraded"):
+        problems.append(str(dispatcher.detail["degraded"]))
+    if silent > GONE_AFTER_SECONDS:
+        return Judgement(ready=False, problems=tuple(problems), silent=True)
+    states = [worker.get("state") for worker in dispatcher.detail.get("workers", [])]
+    started = any(state != "starting" for state in states)
+    if not started and not problems:
+        starting = "its worker is starting" if len(states) == 1 else f"its {len(states)} workers are starting"
+        problems.append(f"the dispatcher has no worker yet: {starting if states else 'wait for it to start them'}")
+    return Judgement(ready=started, problems=tuple(problems))

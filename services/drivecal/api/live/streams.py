@@ -1,0 +1,301 @@
+"""Open event streams: one poller looks at all campaigns that somebody follows, however many do.
+
+A stream holds a position and nothing else. It takes what came after it from the feed of its campaign, where the newest events are held as
+they go over the wire; one that is further behind reads the database itself, page by page. So a slow reader costs no memory and holds
+nobody up, and what it misses of the progress it would not want any more.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+from collections import deque
+from collections.abc import AsyncGenerator, AsyncIterator, Iterator, Mapping
+from contextlib import asynccontextmanager, contextmanager, suppress
+from dataclasses import dataclass, field
+from datetime import datetime
+from typing import Any
+
+from fastapi.sse import KEEPALIVE_COMMENT, format_sse_event
+
+from drivecal.api.live.dispatcher_health import degraded, silence
+from drivecal.contracts.events import PROGRESS
+from drivecal.domain.errors import DrivecalError
+from drivecal.domain.events import EventKind
+from drivecal.storage import events, revision_queries
+from drivecal.storage.engine.database import Database
+from drivecal.storage.engine.types import now
+from drivecal.storage.events import StoredEvent
+from drivecal.storage.revision_queries import ProgressSnapshot
+
+LOOK_SECONDS = 1.0
+"""How often the poller looks, and so how often progress is sent at most."""
+KEEPALIVE_SECONDS = 15.0
+"""After which something is sent in any case, so that no proxy takes the connection for dead."""
+RETRY_MILLISECONDS = 2_000
+"""After which a client whose stream broke off is asked to come back."""
+PATIENCE_SECONDS = 3.0
+"""What the database may take to answer before streams are told that it does not."""
+HELD = 500
+"""Events that a feed holds."""
+PAGE = 100
+"""Events that are read at once."""
+
+log = logging.getLogger("drivecal.api")
+
+
+@dataclass(slots=True)
+class Feed:
+    """What is new of one campaign."""
+
+    sequence: int
+    campaign: str
+    start: int | None = None
+    """`held` has all events after this one; None before the first look."""
+    held: deque[tuple[int, bytes]] = field(default_factory=deque)
+    revision: int = -1
+    snapshot: ProgressSnapshot | None = None
+    trouble: str | None = None
+    """What is wrong that the dispatcher does not tell itself, because it is the dispatcher that is silent, or the database."""
+    progress: bytes = b""
+    ended: bool = False
+    readers: int = 0
+    changed: asyncio.Event = field(default_factory=asyncio.Event)
+    """Set with the next change; then another one takes its place."""
+
+    @property
+    def newest(self) -> int | None:
+        """The last event that is known of."""
+        return self.held[-1][0] if self.held else self.start
+
+    def after(self, position: int) -> tuple[list[bytes], int]:
+        """The held events after a position, and the position after them."""
+        found = [one for one in self.held if one[0] > position]
+        return [content for _, content in found], found[-1][0] if found else position
+
+    def wake(self) -> None:
+        """Lets streams look again."""
+        self.changed.set()
+        self.changed = asyncio.Event()
+
+
+@dataclass(frozen=True, slots=True)
+class _Look:
+    """What the poller read, all of it at one moment."""
+
+    heartbeat_at: datetime | None
+    snapshots: Mapping[int, ProgressSnapshot]
+    """Of the campaigns that changed."""
+    found: Mapping[int, list[StoredEvent]]
+    newest: Mapping[int, int]
+    """Of the campaigns that were looked at for the first time."""
+
+
+class EventHub:
+    """Feeds the streams of one process. To be made and used within one event loop."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+        self._feeds: dict[int, Feed] = {}
+        self._wanted = asyncio.Event()
+        self.closed = False
+
+    @asynccontextmanager
+    async def running(self) -> AsyncIterator[EventHub]:
+        """Polls until the block is left."""
+        poller = asyncio.create_task(self._poll())
+        try:
+            yield self
+        finally:
+            self.close()
+            poller.cancel()
+            with suppress(asyncio.CancelledError):
+                await poller
+
+    def close(self) -> None:
+        """Ends all streams; their clients come back to the next server and miss nothing."""
+        self.closed = True
+        self._wanted.set()
+        for feed in self._feeds.values():
+            feed.wake()
+
+    async def stream(self, sequence: int, campaign: str, last_id: int) -> AsyncGenerator[bytes]:
+        """What happened to a campaign after the event `last_id`, and what happens from now on, until its end."""
+        yield format_sse_event(retry=RETRY_MILLISECONDS)
+        position, progress, trouble = last_id, b"", None
+        with self._feed(sequence, campaign) as feed:
+            while not self.closed:
+                changed = feed.changed
+                if feed.start is not None and position < feed.start:
+                    chunks, position = await self._history(feed, position)
+                    if chunks:
+                        yield b"".join(chunks)
+                    continue
+                chunks, position = feed.after(position)
+                if feed.trouble != trouble and not feed.ended:
+                    trouble = feed.trouble
+                    chunks.append(_unstored(campaign, trouble or (feed.snapshot.degraded if feed.snapshot else None)))
+                if feed.progress != progress:
+                    progress = feed.progress
+                    chunks.append(progress)
+                if chunks:
+                    yield b"".join(chunks)
+                elif feed.ended:
+                    return
+                elif not await _within(KEEPALIVE_SECONDS, changed):
+                    yield KEEPALIVE_COMMENT
+
+    @contextmanager
+    def _feed(self, sequence: int, campaign: str) -> Iterator[Feed]:
+        feed = self._feeds.get(sequence)
+        if feed is None:
+            feed = self._feeds[sequence] = Feed(sequence, campaign)
+            self._wanted.set()
+        feed.readers += 1
+        try:
+            yield feed
+        finally:
+            feed.readers -= 1
+            if not feed.readers:
+                del self._feeds[sequence]
+
+    async def _history(self, feed: Feed, position: int) -> tuple[list[bytes], int]:
+        """A page of events after a position, from the database."""
+
+        def read() -> tuple[list[bytes], int]:
+            with self._database.read() as connection:
+                found = events.since(connection, feed.sequence, position, PAGE)
+            # None: what the feed begins after has been forgotten meanwhile.
+            return [encoded(one, feed.campaign) for one in found], found[-1].id if found else max(position, feed.start or 0)
+
+        try:
+            return await asyncio.to_thread(read)
+        except DrivecalError:
+            await _within(LOOK_SECONDS, feed.changed)  # the poller tells of it
+            return [], position
+
+    async def _poll(self) -> None:
+        only_new = False
+        while not self.closed:
+            self._wanted.clear()
+            try:
+                await self._look(only_new=only_new)
+            except DrivecalError as error:
+                self._tell_outage(str(error))
+            except Exception:  # must not end the poller: the streams would hang
+                log.exception("event streams could not be fed")
+            if self._feeds:
+                only_new = await _within(LOOK_SECONDS, self._wanted)
+            else:
+                await self._wanted.wait()
+
+    async def _look(self, *, only_new: bool) -> None:
+        """`only_new`: at campaigns that were not looked at yet, so that whoever follows another one has no more to read than usual."""
+        feeds = [feed for feed in self._feeds.values() if not feed.ended and not (only_new and feed.start is not None)]
+        if not feeds:
+            return
+        known = {feed.sequence: (feed.newest, feed.revision) for feed in feeds}
+        looking = asyncio.create_task(asyncio.to_thread(self._read, known))
+        done, _ = await asyncio.wait([looking], timeout=PATIENCE_SECONDS)
+        if not done:
+            self._tell_outage(f"the database {self._database.name} does not answer")
+        look = await looking
+        moment = now()
+        silent = silence(look.heartbeat_at, moment)
+        for feed in feeds:
+            if self._take_in(feed, look, silent, moment):
+                feed.wake()
+
+    def _read(self, known: Mapping[int, tuple[int | None, int]]) -> _Look:
+        with self._database.read() as connection:
+            revisions = revision_queries.revisions(connection, known)
+            changed = [sequence for sequence, revision in revisions.items() if known[sequence][1] != revision]
+            found: dict[int, list[StoredEvent]] = {}
+            newest: dict[int, int] = {}
+            for sequence in changed:
+                last = known[sequence][0]
+                if last is None:
+                    newest[sequence] = events.newest_id(connection, sequence)
+                else:
+                    found[sequence] = events.since(connection, sequence, last, PAGE)
+            snapshots = {snapshot.sequence: snapshot for snapshot in revision_queries.snapshots(connection, changed)}
+            return _Look(revision_queries.heartbeat(connection), snapshots, found, newest)
+
+    def _take_in(self, feed: Feed, look: _Look, silent: str | None, moment: datetime) -> bool:
+        """Whether anything of a campaign changed."""
+        snapshot = look.snapshots.get(feed.sequence)
+        if snapshot is not None:
+            feed.snapshot, feed.revision = snapshot, snapshot.revision
+            if feed.start is None:
+                feed.start = look.newest.get(feed.sequence, 0)
+            found = look.found.get(feed.sequence, [])
+            feed.held.extend((one.id, encoded(one, feed.campaign)) for one in found)
+            while len(feed.held) > HELD:
+                feed.start = feed.held.popleft()[0]
+            if len(found) == PAGE:
+                feed.revision = -1  # there is more
+            else:
+                feed.ended = snapshot.state.ended
+        if feed.snapshot is None:
+            return False
+        said = degraded(feed.snapshot, silent)
+        trouble = None if said == feed.snapshot.degraded else said
+        if snapshot is None and trouble == feed.trouble:
+            return False
+        feed.trouble = trouble
+        feed.progress = format_sse_event(event=PROGRESS, data_str=json.dumps(progress_document(feed.snapshot, said, moment)))
+        return True
+
+    def _tell_outage(self, reason: str) -> None:
+        for feed in self._feeds.values():
+            if feed.trouble != reason and not feed.ended:
+                feed.trouble = reason
+                feed.wake()
+
+
+def encoded(event: StoredEvent, campaign: str) -> bytes:
+    """An event as it goes over the wire."""
+    return _event(str(event.id), event.kind, campaign, event.created_at, event.data)
+
+
+def progress_document(snapshot: ProgressSnapshot, said: str | None, moment: datetime) -> dict[str, Any]:
+    """`CampaignProgress` of a running campaign, of which `said` is wrong."""
+    asked = snapshot.requested_action
+    wall = 0.0 if snapshot.started_at is None else ((snapshot.ended_at or moment) - snapshot.started_at).total_seconds()
+    return {
+        "state": "cancelling" if asked == "cancel" and not snapshot.state.ended else snapshot.state,
+        "requested_action": asked,
+        "degraded": said,
+        "stage": snapshot.stage,
+        "iteration": snapshot.iteration,
+        "progress": snapshot.progress,
+        "cells": snapshot.cells,
+        "sensitivity_cells": snapshot.sensitivity_cells,
+        "robustness_cells": snapshot.robustness_cells or {},
+        "validation_cells": snapshot.validation_cells or {},
+        "best_objective": None if snapshot.best is None else snapshot.best["objective"],
+        "seconds": {"wall": max(0.0, wall), "simulating": snapshot.simulating_seconds},
+    }
+
+
+def _unstored(campaign: str, trouble: str | None) -> bytes:
+    """That the dispatcher, or the database, is silent, or speaks again: it is in no table, for nobody is there who would write it."""
+    if trouble is None:
+        return _event(None, EventKind.RECOVERED, campaign, now(), {})
+    return _event(None, EventKind.DEGRADED, campaign, now(), {"reason": trouble})
+
+
+def _event(number: str | None, kind: str, campaign: str, at: datetime, data: Mapping[str, Any]) -> bytes:
+    document = {"kind": kind, "campaign": campaign, "at": at.isoformat(), "data": data}
+    return format_sse_event(id=number, event=kind, data_str=json.dumps(document))
+
+
+async def _within(seconds: float, event: asyncio.Event) -> bool:
+    """Whether an event was set within so many seconds."""
+    try:
+        async with asyncio.timeout(seconds):
+            await event.wait()
+    except TimeoutError:
+        return False
+    return True

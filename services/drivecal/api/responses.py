@@ -1,0 +1,170 @@
+"""Makes answers of what is stored."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+from typing import Any
+
+from drivecal.api.live.dispatcher_health import degraded
+from drivecal.contracts.campaign import Campaign, Seconds
+from drivecal.contracts.evaluation import EvaluatedCell, Evaluation
+from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.errors import ConflictError
+from drivecal.domain.setups import digest
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.results import StoredEvaluation
+from drivecal.storage.revision_queries import CampaignRevision
+
+ROOT = "/api/v1"
+TABLES = (
+    "generations",
+    "evaluations",
+    "solutions",
+    "optima",
+    "influence",
+    "robustness",
+    "validation",
+    "accounting",
+    "setup",
+    "studies",
+)
+"""What a campaign links to below itself; and `events`."""
+COMPARISON_TABLES = ("comparison", "comparison-groups", "comparison-pairs", "comparison-effects")
+"""What a comparison links to below itself in their place."""
+BEFORE_PARAMETERS = ("id", "stage", "iteration", "individual", "scenario")
+AFTER_PARAMETERS = (
+    *("outcome", "score", "rating", "reference", "audited", "agrees", "failure", "milliseconds", "worker"),
+    *("proven_by", "proof_agrees"),
+)
+
+
+def campaign_answer(stored: StoredCampaign, now: datetime, silent: str | None, comparison: str | None = None) -> Campaign:
+    """A campaign as clients see it at the moment `now`, when of the dispatcher `silent` is to be said. One that is asked to cancel
+    counts as cancelling already. `comparison`: the id of the one that it is a run of."""
+    asked = stored.requested_action == "cancel" and not stored.state.ended
+    wall = 0.0 if stored.started_at is None else ((stored.ended_at or now) - stored.started_at).total_seconds()
+    return Campaign(
+        id=stored.id,
+        name=stored.name,
+        kind=stored.kind,
+        state=CampaignState.CANCELLING if asked else stored.state,
+        requested_action=stored.requested_action,
+        degraded=degraded(stored, silent),
+        stage=stored.stage,
+        iteration=stored.iteration,
+        progress=stored.progress,
+        cells=stored.cells,
+        sensitivity_cells=stored.sensitivity_cells,
+        robustness_cells=stored.robustness_cells,
+        validation_cells=stored.validation_cells,
+        error_rate=dict(stored.error_rate),
+        best=stored.best,
+        baseline=stored.baseline,
+        narrowed=None if stored.narrowed is None else list(stored.narrowed),
+        seconds=Seconds(wall=max(0.0, wall), simulating=stored.simulating_seconds),
+        error=stored.error,
+        notes=list(stored.notes),
+        rerun_of=stored.rerun_of,
+        created_at=stored.created_at,
+        started_at=stored.started_at,
+        ended_at=stored.ended_at,
+        spec=dict(stored.spec),
+        links=_links(stored) | ({} if comparison is None else {"run_of": f"{ROOT}/campaigns/{comparison}"}),
+    )
+
+
+def refuse_comparison(stored: StoredCampaign) -> None:
+    """Raises ConflictError for a comparison, which has nothing of its own that a campaign has."""
+    if stored.kind == "comparison":
+        where = f"GET {ROOT}/campaigns/{stored.id}/comparison lists them"
+        raise ConflictError(f"{stored.id} is a comparison, whose runs are campaigns of their own: {where}")
+
+
+def etag(seen: CampaignRevision, silent: str | None) -> str:
+    """Changes with everything in `campaign_answer` but the time that passes by itself, hence weak."""
+    return f'W/"{seen.id}-{_version(seen, silent)}"'
+
+
+def list_etag(seen: Sequence[CampaignRevision], silent: str | None) -> str:
+    """As `etag`, of a page."""
+    return f'W/"{digest("".join(f"{one.id}-{_version(one, silent)} " for one in seen).encode())}"'
+
+
+def _version(seen: CampaignRevision, silent: str | None) -> str:
+    said = degraded(seen, silent)
+    return f"{seen.revision}-{0 if said is None else zlib.crc32(said.encode()):x}"
+
+
+def matches(if_none_match: str | None, tag: str) -> bool:
+    """Whether a client has the answer with this ETag: the weak comparison of RFC 9110, 8.8.3.2."""
+    if if_none_match is None:
+        return False
+    given = {one.strip().removeprefix("W/") for one in if_none_match.split(",")}
+    return "*" in given or tag.removeprefix("W/") in given
+
+
+def _links(stored: StoredCampaign) -> dict[str, str]:
+    if stored.kind == "evaluation":
+        return {"self": f"{ROOT}/evaluations/{stored.id}"}
+    here = f"{ROOT}/campaigns/{stored.id}"
+    tables = COMPARISON_TABLES if stored.kind == "comparison" else TABLES
+    links = {"self": here, "events": f"{here}/events"} | {table: f"{here}/{table}" for table in tables}
+    if stored.influence_map_id is not None:
+        links["influence_map"] = f"{ROOT}/influence-maps/{stored.influence_map_id}"
+    if stored.rerun_of is not None:
+        links["rerun_of"] = f"{ROOT}/campaigns/{stored.rerun_of}"
+    return links
+
+
+def evaluation_row(stored: StoredEvaluation) -> dict[str, Any]:
+    """One row of the table `evaluations`: parameters are columns of their own."""
+    row: dict[str, Any] = {name: getattr(stored, name) for name in BEFORE_PARAMETERS}
+    row |= {parameter_column(name): value for name, value in stored.parameters.items()}
+    return row | {name: getattr(stored, name) for name in AFTER_PARAMETERS}
+
+
+def parameter_column(name: str) -> str:
+    """The column of a parameter, out of the way of the table's own columns."""
+    return f"parameter_{name}" if name in BEFORE_PARAMETERS or name in AFTER_PARAMETERS else name
+
+
+def evaluated_cell(stored: StoredEvaluation, metrics: Mapping[str, float | None] | None) -> EvaluatedCell:
+    """One cell of a single evaluation."""
+    return EvaluatedCell(
+        id=stored.id,
+        scenario=stored.scenario,
+        outcome=stored.outcome,
+        score=stored.score,
+        rating=stored.rating,
+        reference=stored.reference,
+        failure=stored.failure,
+        milliseconds=stored.milliseconds,
+        worker=stored.worker,
+        detail=stored.detail,
+        metrics=None if metrics is None else dict(metrics),
+    )
+
+
+def evaluation_answer(stored: StoredCampaign, items: list[EvaluatedCell]) -> Evaluation:
+    """A single evaluation as clients see it."""
+    scenario = stored.spec["scenario"]
+    scores = [item.score for item in items if item.score is not None]
+    complete = bool(items) and len(scores) == len(items)
+    only = items[0] if scenario is not None and items else None
+    return Evaluation(
+        id=stored.id,
+        state=stored.state,
+        parameters=stored.spec["parameters"],
+        scenario=scenario,
+        objective=sum(scores) / len(scores) if complete else None,
+        items=items,
+        outcome=only.outcome if only else None,
+        score=only.score if only else None,
+        rating=only.rating if only else None,
+        failure=only.failure if only else None,
+        metrics=only.metrics if only else None,
+        error=stored.error,
+        links={"self": f"{ROOT}/evaluations/{stored.id}"},
+    )

@@ -1,0 +1,105 @@
+"""Whole tables as CSV or Parquet, written piece by piece, so that a table of any size needs the memory of one piece."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from fastapi.responses import StreamingResponse
+
+from drivecal.api.http.queries import PARQUET
+
+Kind = Literal["integer", "number", "text", "truth", "numbers"]
+Row = Mapping[str, Any]
+TABLE_ANSWERS: dict[int | str, dict[str, Any]] = {
+    200: {"content": {"text/csv": {}, "application/vnd.apache.parquet": {}}, "description": "A page, or the whole table"}
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A column and what it holds; every value may be missing."""
+
+    name: str
+    kind: Kind
+
+
+def download(
+    name: str, form: Literal["csv", "parquet"], columns: Sequence[Column], pieces: Iterable[Sequence[Row]]
+) -> StreamingResponse:
+    """The answer that carries a whole table as a file called `name`."""
+    content = _csv(columns, pieces) if form == "csv" else _parquet(columns, pieces)
+    media_type = "text/csv; charset=utf-8; header=present" if form == "csv" else PARQUET
+    headers = {"Content-Disposition": f'attachment; filename="{name}.{form}"', "Vary": "Accept"}
+    return StreamingResponse(content, media_type=media_type, headers=headers)
+
+
+def _csv(columns: Sequence[Column], pieces: Iterable[Sequence[Row]]) -> Iterator[bytes]:
+    """RFC 4180 with a header; missing values are empty, truth is `true` and `false`, lists are JSON, floats round-trip."""
+    text = io.StringIO()
+    writer = csv.writer(text)
+    writer.writerow([column.name for column in columns])
+    for piece in pieces:
+        writer.writerows([_plain(row[column.name]) for column in columns] for row in piece)
+        yield text.getvalue().encode()
+        text.seek(0)
+        text.truncate()
+    yield text.getvalue().encode()
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, list):
+        return json.dumps(value)
+    return value
+
+
+def _parquet(columns: Sequence[Column], pieces: Iterable[Sequence[Row]]) -> Iterator[bytes]:
+    import pyarrow as pa  # takes a while and memory; most servers never write Parquet
+    from pyarrow import parquet
+
+    types = {
+        "integer": pa.int64(),
+        "number": pa.float64(),
+        "text": pa.string(),
+        "truth": pa.bool_(),
+        "numbers": pa.list_(pa.float64()),
+    }
+    schema = pa.schema([(column.name, types[column.kind]) for column in columns])
+    sink = _Sink()
+    with parquet.ParquetWriter(sink, schema) as writer:
+        for piece in pieces:
+            data = [pa.array([row[column.name] for row in piece], types[column.kind]) for column in columns]
+            writer.write_table(pa.Table.from_arrays(data, schema=schema))
+            yield sink.take()
+    yield sink.take()
+
+
+class _Sink(io.RawIOBase):
+    """Collects what is written until it is taken."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._pieces: list[bytes] = []
+        self._position = 0
+
+    def writable(self) -> bool:
+        return True
+
+    def tell(self) -> int:
+        return self._position
+
+    def write(self, content: Any) -> int:
+        piece = bytes(content)
+        self._pieces.append(piece)
+        self._position += len(piece)
+        return len(piece)
+
+    def take(self) -> bytes:
+        content, self._pieces = b"".join(self._pieces), []
+        return content

@@ -1,0 +1,95 @@
+"""The rows of influence maps, for a campaign's scenarios and space or as a map has them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from decimal import Decimal
+from typing import Any
+
+from drivecal.api.tables.files import Column
+from drivecal.campaigns.resolve.maps import map_from_document
+from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec
+from drivecal.campaigns.resolve.spaces import space_from_document
+from drivecal.contracts.inventory import InfluenceRow
+from drivecal.domain.influence import Influence
+from drivecal.domain.parameters import Parameter
+from drivecal.storage.references.influence_maps import StoredInfluenceMap
+
+COLUMNS = [
+    Column("scenario", "text"),
+    Column("parameter", "text"),
+    Column("influential", "truth"),
+    Column("lower", "number"),
+    Column("upper", "number"),
+    Column("s_rel_intervals", "numbers"),
+    Column("mu", "number"),
+    Column("sigma", "number"),
+    Column("mu_star", "number"),
+    Column("unknown", "truth"),
+    Column("unit", "text"),
+    Column("space_lower", "number"),
+    Column("space_upper", "number"),
+    Column("n_values", "integer"),
+]
+MEASURES = ("s_rel_intervals", "mu", "sigma", "mu_star")
+
+
+def campaign_rows(stored: StoredInfluenceMap, resolved: ResolvedSpec) -> list[InfluenceRow]:
+    """What a map means for a campaign: each of its scenarios with each parameter that it searches, within the bounds of its search."""
+    influence_map = map_from_document(stored.scenarios)
+    return [
+        _row(
+            scenario,
+            parameter.name,
+            influence_map.influence(scenario, parameter.name),
+            _entry(stored, scenario, parameter.name),
+            parameter,
+        )
+        for scenario in resolved.weights
+        for parameter in resolved.space.searched
+    ]
+
+
+def map_rows(stored: StoredInfluenceMap) -> list[InfluenceRow]:
+    """What a map lists, within the bounds of the space it was made for."""
+    space = {one.name: one for one in space_from_document(stored.parameters)}
+    return [
+        _row(scenario, name, influence, _entry(stored, scenario, name), space.get(name))
+        for scenario, listed in map_from_document(stored.scenarios).scenarios.items()
+        for name, influence in listed.items()
+    ]
+
+
+def _entry(stored: StoredInfluenceMap, scenario: str, parameter: str) -> Mapping[str, Any] | None:
+    found: Mapping[str, Any] | None = stored.scenarios.get(scenario, {}).get(parameter)
+    return found
+
+
+def _row(
+    scenario: str, name: str, influence: Influence, entry: Mapping[str, Any] | None, parameter: Parameter | None
+) -> InfluenceRow:
+    influential, lower, upper = _bounds(influence, parameter)
+    return InfluenceRow(
+        scenario=scenario,
+        parameter=name,
+        influential=influential,
+        lower=None if lower is None else float(lower),
+        upper=None if upper is None else float(upper),
+        **{measure: None if entry is None else entry.get(measure) for measure in MEASURES},
+        unknown=entry is None or entry.get("unknown", False),
+        unit=None if parameter is None else parameter.unit,
+        space_lower=None if parameter is None else float(parameter.lower),
+        space_upper=None if parameter is None else float(parameter.upper),
+        n_values=None if parameter is None else parameter.n_values,
+    )
+
+
+def _bounds(influence: Influence, parameter: Parameter | None) -> tuple[bool, Decimal | None, Decimal | None]:
+    """P_sens and PB_sens within the parameter's own bounds. Where these lie beside the influential region, nothing is influential."""
+    lower, upper = influence.lower, influence.upper
+    if parameter is not None:
+        lower = parameter.lower if lower is None else max(lower, parameter.lower)
+        upper = parameter.upper if upper is None else min(upper, parameter.upper)
+    if not influence.influential or (lower is not None and upper is not None and lower > upper):
+        return False, None, None
+    return True, lower, upper

@@ -1,0 +1,78 @@
+"""Ranks what a campaign has evaluated so far."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from drivecal.analysis.solutions import EvaluatedSet as Ranked
+from drivecal.analysis.solutions import Ranking
+from drivecal.contracts.assignments import assignments
+from drivecal.contracts.campaign import Solution
+from drivecal.domain.campaigns import Stage
+from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.storage import results
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.engine.database import Database
+from drivecal.storage.references import parameter_sets
+
+LARGEST_WEIGHT = 1e6
+
+
+@dataclass(frozen=True)
+class CampaignRanking:
+    """The ranked parameter sets of a campaign; their values are read only for those that are shown."""
+
+    database: Database
+    ranked: Sequence[Ranked]
+    scenarios: Sequence[str]
+
+    def __len__(self) -> int:
+        return len(self.ranked)
+
+    def solutions(self, start: int, stop: int) -> list[Solution]:
+        """The solutions of ranks `start` + 1 to `stop`."""
+        shown = self.ranked[start:stop]
+        with self.database.read() as connection:
+            sets = parameter_sets.load(connection, [one.parameter_set for one in shown])
+        return [
+            Solution(
+                rank=rank,
+                objective=one.objective,
+                rating=one.rating,
+                parameters=sets[one.parameter_set].floats,
+                scores=dict(one.scores),
+                reused=list(one.reused),
+                iteration=one.iteration,
+                individual=one.individual,
+            )
+            for rank, one in enumerate(shown, start + 1)
+        ]
+
+
+def ranking(database: Database, campaign: StoredCampaign, own: Mapping[str, float], weights: str | None) -> CampaignRanking:
+    """The ranking under the campaign's `own` weights or those in `weights` (`S1=2,S2=1`). Raises InvalidInputError for weights that no
+    evaluated set could be ranked by."""
+    used = own if weights is None else _weights(weights, list(own))
+    standing = Ranking(used)
+    with database.read() as connection:
+        standing.add(results.answers(connection, campaign.sequence, Stage.CALIBRATION))
+    return CampaignRanking(database, standing.ranking(), [name for name, weight in used.items() if weight > 0])
+
+
+def _weights(text: str, simulated: Sequence[str]) -> Mapping[str, float]:
+    """By scenario, in the campaign's order; scenarios that are not named have weight 1, as in a campaign file."""
+    given = assignments(text.split(","), "weights")
+    problems: list[Problem] = []
+    for name, weight in given.items():
+        where = f"weights.{name}"
+        if name not in simulated:
+            problems.append(Problem(where, "the campaign did not simulate this scenario", f"one of {', '.join(simulated)}"))
+        elif not 0 <= weight <= LARGEST_WEIGHT:
+            problems.append(Problem(where, f"{weight:g} is no weight", f"give a number from 0 to {LARGEST_WEIGHT:,.0f}"))
+    weights = {name: given.get(name, 1.0) for name in simulated}
+    if not problems and not any(weights.values()):
+        problems.append(Problem("weights", "all weights are 0", "give at least one scenario a positive weight"))
+    if problems:
+        raise InvalidInputError(*problems)
+    return weights

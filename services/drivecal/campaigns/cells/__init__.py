@@ -1,0 +1,1 @@
+"""The cells of a campaign: planned against the reference table, tracked until their answers are stored."""

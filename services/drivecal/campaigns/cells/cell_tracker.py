@@ -1,0 +1,336 @@
+"""Books the cells of one campaign that wait for their answers, and writes down what comes back.
+
+The rows in the database are the truth: a ledger is loaded from them after every assignment, and just so after a crash.
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from sqlalchemy import Connection
+
+from drivecal.campaigns.cells.planning import View, ensure_setups
+from drivecal.campaigns.resolve.problem import Bench
+from drivecal.contracts.work import Cell, Probe, SetupRequest
+from drivecal.domain.errors import RefutedError
+from drivecal.domain.evaluations import Donor, Outcome
+from drivecal.execution.measures import MEASURES
+from drivecal.execution.scheduling.scheduler import Completed
+from drivecal.plugins.ports import SeriesEvaluator
+from drivecal.reduction.assignment import is_checked
+from drivecal.storage import evaluations, leases, traces
+from drivecal.storage.evaluations import COPIES, AnsweredCell, NewEvaluation, PendingEvaluation
+from drivecal.storage.references import runs
+from drivecal.storage.references.runs import NewRun, StoredRun
+
+LONGEST_DETAIL = 2_000
+"""Characters of why a cell failed that are kept."""
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Work:
+    """Cells of one setup to simulate; a cell's id is that of its evaluation.
+
+    `exclusive`: each is simulated for itself, even where an identical one is under way. `breakdowns`: how often cells broke down so far,
+    by id, where they did.
+    """
+
+    setup: SetupRequest
+    cells: tuple[Cell, ...]
+    exclusive: bool = False
+    breakdowns: Mapping[int, int] = field(default_factory=dict)
+
+
+class CellTracker:
+    """Of one campaign. Every method that changes rows works inside the caller's transaction; the counts change with them, so a
+    ledger whose transaction failed is thrown away and loaded anew."""
+
+    def __init__(self, view: View, counts: Mapping[str, int], simulating_seconds: float) -> None:
+        """`counts`: the cells of the stage so far, as in `contracts.campaign`."""
+        self._view = view
+        self._counts = Counter(counts)
+        self._pending: dict[int, PendingEvaluation] = {}
+        self._copies: dict[int, list[PendingEvaluation]] = {}
+        self._breakdowns: Mapping[int, int] = {}
+        self._proofs: dict[int, int] = {}
+        """What is known of reused cells that wait for their answer, see `_probes`."""
+        self._requests: Mapping[int, SetupRequest] = {}
+        self._refuted: str | None = None
+        self._exclusive = False
+        self._evaluator_id = view.bench.evaluator_id
+        self._from_series = isinstance(view.bench.evaluator, SeriesEvaluator)
+        self.simulating_seconds = simulating_seconds
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """The cells by outcome, of the whole stage."""
+        return dict(self._counts)
+
+    @property
+    def waiting(self) -> int:
+        """Cells without an answer."""
+        return len(self._pending)
+
+    def request(self, connection: Connection, cells: Sequence[NewEvaluation], carried_over: int) -> None:
+        """Stores a planned population. Copies of stored results have their answer at once."""
+        evaluations.insert(connection, self._view.campaign, cells)
+        self._counts["proposed"] += len(cells) + carried_over
+        self._counts["carried_over"] += carried_over
+        for cell in cells:
+            if cell.plan in COPIES and cell.donor is not None:
+                self._count(cell.plan)
+            else:
+                self._counts["pending"] += 1
+
+    def load(self, connection: Connection, *, share_runs: bool, benches: Sequence[Bench] = ()) -> list[Work]:
+        """Reads what waits for an answer; gives what is to be simulated.
+
+        With `share_runs`, a cell that another campaign has simulated meanwhile takes that run: it counts as simulated all the same, for
+        the campaign did not see it when it planned. Without it, every cell is simulated for this campaign alone. `benches`: on which
+        cells are driven besides the campaign's own.
+        """
+        self._requests = {
+            setup_id: bench.requests[scenario]
+            for bench in (self._view.bench, *benches)
+            for scenario, setup_id in ensure_setups(connection, bench).items()
+        }
+        self._exclusive = not share_runs
+        self._pending = {one.id: one for one in evaluations.pending(connection, self._view.campaign)}
+        self._copies, self._proofs = {}, {}
+        for one in self._pending.values():
+            if one.plan in COPIES and one.reference is not None:
+                self._copies.setdefault(one.reference, []).append(one)
+        if share_runs:
+            self._share_runs(connection)
+        self._breakdowns = leases.breakdowns(connection, list(self._pending))
+        simulated = [one for one in self._pending.values() if one.plan is Outcome.SIMULATED]
+        return self._work(simulated, self._probes(connection, simulated))
+
+    def record(self, connection: Connection, completed: Sequence[Completed]) -> list[Work]:
+        """Writes down what became of simulated cells, and of those that waited for them; gives what has to be simulated instead.
+
+        Results whose lease is not the current one are late: somebody else has the cell, or had it. They change nothing.
+        """
+        answers: list[AnsweredCell] = []
+        orphans: list[PendingEvaluation] = []
+        again: list[PendingEvaluation] = []
+        finished: list[tuple[PendingEvaluation, Completed]] = []
+        late = self._late(connection, completed)
+        for one in completed:
+            cell = self._pending.get(one.result.id)
+            if cell is None:  # answered already, by an earlier attempt
+                continue
+            if one.result.id in late:
+                again.append(cell)
+            elif one.result.breakdown is None:
+                finished.append((cell, one))
+            else:
+                orphans += self._break_down(cell, one, answers)
+        proofs = dict(pair for _, one in finished for pair in one.result.probed)
+        self._proofs |= proofs
+        stored = runs.insert_results(connection, [self._new_run(cell, one) for cell, one in finished])
+        for (cell, one), run in zip(finished, stored, strict=True):
+            self._simulated(cell, one, run, answers)
+            if one.result.trace is not None:
+                traces.fill(connection, self._view.campaign, one.result.trace)
+        evaluations.answer(connection, answers)
+        evaluations.note_proofs(connection, proofs)
+        evaluations.simulate_instead(connection, [one.id for one in orphans])
+        return self._work([*again, *orphans])
+
+    def _probes(self, connection: Connection, simulated: Sequence[PendingEvaluation]) -> dict[int, tuple[Probe, ...]]:
+        """Spreads the reused cells of an iteration over those of the same setup that are simulated: by their ids."""
+        if self._view.checked_certificates is None or not simulated or not self._view.keys:
+            return {}
+        found: dict[int, list[Probe]] = {}
+        place = simulated[0].stage, simulated[0].iteration
+        waiting = [(one.id, one.setup_id, one.parameters) for one in self._pending.values() if one.plan is Outcome.REUSED]
+        for number, setup_id, parameters in [*evaluations.reused(connection, self._view.campaign, *place), *waiting]:
+            found.setdefault(setup_id, []).append(Probe(number, parameters.floats))
+        carriers: dict[int, list[int]] = {}
+        for one in simulated:
+            carriers.setdefault(one.setup_id, []).append(one.id)
+        return {
+            carrier: tuple(found[setup_id][position :: len(carrying)])
+            for setup_id, carrying in carriers.items()
+            if setup_id in found
+            for position, carrier in enumerate(carrying)
+        }
+
+    def _late(self, connection: Connection, completed: Sequence[Completed]) -> set[int]:
+        """The cells whose lease was over before their results arrived. A result that was obtained for another cell
+        has no lease of its own."""
+        numbers = {one.result.id: one.lease for one in completed if one.lease is not None and not one.shared}
+        late = numbers.keys() - leases.current(connection, numbers)
+        if late:
+            MEASURES.count("late_results", times=len(late))
+            log.warning(
+                "%d results came too late and change nothing: their leases were over, e.g. of cell %d", len(late), min(late)
+            )
+        return late
+
+    def _work(self, cells: Sequence[PendingEvaluation], probes: Mapping[int, tuple[Probe, ...]] | None = None) -> list[Work]:
+        by_setup: dict[int, list[Cell]] = {}
+        for one in cells:
+            cell = self._cell(one)
+            if probes and one.id in probes:
+                cell = replace(cell, probes=probes[one.id])
+            by_setup.setdefault(one.setup_id, []).append(cell)
+        return [
+            Work(
+                self._requests[setup_id],
+                tuple(listed),
+                self._exclusive,
+                {one.id: self._breakdowns[one.id] for one in listed if one.id in self._breakdowns},
+            )
+            for setup_id, listed in by_setup.items()
+        ]
+
+    def _cell(self, one: PendingEvaluation) -> Cell:
+        """An audited cell is simulated in any case, and checks a certificate on the way."""
+        share = self._view.checked_certificates
+        if share is None:
+            return Cell(one.id, one.parameters.floats, trace=self._view.traced)
+        check = one.audited or is_checked(self._view.campaign, one.scenario, one.parameters.key, share)
+        return Cell(one.id, one.parameters.floats, certify=True, check=check)
+
+    def raise_if_refuted(self) -> None:
+        """Raises RefutedError where a simulation gave something else than its certificate said: what that proves is a bug. To be called
+        when all that came back is committed."""
+        if self._refuted is not None:
+            raise RefutedError(self._refuted)
+
+    def _share_runs(self, connection: Connection) -> None:
+        wanted: dict[int, list[PendingEvaluation]] = {}
+        for one in self._pending.values():
+            if one.plan is Outcome.SIMULATED:
+                wanted.setdefault(one.setup_id, []).append(one)
+        answers: list[AnsweredCell] = []
+        for setup_id in sorted(runs.stocked(connection, wanted)):
+            cells = wanted[setup_id]
+            ids = [one.parameter_set_id for one in cells]
+            found = runs.look_up_exact(connection, setup_id, ids, self._evaluator_id, watermark=sys.maxsize)
+            for cell in cells:
+                if cell.parameter_set_id in found:
+                    self._answer(cell, found[cell.parameter_set_id], answers)
+        evaluations.answer(connection, answers)
+
+    def _simulated(self, cell: PendingEvaluation, one: Completed, run: StoredRun, answers: list[AnsweredCell]) -> None:
+        if one.result.score is None or one.result.rating is None:
+            raise ValueError(f"the worker gave no score for evaluation {cell.id}")
+        self._counts["unrepeatable"] += not run.agrees
+        if one.result.agrees is False:
+            self._refuted = _refutation(cell, one)
+        donor = Donor(cell.id, run.id, one.result.score, one.result.rating, one.result.failure)
+        if one.shared:  # counted where it was simulated
+            self._answer(cell, donor, answers)
+        else:
+            self.simulating_seconds += one.result.milliseconds / 1000
+            self._answer(cell, donor, answers, one)
+
+    def _answer(
+        self, cell: PendingEvaluation, result: Donor, answers: list[AnsweredCell], simulation: Completed | None = None
+    ) -> None:
+        """Answers a cell by its own result, and the copies that waited for it."""
+        for one in (cell, *self._copies.pop(cell.id, ())):
+            own = simulation if one is cell else None
+            certified = own is not None and own.result.proven_by is not None and own.result.agrees is None
+            outcome = Outcome.CERTIFIED if certified else one.plan
+            self._counts["checked"] += own is not None and own.result.agrees is not None
+            answers.append(
+                AnsweredCell(
+                    id=one.id,
+                    outcome=outcome,
+                    score=result.score,
+                    rating=result.rating,
+                    run_id=result.run,
+                    failure=result.failure,
+                    milliseconds=None if own is None else own.result.milliseconds,
+                    worker=None if own is None else own.worker,
+                    attempts=0 if own is None else own.attempts,
+                    proven_by=self._proofs.get(one.id) if own is None else own.result.proven_by,
+                    proof_agrees=None if own is None else own.result.agrees,
+                )
+            )
+            self._close(one, outcome)
+
+    def _break_down(self, cell: PendingEvaluation, one: Completed, answers: list[AnsweredCell]) -> list[PendingEvaluation]:
+        """The cell has no result after all attempts. Copies of the same parameter set share its fate; the others are orphans."""
+        orphans: list[PendingEvaluation] = []
+        detail = None if one.result.detail is None else _storable(one.result.detail)
+        for other in (cell, *self._copies.pop(cell.id, ())):
+            if other.plan is Outcome.REUSED:
+                orphans.append(other)
+                continue
+            own = other is cell and not one.shared
+            answers.append(
+                AnsweredCell(
+                    id=other.id,
+                    outcome=Outcome.FAILED,
+                    score=None,
+                    rating=None,
+                    run_id=None,
+                    failure=one.result.breakdown,
+                    milliseconds=one.result.milliseconds if own else None,
+                    worker=one.worker if own else None,
+                    attempts=one.attempts if own else 0,
+                    detail=detail,
+                )
+            )
+            self._close(other, Outcome.FAILED)
+        for position, other in enumerate(orphans):
+            orphans[position] = self._pending[other.id] = replace(other, plan=Outcome.SIMULATED, reference=None)
+        return orphans
+
+    def _close(self, cell: PendingEvaluation, outcome: Outcome) -> None:
+        del self._pending[cell.id]
+        self._counts["pending"] -= 1
+        self._count(outcome)
+        if outcome is Outcome.SIMULATED and cell.audited:
+            self._counts["audited"] += 1
+
+    def _count(self, outcome: Outcome) -> None:
+        self._counts["requested"] += 1
+        self._counts[outcome.value] += 1
+
+    def _new_run(self, cell: PendingEvaluation, one: Completed) -> NewRun:
+        if one.result.score is None or one.result.rating is None:
+            raise ValueError(f"the worker gave no score for evaluation {cell.id}")
+        return NewRun(
+            setup_id=cell.setup_id,
+            parameter_set_id=cell.parameter_set_id,
+            metrics=one.result.metrics,
+            failure=one.result.failure,
+            milliseconds=one.result.milliseconds,
+            worker=one.worker,
+            evaluator=self._evaluator_id,
+            score=one.result.score,
+            rating=one.result.rating,
+            evaluation_id=cell.id,
+            campaign_sequence=self._view.campaign,
+            stage=cell.stage,
+            iteration=cell.iteration,
+            individual=cell.individual,
+            from_series=self._from_series,
+        )
+
+
+def _refutation(cell: PendingEvaluation, one: Completed) -> str:
+    where = f"evaluation {cell.id} in {cell.scenario}"
+    if one.result.proven_by is None:
+        return f"{where} was not deterministic on {one.worker}: the same decisions led to another state. Nothing can be certified there"
+    return (
+        f"{where} was to repeat evaluation {one.result.proven_by} bit for bit, but its simulation on {one.worker} gave something else: a"
+        " mistake of the driving function's certificates. Run it with reduction.certified: false, and report it"
+    )
+
+
+def _storable(words: str) -> str:
+    """What a worker said, as any database can store it."""
+    return words[:LONGEST_DETAIL].encode(errors="replace").decode().replace("\0", "\ufffd")

@@ -1,0 +1,152 @@
+"""Looks up what is stored for the cells of a population and plans how each is answered."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+
+import numpy as np
+import numpy.typing as npt
+from sqlalchemy import Connection
+
+from drivecal.campaigns.resolve.problem import Bench
+from drivecal.campaigns.resolve.spaces import function_names
+from drivecal.domain.campaigns import Stage
+from drivecal.domain.evaluations import Donor
+from drivecal.domain.influence import InfluenceMap
+from drivecal.domain.parameters import ParameterSet
+from drivecal.execution.measures import MEASURES
+from drivecal.reduction.assignment import Policy, RequestedCell, assign
+from drivecal.reduction.keys import ReferenceKeys, billionths_matrix
+from drivecal.storage import evaluations
+from drivecal.storage.engine.database import Database
+from drivecal.storage.evaluations import NewEvaluation
+from drivecal.storage.references import parameter_sets, reference_keys, runs, setups
+
+
+@dataclass(frozen=True, slots=True)
+class WantedCell:
+    """A cell that a stage asks for. `individual` numbers the parameter sets of an iteration."""
+
+    individual: int
+    scenario: str
+    parameters: ParameterSet
+
+
+@dataclass(frozen=True)
+class View:
+    """What one campaign sees of the database: its own cells, and the runs up to its watermark."""
+
+    campaign: int
+    """Its sequence."""
+    watermark: int
+    bench: Bench
+    influence_map: InfluenceMap | None = None
+    influence_map_sequence: int | None = None
+    checked_certificates: float | None = None
+    """The share of certified cells that are simulated all the same; None: nothing is certified."""
+    traced: bool = False
+    """The time series of its cells are wanted."""
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """The driving function's parameters, in its order."""
+        return function_names(self.bench.driving_function)
+
+    @cached_property
+    def keys(self) -> dict[str, ReferenceKeys]:
+        """How reference keys are computed, by scenario; empty without an influence map."""
+        if self.influence_map is None:
+            return {}
+        return {scenario: ReferenceKeys(self.influence_map, scenario, self.names) for scenario in self.bench.scenarios}
+
+
+def ensure_setups(connection: Connection, bench: Bench) -> dict[str, int]:
+    """The database's id of each scenario's setup."""
+    return dict(zip(bench.setups, setups.ensure(connection, list(bench.setups.values())), strict=True))
+
+
+def sync_reference_keys(database: Database, view: View) -> None:
+    """Gives every stored run that the campaign sees its key under the campaign's influence map: in bulk, once, resumable.
+
+    The campaign's evaluator must have rated them before (`rerating`): what it cannot rate has no key.
+    """
+    if view.influence_map_sequence is None:
+        return
+    with database.transaction() as connection:
+        setup_ids = ensure_setups(connection, view.bench)
+    evaluator = view.bench.evaluator_id
+    for scenario, setup_id in setup_ids.items():
+        keys_of = partial(_keys_of, view, scenario)
+        reference_keys.sync(database, view.influence_map_sequence, setup_id, evaluator, view.watermark, keys_of)
+
+
+def _keys_of(view: View, scenario: str, names: tuple[str, ...], values: npt.NDArray[np.int64]) -> list[bytes]:
+    return ReferenceKeys(view.influence_map or InfluenceMap({}), scenario, names).keys(values)
+
+
+@MEASURES.timed("lookup")
+def plan_cells(
+    connection: Connection, view: View, policy: Policy, stage: Stage, iteration: int, wanted: Sequence[WantedCell]
+) -> list[NewEvaluation]:
+    """What answers each of the requested cells, in order."""
+    setup_ids = ensure_setups(connection, view.bench)
+    sets = {cell.parameters: None for cell in wanted}
+    set_ids = dict(zip(sets, parameter_sets.ensure(connection, list(sets)), strict=True))
+    set_keys = {one: one.key for one in sets}
+    exact: dict[tuple[str, bytes], Donor] = {}
+    references: dict[tuple[str, bytes], Donor] = {}
+    class_keys: dict[tuple[str, ParameterSet], bytes] = {}
+    stocked = runs.stocked(connection, setup_ids.values())  # nothing is known in other vehicles that were never driven
+    for scenario, setup_id in setup_ids.items():
+        here = list(dict.fromkeys(cell.parameters for cell in wanted if cell.scenario == scenario))
+        if not here:
+            continue
+        if scenario in view.keys:
+            keys = view.keys[scenario].keys(billionths_matrix(here))
+            class_keys |= {(scenario, one): key for one, key in zip(here, keys, strict=True)}
+        if policy.mode != "off" and setup_id in stocked:
+            by_id = {set_ids[one]: set_keys[one] for one in here}
+            known = _exact(connection, view, scenario, setup_id, list(by_id))
+            exact |= {(scenario, by_id[set_id]): donor for set_id, donor in known.items()}
+        if policy.mode == "influence" and scenario in view.keys and setup_id in stocked:
+            found = _references(connection, view, scenario, setup_id, list(dict.fromkeys(keys)))
+            references |= {(scenario, key): donor for key, donor in found.items()}
+    cells = [
+        RequestedCell(
+            cell.individual, cell.scenario, set_keys[cell.parameters], class_keys.get((cell.scenario, cell.parameters))
+        )
+        for cell in wanted
+    ]
+    return [
+        NewEvaluation(
+            stage=stage,
+            iteration=iteration,
+            individual=cell.individual,
+            scenario=cell.scenario,
+            setup_id=setup_ids[cell.scenario],
+            parameter_set_id=set_ids[one.parameters],
+            plan=assignment.plan,
+            reference_key=cell.reference_key,
+            donor=assignment.donor,
+            leader=assignment.leader,
+            audited=assignment.audited,
+        )
+        for one, cell, assignment in zip(wanted, cells, assign(cells, policy, exact, references), strict=True)
+    ]
+
+
+def _exact(connection: Connection, view: View, scenario: str, setup_id: int, set_ids: Sequence[int]) -> dict[int, Donor]:
+    """Results of earlier campaigns come first in the order of references, then the campaign's own."""
+    own = evaluations.own_exact(connection, view.campaign, scenario, setup_id, set_ids)
+    return own | runs.look_up_exact(connection, setup_id, set_ids, view.bench.evaluator_id, view.watermark)
+
+
+def _references(connection: Connection, view: View, scenario: str, setup_id: int, keys: Sequence[bytes]) -> dict[bytes, Donor]:
+    own = evaluations.own_references(connection, view.campaign, scenario, setup_id, keys)
+    if view.influence_map_sequence is None:
+        return own
+    return own | reference_keys.look_up(
+        connection, view.influence_map_sequence, setup_id, keys, view.bench.evaluator_id, view.watermark
+    )

@@ -1,0 +1,102 @@
+"""Another evaluator's view of stored runs: their metrics are rated again, in bulk, instead of being simulated again."""
+
+from __future__ import annotations
+
+import logging
+from math import isfinite, nan
+
+from drivecal.campaigns.cells.planning import View, ensure_setups
+from drivecal.domain.evaluations import FAILED_RATING, Rating
+from drivecal.domain.parameters import ParameterSet
+from drivecal.domain.scenarios import Manoeuvre
+from drivecal.plugins.ports import Evaluator, SeriesEvaluator
+from drivecal.storage.engine.database import Database
+from drivecal.storage.references import parameter_sets, ratings
+from drivecal.storage.references.ratings import UnratedRun
+
+log = logging.getLogger(__name__)
+
+CHUNK = 10_000
+"""Runs per transaction: some 20 MB of metrics."""
+
+
+def rate_stored_runs(database: Database, view: View, only: ParameterSet | None = None, chunk: int = CHUNK) -> int:
+    """Has the campaign's evaluator rate every run that the campaign sees and it has not rated yet; says how many it could rate.
+
+    With `only`, those of one parameter set. To be done before anything is planned: then the campaign sees a rating of every run that its
+    evaluator can rate, and what other campaigns do meanwhile adds none. Failed runs score 0 whoever rates. Runs that lack what the
+    evaluator asks for stay without its rating, and are simulated when needed; so do all that did not fail where it needs their series.
+    Resumable: what is rated is not asked for again.
+    """
+    with database.transaction() as connection:
+        if ratings.are_all_by(connection, view.bench.evaluator_id):
+            return 0
+        setup_ids = ensure_setups(connection, view.bench)
+        number = None if only is None else parameter_sets.ensure(connection, [only])[0]
+    evaluator, evaluator_id = view.bench.evaluator, view.bench.evaluator_id
+    total = missing = 0
+    for scenario, setup_id in setup_ids.items():
+        manoeuvre = view.bench.scenarios[scenario][1].manoeuvre
+        reached = 0
+        while True:
+            with database.read() as connection:
+                found = ratings.unrated(
+                    connection,
+                    setup_id,
+                    evaluator_id,
+                    after=reached,
+                    upto=view.watermark,
+                    limit=chunk,
+                    parameter_set_id=number,
+                    only_failed=isinstance(evaluator, SeriesEvaluator),
+                )
+            if not found:
+                break
+            rated = [(one.id, rating) for one in found if (rating := _rating(evaluator, manoeuvre, one)) is not None]
+            with database.transaction() as connection:
+                ratings.insert(connection, evaluator_id, rated)
+            total, missing, reached = total + len(rated), missing + len(found) - len(rated), found[-1].id
+    if total or missing:
+        log.info("%s rated %d stored runs; %d lack what it asks for", evaluator_id, total, missing)
+    return total
+
+
+def note_of(database: Database, view: View) -> str | None:
+    """What the campaign's evaluator makes of the stored runs of others, in words; None where there is nothing to say. To be asked when
+    they are rated (`rate_stored_runs`); the same whenever the campaign is taken up."""
+    bench = view.bench
+    with database.transaction() as connection:
+        if ratings.are_all_by(connection, bench.evaluator_id):
+            return None
+        setup_ids = list(ensure_setups(connection, bench).values())
+    with database.read() as connection:  # it counts all runs of the setups, and nobody has to wait for that
+        found = ratings.standing(connection, setup_ids, bench.evaluator_id, view.watermark)
+    parts = []
+    if found.anew:
+        parts.append(f"{found.anew:,} are rated by what is stored of them, without a simulation")
+    if found.again:
+        parts.append(f"{found.again:,} were simulated again for it by earlier campaigns")
+    if found.missing:
+        lacking = "it needs their time series, which is not stored"
+        if not isinstance(bench.evaluator, SeriesEvaluator):
+            lacking = "they lack metrics that it asks for"
+        parts.append(
+            f"{found.missing:,} cannot be used ({lacking}); they cost nothing but where this campaign asks for the same cells, "
+            "which are then simulated again"
+        )
+    if not parts:
+        return None
+    every = found.anew + found.again + found.missing
+    count = "1 stored run" if every == 1 else f"{every:,} stored runs"
+    return f"all campaigns together left {count} of these setups that {bench.evaluator_id} did not rate at first: {'; '.join(parts)}"
+
+
+def _rating(evaluator: Evaluator, manoeuvre: Manoeuvre, run: UnratedRun) -> Rating | None:
+    if run.failure is not None:
+        return FAILED_RATING
+    metrics = {name: nan if value is None else value for name, value in run.metrics.items()}
+    try:
+        rating = evaluator.rate(manoeuvre, metrics)
+    except (KeyError, ValueError):  # a metric that was not measured then, or not finite
+        return None
+    return rating if isfinite(rating.rating) else None

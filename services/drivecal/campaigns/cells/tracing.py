@@ -1,0 +1,103 @@
+"""Has an evaluation driven once more for its time series: as a single evaluation, through the same queue and the same workers."""
+
+from __future__ import annotations
+
+from datetime import timedelta
+from typing import Any
+
+from sqlalchemy import Connection
+
+from drivecal.campaigns.resolve.problem import catalogue_scenarios, resolve_evaluation
+from drivecal.contracts.input_errors import validated
+from drivecal.contracts.specification import EvaluationSpecification
+from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.errors import ConflictError
+from drivecal.domain.evaluations import Breakdown
+from drivecal.domain.setups import Setup
+from drivecal.storage import campaigns, results, traces
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.engine.types import now
+from drivecal.storage.references import setups
+from drivecal.storage.results import StoredEvaluation
+from drivecal.storage.traces import StoredTrace
+
+PASSING = (Breakdown.CRASH, Breakdown.HANG, Breakdown.MEMORY)
+"""Breakdowns that say more about the machine at that moment than about the cell. An exception, met on two workers, comes again."""
+AGAIN_AFTER = timedelta(seconds=30)
+"""How long a trace that failed for a passing reason is not tried again: whoever polls is told why, and starts nothing by it."""
+
+
+def is_to_be_made(connection: Connection, found: StoredTrace | None) -> bool:
+    """Whether asking for a trace, which was `found`, has it driven: nobody did, or it may be tried again."""
+    if found is None:
+        return True
+    if found.content is not None:
+        return False
+    made = campaigns.by_sequence(connection, found.campaign_sequence)
+    if made.state is CampaignState.CANCELLED:
+        return True
+    return _may_pass(made, _cell(connection, made)) and made.ended_at is not None and now() >= made.ended_at + AGAIN_AFTER
+
+
+def request_trace(connection: Connection, number: int) -> StoredCampaign:
+    """Queues the single evaluation that makes an evaluation's trace, unless that is queued or made already, or failed and would again.
+
+    Raises NotFoundError, ConflictError where what it was driven with is another version by now: its time series cannot be had again.
+    """
+    found = traces.find(connection, number, for_update=True)
+    if found is not None:
+        if not is_to_be_made(connection, found):
+            return campaigns.by_sequence(connection, found.campaign_sequence)
+        traces.forget(connection, number)
+    specification = _specification(connection, number)
+    made = campaigns.insert(
+        connection, name=f"trace of evaluation {number}", spec=specification.model_dump(mode="json"), kind="evaluation"
+    )
+    traces.ask(connection, number, made.sequence)
+    return made
+
+
+def _specification(connection: Connection, number: int) -> EvaluationSpecification:
+    row = results.by_id(connection, number)
+    spec = campaigns.by_sequence(connection, row.campaign_sequence).spec
+    stored = setups.by_id(connection, row.setup_id)
+    driven = Setup.from_document(stored.document)
+    catalogue, _ = catalogue_scenarios(spec["catalogue"])[row.scenario]
+    document: dict[str, Any] = {
+        "parameters": row.parameters,
+        "scenario": row.scenario,
+        "catalogue": catalogue,
+        "driving_function": driven.driving_function,
+        "vehicle": {"model": driven.vehicle, "parameters": dict(driven.vehicle_parameters)},
+        "evaluator": spec["evaluator"],
+    }
+    specification = validated(EvaluationSpecification, document)
+    today = resolve_evaluation(specification).bench.setups[row.scenario]
+    if today.fingerprint != stored.fingerprint:
+        changed = [name for name, value in today.document.items() if stored.document.get(name) != value]
+        raise ConflictError(
+            f"evaluation {number} was driven with another {', '.join(changed) or 'version'} than is installed now, so its time series"
+            " cannot be had again; evaluate its parameters anew"
+        )
+    return specification
+
+
+def no_trace(connection: Connection, made: StoredCampaign) -> str:
+    """Why a single evaluation that has ended left no trace, and whether it is worth asking again."""
+    cell = _cell(connection, made)
+    cause = made.error or (cell and (cell.detail or cell.failure)) or made.state.value
+    text = f"it could not be driven again: {cause}"
+    if _may_pass(made, cell):
+        return f"{text}. That may have passed: ask again after {AGAIN_AFTER.total_seconds():.0f} s, and it is driven anew"
+    return text
+
+
+def _cell(connection: Connection, made: StoredCampaign) -> StoredEvaluation | None:
+    rows, _ = results.page(connection, made.sequence, limit=1)
+    return rows[0] if rows else None
+
+
+def _may_pass(made: StoredCampaign, cell: StoredEvaluation | None) -> bool:
+    """Whether a single evaluation that left no trace could leave one at another time: it failed as a whole, or its simulation broke
+    down by something else than an exception."""
+    return made.state is CampaignState.FAILED or (cell is not None and cell.failure in PASSING)

@@ -1,0 +1,1 @@
+"""Comparisons of optimizers and reductions: resolved into runs, carried out, and read."""

@@ -1,0 +1,211 @@
+"""Resolves a comparison into its runs: which campaigns it consists of, and what is wrong with it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+from sqlalchemy import Connection
+
+from drivecal.analysis.comparison import Conditions
+from drivecal.campaigns.resolve.diagnostics import Diagnostics
+from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve
+from drivecal.contracts.comparison import LARGEST_RUNS, ComparedOptimizer, ComparisonSpecification
+from drivecal.contracts.input_errors import validated
+from drivecal.contracts.specification import CampaignSpecification, ReductionSpecification
+from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.storage import campaigns
+from drivecal.storage.campaigns import StoredCampaign
+
+COMMON = {"population": "populations", "iterations": "iterations", "start": "start", "seed": "seeds"}
+"""What an optimizer does not choose for itself here, and where it is chosen."""
+
+CONFIRMED = 100
+"""Sets of a run with reuse that are simulated after its search at most, where nothing else is asked for: a dozen is many. A run for which
+they were too few notes it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One run: under which conditions, as what campaign."""
+
+    conditions: Conditions
+    specification: CampaignSpecification
+
+
+@dataclass(frozen=True, slots=True)
+class ComparisonProblem:
+    """A comparison that can be carried out."""
+
+    specification: ComparisonSpecification
+    runs: tuple[Run, ...]
+    problems: tuple[CalibrationProblem, ...]
+    """Of the runs with the first seed: those with the others differ in nothing that this tells."""
+
+    @property
+    def proposed(self) -> int:
+        """Cells that all runs together propose."""
+        return len(self.specification.seeds) * sum(
+            one.expected_runs().calibration_proposed + one.expected_runs().sensitivity_at_most for one in self.problems
+        )
+
+    @property
+    def at_most(self) -> int:
+        """Simulations that all runs together take where none has anything in common with another one."""
+        return len(self.specification.seeds) * sum(
+            one.expected_runs().calibration_at_most + one.expected_runs().sensitivity_at_most for one in self.problems
+        )
+
+
+def runs_of(specification: ComparisonSpecification) -> list[Run]:
+    """The runs in their order: by optimizer, population, seed, reduction. A function of the specification alone."""
+    labels = [optimizer.label or optimizer.kind for optimizer in specification.optimizers]
+    reductions = [_reduction(one) for one in specification.reductions]
+    several = len(reductions) > 1
+    found = []
+    for (label, optimizer), population, seed, reduction in product(
+        zip(labels, specification.optimizers, strict=True), specification.populations, specification.seeds, reductions
+    ):
+        conditions = Conditions(label, population, seed, reduction_label(reduction))
+        name = f"{label}, population {population}, seed {seed}{f', {conditions.reduction}' if several else ''}"
+        found.append(Run(conditions, _campaign(specification, name, optimizer, conditions, reduction)))
+    return found
+
+
+def resolve_comparison(specification: ComparisonSpecification) -> ComparisonProblem:
+    """The comparison that a specification describes. Raises InvalidInputError with everything that is wrong, each at its field."""
+    diagnostics = Diagnostics()
+    _check_lists(specification, diagnostics)
+    diagnostics.raise_if_any()
+    runs = runs_of(specification)
+    resolved = []
+    at = product(range(len(specification.optimizers)), specification.populations, specification.seeds)
+    places = product(at, range(len(specification.reductions)))
+    for run, ((optimizer, _, seed), reduction) in zip(runs, places, strict=True):
+        if seed == specification.seeds[0]:
+            try:
+                resolved.append(resolve(run.specification))
+            except InvalidInputError as error:
+                diagnostics.problems.extend(_here(problem, optimizer, reduction) for problem in error.problems)
+    diagnostics.problems = list(dict.fromkeys(diagnostics.problems))
+    diagnostics.raise_if_any()
+    return ComparisonProblem(specification, tuple(runs), tuple(resolved))
+
+
+def queue(
+    connection: Connection,
+    problem: ComparisonProblem,
+    influence_map_id: str | None = None,
+    idempotency_key: str | None = None,
+    body_digest: str | None = None,
+) -> StoredCampaign:
+    """Queues a comparison with its runs, or gives the one that an earlier request with the same key queued, as `campaigns.insert` does.
+
+    `influence_map_id`: of the map that it names.
+    """
+    specification = problem.specification
+    stored = campaigns.insert(
+        connection,
+        name=specification.name,
+        spec=specification.model_dump(mode="json"),
+        kind="comparison",
+        idempotency_key=idempotency_key,
+        body_digest=body_digest,
+        priority=specification.priority,
+    )
+    if not campaigns.runs_of(connection, stored.sequence):
+        for run in problem.runs:
+            campaigns.insert(
+                connection,
+                name=run.specification.name,
+                spec=run.specification.model_dump(mode="json"),
+                influence_map_id=None if run.specification.sensitivity is None else influence_map_id,
+                parent_sequence=stored.sequence,
+                priority=specification.priority,
+            )
+    return stored
+
+
+def reduction_label(reduction: ReductionSpecification) -> str:
+    """The mode, and the settings that are not its defaults."""
+    others = {name: value for name, value in reduction.model_dump(exclude_defaults=True).items() if name != "mode"}
+    return " ".join([reduction.mode, *(f"{name}={value}" for name, value in others.items())])
+
+
+def _reduction(given: str | ReductionSpecification) -> ReductionSpecification:
+    return given if isinstance(given, ReductionSpecification) else validated(ReductionSpecification, {"mode": given})
+
+
+def _campaign(
+    specification: ComparisonSpecification,
+    name: str,
+    optimizer: ComparedOptimizer,
+    conditions: Conditions,
+    reduction: ReductionSpecification,
+) -> CampaignSpecification:
+    chosen = optimizer.model_dump(exclude={"label"})
+    chosen |= {"population": conditions.population, "iterations": specification.iterations, "start": specification.start}
+    document = {
+        **specification.model_dump(include=_SHARED),
+        "name": name,
+        "optimizer": chosen | {"seed": conditions.seed},
+        "reduction": reduction.model_dump(),
+    }
+    if reduction.mode == "influence":  # what a run found is to be true of its set
+        document["reduction"]["confirm"] = reduction.confirm or CONFIRMED
+    else:  # of no use to it, and its cells would count
+        document["sensitivity"] = None
+    return validated(CampaignSpecification, document)
+
+
+_SHARED = {
+    *("priority", "catalogue", "parameters", "fixed", "baseline", "weights"),
+    *("driving_function", "vehicle", "evaluator", "sensitivity"),
+}
+
+
+def _check_lists(specification: ComparisonSpecification, diagnostics: Diagnostics) -> None:
+    count = (
+        len(specification.optimizers)
+        * len(specification.populations)
+        * len(specification.seeds)
+        * len(specification.reductions)
+    )
+    if count > LARGEST_RUNS:
+        remedy = f"at most {LARGEST_RUNS:,}; give fewer optimizers, populations, seeds or reductions"
+        diagnostics.add("", f"optimizers x populations x seeds x reductions are {count:,} runs", remedy)
+    _check_unique("populations", specification.populations, diagnostics)
+    _check_unique("seeds", specification.seeds, diagnostics)
+    reductions = [_reduction(one) for one in specification.reductions]
+    _check_unique("reductions", [reduction_label(one) for one in reductions], diagnostics)
+    if specification.sensitivity is None and any(one.mode == "influence" for one in reductions):
+        remedy = "ask for a sensitivity analysis, name a map, or leave `influence` out"
+        diagnostics.add("sensitivity", "the reduction `influence` needs an influence map", remedy)
+    seen: dict[str, int] = {}
+    for index, optimizer in enumerate(specification.optimizers):
+        label = optimizer.label or optimizer.kind
+        if label in seen:
+            message = f"it is called {label!r} as optimizers[{seen[label]}] is"
+            diagnostics.add(f"optimizers[{index}].label", message, "list it once, or give each a label of its own")
+        seen.setdefault(label, index)
+        for name in optimizer.model_extra or {}:
+            if name in COMMON:
+                message = "all optimizers have the same here"
+                diagnostics.add(f"optimizers[{index}].{name}", message, f"give it in `{COMMON[name]}`")
+            elif name == "start_sets":
+                diagnostics.add(f"optimizers[{index}].{name}", "all optimizers begin with the same sets here", "leave it out")
+
+
+def _check_unique(field: str, values: Sequence[object], diagnostics: Diagnostics) -> None:
+    for index, value in enumerate(values):
+        if value in values[:index]:
+            diagnostics.add(f"{field}[{index}]", f"{value} is listed twice", "list each once")
+
+
+def _here(problem: Problem, optimizer: int, reduction: int) -> Problem:
+    """A finding about a run's campaign at the field of the comparison."""
+    field = re.sub(r"^optimizer(?=\.|$)", f"optimizers[{optimizer}]", problem.field)
+    field = re.sub(r"^reduction(?=\.|$)", f"reductions[{reduction}]", field)
+    return Problem(field, problem.message, problem.remedy)

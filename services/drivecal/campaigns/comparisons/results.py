@@ -1,0 +1,145 @@
+"""Reads what the runs of a comparison found: the rows of Table 5, of Figures 7 and 8, and of the pairs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+from sqlalchemy import Connection
+
+from drivecal.analysis import comparison as analysis
+from drivecal.analysis.comparison import Course, Pair
+from drivecal.campaigns.comparisons.resolve import runs_of
+from drivecal.campaigns.resolve.resolved_spec import resolved_spec
+from drivecal.contracts.campaign import CellCounts
+from drivecal.contracts.comparison import ComparedGroup, ComparedPair, ComparedRun, ComparisonSpecification, ReductionEffect
+from drivecal.contracts.input_errors import validated
+from drivecal.domain.campaigns import CampaignState
+from drivecal.storage import campaigns, generations, results
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.generations import Figures
+
+MOST_GENERATIONS = 10_000
+MOST_REMEMBERED = 100_000
+"""Runs."""
+
+
+@dataclass(frozen=True, slots=True)
+class ComparisonResults:
+    """The runs of a comparison with their courses, in their order."""
+
+    campaigns: Sequence[StoredCampaign]
+    courses: Sequence[Course]
+
+    def runs(self) -> list[ComparedRun]:
+        """One row per run."""
+        best = analysis.best_of_all(self.courses)
+        return [_run(campaign, course, best) for campaign, course in zip(self.campaigns, self.courses, strict=True)]
+
+    def groups(self) -> list[ComparedGroup]:
+        """One row per optimizer, population and reduction."""
+        return [ComparedGroup(**asdict(one)) for one in analysis.groups(self.courses)]
+
+    def pairs(self) -> list[ComparedPair]:
+        """One row per pair of runs that differ in the reduction alone."""
+        ids = {course.conditions: one.id for one, course in zip(self.campaigns, self.courses, strict=True)}
+        return [pair_row(one, ids[one.run.conditions], ids[one.base.conditions]) for one in analysis.pairs(self.courses)]
+
+    def effects(self) -> list[ReductionEffect]:
+        """What the pairs say together."""
+        return [ReductionEffect(**asdict(one)) for one in analysis.effects(analysis.pairs(self.courses))]
+
+
+def compared(connection: Connection, comparison: StoredCampaign) -> ComparisonResults:
+    """What is known of a comparison so far."""
+    stored = campaigns.runs_of(connection, comparison.sequence)
+    wanted = runs_of(validated(ComparisonSpecification, comparison.spec))
+    courses = [_course(connection, one, run.conditions) for one, run in zip(stored, wanted, strict=True)]
+    return ComparisonResults(stored, courses)
+
+
+def _course(connection: Connection, run: StoredCampaign, conditions: analysis.Conditions) -> Course:
+    found, _ = generations.page(connection, run.sequence, limit=MOST_GENERATIONS)
+    figures = [one for _, one in found]
+    reused = any(one.reused for one in figures)
+    return Course(
+        conditions=conditions,
+        best=[one.best for one in figures],
+        ratings=[one.rating for one in figures],
+        alternatives=[one.alternatives for one in figures],
+        means=[one.mean for one in figures],
+        simulations=[_needed(one) for one in figures],
+        ended=run.state is CampaignState.SUCCEEDED,
+        reused=reused,
+        simulated_best=_best_simulated(connection, run) if reused else None,
+        confirmations=_needed(run.cells) - sum(map(_needed, figures)) if len(figures) == _iterations(run) else 0,
+    )
+
+
+def _iterations(run: StoredCampaign) -> int:
+    """Of its search: what is beyond them confirms its best set."""
+    wanted: int = run.spec["optimizer"]["iterations"]
+    return wanted
+
+
+def _best_simulated(connection: Connection, run: StoredCampaign) -> float | None:
+    """See `results.best_simulated`; of a run that has ended it is looked for once: who follows a comparison asks every few seconds."""
+    if run.id in _ended:
+        return _ended[run.id]
+    found = results.best_simulated(connection, run.sequence, resolved_spec(run).weights)
+    if run.state.ended:
+        _ended[run.id] = found
+        if len(_ended) > MOST_REMEMBERED:
+            _ended.clear()
+    return found
+
+
+_ended: dict[str, float | None] = {}
+"""By the run's id, which no other run ever has."""
+
+
+def _needed(figures: Figures | CellCounts) -> int:
+    """Cells without an answer among the campaign's own: they took a simulation, whoever made it, or failed to."""
+    return figures.requested - figures.repeated - figures.reused
+
+
+def _run(campaign: StoredCampaign, course: Course, best: float | None) -> ComparedRun:
+    return ComparedRun(
+        run=campaign.id,
+        **course.conditions._asdict(),
+        state=campaign.state,
+        iterations=len(course.best),
+        requested=campaign.cells.requested,
+        simulations=course.simulated,
+        confirmations=course.confirmations,
+        analysis=campaign.sensitivity_cells.requested - campaign.sensitivity_cells.repeated,
+        best=course.best[-1] if course.best else None,
+        simulated_best=course.optimum,
+        rating=course.ratings[-1] if course.ratings else None,
+        alternatives=course.alternatives[-1] if course.alternatives else 0,
+        mean=course.means[-1] if course.means else None,
+        converged_at=course.converged_at,
+        simulations_to_converge=course.simulations_to_converge,
+        alternatives_converged_at=course.alternatives_converged_at,
+        success=analysis.succeeds(course, best),
+    )
+
+
+def pair_row(pair: Pair, run: str, base_run: str) -> ComparedPair:
+    """One pair as it is answered; `run` and `base_run` are the ids of its runs."""
+    conditions = pair.run.conditions
+    return ComparedPair(
+        optimizer=conditions.optimizer,
+        population=conditions.population,
+        seed=conditions.seed,
+        reduction=conditions.reduction,
+        base=pair.base.conditions.reduction,
+        run=run,
+        base_run=base_run,
+        best=pair.run.optimum or 0.0,
+        base_best=pair.base.optimum or 0.0,
+        difference=pair.difference,
+        simulations=pair.run.simulated,
+        base_simulations=pair.base.simulated,
+        saved=pair.saved,
+    )

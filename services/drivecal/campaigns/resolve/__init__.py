@@ -1,0 +1,1 @@
+"""Resolves a submitted specification against the installed plug-ins: problem, search space, influence maps."""

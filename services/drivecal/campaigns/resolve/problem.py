@@ -1,0 +1,236 @@
+"""Resolves what a user submitted against what is installed: the one place that decides whether a campaign can run.
+
+`POST /campaigns`, `?validate_only=true`, `submit --dry-run` and the dispatcher all go through here. Everything wrong with a
+specification is reported at once, each with its field and what would be right.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from drivecal.campaigns.resolve import resolvers
+from drivecal.campaigns.resolve.diagnostics import Diagnostics
+from drivecal.campaigns.resolve.resolvers import Optimization
+from drivecal.campaigns.resolve.spaces import free_values, given_set, search_space, space_to_document
+from drivecal.contracts.campaign import ExpectedRuns
+from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, SensitivitySpecification
+from drivecal.contracts.work import SetupRequest
+from drivecal.domain.errors import InvalidInputError
+from drivecal.domain.parameters import Parameter, ParameterSet, ParameterSpace, text
+from drivecal.domain.scenarios import Scenario
+from drivecal.domain.setups import Setup
+from drivecal.plugins import registry
+from drivecal.plugins.ports import DrivingFunction, Evaluator, Vehicle
+from drivecal.plugins.setups import setup_of
+from drivecal.sensitivity.analysis import SensitivityAnalysis
+
+
+def evaluator_id(evaluator: Evaluator) -> str:
+    """Name and version of an evaluator, under which ratings are stored."""
+    return f"{evaluator.name} {evaluator.version}"
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Everything besides the parameter set: which scenarios are driven by what, in which vehicle, rated by whom."""
+
+    scenarios: Mapping[str, tuple[str, Scenario]]
+    """By scenario id, in the catalogue's order: (catalogue's name, scenario)."""
+    driving_function: DrivingFunction
+    vehicle: Vehicle
+    vehicle_parameters: Mapping[str, float]
+    evaluator: Evaluator
+
+    def __post_init__(self) -> None:
+        """Raises UnavailableError where a part lacks what it was shipped with: reading its version, it finds out."""
+        self.driving_function.version, self.vehicle.version, self.evaluator.version  # noqa: B018  reading is what may fail
+
+    @cached_property
+    def setups(self) -> dict[str, Setup]:
+        """The setup of each scenario."""
+        return {
+            name: setup_of(scenario, self.driving_function, self.vehicle, self.vehicle_parameters)
+            for name, (_, scenario) in self.scenarios.items()
+        }
+
+    @cached_property
+    def requests(self) -> dict[str, SetupRequest]:
+        """What a worker is asked to run, by scenario."""
+        return {
+            name: SetupRequest(
+                catalogue=catalogue,
+                scenario=name,
+                driving_function=self.driving_function.name,
+                vehicle=self.vehicle.name,
+                vehicle_parameters=self.setups[name].vehicle_parameters,
+                evaluator=self.evaluator.name,
+                evaluator_version=self.evaluator.version,
+                run_fingerprint=self.setups[name].fingerprint,
+                document=self.setups[name].document,
+            )
+            for name, (catalogue, _) in self.scenarios.items()
+        }
+
+    @property
+    def evaluator_id(self) -> str:
+        """Name and version of the evaluator: with the run fingerprint it names a rating."""
+        return evaluator_id(self.evaluator)
+
+
+@dataclass(frozen=True)
+class CalibrationProblem:
+    """A campaign that can run."""
+
+    specification: CampaignSpecification
+    bench: Bench
+    space: ParameterSpace
+    weights: Mapping[str, float]
+    """Normalised to a sum of 1, by scenario; scenarios of weight 0 are left out (Eq. 6)."""
+    optimization: Optimization | None
+    """None where only the sensitivity analysis is wanted."""
+    baseline: ParameterSet | None
+    start_sets: tuple[ParameterSet, ...]
+    """What must be in the start population, each once: the baseline, then the sets from expert knowledge."""
+    robust_sets: tuple[ParameterSet, ...]
+    """What the robustness stage examines in any case."""
+    notes: tuple[str, ...]
+
+    def analysis(self) -> SensitivityAnalysis | None:
+        """A fresh sensitivity analysis; None where a map is named or none is wanted."""
+        wanted = self.specification.sensitivity
+        if not isinstance(wanted, SensitivitySpecification):
+            return None
+        return resolvers.plan_analysis(wanted, self.space, self.scenarios)
+
+    @property
+    def checked_certificates(self) -> float | None:
+        """The share of certified cells that are simulated all the same, to check the certificates; None where none are used."""
+        wanted = self.specification.reduction
+        return wanted.audit if wanted.certified and self.bench.driving_function.certifiable else None
+
+    @property
+    def scenarios(self) -> tuple[str, ...]:
+        """The ids of the scenarios that are simulated, in the catalogue's order."""
+        return tuple(self.weights)
+
+    def expected_runs(self) -> ExpectedRuns:
+        """What the campaign costs if no cell could be answered without a simulation."""
+        chosen, analysis = self.optimization, self.analysis()
+        proposed = requested = 0
+        if chosen is not None:
+            proposed = chosen.population * chosen.iterations * len(self.scenarios)
+            requested = chosen.plugin.requested_individuals(chosen.settings) * len(self.scenarios)
+        phases = {} if analysis is None else analysis.expected_runs()
+        intervals = phases.get("intervals", 0) * len(self.scenarios)
+        return ExpectedRuns(
+            sensitivity=intervals,
+            sensitivity_at_most=sum(phases.values()) * len(self.scenarios),
+            calibration_proposed=proposed,
+            calibration_at_most=requested,
+            robustness=self._robustness_runs(),
+            validation=self._validation_runs(),
+            break_even_share=intervals / requested if intervals and requested else None,
+            notes=list(self.notes),
+        )
+
+    def _robustness_runs(self) -> int:
+        wanted = self.specification.robustness
+        if wanted is None:
+            return 0
+        searched = self.optimization is not None or wanted.of is not None
+        solutions = len(self.robust_sets) + (wanted.solutions if searched else 0)
+        boxes = wanted.steps + wanted.refinements
+        return solutions * len(self.scenarios) * (1 + boxes * wanted.samples)
+
+    def _validation_runs(self) -> int:
+        wanted = self.specification.validation
+        return 0 if wanted is None else wanted.samples * (1 + wanted.references) * len(self.scenarios)
+
+    def resolution(self) -> dict[str, Any]:
+        """What decides how the campaign goes on, and must not change before it ends: setups, evaluator, space; JSON-ready.
+
+        `resolved_spec.ResolvedSpec` is what it means once the campaign has been taken up.
+        """
+        fixed = {name: text(value) for name, value in self.space.fixed.items()}
+        return _resolution(self.bench, self.space.parameters) | {"fixed": fixed, "weights": dict(self.weights)}
+
+
+@dataclass(frozen=True)
+class EvaluationProblem:
+    """One parameter set to be driven in one or more scenarios."""
+
+    bench: Bench
+    parameter_set: ParameterSet
+
+    def resolution(self) -> dict[str, Any]:
+        """See `CalibrationProblem.resolution`."""
+        return _resolution(self.bench, next(iter(self.bench.driving_function.spaces.values())))
+
+
+def _resolution(bench: Bench, space: Sequence[Parameter]) -> dict[str, Any]:
+    return {
+        "setups": {scenario: setup.fingerprint for scenario, setup in bench.setups.items()},
+        "evaluator": bench.evaluator_id,
+        "space": space_to_document(space),
+    }
+
+
+def resolve(specification: CampaignSpecification) -> CalibrationProblem:
+    """The problem that a specification describes. Raises InvalidInputError with everything that is wrong."""
+    diagnostics = Diagnostics()
+    scenarios = resolvers.find_scenarios(specification.catalogue, diagnostics)
+    function = diagnostics.attempt(lambda: registry.driving_function(specification.driving_function))
+    vehicle, vehicle_parameters = resolvers.find_vehicle(specification.vehicle, diagnostics)
+    evaluator = diagnostics.attempt(lambda: registry.evaluator(specification.evaluator))
+    optimization = resolvers.choose_optimizer(specification, diagnostics)
+    weights, notes = resolvers.normalise_weights(specification.weights, list(scenarios), diagnostics)
+    notes += resolvers.note_vehicle(vehicle, vehicle_parameters)
+    space = None if function is None else search_space(specification, function, diagnostics)
+    baseline = given_set(specification.baseline, space, "baseline", diagnostics)
+    start_sets = resolvers.find_start_sets(specification, baseline, space, diagnostics)
+    robust_sets = resolvers.find_robust_sets(specification, vehicle, vehicle_parameters, list(weights), space, diagnostics)
+    resolvers.check_validation(specification, diagnostics)
+    if specification.reduction.narrow and specification.sensitivity is None:
+        remedy = "ask for a sensitivity analysis, name a map, or leave `narrow` out"
+        diagnostics.add("reduction.narrow", "there is no influence map by which the search space could be narrowed", remedy)
+    if space is not None and isinstance(specification.sensitivity, SensitivitySpecification):
+        try:
+            resolvers.plan_analysis(specification.sensitivity, space, tuple(weights))
+        except InvalidInputError as error:
+            diagnostics.problems.extend(error.problems)
+    diagnostics.raise_if_any()
+    if function is None or vehicle is None or evaluator is None or space is None:
+        raise AssertionError("a part is missing without a finding")
+    bench = Bench({name: scenarios[name] for name in weights}, function, vehicle, vehicle_parameters, evaluator)
+    return CalibrationProblem(specification, bench, space, weights, optimization, baseline, start_sets, robust_sets, notes)
+
+
+def resolve_evaluation(specification: EvaluationSpecification) -> EvaluationProblem:
+    """The cells that a single evaluation asks for. Values need not lie on a grid, only within the driving function's limits."""
+    diagnostics = Diagnostics()
+    scenarios = resolvers.find_scenarios(specification.catalogue, diagnostics)
+    if specification.scenario is not None:
+        if specification.scenario in scenarios:
+            scenarios = {specification.scenario: scenarios[specification.scenario]}
+        elif scenarios:
+            diagnostics.add("scenario", f"there is no scenario {specification.scenario!r}", f"one of {', '.join(scenarios)}")
+    function = diagnostics.attempt(lambda: registry.driving_function(specification.driving_function))
+    vehicle, vehicle_parameters = resolvers.find_vehicle(specification.vehicle, diagnostics)
+    evaluator = diagnostics.attempt(lambda: registry.evaluator(specification.evaluator))
+    values = {} if function is None else free_values(specification.parameters, function, diagnostics)
+    diagnostics.raise_if_any()
+    if function is None or vehicle is None or evaluator is None:
+        raise AssertionError("a part is missing without a finding")
+    bench = Bench(scenarios, function, vehicle, vehicle_parameters, evaluator)
+    return EvaluationProblem(bench, ParameterSet.of(values))
+
+
+def catalogue_scenarios(catalogue: str | list[str]) -> dict[str, tuple[str, Scenario]]:
+    """The scenarios of a catalogue, or those listed: id to (catalogue's name, scenario). Raises InvalidInputError."""
+    diagnostics = Diagnostics()
+    found = resolvers.find_scenarios(catalogue, diagnostics)
+    diagnostics.raise_if_any()
+    return found

@@ -1,0 +1,204 @@
+"""The parts of what a user submitted, each resolved against what is installed; what is wrong with one becomes a finding."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from pydantic import BaseModel, ValidationError
+
+from drivecal.analysis.robustness import check_nominal
+from drivecal.campaigns.resolve.diagnostics import Diagnostics
+from drivecal.campaigns.resolve.spaces import given_set
+from drivecal.contracts.input_errors import nearest, problem
+from drivecal.contracts.specification import (
+    CampaignSpecification,
+    SensitivitySpecification,
+    SeparateThresholds,
+    VehicleSpecification,
+)
+from drivecal.domain.errors import InvalidInputError
+from drivecal.domain.parameters import ParameterSet, ParameterSpace
+from drivecal.domain.scenarios import Scenario
+from drivecal.plugins import registry
+from drivecal.plugins.ports import OptimizerPlugin, Vehicle
+from drivecal.sensitivity import thresholds
+from drivecal.sensitivity.analysis import SensitivityAnalysis
+from drivecal.sensitivity.settings import SensitivitySettings
+
+MOST_WRONG_SETS = 200
+"""Findings after which further start sets are not looked at."""
+
+
+@dataclass(frozen=True)
+class Optimization:
+    """The chosen optimizer with its checked settings."""
+
+    plugin: OptimizerPlugin
+    settings: BaseModel
+    population: int
+    iterations: int
+    seed: int
+
+
+def find_scenarios(catalogue: str | list[str], diagnostics: Diagnostics) -> dict[str, tuple[str, Scenario]]:
+    """By id, in the catalogues' order: (catalogue's name, scenario)."""
+    if isinstance(catalogue, str):
+        try:
+            found = registry.catalogue(catalogue)
+        except InvalidInputError as error:
+            diagnostics.problems.extend(error.problems)
+            return {}
+        return {name: (found.name, scenario) for name, scenario in found.scenarios.items()}
+    every = {name: (one.name, scenario) for one in registry.catalogues() for name, scenario in one.scenarios.items()}
+    for index, name in enumerate(catalogue):
+        if name not in every:
+            diagnostics.add(f"catalogue[{index}]", f"there is no scenario {name!r}", f"installed: {', '.join(every)}")
+    return {name: entry for name, entry in every.items() if name in catalogue}
+
+
+def find_vehicle(specification: VehicleSpecification, diagnostics: Diagnostics) -> tuple[Vehicle | None, dict[str, float]]:
+    """The vehicle and its parameters: nominal where nothing else was given."""
+    vehicle = diagnostics.attempt(lambda: registry.vehicle(specification.model))
+    if vehicle is None:
+        return None, {}
+    known = {parameter.name: parameter for parameter in vehicle.parameters}
+    for name in specification.parameters:
+        if name not in known:
+            diagnostics.add(f"vehicle.parameters.{name}", f"{vehicle.name} has no such parameter", f"one of {', '.join(known)}")
+    return vehicle, {name: parameter.nominal for name, parameter in known.items()} | specification.parameters
+
+
+def note_vehicle(vehicle: Vehicle | None, values: Mapping[str, float]) -> tuple[str, ...]:
+    """What is unusual about a vehicle, and no mistake in any case: values beyond the bounds of its model, by a wrong unit perhaps."""
+    if vehicle is None:
+        return ()
+    return tuple(
+        f"vehicle.parameters.{one.name} is {values[one.name]:g} {one.unit}, beyond the {one.minimum:g} to {one.maximum:g} {one.unit}"
+        f" of {vehicle.name}"
+        for one in vehicle.parameters
+        if not one.minimum <= values[one.name] <= one.maximum
+    )
+
+
+def choose_optimizer(specification: CampaignSpecification, diagnostics: Diagnostics) -> Optimization | None:
+    """The optimizer with its checked settings; None where none is wanted."""
+    wanted = specification.optimizer
+    if wanted is None:
+        others = (
+            isinstance(specification.sensitivity, SensitivitySpecification),
+            specification.robustness,
+            specification.validation,
+        )
+        if not any(others):
+            diagnostics.add(
+                "optimizer", "there is nothing to do", "choose an optimizer, a sensitivity analysis or another stage"
+            )
+        return None
+    plugin = diagnostics.attempt(lambda: registry.optimizer(wanted.kind))
+    if plugin is None:
+        return None
+    try:
+        settings = plugin.settings.model_validate(wanted.model_dump(exclude={"start_sets"}))
+    except ValidationError as error:
+        for detail in error.errors(include_url=False):
+            field = ".".join(["optimizer", *(str(part) for part in detail["loc"])])
+            if detail["type"] == "extra_forbidden":
+                remedy = nearest(str(detail["loc"][-1]), list(plugin.settings.model_fields))
+                diagnostics.add(field, f"{plugin.name} has no such setting", remedy)
+            else:
+                diagnostics.problems.append(problem(field, detail))
+        return None
+    return Optimization(plugin, settings, wanted.population, wanted.iterations, wanted.seed)
+
+
+def find_start_sets(
+    specification: CampaignSpecification, baseline: ParameterSet | None, space: ParameterSpace | None, diagnostics: Diagnostics
+) -> tuple[ParameterSet, ...]:
+    """What must be in the start population, each once: the baseline, then the sets from expert knowledge."""
+    wanted = specification.optimizer
+    listed = [] if wanted is None else wanted.start_sets
+    found: list[ParameterSet | None] = []
+    for index, one in enumerate(listed):
+        if len(diagnostics.problems) > MOST_WRONG_SETS:
+            break  # who has so many to mend begins with them
+        found.append(given_set(one, space, f"optimizer.start_sets[{index}]", diagnostics))
+    together = tuple(dict.fromkeys(one for one in (baseline, *found) if one is not None))
+    if wanted is not None and len(together) > wanted.population:
+        message = f"{len(together)} sets, the baseline included, do not fit into a population of {wanted.population}"
+        diagnostics.add("optimizer.start_sets", message, "give fewer, or a larger population")
+    return together
+
+
+def find_robust_sets(
+    specification: CampaignSpecification,
+    vehicle: Vehicle | None,
+    nominal: Mapping[str, float],
+    scenarios: Sequence[str],
+    space: ParameterSpace | None,
+    diagnostics: Diagnostics,
+) -> tuple[ParameterSet, ...]:
+    """The sets that are examined in any case; finds what is wrong with the stage."""
+    wanted = specification.robustness
+    if wanted is None:
+        return ()
+    if specification.optimizer is None and not wanted.sets and wanted.of is None:
+        remedy = "choose an optimizer, or name sets in robustness.sets or a campaign in robustness.of"
+        diagnostics.add("robustness", "there are no solutions to examine", remedy)
+    if specification.optimizer is not None and wanted.of is not None:
+        diagnostics.add("robustness.of", "this campaign searches its own solutions", "leave it out, or give optimizer: null")
+    if isinstance(wanted.eta, list) and len(wanted.eta) != len(scenarios):
+        message = f"{len(wanted.eta)} numbers for {len(scenarios)} scenarios"
+        diagnostics.add("robustness.eta", message, f"one number, or one for each of {', '.join(scenarios)}")
+    if vehicle is not None:
+        diagnostics.attempt(lambda: check_nominal(vehicle.parameters, nominal))
+    found = [given_set(one, space, f"robustness.sets[{index}]", diagnostics) for index, one in enumerate(wanted.sets)]
+    return tuple(dict.fromkeys(one for one in found if one is not None))
+
+
+def check_validation(specification: CampaignSpecification, diagnostics: Diagnostics) -> None:
+    """Whether there is something to validate, with numbers that fit."""
+    wanted = specification.validation
+    if wanted is None:
+        return
+    if specification.sensitivity is None:
+        diagnostics.add("validation", "there is no influence map to validate", "ask for a sensitivity analysis, or name a map")
+    if wanted.largest < wanted.samples:
+        message = f"{wanted.largest:,} is less than the first {wanted.samples:,} samples"
+        diagnostics.add("validation.largest", message, "give at least as many")
+
+
+def plan_analysis(wanted: SensitivitySpecification, space: ParameterSpace, scenarios: Sequence[str]) -> SensitivityAnalysis:
+    """A fresh sensitivity analysis. Raises InvalidInputError where it cannot be made of this space."""
+    threshold = wanted.threshold
+    settings = SensitivitySettings(
+        design=wanted.design,
+        intervals=wanted.intervals,
+        samples=wanted.samples,
+        threshold=thresholds.MuSigmaThresholds(threshold.mu, threshold.sigma)
+        if isinstance(threshold, SeparateThresholds)
+        else threshold,
+        seed=wanted.seed,
+    )
+    return SensitivityAnalysis(space, scenarios, settings)
+
+
+def normalise_weights(
+    given: Mapping[str, float], scenarios: Sequence[str], diagnostics: Diagnostics
+) -> tuple[dict[str, float], tuple[str, ...]]:
+    """By scenario, of sum 1 and without those of weight 0 (Eq. 6), with a note that names these."""
+    for name in given:
+        if scenarios and name not in scenarios:
+            diagnostics.add(
+                f"weights.{name}", f"there is no scenario {name!r} in the catalogue", f"one of {', '.join(scenarios)}"
+            )
+    weights = {name: float(given.get(name, 1.0)) for name in scenarios}
+    total = sum(weights.values())
+    if scenarios and total == 0:
+        diagnostics.add(
+            "weights", "all weights are 0, so nothing would be simulated", "give at least one scenario a positive weight"
+        )
+        return {}, ()
+    left_out = [name for name, weight in weights.items() if weight == 0]
+    notes = (f"not simulated because their weight is 0: {', '.join(left_out)}",) if left_out else ()
+    return {name: weight / total for name, weight in weights.items() if weight > 0}, notes

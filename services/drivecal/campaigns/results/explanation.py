@@ -1,0 +1,273 @@
+"""Why a cell was reused, or why it was not: looked up on demand, from what the campaign saw when it asked for the cell."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from sqlalchemy import Connection
+
+from drivecal.campaigns.resolve.maps import stored_map
+from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec
+from drivecal.contracts.explanation import Audit, Difference, Explanation, Proof, Reason, Reference
+from drivecal.contracts.specification import CampaignSpecification
+from drivecal.domain.campaigns import Stage
+from drivecal.domain.evaluations import AuditCount, Outcome
+from drivecal.domain.influence import InfluenceMap
+from drivecal.domain.parameters import billionths, from_billionths
+from drivecal.reduction import explanation
+from drivecal.reduction.audit import stopped_after
+from drivecal.reduction.explanation import CellComparison, Nearest
+from drivecal.reduction.reasons import sentence
+from drivecal.storage import audits, campaigns, results
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.references import influence_maps, parameter_sets, reference_candidates, runs
+from drivecal.storage.results import StoredEvaluation
+
+LARGEST_AGREEMENT = 1
+"""Scores that differ by more are wrong (Eq. 8)."""
+
+
+@dataclass(frozen=True)
+class _Case:
+    """A cell with all that decided over it."""
+
+    connection: Connection
+    cell: StoredEvaluation
+    campaign: StoredCampaign
+
+    @cached_property
+    def specification(self) -> CampaignSpecification | None:
+        """Of the campaign; None of a single evaluation."""
+        return None if self.campaign.kind == "evaluation" else CampaignSpecification.model_validate(self.campaign.spec)
+
+    @cached_property
+    def influence_map(self) -> InfluenceMap | None:
+        if self.campaign.influence_map_id is None:
+            return None
+        return stored_map(influence_maps.get(self.connection, self.campaign.influence_map_id))
+
+    @cached_property
+    def comparison(self) -> CellComparison:
+        own = self.cell.parameter_set_id
+        parameters = parameter_sets.load(self.connection, [own])[own]
+        ranges = {one.name: billionths(one.upper) - billionths(one.lower) for one in self._pinned.space.parameters}
+        return CellComparison(
+            self.influence_map or InfluenceMap({}),
+            self.cell.scenario,
+            parameters.names,
+            np.array(parameters.billionths, dtype=np.int64),
+            np.array([ranges[name] for name in parameters.names], dtype=np.int64),
+        )
+
+    @cached_property
+    def evaluator(self) -> str:
+        """Who rated the campaign's cells: name and version."""
+        return self._pinned.evaluator
+
+    @cached_property
+    def _pinned(self) -> ResolvedSpec:
+        return resolved_spec(self.campaign)
+
+
+def explain(connection: Connection, evaluation_id: int) -> Explanation:
+    """Why an evaluation was answered as it was. Raises NotFoundError."""
+    cell = results.by_id(connection, evaluation_id)
+    case = _Case(connection, cell, campaigns.by_sequence(connection, cell.campaign_sequence))
+    if cell.plan is Outcome.SIMULATED and not cell.audited and cell.outcome is not Outcome.CERTIFIED:
+        return _not_reused(case)
+    answered_as = Outcome.CERTIFIED if cell.outcome is Outcome.CERTIFIED else cell.plan
+    reason: Reason = "audited" if cell.audited else _REASONS[answered_as]
+    if cell.reference is None:
+        raise AssertionError(f"evaluation {cell.id} names no reference")
+    reference, differences = _reference(case, cell.reference)
+    return _explanation(
+        case, reason, reference=reference, differences=differences, audit=_audit(case, reference) if cell.audited else None
+    )
+
+
+_REASONS: Mapping[Outcome, Reason] = {
+    Outcome.REPEATED: "repeated",
+    Outcome.REUSED: "reused",
+    Outcome.CERTIFIED: "certified",
+}
+
+
+def _not_reused(case: _Case) -> Explanation:
+    trusted = _trusted(case)
+    if trusted is not None:
+        reference, differences = _reference(case, trusted)
+        return _explanation(case, "confirmation", reference=reference, differences=differences, audit=_audit(case, reference))
+    reason, stop = _forbidden(case)
+    if reason is not None:
+        return _explanation(case, reason, stop=stop)
+    found, stored = _nearest(case)
+    if found is None:
+        return _explanation(case, "nothing_stored", stored=0)
+    reference, differences = _reference(case, found.evaluation)
+    return _explanation(
+        case,
+        "blocked" if found.blocking else "unanswered",
+        reference=reference,
+        differences=differences,
+        distance=found.distance,
+        stored=stored,
+    )
+
+
+def _trusted(case: _Case) -> int | None:
+    """The reference that had answered a cell before it was simulated to confirm the best set; None of any other cell."""
+    cell, specification = case.cell, case.specification
+    if specification is None or specification.optimizer is None or cell.stage is not Stage.CALIBRATION:
+        return None
+    if cell.iteration < specification.optimizer.iterations:
+        return None
+    return results.reference_of(case.connection, cell.campaign_sequence, cell.scenario, cell.parameter_set_id)
+
+
+def _forbidden(case: _Case) -> tuple[Reason | None, tuple[int, AuditCount] | None]:
+    """Why nothing could be reused at all; where the self-check stopped it, after which iteration and by which audits."""
+    specification, cell = case.specification, case.cell
+    if specification is None:
+        return "exact_only", None
+    if specification.reduction.mode == "off":
+        return "off", None
+    if cell.stage is Stage.SENSITIVITY:
+        return "analysis", None
+    if cell.stage is not Stage.CALIBRATION:
+        return "study", None
+    if specification.reduction.mode == "exact":
+        return "exact_only", None
+    if case.influence_map is None:
+        return "no_map", None
+    rate = case.campaign.error_rate.get(cell.scenario)
+    if rate is not None and rate.stopped:
+        counts = audits.by_iteration(case.connection, case.campaign.sequence, cell.scenario, case.evaluator)
+        stop = stopped_after(counts, specification.reduction.max_error)
+        if stop is not None and cell.iteration > stop[0]:
+            return "stopped", stop
+    return None, None
+
+
+def _nearest(case: _Case) -> tuple[Nearest | None, int]:
+    """The nearest of all sets that the campaign saw when it asked, and how many those were. References of earlier campaigns come before
+    its own."""
+    cell, names = case.cell, tuple(case.cell.parameters)
+    watermark = case.campaign.watermark or 0
+    nearest: Nearest | None = None
+    stored = 0
+    place = (cell.stage, cell.iteration, cell.individual)
+    sources = (
+        reference_candidates.stored_sets(case.connection, cell.setup_id, case.evaluator, watermark, names),
+        reference_candidates.own_sets(case.connection, cell.campaign_sequence, cell.scenario, place, names),
+    )
+    for rank, source in enumerate(sources):
+        for sets in source:
+            stored += len(sets.values)
+            places = np.insert(sets.places, 0, rank, axis=1)
+            found = case.comparison.nearest(sets.values, places, sets.evaluations)
+            if found is not None and (nearest is None or found.order < nearest.order):
+                nearest = found
+    return nearest, stored
+
+
+def _reference(case: _Case, evaluation_id: int) -> tuple[Reference, list[Difference]]:
+    donor = results.by_id(case.connection, evaluation_id)
+    stored = parameter_sets.load(case.connection, [donor.parameter_set_id])[donor.parameter_set_id]
+    by_name = dict(zip(stored.names, stored.billionths, strict=True))
+    values = np.array([by_name[name] for name in case.cell.parameters], dtype=np.int64)
+    score = donor.score
+    if donor.run_id is not None and donor.campaign_sequence != case.campaign.sequence:
+        score = runs.scores(connection=case.connection, run_ids=[donor.run_id], evaluator=case.evaluator).get(
+            donor.run_id, score
+        )
+    reference = Reference(
+        evaluation=donor.id,
+        campaign=campaigns.by_sequence(case.connection, donor.campaign_sequence).id,
+        stage=donor.stage,
+        iteration=donor.iteration,
+        individual=donor.individual,
+        score=score,
+        failure=donor.failure,
+    )
+    return reference, [_difference(one) for one in case.comparison.differences(values)]
+
+
+def _difference(one: explanation.ParameterDifference) -> Difference:
+    influence = one.influence
+    return Difference(
+        parameter=one.parameter,
+        value=float(from_billionths(one.value)),
+        reference_value=float(from_billionths(one.reference_value)),
+        region=one.region,
+        reference_region=one.reference_region,
+        lower=None if influence.lower is None else float(influence.lower),
+        upper=None if influence.upper is None else float(influence.upper),
+        blocks=one.blocks,
+    )
+
+
+def _audit(case: _Case, reference: Reference) -> Audit:
+    own, donor = case.cell.score, reference.score
+    known = own is not None and donor is not None
+    change = abs((own or 0) - (donor or 0))
+    return Audit(
+        score=own,
+        reference_score=donor,
+        agrees=change == 0 if known else None,
+        wrong=change > LARGEST_AGREEMENT if known else None,
+    )
+
+
+def _proof(case: _Case) -> Proof | None:
+    """What a certificate says of a cell that something else answered; None where none is known."""
+    cell = case.cell
+    if cell.proven_by is None or cell.outcome not in {Outcome.REUSED, Outcome.SIMULATED}:
+        return None
+    proving, _ = _reference(case, cell.proven_by)
+    if cell.outcome is Outcome.SIMULATED:
+        return Proof(reference=proving, score=cell.score, agrees=cell.proof_agrees, wrong=None)
+    known = cell.score is not None and proving.score is not None
+    change = abs((cell.score or 0) - (proving.score or 0))
+    return Proof(
+        reference=proving,
+        score=proving.score,
+        agrees=change == 0 if known else None,
+        wrong=change > LARGEST_AGREEMENT if known else None,
+    )
+
+
+def _explanation(
+    case: _Case,
+    reason: Reason,
+    *,
+    reference: Reference | None = None,
+    differences: Sequence[Difference] = (),
+    audit: Audit | None = None,
+    distance: float | None = None,
+    stored: int | None = None,
+    stop: tuple[int, AuditCount] | None = None,
+) -> Explanation:
+    cell = case.cell
+    found = Explanation(
+        evaluation=cell.id,
+        campaign=case.campaign.id,
+        stage=cell.stage,
+        iteration=cell.iteration,
+        individual=cell.individual,
+        scenario=cell.scenario,
+        outcome=cell.outcome,
+        score=cell.score,
+        failure=cell.failure,
+        reason=reason,
+        sentence="",
+        reference=reference,
+        differences=list(differences),
+        audit=audit,
+        proof=_proof(case),
+        distance=distance,
+        stored=stored,
+    )
+    return found.model_copy(update={"sentence": sentence(found, stop)})

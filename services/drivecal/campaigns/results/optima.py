@@ -1,0 +1,58 @@
+"""The sets that share a campaign's best objective: the regions in which they lie, and how far the next worse set is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import takewhile
+
+import numpy as np
+import numpy.typing as npt
+
+from drivecal.analysis.optima import Optimum, regions, to_nearest
+from drivecal.analysis.solutions import EQUAL, EvaluatedSet
+from drivecal.domain.parameters import ParameterSet, ParameterSpace
+from drivecal.plugins.ports import Floats
+from drivecal.storage.engine.database import Database
+from drivecal.storage.references import parameter_sets
+
+MOST_BEST = 10_000
+"""Of the sets with the best objective, so many are looked at, best rated first: the work grows with the square of their number."""
+MOST_WORSE = 20_000
+"""Sets of a lower objective among which the nearest is looked for."""
+
+
+def unit_cube(space: ParameterSpace, sets: Sequence[ParameterSet]) -> Floats:
+    """Positions in the search space, shape (n, n_searched), each axis from 0 to 1."""
+    rows = [dict(zip(one.names, one.billionths, strict=True)) for one in sets]
+    values = np.array([[row[one.name] for one in space.searched] for row in rows], dtype=np.float64)
+    lower = np.array([one.billionths(0) for one in space.searched], dtype=np.float64)
+    upper = np.array([one.billionths(one.n_values - 1) for one in space.searched], dtype=np.float64)
+    return (values.reshape(len(rows), len(lower)) - lower) / (upper - lower)
+
+
+@dataclass(frozen=True, slots=True)
+class Alternatives:
+    """Sets that share the best objective, in the order of their ranks, and the next worse ones, as points of the unit cube."""
+
+    best: Floats
+    worse: Floats
+    regions: npt.NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.best)
+
+    def shown(self, start: int, stop: int) -> list[Optimum]:
+        """What is known of some; the distances, which take most of the time, are computed for these alone."""
+        away = to_nearest(self.best[start:stop], self.worse)
+        return [Optimum(int(region), one) for region, one in zip(self.regions[start:stop], away, strict=True)]
+
+
+def alternatives(database: Database, ranking: Sequence[EvaluatedSet], space: ParameterSpace) -> Alternatives:
+    """The first of a `ranking`, best first: those that share the objective of the very first one, at most MOST_BEST."""
+    equal = sum(1 for _ in takewhile(lambda one: one.objective >= ranking[0].objective - EQUAL, ranking))
+    best, worse = ranking[: min(equal, MOST_BEST)], ranking[equal : equal + MOST_WORSE]
+    with database.read() as connection:
+        sets = parameter_sets.load(connection, [one.parameter_set for one in (*best, *worse)])
+    places = unit_cube(space, [sets[one.parameter_set] for one in (*best, *worse)])
+    return Alternatives(places[: len(best)], places[len(best) :], regions(places[: len(best)]))

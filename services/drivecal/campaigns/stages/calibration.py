@@ -1,0 +1,387 @@
+"""The calibration stage: asks the optimizer, plans the population, books the answers, tells the optimizer; iteration by iteration.
+
+Where it is asked for, the best set is confirmed afterwards (`confirmation`): its cells belong to the stage as well, numbered on from the
+last iteration, but to no generation.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+
+import numpy as np
+from sqlalchemy import Connection
+
+from drivecal.analysis.confirmation import Confirmation, verdict_in
+from drivecal.analysis.solutions import EQUAL, EvaluatedSet, Ranking
+from drivecal.campaigns.cells.cell_tracker import CellTracker, Work
+from drivecal.campaigns.cells.planning import View, WantedCell, plan_cells, sync_reference_keys
+from drivecal.campaigns.resolve.problem import CalibrationProblem
+from drivecal.campaigns.resolve.search_area import given_indices, search_area
+from drivecal.campaigns.stages.eta import EtaEstimate
+from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, Progress
+from drivecal.domain.campaigns import Stage
+from drivecal.domain.errors import NoResultError
+from drivecal.domain.events import EventKind
+from drivecal.domain.parameters import ParameterSet
+from drivecal.execution.scheduling.scheduler import Completed
+from drivecal.plugins.ports import Optimizer, Proposal
+from drivecal.reduction.assignment import Policy
+from drivecal.reduction.audit import error_rates
+from drivecal.storage import audits, campaigns, events, generations, results
+from drivecal.storage.campaigns import Snapshot, StoredCampaign
+from drivecal.storage.engine.database import Database
+from drivecal.storage.generations import Figures
+from drivecal.storage.references import parameter_sets
+
+_COUNTED = ("proposed", "carried_over", "requested", "repeated", "reused", "certified", "simulated", "failed", "audited")
+
+
+class Calibration:
+    """One campaign's calibration stage. `work` gives cells to simulate, `record` takes what became of them.
+
+    All state is in the database after every call, so that a new object on the same campaign goes on exactly as this one would.
+    """
+
+    stage = Stage.CALIBRATION
+
+    def __init__(
+        self,
+        database: Database,
+        campaign: StoredCampaign,
+        problem: CalibrationProblem,
+        view: View,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._database = database
+        self._campaign = campaign
+        self._problem = problem
+        self._view = view
+        self._tracker = CellTracker(view, campaign.cells.model_dump(), campaign.simulating_seconds)
+        self._ranking = Ranking(problem.weights)
+        self._error_rate: dict[str, ErrorRate] = dict(campaign.error_rate)
+        self._area = search_area(problem, view.influence_map)
+        self._notes = problem.notes
+        if problem.specification.reduction.narrow:
+            self._notes = (*problem.notes, self._area.note())
+        self._best, self._baseline = campaign.best, campaign.baseline
+        self._repeatable_no_more = campaign.cells.unrepeatable > 0
+        if problem.optimization is None:
+            raise ValueError("the campaign has no calibration stage")
+        self._optimization = problem.optimization
+        population = self._optimization.population
+        self._scores = np.full((population, len(problem.scenarios)), np.nan)
+        self._ratings = np.full((population, len(problem.scenarios)), np.nan)
+        self._expected = problem.expected_runs()
+        self._before = CellCounts()
+        self._iteration: int | None = None
+        self._proposal: Proposal | None = None
+        self._optimizer: Optimizer | None = None
+        self._eta = EtaEstimate(clock, campaign.cells.requested)
+        self._confirmation: Confirmation | None = None
+        self._verdict = verdict_in(campaign.notes)
+        self.finished = False
+
+    def work(self) -> list[Work]:
+        """What to simulate next; empty where answers are awaited or the stage is `finished`."""
+        if self._optimizer is None:
+            work = self._resume()
+            if self._tracker.waiting:
+                return work
+        while not self._tracker.waiting and not self.finished:
+            if self._proposal is not None:
+                self._tell()
+            if self._iteration is not None and self._iteration + 1 >= self._optimization.iterations:
+                self._refuse_nothing()
+                work = self._confirm()
+            else:
+                work = self._ask()
+            if work:
+                return work
+        return []
+
+    def _refuse_nothing(self) -> None:
+        if self._ranking.best() is None:
+            failed = CellCounts(**self._tracker.counts).failed
+            raise NoResultError(
+                f"no parameter set has a result in every scenario: {failed} cells failed; the server's log says why"
+            )
+
+    def record(self, completed: Sequence[Completed]) -> list[Work]:
+        """Writes results down, in one transaction with the counters that they change; gives what is to be simulated instead of cells
+        whose leader has no result."""
+        with self._database.transaction() as connection:
+            work = self._tracker.record(connection, completed)
+            self._save(connection)
+        self._tracker.raise_if_refuted()
+        return work
+
+    def _resume(self) -> list[Work]:
+        """Takes up the last generation as it was, or starts with the first."""
+        problem = self._problem
+        sync_reference_keys(self._database, self._view)
+        with self._database.transaction() as connection:
+            last = generations.last(connection, self._campaign.sequence)
+            if last is None or last.optimizer_state is None:
+                start = self._area.contract(given_indices(problem)) if problem.start_sets else None
+                self._optimizer = self._optimization.plugin.create(self._optimization.settings, self._area.n_values, start)
+                if problem.specification.reduction.narrow:
+                    campaigns.set_narrowed(connection, self._campaign.sequence, self._area.narrowed())
+                self._remember_baseline(connection)
+                return []
+            self._optimizer = self._optimization.plugin.restore(
+                self._optimization.settings, self._area.n_values, last.optimizer_state
+            )
+            self._iteration = last.iteration
+            finished = last.iteration + last.finished
+            self._before = self._counts_of_finished(connection, finished)
+            self._take_in(connection, iterations=range(finished))
+            if last.finished:
+                self._optimizer.tell(self._weighted(self._scores), self._weighted(self._ratings))
+            else:
+                self._proposal = Proposal(np.array(last.population, dtype=np.int64), np.array(last.changed, dtype=np.bool_))
+            work = self._tracker.load(connection, share_runs=self._shares_runs)
+            self._save(connection)
+        return work
+
+    def _ask(self) -> list[Work]:
+        """Commits the next population with its assignment and the optimizer's state, before anything is dispatched."""
+        if self._optimizer is None:
+            raise RuntimeError("the stage has not been taken up")
+        problem = self._problem
+        proposal = self._optimizer.ask()
+        iteration = 0 if self._iteration is None else self._iteration + 1
+        changed = [int(index) for index in np.flatnonzero(proposal.changed)]
+        sets = problem.space.parameter_sets(self._area.expand(proposal.population[changed]))
+        wanted = [
+            WantedCell(individual, scenario, parameters)
+            for individual, parameters in zip(changed, sets, strict=True)
+            for scenario in problem.scenarios
+        ]
+        stopped = [scenario for scenario, rate in self._error_rate.items() if rate.stopped]
+        reduction = problem.specification.reduction
+        policy = Policy(reduction.mode, reduction.audit, self._optimization.seed, stopped)
+        carried_over = (len(proposal.changed) - len(changed)) * len(problem.scenarios)
+        with self._database.transaction() as connection:
+            cells = plan_cells(connection, self._view, policy, Stage.CALIBRATION, iteration, wanted)
+            self._tracker.request(connection, cells, carried_over)
+            self._iteration, self._proposal = iteration, proposal
+            work = self._tracker.load(connection, share_runs=self._shares_runs)
+            generations.insert(
+                connection,
+                self._campaign.sequence,
+                iteration,
+                figures=self._figures(),
+                population=proposal.population.tolist(),
+                changed=proposal.changed.tolist(),
+                optimizer_state=self._optimizer.state(),
+            )
+            self._save(connection)
+            if iteration == 0:
+                self._tell_beginning(connection)
+        return work
+
+    def _confirm(self) -> list[Work]:
+        """Has the best set simulated where its scores are references', and takes in what became of the one before. The stage is finished
+        when none is left."""
+        sequence, first = self._campaign.sequence, self._optimization.iterations
+        limit, best = self._problem.specification.reduction.confirm, self._ranking.best()
+        if limit == 0 or best is None:
+            self.finished = True
+            return []
+        work: list[Work] = []
+        with self._database.transaction() as connection:
+            if self._confirmation is None:
+                tried = results.sets_since(connection, sequence, Stage.CALIBRATION, first)
+                self._confirmation, taken = Confirmation(limit, best[0].objective, tried), 0
+            else:
+                tried, taken = self._confirmation.tried, len(self._confirmation.tried) - 1
+            for number in range(taken, len(tried)):
+                self._ranking.add(results.answers(connection, sequence, Stage.CALIBRATION, first + number))
+            if tried:
+                self._describe_best(connection)
+            chosen = self._confirmation.choose(self._ranking)
+            if chosen is None:
+                self._conclude(connection, self._confirmation)
+            else:
+                parameters = parameter_sets.load(connection, [chosen.parameter_set])[chosen.parameter_set]
+                wanted = [WantedCell(0, scenario, parameters) for scenario in chosen.reused]
+                cells = plan_cells(connection, self._view, Policy("exact"), Stage.CALIBRATION, first + len(tried), wanted)
+                self._tracker.request(connection, cells, carried_over=0)
+                tried.append(chosen.parameter_set)
+                work = self._tracker.load(connection, share_runs=self._shares_runs)
+            self._save(connection)
+        return work
+
+    def _conclude(self, connection: Connection, confirmation: Confirmation) -> None:
+        """Tells what the confirmation found, once; its simulations may contradict others."""
+        best = self._ranking.best()
+        if confirmation.tried and best is not None:
+            self._check_reuse(connection, self._optimization.iterations - 1)
+            if self._verdict is None:
+                self._verdict = confirmation.verdict(best[0])
+                events.add(connection, self._campaign.sequence, EventKind.NOTE, {"text": self._verdict})
+                if confirmation.changed(best[0]):
+                    self._tell_best(connection, best[0])
+        self.finished = True
+
+    def _tell(self) -> None:
+        """Closes an iteration: every cell has its answer."""
+        if self._optimizer is None or self._iteration is None:
+            raise RuntimeError("the stage has not been taken up")
+        with self._database.transaction() as connection:
+            self._take_in(connection, iterations=[self._iteration])
+            objectives, ratings = self._weighted(self._scores), self._weighted(self._ratings)
+            self._check_reuse(connection, self._iteration)
+            self._describe_best(connection)
+            figures = self._figures(objectives)
+            generations.finish(connection, self._campaign.sequence, self._iteration, figures, objectives.tolist())
+            self._save(connection)
+            told = {"iteration": self._iteration, "iterations": self._optimization.iterations, **asdict(figures)}
+            events.add(connection, self._campaign.sequence, EventKind.GENERATION, told)
+        self._before = CellCounts(**self._tracker.counts)
+        self._optimizer.tell(objectives, ratings)
+        self._proposal = None
+
+    def _check_reuse(self, connection: Connection, iteration: int) -> None:
+        """What the audits of this and all earlier iterations say, and which results contradict each other."""
+        view, sequence, evaluator = self._view, self._campaign.sequence, self._view.bench.evaluator_id
+        audits.settle(connection, sequence, Stage.CALIBRATION, iteration, evaluator)
+        found = audits.contradictions(connection, sequence, view.influence_map_sequence, evaluator, view.watermark)
+        limit = self._problem.specification.reduction.max_error
+        counts = audits.count(connection, sequence, evaluator)
+        before = self._error_rate
+        self._error_rate = error_rates(counts, before, self._problem.scenarios, limit, found)
+        for scenario, rate in self._error_rate.items():
+            if rate.stopped and not (scenario in before and before[scenario].stopped):
+                told = {"scenario": scenario, "wrong": rate.wrong, "audited": rate.audited}
+                events.add(connection, sequence, EventKind.REUSE_STOPPED, told)
+
+    @property
+    def _shares_runs(self) -> bool:
+        return self._problem.specification.reduction.mode != "off"
+
+    def _take_in(self, connection: Connection, iterations: range | list[int]) -> None:
+        """Reads the answers of iterations: each individual keeps those of the iteration that requested it last."""
+        columns = {scenario: column for column, scenario in enumerate(self._problem.scenarios)}
+        only = iterations[0] if len(iterations) == 1 else None
+        wanted = set(iterations)
+        answers = results.answers(connection, self._campaign.sequence, Stage.CALIBRATION, only) if wanted else ()
+        taken = [answer for answer in answers if answer.iteration in wanted]
+        for answer in taken:
+            cell = answer.individual, columns[answer.scenario]
+            self._scores[cell] = np.nan if answer.score is None else answer.score
+            self._ratings[cell] = np.nan if answer.rating is None else answer.rating
+        self._ranking.add(taken)
+
+    def _weighted(
+        self, values: np.ndarray[tuple[int, int], np.dtype[np.float64]]
+    ) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+        """Equation 6, shape (population,), added in the order of the scenarios; NaN for individuals without a result."""
+        total = np.zeros(len(values))
+        for column, weight in enumerate(self._problem.weights.values()):
+            total += weight * values[:, column]
+        return total
+
+    def _figures(self, objectives: np.ndarray[tuple[int], np.dtype[np.float64]] | None = None) -> Figures:
+        now, before = CellCounts(**self._tracker.counts), self._before
+        counted = {name: getattr(now, name) - getattr(before, name) for name in _COUNTED}
+        if objectives is None:
+            return Figures(**counted)
+        best = self._ranking.best()
+        known = objectives[~np.isnan(objectives)]
+        return Figures(
+            **counted,
+            best=None if best is None else best[0].objective,
+            rating=None if best is None else best[0].rating,
+            mean=float(known.mean()) if known.size else None,
+            minimum=float(known.min()) if known.size else None,
+            alternatives=0 if best is None else best[1],
+        )
+
+    def _counts_of_finished(self, connection: Connection, iterations: int) -> CellCounts:
+        """The sum over the iterations before this one."""
+        total = dict.fromkeys(_COUNTED, 0)
+        finished, _ = generations.page(connection, self._campaign.sequence, limit=max(iterations, 1))
+        for iteration, figures in finished:
+            for name in _COUNTED:
+                total[name] += asdict(figures)[name] if iteration < iterations else 0
+        return CellCounts(**total)
+
+    def _describe_best(self, connection: Connection) -> None:
+        found = self._ranking.best()
+        if found is not None:
+            solution, alternatives = found
+            parameters = parameter_sets.load(connection, [solution.parameter_set])[solution.parameter_set]
+            before = self._best
+            self._best = Best(
+                objective=solution.objective,
+                parameters=parameters.floats,
+                scores=dict(solution.scores),
+                alternatives=alternatives,
+            )
+            if before is None or self._best.objective > before.objective + EQUAL:
+                self._tell_best(connection, solution)
+        unknown = self._baseline is None or self._baseline.objective is None
+        self._remember_baseline(connection)
+        if unknown and self._baseline is not None and self._baseline.objective is not None:
+            events.add(connection, self._campaign.sequence, EventKind.BASELINE, self._baseline.model_dump())
+
+    def _tell_best(self, connection: Connection, solution: EvaluatedSet) -> None:
+        if self._best is not None:
+            told = self._best.model_dump() | {"iteration": solution.iteration}
+            events.add(connection, self._campaign.sequence, EventKind.BEST, told)
+
+    def _remember_baseline(self, connection: Connection) -> None:
+        baseline: ParameterSet | None = self._problem.baseline
+        if baseline is None:
+            return
+        (number,) = parameter_sets.ensure(connection, [baseline])
+        solution: EvaluatedSet | None = self._ranking.get(number)
+        none_yet: dict[str, int | None] = dict.fromkeys(self._problem.scenarios)
+        self._baseline = Baseline(
+            objective=None if solution is None else solution.objective,
+            parameters=baseline.floats,
+            scores=none_yet if solution is None else dict(solution.scores),
+        )
+
+    def _tell_beginning(self, connection: Connection) -> None:
+        told = {"stage": Stage.CALIBRATION, "cells": self._expected.calibration_at_most}
+        events.add(connection, self._campaign.sequence, EventKind.STAGE, told)
+        for note in self._notes:
+            if note not in self._campaign.notes:  # the sensitivity stage has told those
+                events.add(connection, self._campaign.sequence, EventKind.NOTE, {"text": note})
+
+    def _save(self, connection: Connection) -> None:
+        counts = CellCounts(**self._tracker.counts)
+        notes = list(self._notes)
+        for scenario, rate in self._error_rate.items():
+            if rate.stopped:
+                notes.append(f"reuse in {scenario} was stopped: {rate.wrong} of {rate.audited} audited cells were wrong")
+        if counts.unrepeatable:
+            notes.append(f"{counts.unrepeatable} simulations gave other bits than the stored run of the same cell")
+            if not self._repeatable_no_more:
+                events.add(connection, self._campaign.sequence, EventKind.NOTE, {"text": notes[-1]})
+                self._repeatable_no_more = True
+        if self._verdict is not None:
+            notes.append(self._verdict)
+        campaigns.save_progress(
+            connection,
+            self._campaign.sequence,
+            Snapshot(
+                stage=Stage.CALIBRATION,
+                iteration=self._iteration,
+                cells=counts,
+                sensitivity_cells=self._campaign.sensitivity_cells,
+                progress=self._progress(counts),
+                error_rate=self._error_rate,
+                best=self._best,
+                baseline=self._baseline,
+                simulating_seconds=self._tracker.simulating_seconds,
+                notes=notes,
+            ),
+        )
+
+    def _progress(self, counts: CellCounts) -> Progress:
+        return self._eta.progress(counts.requested, max(self._expected.calibration_at_most, counts.requested + counts.pending))

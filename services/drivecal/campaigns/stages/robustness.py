@@ -1,0 +1,233 @@
+"""The robustness stage: drives the best sets in other vehicles (Section IV-D of the paper) and ranks them by what they bear."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from sqlalchemy import Connection
+
+from drivecal.analysis.optima import one_per_region_first, optima
+from drivecal.analysis.robustness import Robustness, RobustnessSettings, RobustnessStudy
+from drivecal.analysis.solutions import EQUAL, Ranking
+from drivecal.campaigns.cells.planning import View, WantedCell
+from drivecal.campaigns.resolve.problem import CalibrationProblem
+from drivecal.campaigns.results.optima import MOST_BEST, MOST_WORSE, unit_cube
+from drivecal.campaigns.stages.study import Round, StudyStage
+from drivecal.contracts.specification import RobustnessSpecification
+from drivecal.domain.campaigns import Stage
+from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
+from drivecal.domain.evaluations import CellScore
+from drivecal.domain.parameters import ParameterSet
+from drivecal.plugins.ports import Floats
+from drivecal.storage import campaigns, results
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.engine.database import Database
+from drivecal.storage.references import parameter_sets
+
+
+@dataclass(frozen=True, slots=True)
+class Examined:
+    """A set of the study: its region among the examined ones, and how far the nearest worse set that was evaluated lies."""
+
+    parameters: ParameterSet
+    region: int
+    to_worse: float | None
+
+
+def settings_of(wanted: RobustnessSpecification) -> RobustnessSettings:
+    """The pure study's settings."""
+    return RobustnessSettings(
+        delta=wanted.delta,
+        steps=wanted.steps,
+        samples=wanted.samples,
+        eta=tuple(wanted.eta) if isinstance(wanted.eta, list) else wanted.eta,
+        condition=wanted.condition,
+        refinements=wanted.refinements,
+        seed=wanted.seed,
+    )
+
+
+def check_source(connection: Connection, problem: CalibrationProblem) -> None:
+    """Raises InvalidInputError where the campaign whose best sets are to be examined is not there, has not ended or is of another kind."""
+    wanted, function = problem.specification.robustness, problem.specification.driving_function
+    if wanted is None or wanted.of is None:
+        return
+    field = "robustness.of"
+    try:
+        source = campaigns.get(connection, wanted.of)
+    except NotFoundError as error:
+        raise InvalidInputError(Problem(field, str(error), "GET /api/v1/campaigns lists what there is")) from error
+    if source.kind != "calibration":
+        remedy = "name one of its runs" if source.kind == "comparison" else "name a campaign"
+        raise InvalidInputError(Problem(field, f"{wanted.of} is a{'n' * (source.kind == 'evaluation')} {source.kind}", remedy))
+    if source.cells.requested == 0:
+        message = f"campaign {wanted.of} has no solutions: it searched nothing, or ended before it had found any"
+        raise InvalidInputError(Problem(field, message, "name one that has searched"))
+    if not source.state.ended:
+        raise InvalidInputError(Problem(field, f"campaign {wanted.of} is {source.state}", "name one that has ended"))
+    if source.spec["driving_function"] != function:
+        message = f"its solutions are of the driving function {source.spec['driving_function']!r}"
+        raise InvalidInputError(Problem(field, message, f"name a campaign of {function!r}"))
+
+
+class RobustnessStage(StudyStage):
+    """Round 0 drives the sets in the nominal vehicle, where their scores are references' or not known; round k the k-th box."""
+
+    stage = Stage.ROBUSTNESS
+
+    def __init__(self, database: Database, campaign: StoredCampaign, problem: CalibrationProblem, view: View) -> None:
+        super().__init__(database, campaign, problem, view, campaign.robustness_cells)
+        wanted = problem.specification.robustness
+        if wanted is None:
+            raise ValueError("the campaign has no robustness stage")
+        self._wanted, self._settings = wanted, settings_of(wanted)
+        self._examined = self._choose()
+        self._scores = np.full((len(self._examined), len(problem.scenarios)), np.nan)
+        self._ratings = self._scores.copy()
+        self._study: RobustnessStudy | None = None
+
+    def _choose(self) -> list[Examined]:
+        """The sets that were named, then the best ones that the calibration found, one of each region first."""
+        standing, of = Ranking(self._problem.weights), self._wanted.of
+        with self._database.read() as connection:
+            source = self._campaign if of is None else campaigns.get(connection, of)
+            standing.add(results.answers(connection, source.sequence, Stage.CALIBRATION))
+            ranking = standing.ranking()
+            least = ranking[0].objective - self._wanted.within - EQUAL if ranking else 0.0
+            enough = sum(1 for one in ranking if one.objective >= least)
+            best, worse = ranking[: min(enough, MOST_BEST)], ranking[enough : enough + MOST_WORSE]
+            sets = parameter_sets.load(connection, [one.parameter_set for one in (*best, *worse)])
+        named = list(self._problem.robust_sets)
+        found = [sets[one.parameter_set] for one in best]
+        listed = named + [one for one in found if one not in named]
+        space = self._problem.space
+        known = optima(unit_cube(space, listed), unit_cube(space, [sets[one.parameter_set] for one in worse]))
+        regions = np.array([one.region for one in known[len(named) :]], dtype=np.int64)
+        chosen = [len(named) + position for position in one_per_region_first(regions, self._wanted.solutions)]
+        return [Examined(listed[one], known[one].region, known[one].to_worse) for one in (*range(len(named)), *chosen)]
+
+    def _at_most(self) -> int:
+        boxes = self._settings.steps + self._settings.refinements
+        return len(self._examined) * len(self._problem.scenarios) * (1 + boxes * self._settings.samples)
+
+    def _ask(self) -> Round | None:
+        bench, scenarios = self._problem.bench, self._problem.scenarios
+        if self._study is None:
+            cells = [
+                WantedCell(index, scenario, one.parameters)
+                for index, one in enumerate(self._examined)
+                for scenario in scenarios
+            ]
+            return Round(0, [(bench, cells)]) if cells else None
+        box = self._study.ask()
+        if box is None:
+            return None
+        samples, asked = self._settings.samples, []
+        by_vehicle: dict[tuple[tuple[str, float], ...], list[WantedCell]] = {}
+        for solution, vehicles in box.vehicles.items():
+            for sample, vehicle in enumerate(vehicles):
+                cells = by_vehicle.setdefault(tuple(vehicle.items()), [])
+                cells += [
+                    WantedCell(solution * samples + sample, scenario, self._examined[solution].parameters)
+                    for scenario in scenarios
+                ]
+        for values, cells in by_vehicle.items():
+            asked.append((replace(bench, vehicle_parameters={**bench.vehicle_parameters, **dict(values)}), cells))
+        return Round(box.number, asked)
+
+    def _tell(self, number: int, answers: Sequence[CellScore]) -> None:
+        columns = {scenario: column for column, scenario in enumerate(self._problem.scenarios)}
+        if number == 0:
+            for answer in answers:
+                place = answer.individual, columns[answer.scenario]
+                self._scores[place] = np.nan if answer.score is None else answer.score
+                self._ratings[place] = np.nan if answer.rating is None else answer.rating
+            bench = self._problem.bench
+            self._study = RobustnessStudy(self._scores, bench.vehicle.parameters, bench.vehicle_parameters, self._settings)
+            return
+        box = None if self._study is None else self._study.ask()
+        if self._study is None or box is None:
+            raise RuntimeError(f"round {number} was not asked for")
+        samples = self._settings.samples
+        scores = {solution: np.full((samples, len(columns)), np.nan) for solution in box.radius}
+        for answer in answers:
+            solution, sample = divmod(answer.individual, samples)
+            scores[solution][sample, columns[answer.scenario]] = np.nan if answer.score is None else answer.score
+        self._study.tell(scores)
+
+    def _found(self) -> dict[str, Any]:
+        """The examined sets, the most robust first."""
+        known = self._study.result() if self._study is not None else [Robustness(0, False, 0.0, ())] * len(self._examined)
+        weights = np.array(list(self._problem.weights.values()))
+        objectives, ratings = self._scores @ weights, self._ratings @ weights
+        order = sorted(
+            range(len(known)),
+            key=lambda one: (-known[one].degree, -_known(objectives[one]), -known[one].radius, -_known(ratings[one]), one),
+        )
+        recommended = self._recommend(objectives, ratings, known)
+        rows = [
+            self._row(rank, one, float(objectives[one]), float(ratings[one]), known[one], recommended)
+            for rank, one in enumerate(order, start=1)
+        ]
+        return {"items": rows, "settings": self._wanted.model_dump(mode="json", exclude={"sets"})}
+
+    def _recommend(self, objectives: Floats, ratings: Floats, known: Sequence[Robustness]) -> tuple[int, str] | None:
+        """Of the sets with the best objective the one that bears most, and why."""
+        if self._study is None or np.isnan(objectives).all():
+            return None
+        best = float(np.nanmax(objectives))
+        equal = [one for one in range(len(known)) if objectives[one] >= best - EQUAL]
+        chosen = max(equal, key=lambda one: (known[one].degree, known[one].radius, ratings[one], -one))
+        degree = f"{known[chosen].degree}{' or more' if known[chosen].at_least else ''}"
+        return (
+            chosen,
+            f"the best objective ({best:.4g}, {len(equal)} sets), and of these the largest degree of robustness ({degree})",
+        )
+
+    def _row(
+        self,
+        rank: int,
+        solution: int,
+        objective: float,
+        rating: float,
+        known: Robustness,
+        recommended: tuple[int, str] | None,
+    ) -> dict[str, Any]:
+        scenarios, one = self._problem.scenarios, self._examined[solution]
+        is_recommended = recommended is not None and recommended[0] == solution
+        return {
+            "rank": rank,
+            "objective": None if np.isnan(objective) else objective,
+            "rating": None if np.isnan(rating) else rating,
+            "parameters": one.parameters.floats,
+            "scores": {
+                scenario: None if np.isnan(score) else int(score)
+                for scenario, score in zip(scenarios, self._scores[solution].tolist(), strict=True)
+            },
+            "region": one.region,
+            "to_worse": one.to_worse,
+            "degree": known.degree,
+            "at_least": known.at_least,
+            "radius": known.radius,
+            "recommended": is_recommended,
+            "reason": recommended[1] if recommended is not None and is_recommended else None,
+            "trials": [
+                {
+                    "box": trial.box,
+                    "radius": trial.radius,
+                    "holds": trial.holds,
+                    "deviations": {
+                        scenario: None if np.isnan(away) else away
+                        for scenario, away in zip(scenarios, trial.deviations, strict=True)
+                    },
+                }
+                for trial in known.trials
+            ],
+        }
+
+
+def _known(value: float) -> float:
+    return -1.0 if np.isnan(value) else float(value)

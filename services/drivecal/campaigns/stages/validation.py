@@ -1,0 +1,124 @@
+"""The validation stage: are answers really the same where the influence map says so? (Section V of the paper)"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from drivecal.analysis.validation import ReducibleSpace, ValidationDesign, design
+from drivecal.campaigns.cells.planning import View, WantedCell
+from drivecal.campaigns.resolve.problem import CalibrationProblem
+from drivecal.campaigns.stages.study import Round, StudyStage
+from drivecal.domain.campaigns import Stage
+from drivecal.domain.evaluations import CellScore
+from drivecal.domain.influence import InfluenceMap
+from drivecal.domain.parameters import ParameterSpace
+from drivecal.reduction.audit import clopper_pearson
+from drivecal.reduction.keys import ReferenceKeys
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.engine.database import Database
+
+LARGEST_AGREEING = 1
+"""Points: a difference beyond it is wrong (Eq. 8)."""
+
+
+def reducible_space(influence_map: InfluenceMap, scenario: str, space: ParameterSpace) -> ReducibleSpace:
+    """What the map takes for the same in a scenario, value by value: as the reference keys see it."""
+    names = [parameter.name for parameter in space.searched]
+    keys = ReferenceKeys(influence_map, scenario, names)
+    place = {name: column for column, name in enumerate(sorted(names))}
+    classes = []
+    for column, parameter in enumerate(space.searched):
+        values = parameter.all_billionths
+        grid: npt.NDArray[np.int64] = np.zeros((len(values), len(names)), dtype=np.int64)
+        grid[:, column] = values
+        classes.append(keys.codes(grid)[:, place[parameter.name]])
+    return ReducibleSpace(classes)
+
+
+class ValidationStage(StudyStage):
+    """One round: all bases and their variants, scenario by scenario. `individual` numbers them: base x (n_ref + 1), the base first."""
+
+    stage = Stage.VALIDATION
+
+    def __init__(self, database: Database, campaign: StoredCampaign, problem: CalibrationProblem, view: View) -> None:
+        """`view` with the influence map that is to be validated."""
+        super().__init__(database, campaign, problem, view, campaign.validation_cells)
+        wanted, influence_map = problem.specification.validation, view.influence_map
+        if wanted is None or influence_map is None:
+            raise ValueError("the campaign has no map to validate")
+        self._references = wanted.references
+        self._designs: dict[str, ValidationDesign | None] = {
+            scenario: design(
+                reducible_space(influence_map, scenario, problem.space),
+                wanted.samples,
+                wanted.references,
+                wanted.seed,
+                wanted.largest,
+            )
+            for scenario in problem.scenarios
+        }
+        self._histograms: dict[str, Counter[int]] | None = None
+
+    def _at_most(self) -> int:
+        return sum(len(one.bases) * (1 + self._references) for one in self._designs.values() if one is not None)
+
+    def _ask(self) -> Round | None:
+        if self._histograms is not None:
+            return None
+        space, cells = self._problem.space, []
+        for scenario, one in self._designs.items():
+            if one is None:
+                continue
+            together = np.concatenate([one.bases[:, None], one.variants], axis=1).reshape(-1, one.bases.shape[1])
+            cells += [WantedCell(number, scenario, each) for number, each in enumerate(space.parameter_sets(together))]
+        return Round(0, [(self._problem.bench, cells)]) if cells else None
+
+    def _tell(self, number: int, answers: Sequence[CellScore]) -> None:
+        del number
+        width = 1 + self._references
+        scores = {
+            scenario: np.full((len(one.bases), width), np.nan) for scenario, one in self._designs.items() if one is not None
+        }
+        for answer in answers:
+            if answer.score is not None:
+                scores[answer.scenario][divmod(answer.individual, width)] = answer.score
+        self._histograms = {
+            scenario: Counter((found[:, 1:] - found[:, :1])[~np.isnan(found[:, 1:] - found[:, :1])].astype(int).tolist())
+            for scenario, found in scores.items()
+        }
+
+    def _found(self) -> dict[str, Any]:
+        rows = [self._row(scenario, one) for scenario, one in self._designs.items()]
+        notes = [
+            f"nothing to validate in {row['scenario']}: no parameter has a region in which it does not matter"
+            for row in rows
+            if not row["bases"]
+        ]
+        return {"items": rows, "notes": notes}
+
+    def _row(self, scenario: str, one: ValidationDesign | None) -> dict[str, Any]:
+        histogram = {} if self._histograms is None else dict(sorted(self._histograms.get(scenario, Counter()).items()))
+        compared = sum(histogram.values())
+        wrong = sum(count for points, count in histogram.items() if abs(points) > LARGEST_AGREEING)
+        lower, upper = clopper_pearson(wrong, compared) if compared else (None, None)
+        return {
+            "scenario": scenario,
+            "reducible": 0 if one is None else one.coverage.reducible,
+            "effects": 0 if one is None else one.coverage.effects,
+            "covered": 0 if one is None else one.coverage.covered,
+            "drawn": 0 if one is None else one.drawn,
+            "bases": 0 if one is None else len(one.bases),
+            "references": self._references,
+            "compared": compared,
+            "wrong": wrong,
+            "different": compared - histogram.get(0, 0),
+            "error_rate": wrong / compared if compared else None,
+            "lower_95": lower,
+            "upper_95": upper,
+            "histogram": {str(points): count for points, count in histogram.items()},
+        }

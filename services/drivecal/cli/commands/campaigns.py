@@ -1,0 +1,224 @@
+"""Commands about campaigns as a whole."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated
+
+import typer
+
+from drivecal.cli.application import (
+    CampaignArgument,
+    ExitCode,
+    JsonOption,
+    UrlOption,
+    app,
+    code_of_state,
+    connect,
+    full_id,
+    tell,
+    with_full_ids,
+)
+from drivecal.cli.documents import read_document
+from drivecal.cli.views.comparisons import comparison_document, print_comparison
+from drivecal.cli.views.output import print_campaign, print_columns, print_json, saved, when
+from drivecal.cli.views.progress import follow
+from drivecal.cli.views.savings import pays_text, print_accounting, print_error_rates, print_narrowed
+from drivecal.client.client import Action, Client
+from drivecal.contracts.assignments import assignments
+from drivecal.contracts.campaign import Campaign, ExpectedRuns
+from drivecal.domain.campaigns import CampaignState
+
+WaitOption = Annotated[bool, typer.Option("--wait", help="Show the progress until the campaign has ended.")]
+TimeoutOption = Annotated[float | None, typer.Option(min=0, help="Seconds to wait at most; exit status 6 when they are over.")]
+
+_DONE: Mapping[Action, tuple[str, ...]] = {"pause": ("paused",), "resume": ("queued", "running"), "cancel": ("cancelled",)}
+"""The states in which nothing is left to do."""
+
+DryRunOption = Annotated[bool, typer.Option("--dry-run", help="Check the file and count the runs, submit nothing.")]
+
+
+@app.command()
+def submit(
+    file: Annotated[str, typer.Argument(metavar="FILE", help="A campaign file, YAML or JSON; - is standard input.")],
+    wait: WaitOption = False,
+    timeout: TimeoutOption = None,
+    dry_run: DryRunOption = False,
+    url: UrlOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Submit a campaign."""
+    specification = read_document(file)
+    with connect(url) as client:
+        specification = with_full_ids(client, specification)
+        if dry_run:
+            _print_expected(client.expected_runs(specification), as_json)
+        else:
+            submitted(client, client.submit(specification), wait, timeout, as_json)
+
+
+@app.command()
+def rerun(
+    identifier: CampaignArgument,
+    weights: Annotated[
+        str | None, typer.Option(metavar="S1=2,S2=1", help="The new weights; a scenario that is not named has weight 1.")
+    ] = None,
+    evaluator: Annotated[
+        str | None, typer.Option(help="Who rates comfort now: reference, learned or a plug-in; stored runs are rated anew.")
+    ] = None,
+    name: Annotated[str | None, typer.Option(help="A name for the rerun.")] = None,
+    wait: WaitOption = False,
+    timeout: TimeoutOption = None,
+    url: UrlOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Run an ended campaign again with other weights or another evaluator, on the results that are there already."""
+    if weights is None and evaluator is None:
+        raise typer.BadParameter("say what is to be other than it was: --weights, --evaluator or both")
+    changes: dict[str, object] = {key: one for key, one in (("name", name), ("evaluator", evaluator)) if one is not None}
+    with connect(url) as client:
+        first = client.campaign(full_id(client, identifier))
+        changes["weights"] = first.spec["weights"] if weights is None else assignments(weights.split(","), "--weights")
+        submitted(client, client.rerun(first.id, changes), wait, timeout, as_json)
+
+
+@app.command("list")
+def list_campaigns(
+    state: Annotated[CampaignState | None, typer.Option(help="Only campaigns in this state.")] = None,
+    limit: Annotated[int, typer.Option(min=1, max=1000, help="How many at most, newest first.")] = 20,
+    url: UrlOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """List campaigns, newest first."""
+    with connect(url) as client:
+        page = client.campaigns(state=state, limit=limit)
+    if as_json:
+        print_json(page)
+        return
+    header = ["id", "state", "kind", "created", "requested", "simulated", "saved", "best", "name"]
+    print_columns(header, [_row(campaign) for campaign in page.items])
+    if page.next_cursor:
+        tell(f"there are more than {limit}; see them with --limit")
+
+
+@app.command()
+def show(identifier: CampaignArgument, url: UrlOption = None, as_json: JsonOption = False) -> None:
+    """Show one campaign."""
+    with connect(url) as client:
+        _print_whole(client, client.campaign(full_id(client, identifier)), as_json)
+
+
+@app.command()
+def watch(
+    identifier: CampaignArgument, timeout: TimeoutOption = None, url: UrlOption = None, as_json: JsonOption = False
+) -> None:
+    """Follow a campaign until it has ended. Ctrl-C detaches and cancels nothing."""
+    with connect(url) as client:
+        campaign = follow(client, full_id(client, identifier), timeout, from_beginning=False)
+        _print_whole(client, campaign, as_json)
+    raise typer.Exit(code_of_state(campaign.state))
+
+
+@app.command()
+def pause(identifier: CampaignArgument, url: UrlOption = None, as_json: JsonOption = False) -> None:
+    """Let a campaign rest; what is being simulated is finished and kept."""
+    _act(identifier, "pause", url, as_json)
+
+
+@app.command()
+def resume(identifier: CampaignArgument, url: UrlOption = None, as_json: JsonOption = False) -> None:
+    """Let a paused campaign go on."""
+    _act(identifier, "resume", url, as_json)
+
+
+@app.command()
+def cancel(identifier: CampaignArgument, url: UrlOption = None, as_json: JsonOption = False) -> None:
+    """End a campaign; what was simulated is kept."""
+    _act(identifier, "cancel", url, as_json)
+
+
+def _act(identifier: str, action: Action, url: str | None, as_json: bool) -> None:
+    with connect(url) as client:
+        before = client.campaign(full_id(client, identifier))
+        after = client.act(before.id, action)
+        if before.state in _DONE[action] and before.requested_action is None:
+            tell(f"campaign {before.id} was {before.state} already: there was nothing to {action}")
+        _print_whole(client, after, as_json)
+
+
+def submitted(client: Client, campaign: Campaign, wait: bool, timeout: float | None, as_json: bool) -> None:
+    """Shows a campaign that was just queued, at its end where the user waits for it; ends the command with the fitting exit status."""
+    code = ExitCode.OK
+    if wait:
+        tell(f"campaign {campaign.id} is queued")
+        campaign = follow(client, campaign.id, timeout)
+        code = code_of_state(campaign.state)
+    elif not as_json:
+        tell(f"queued; follow it with `drivecal watch {campaign.id}`")
+    _print_whole(client, campaign, as_json)
+    raise typer.Exit(code)
+
+
+def _print_whole(client: Client, campaign: Campaign, as_json: bool) -> None:
+    """A campaign with its account, from the first answered cell on, or with the tables of a comparison. Single evaluations, which have no
+    iterations, have neither."""
+    answered = campaign.cells.requested or campaign.sensitivity_cells.requested
+    account = client.accounting(campaign.id) if answered and "generations" in campaign.links else None
+    compared = answered and campaign.kind == "comparison"
+    if as_json:
+        dumped = None if account is None else account.model_dump(mode="json")
+        tables = comparison_document(client, campaign.id) if compared else {}
+        print_json({**campaign.model_dump(mode="json"), "accounting": dumped, **tables})
+        return
+    print_campaign(campaign)
+    if compared:
+        print_comparison(client.compared_groups(campaign.id), client.reduction_effects(campaign.id))
+    print_narrowed(campaign.narrowed)
+    print_error_rates(campaign.error_rate)
+    if account is not None:
+        print_accounting(account)
+
+
+def _print_expected(expected: ExpectedRuns, as_json: bool) -> None:
+    if as_json:
+        print_json(expected)
+        return
+    typer.echo(f"the campaign can run; it proposes {expected.calibration_proposed:,} cells and simulates at most:")
+    for stage, runs in (
+        ("sensitivity", expected.sensitivity_at_most),
+        ("calibration", expected.calibration_at_most),
+        ("robustness", expected.robustness),
+        ("validation", expected.validation),
+    ):
+        typer.echo(f"  {stage:<12}{runs:>12,}")
+    if expected.break_even_share is not None:
+        typer.echo(pays_text(expected.break_even_share))
+    for note in expected.notes:
+        typer.echo(f"note: {note}")
+
+
+def kind_text(campaign: Campaign) -> str:
+    """What a campaign does: `calibration`, `comparison`, `analysis`, or the study that it makes and in which vehicle."""
+    spec = campaign.spec
+    if campaign.kind != "calibration" or not spec or spec.get("optimizer") is not None:
+        return campaign.kind
+    studies = [stage for stage in ("robustness", "validation") if spec.get(stage)]
+    vehicle = (spec.get("vehicle") or {}).get("model")
+    return ", ".join([" + ".join(studies), *([vehicle] if vehicle else [])]) if studies else "analysis"
+
+
+def _row(campaign: Campaign) -> list[object]:
+    cells = campaign.cells
+    best = "-" if campaign.best is None else f"{campaign.best.objective:.3f}"
+    share = f"{saved(cells):.1%}" if cells.requested else "-"
+    return [
+        campaign.id,
+        campaign.state,
+        kind_text(campaign),
+        when(campaign.created_at),
+        cells.requested,
+        cells.simulated,
+        share,
+        best,
+        campaign.name,
+    ]

@@ -1,0 +1,34 @@
+"""The command that compares optimizers and reductions."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from drivecal.cli.application import JsonOption, UrlOption, app, connect, with_full_ids
+from drivecal.cli.commands.campaigns import DryRunOption, TimeoutOption, WaitOption, submitted
+from drivecal.cli.documents import read_document
+from drivecal.cli.views.comparisons import print_expected
+from drivecal.cli.views.output import print_json
+
+
+@app.command("compare-optimizers")
+def compare_optimizers(
+    file: Annotated[str, typer.Argument(metavar="FILE", help="A comparison file, YAML or JSON; - is standard input.")],
+    wait: WaitOption = False,
+    timeout: TimeoutOption = None,
+    dry_run: DryRunOption = False,
+    url: UrlOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Calibrate one problem with several optimizers, populations, seeds and reductions, and compare what they found."""
+    specification = read_document(file)
+    with connect(url) as client:
+        specification = with_full_ids(client, specification)
+        if not dry_run:
+            submitted(client, client.compare(specification), wait, timeout, as_json)
+        elif as_json:
+            print_json(client.expected_comparison(specification))
+        else:
+            print_expected(client.expected_comparison(specification))

@@ -1,0 +1,153 @@
+"""The command: a campaign, its result, and what a second one with other weights still costs."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+import time
+from collections.abc import Mapping
+from importlib.resources import as_file, files
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from drivecal.cli.application import ExitCode, JsonOption, app, tell
+from drivecal.cli.commands.demo.coordinator import coordinator, fresh_folder
+from drivecal.cli.documents import read_document
+from drivecal.cli.views.output import duration, print_cells, print_json, print_solutions, saved, self_check_text
+from drivecal.cli.views.progress import show_until_ended
+from drivecal.client.client import Client
+from drivecal.configuration.settings import load_settings
+from drivecal.contracts.campaign import Campaign
+from drivecal.domain.errors import DrivecalError
+
+BASELINE = {
+    "P1": 0,
+    "P2": 1,
+    "P3": 100,
+    "P4": 1000,
+    "P5": 750,
+    "P6": 0.5,
+    "P7": 100,
+    "P8": 1000,
+    "P9": 5,
+    "P10": 10,
+    "P11": 100,
+}
+"""The middle of every range: what one would begin with."""
+CAMPAIGN: Mapping[str, Any] = {
+    "name": "demo: comfort in six motorway scenarios",
+    "baseline": BASELINE,
+    "optimizer": {"kind": "genetic", "population": 150, "iterations": 12, "seed": 1},
+}
+OTHER_WEIGHTS = {"S1": 3, "S2": 3}
+SHOWN = 5
+"""Solutions that are printed."""
+
+
+@app.command()
+def demo(as_json: JsonOption = False) -> None:
+    """Calibrate the motorway planner in six SUMO scenarios on this machine, then again with other weights. Takes some minutes."""
+    started = time.monotonic()
+    folder = load_settings().home / "demo"
+    try:
+        with fresh_folder(folder):
+            tell(f"starting a coordinator with its database and a local Ray in {_short(folder)}")
+            with coordinator(folder) as client:
+                tell(f"it is ready at {client.url}")
+                campaign = _first(client, as_json)
+                rerun = _second(client, campaign, as_json)
+            summary = {
+                "campaign": campaign.model_dump(mode="json"),
+                "rerun": rerun.model_dump(mode="json"),
+                "wall_seconds": round(time.monotonic() - started, 3),
+            }
+            (folder / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
+    except KeyboardInterrupt as error:
+        tell("interrupted; the coordinator has been stopped")
+        raise typer.Exit(ExitCode.INTERRUPTED) from error
+    if as_json:
+        print_json(summary)
+    else:
+        _print_end(campaign, folder, time.monotonic() - started)
+
+
+def _first(client: Client, as_json: bool) -> Campaign:
+    with as_file(files("drivecal.cli.commands.demo") / "expert_map.yaml") as file:
+        known = client.post_influence_map(read_document(str(file)))
+    tell(f"told it where parameters cannot matter ({len(known.rows or [])} entries in influence map {known.id[:8]})")
+    specification = {**CAMPAIGN, "sensitivity": {"map": known.id}}
+    expected = client.expected_runs(specification)
+    optimizer = CAMPAIGN["optimizer"]
+    tell(
+        f"submitting a campaign: {optimizer['population']} individuals x 6 scenarios x {optimizer['iterations']} iterations = "
+        f"{expected.calibration_proposed:,} cells, of which the optimizer changes at most {expected.calibration_at_most:,}"
+    )
+    campaign = _carried_out(client, client.submit(specification))
+    if not as_json:
+        typer.echo(f"\nThe best parameter sets, with the comfort score (0 to 7) in each scenario, after {_time(campaign)}:\n")
+        print_solutions(client.solutions(campaign.id, limit=SHOWN).items, campaign.spec)
+        _print_comparison(campaign)
+        typer.echo("\nHow its cells, one parameter set in one scenario each, were answered:\n")
+        print_cells([("campaign", campaign.cells)])
+        typer.echo(f"\nSelf-check: {self_check_text(campaign) or 'no cell was audited'}.")
+    return campaign
+
+
+def _second(client: Client, first: Campaign, as_json: bool) -> Campaign:
+    tell("running it again with lane changes (S1, S2) weighing three times as much")
+    campaign = _carried_out(client, client.rerun(first.id, {"weights": OTHER_WEIGHTS}))
+    if not as_json:
+        typer.echo(f"\nThe best sets when lane changes weigh three times as much, after {_time(campaign)}:\n")
+        print_solutions(client.solutions(campaign.id, limit=SHOWN).items, campaign.spec)
+        typer.echo("\nWhat the first campaign had simulated was not simulated again:\n")
+        print_cells([("campaign", first.cells), ("rerun", campaign.cells)])
+        typer.echo(f"\nSelf-check: {self_check_text(campaign) or 'no cell was audited'}.")
+    return campaign
+
+
+def _carried_out(client: Client, campaign: Campaign) -> Campaign:
+    ended = show_until_ended(client, campaign.id)
+    if ended.state != "succeeded":
+        raise DrivecalError(f"the campaign ended as {ended.state}: {ended.error or 'it was cancelled'}")
+    return ended
+
+
+def _print_comparison(campaign: Campaign) -> None:
+    if campaign.best is None or campaign.baseline is None or campaign.baseline.objective is None:
+        return
+    better = campaign.best.objective - campaign.baseline.objective
+    typer.echo(
+        f"\nThe middle of all ranges scores {campaign.baseline.objective:.3f}; the best is {better:.3f} better, "
+        f"and {campaign.best.alternatives} sets share it."
+    )
+
+
+def _time(campaign: Campaign) -> str:
+    seconds = campaign.seconds
+    return f"{duration(seconds.wall)} ({duration(seconds.simulating)} of simulation, {saved(campaign.cells):.1%} of the cells saved)"
+
+
+def _print_end(campaign: Campaign, folder: Path, seconds: float) -> None:
+    command = _command()
+    typer.echo(
+        f"\nDone in {duration(seconds)}. Everything is kept in {_short(folder)}; look at it with\n\n"
+        f"  DRIVECAL_HOME={_short(folder)} {command} serve        # leave it running, and in another terminal:\n"
+        f"  {command} list\n"
+        f"  {command} show {campaign.id[:8]}\n"
+        f"  {command} solutions {campaign.id[:8]} --weights S1=3,S5=0\n"
+        f"  {command} report {campaign.id[:8]} -o report                 # figures, tables and one page\n"
+        f"  {command} export {campaign.id[:8]} --table evaluations --format csv -o evaluations.csv\n"
+        f"  {command} submit deploy/examples/highway.yaml --wait"
+    )
+
+
+def _command() -> str:
+    """How this command is called here."""
+    return "drivecal" if shutil.which("drivecal") == shutil.which(sys.argv[0]) else _short(Path(sys.argv[0]).absolute())
+
+
+def _short(path: Path) -> str:
+    return str(path.relative_to(Path.cwd())) if path.is_relative_to(Path.cwd()) else str(path)

@@ -1,0 +1,108 @@
+"""A coordinator of the demo's own: `drivecal serve` in a child process, on a free loopback port and a fresh database."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from drivecal.client.client import Client
+from drivecal.configuration.settings import load_settings
+from drivecal.domain.errors import ConflictError, DrivecalError
+
+SECONDS_TO_START = 600.0
+"""Ray needs some seconds, compiling the kernels for the first time half a minute on a slow machine, and many times that on a busy one."""
+SECONDS_TO_STOP = 20.0
+ANNOUNCEMENT = "serve.json"
+"""Where the coordinator says its address when it is ready."""
+LOG = "serve.log"
+
+
+@contextmanager
+def fresh_folder(folder: Path) -> Iterator[None]:
+    """Empties `folder` and keeps other demos out of it.
+
+    Raises ConflictError where one is running there, DatabaseError where a server shows what the last one found.
+    """
+    from drivecal.storage.engine import locks
+
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with folder.with_suffix(".lock").open("w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise ConflictError(f"another demo is running in {folder}; wait for it or stop it") from error
+        with locks.hold(_database_url(folder), "set DRIVECAL_HOME to another folder: a new demo empties this one"):
+            shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(exist_ok=True)
+        yield
+
+
+def _database_url(folder: Path) -> str:
+    return f"sqlite:///{folder / 'drivecal.db'}"
+
+
+@contextmanager
+def coordinator(home: Path) -> Iterator[Client]:
+    """A running coordinator that keeps its files in `home`, and a client of it; stopped cleanly when the block is left.
+
+    Raises DrivecalError with the end of the log where it does not start.
+    """
+    settings = load_settings(home=str(home), database_url=_database_url(home)).environment
+    environment = {name: value for name, value in (os.environ | settings).items() if name != "DRIVECAL_TOKENS_FILE"}
+    # The guardian ends the server, whatever becomes of the demo: it notices when our end of its standard input is gone.
+    guardian = [sys.executable, "-m", "drivecal.server.guardian", str(SECONDS_TO_STOP), ""]
+    serve = [sys.executable, "-m", "drivecal.cli", "serve", "--host", "127.0.0.1", "--port", "0", "--json"]
+    with (home / ANNOUNCEMENT).open("wb") as announcement, (home / LOG).open("wb") as log:
+        # In a session of its own: Ctrl-C reaches the demo alone, which then stops the server as it should be stopped.
+        process = subprocess.Popen(  # noqa: S603  # our own command
+            [*guardian, *serve],
+            env=environment,
+            cwd=home,  # where no config file is: a demo on loopback asks for no token, whatever the user's own server does
+            stdin=subprocess.PIPE,
+            stdout=announcement,
+            stderr=log,
+            start_new_session=True,
+        )
+    try:
+        with _interrupted_by_sigterm(), Client(_url_when_ready(process, home)) as client:
+            yield client
+    finally:
+        process.terminate()
+        process.wait()
+
+
+@contextmanager
+def _interrupted_by_sigterm() -> Iterator[None]:
+    """Makes SIGTERM the same as Ctrl-C: an exception, after which everything is cleaned up."""
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _url_when_ready(process: subprocess.Popen[bytes], home: Path) -> str:
+    deadline = time.monotonic() + SECONDS_TO_START
+    while time.monotonic() < deadline:
+        line, newline, _ = (home / ANNOUNCEMENT).read_text().partition("\n")
+        if newline:
+            return str(json.loads(line)["url"])
+        if process.poll() is not None:
+            raise DrivecalError(f"the coordinator did not start (exit status {process.returncode}):\n{_end_of(home / LOG)}")
+        time.sleep(0.1)
+    raise DrivecalError(
+        f"the coordinator is not ready after {SECONDS_TO_START:.0f} s; where the machine was busy, try again:\n{_end_of(home / LOG)}"
+    )
+
+
+def _end_of(log: Path, lines: int = 15) -> str:
+    return "\n".join(log.read_text(errors="replace").splitlines()[-lines:])

@@ -1,0 +1,109 @@
+"""The command that drives one parameter set."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from drivecal.cli.application import ExitCode, JsonOption, UrlOption, WaitTimedOutError, app, code_of_state, connect, tell
+from drivecal.cli.views import traces
+from drivecal.cli.views.output import parameters_text, print_columns, print_json
+from drivecal.client.client import Client
+from drivecal.contracts.assignments import assignments
+from drivecal.contracts.evaluation import Evaluation, TraceAnswer
+from drivecal.domain.campaigns import CampaignState
+
+SECONDS_BETWEEN_QUESTIONS = 0.3
+
+
+@app.command()
+def evaluate(
+    parameters: Annotated[list[str], typer.Argument(metavar="P1=VALUE...", help="One value for each parameter.")],
+    scenario: Annotated[str | None, typer.Option(help="One scenario; else all of the catalogue.")] = None,
+    catalogue: Annotated[str, typer.Option(help="The scenario catalogue.")] = "highway",
+    vehicle: Annotated[str, typer.Option(help="The vehicle model: single_track, hybrid or a plug-in.")] = "single_track",
+    vehicle_parameters: Annotated[
+        str | None,
+        typer.Option(metavar="NAME=VALUE,...", help="Parameters of the vehicle that differ from its nominal ones."),
+    ] = None,
+    driving_function: Annotated[str, typer.Option(help="Who drives: frenet or a plug-in.")] = "frenet",
+    evaluator: Annotated[str, typer.Option(help="Who rates comfort: reference, learned or a plug-in.")] = "reference",
+    trace: Annotated[
+        Path | None,
+        typer.Option(help="Write the run's time series there: .csv or .parquet (one row per step) or .json (all of it)."),
+    ] = None,
+    timeout: Annotated[float | None, typer.Option(min=0, help="Seconds to wait at most; then exit status 6.")] = None,
+    url: UrlOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Drive one parameter set and show how comfortable it was."""
+    differing = {} if vehicle_parameters is None else assignments(vehicle_parameters.split(","), "--vehicle-parameters")
+    specification: dict[str, object] = {
+        "parameters": assignments(parameters, "parameters"),
+        "catalogue": catalogue,
+        "driving_function": driving_function,
+        "vehicle": {"model": vehicle, "parameters": differing},
+        "evaluator": evaluator,
+    }
+    if scenario is not None:
+        specification["scenario"] = scenario
+    if trace is not None and (scenario is None or trace.suffix not in traces.SUFFIXES):
+        raise typer.BadParameter(f"--trace needs one --scenario and a file that ends in {', '.join(traces.SUFFIXES)}")
+    with connect(url) as client:
+        evaluation = _ended(client, client.evaluate(specification), timeout)
+        if trace is not None:
+            traces.save(_trace(client, evaluation, timeout), trace)
+            tell(f"time series: {trace}")
+    if as_json:
+        print_json(evaluation)
+    else:
+        _print(evaluation)
+    raise typer.Exit(code_of_state(evaluation.state))
+
+
+def _ended(client: Client, evaluation: Evaluation, timeout: float | None) -> Evaluation:
+    deadline = None if timeout is None else time.monotonic() + timeout
+    try:
+        while not CampaignState(evaluation.state).ended:
+            if deadline is not None and time.monotonic() > deadline:
+                raise WaitTimedOutError(f"evaluation {evaluation.id} has no result after {timeout:g} s; it goes on")
+            time.sleep(SECONDS_BETWEEN_QUESTIONS)
+            evaluation = client.evaluation(evaluation.id)
+    except KeyboardInterrupt as error:
+        tell(f"detached: evaluation {evaluation.id} goes on; end it with `drivecal cancel {evaluation.id}`")
+        raise typer.Exit(ExitCode.INTERRUPTED) from error
+    return evaluation
+
+
+def _trace(client: Client, evaluation: Evaluation, timeout: float | None) -> TraceAnswer:
+    """Has it driven once more."""
+    deadline = None if timeout is None else time.monotonic() + timeout
+    while (found := client.trace(evaluation.id)) is None:
+        if deadline is not None and time.monotonic() > deadline:
+            raise WaitTimedOutError(
+                f"the time series of evaluation {evaluation.id} are not there after {timeout:g} s; ask again"
+            )
+        time.sleep(SECONDS_BETWEEN_QUESTIONS)
+    return found
+
+
+def _print(evaluation: Evaluation) -> None:
+    typer.echo(parameters_text(evaluation.parameters))
+    if evaluation.error:
+        typer.echo(f"error: {evaluation.error}")
+    header = ["scenario", "outcome", "score", "rating", "failure", "worker ms"]
+    print_columns(
+        header,
+        [[item.scenario, item.outcome, item.score, item.rating, item.failure, item.milliseconds] for item in evaluation.items],
+    )
+    if evaluation.objective is not None and len(evaluation.items) > 1:
+        typer.echo(f"mean score {evaluation.objective:.4f}")
+    if evaluation.metrics:
+        typer.echo("")
+        print_columns(
+            ["metric", "value"],
+            [[name, None if value is None else f"{value:.4g}"] for name, value in evaluation.metrics.items()],
+        )

@@ -1,0 +1,209 @@
+"""Where a parameter can change the score of a scenario: as a campaign or a map has it, and compared with another."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Annotated, Any
+
+import typer
+
+from drivecal.cli.application import JsonOption, UrlOption, app, connect, full_id, full_map_id
+from drivecal.cli.views.output import print_columns, print_json
+from drivecal.client.client import Client
+from drivecal.contracts.inventory import InfluenceRow
+from drivecal.domain.errors import ConflictError, NotFoundError
+from drivecal.sensitivity.agreement import Agreement, Pair, agreement
+
+WIDTH = 20
+"""Characters of the picture of a parameter's range."""
+_NONE = "0.000"
+
+
+@dataclass(frozen=True)
+class Described:
+    """Rows, whose they are, and what they rest on (None where nothing but a user's word)."""
+
+    title: str
+    rows: Sequence[InfluenceRow]
+    basis: Mapping[str, Any] | None
+
+
+@app.command()
+def influence(
+    identifier: Annotated[str, typer.Argument(metavar="ID", help="A campaign's or an influence map's id, or its beginning.")],
+    compare: Annotated[
+        str | None, typer.Option(metavar="ID", help="Another campaign or map: list the pairs on which they do not agree.")
+    ] = None,
+    url: UrlOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Show where each parameter can change the score of each scenario, or compare that with another campaign's or map's."""
+    with connect(url) as client:
+        first = _described(client, identifier)
+        second = None if compare is None else _described(client, compare)
+    if second is not None:
+        _compare(first, second, as_json)
+    elif as_json:
+        print_json([row.model_dump(mode="json") for row in first.rows])
+    else:
+        typer.echo(first.title)
+        print_influence(first.rows, first.basis)
+
+
+def print_influence(rows: Sequence[InfluenceRow], basis: Mapping[str, Any] | None) -> None:
+    """Prints a table per scenario, and what the rows rest on."""
+    if not rows:
+        typer.echo("there are no rows: no influence map is in use (yet), or it lists nothing")
+        return
+    measured = any(row.s_rel_intervals is not None for row in rows)
+    header = ["parameter", "influential", "lower", "upper", "unit", f"{'range':{WIDTH}}"]
+    header += ["mu", "sigma", "mu*", "largest s_rel"] if measured else []
+    for scenario, found in groupby(rows, key=lambda row: row.scenario):
+        listed = list(found)
+        unknown = "  unknown: no run scored above 0, so everything counts as influential" if _tells_nothing(listed) else ""
+        typer.echo(f"\n{scenario}{unknown}")
+        print_columns(header, [_line(row, measured) for row in listed])
+    for line in decided_text(rows):
+        typer.echo(f"\n{line}")
+    if basis is not None:
+        typer.echo(f"\n{_rests_on(basis)}")
+        typer.echo("\nThe smallest s_rel that is not 0; a threshold below it means any change at all:\n")
+        smallest = basis["smallest_s_rel"].items()
+        print_columns(
+            ["scenario", "intervals", "overall"],
+            [
+                [scenario, *(_short(one[part]) or "all are 0" for part in ("intervals", "overall"))]
+                for scenario, one in smallest
+            ],
+        )
+
+
+def bounds_text(row: InfluenceRow) -> str:
+    """`0.2 .. 0.8`, `nowhere`."""
+    if not row.influential:
+        return "nowhere"
+    ends = ["its bound" if one is None else f"{one:g}" for one in (row.lower, row.upper)]
+    return " .. ".join(ends) + (" (unknown)" if row.unknown else "")
+
+
+def picture(row: InfluenceRow, width: int = WIDTH) -> str:
+    """The parameter's range from left to right: `#` where it is influential, `.` where not; empty where the range is not known."""
+    if row.space_lower is None or row.space_upper is None:
+        return ""
+    if not row.influential:
+        return "." * width
+    size = row.space_upper - row.space_lower
+    lower = 0.0 if row.lower is None else (row.lower - row.space_lower) / size
+    upper = 1.0 if row.upper is None else (row.upper - row.space_lower) / size
+    start = min(width - 1, int(lower * width + 1e-9))
+    end = max(start + 1, width - int((1 - upper) * width + 1e-9))
+    return "." * start + "#" * (end - start) + "." * (width - end)
+
+
+def _line(row: InfluenceRow, measured: bool) -> list[object]:
+    answer = "unknown" if row.unknown else "yes" if row.influential else "no"
+    line: list[object] = [row.parameter, answer, row.lower, row.upper, row.unit, picture(row)]
+    if measured:
+        line += [_short(value) for value in (row.mu, row.sigma, row.mu_star, _largest(row))]
+    return line
+
+
+def decided_text(rows: Sequence[InfluenceRow]) -> list[str]:
+    """Which rows seem to contradict the intervals' largest s_rel, and what decided: a line each for either way."""
+    known = [(row, largest) for row in rows if not row.unknown and (largest := _largest(row)) is not None]
+    overruled = [(row.scenario, row.parameter) for row, largest in known if not row.influential and _short(largest) != _NONE]
+    added = [(row.scenario, row.parameter) for row, largest in known if row.influential and _short(largest) == _NONE]
+    lines = []
+    if overruled:
+        lines.append(
+            f"Not influential, though an interval has an s_rel above 0: {_listed(overruled)}.\nThe final analysis, in which all parameters "
+            "stay where they matter, showed no effect of them that counts. It decides."
+        )
+    if added:
+        lines.append(
+            f"Influential, though no interval has an s_rel above 0: {_listed(added)}.\nA later analysis, over more than one interval, "
+            "showed an effect of them. It decides."
+        )
+    return lines
+
+
+def _largest(row: InfluenceRow) -> float | None:
+    """The largest s_rel of its intervals."""
+    return max((value for value in row.s_rel_intervals or [] if value is not None), default=None)
+
+
+def _short(value: float | None) -> str | None:
+    return None if value is None else f"{value:.3f}"
+
+
+def _tells_nothing(rows: Sequence[InfluenceRow]) -> bool:
+    return all(row.unknown and row.s_rel_intervals is not None for row in rows)
+
+
+def _rests_on(basis: Mapping[str, Any]) -> str:
+    settings = basis["sensitivity"]
+    threshold = settings["threshold"]
+    if isinstance(threshold, dict):
+        threshold = ", ".join(f"{name} {value:g}" for name, value in threshold.items())
+    return (
+        f"design {settings['design']}, {settings['intervals']} intervals, {settings['samples']} samples, threshold {threshold}, "
+        f"seed {settings['seed']}: {basis['runs']:,} runs asked for, {basis['simulated']:,} simulated for it"
+    )
+
+
+def _described(client: Client, identifier: str) -> Described:
+    """A campaign's map within the campaign's bounds, or a map by its own id. Raises NotFoundError for neither."""
+    try:
+        campaign = client.campaign(full_id(client, identifier))
+    except NotFoundError:
+        try:
+            found = client.influence_map(full_map_id(client, identifier))
+        except NotFoundError as error:
+            raise NotFoundError("campaign or influence map", identifier) from error
+        return Described(f"influence map {found.id}  {found.name}", found.rows or [], found.basis)
+    used = client.map_of(campaign)
+    basis = None if used is None else used.basis
+    return Described(f"campaign {campaign.id}  {campaign.name}", client.influence(campaign.id), basis)
+
+
+def _compare(first: Described, second: Described, as_json: bool) -> None:
+    for one in (first, second):
+        if not one.rows:
+            raise ConflictError(f"{one.title} has no influence map to compare (yet)")
+    found = agreement(first.rows, second.rows)
+    if as_json:
+        print_json({"first": first.title, "second": second.title, **found.document()})
+        return
+    typer.echo(f"first   {first.title}\nsecond  {second.title}\n")
+    _print_agreement(found)
+
+
+def _print_agreement(found: Agreement) -> None:
+    if found.share is None:
+        typer.echo("they have no scenario and parameter in common")
+    else:
+        typer.echo(f"they agree within one interval on {found.agreeing} of {found.pairs} pairs ({found.share:.1%})")
+    if found.differences:
+        typer.echo("")
+        header = ["scenario", "parameter", "first", "second", f"{'first':{WIDTH}}", f"{'second':{WIDTH}}"]
+        rows = [
+            [
+                one.first.scenario,
+                one.first.parameter,
+                *(bounds_text(row) for row in (one.first, one.second)),
+                *(picture(row) for row in (one.first, one.second)),
+            ]
+            for one in found.differences
+        ]
+        print_columns(header, rows)
+    for name, pairs in (("first", found.only_first), ("second", found.only_second)):
+        if pairs:
+            typer.echo(f"only the {name} knows {_listed(pairs)}")
+
+
+def _listed(pairs: Sequence[Pair]) -> str:
+    return "; ".join(
+        f"{scenario} {', '.join(name for _, name in found)}" for scenario, found in groupby(pairs, key=lambda pair: pair[0])
+    )

@@ -1,0 +1,120 @@
+"""Commands about what a campaign found."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, BinaryIO
+
+import typer
+
+from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, connect, full_id, tell
+from drivecal.cli.views.output import print_json, print_solutions
+from drivecal.client.client import Client
+from drivecal.contracts.assignments import assignments
+from drivecal.domain.errors import InvalidInputError, Problem
+
+
+class TableName(StrEnum):
+    """The tables that can be exported."""
+
+    EVALUATIONS = "evaluations"
+    GENERATIONS = "generations"
+    SOLUTIONS = "solutions"
+    OPTIMA = "optima"
+    INFLUENCE = "influence"
+    ROBUSTNESS = "robustness"
+    VALIDATION = "validation"
+    COMPARISON = "comparison"
+    COMPARISON_GROUPS = "comparison-groups"
+    COMPARISON_PAIRS = "comparison-pairs"
+    COMPARISON_EFFECTS = "comparison-effects"
+
+
+class Format(StrEnum):
+    """The formats of an export."""
+
+    CSV = "csv"
+    PARQUET = "parquet"
+    JSON = "json"
+
+
+@app.command()
+def solutions(
+    identifier: CampaignArgument,
+    weights: Annotated[
+        str | None,
+        typer.Option(metavar="S1=2,S2=1", help="Rank by these weights instead; simulates nothing. Not named means weight 1."),
+    ] = None,
+    limit: Annotated[int, typer.Option(min=1, max=1000, help="How many at most, best first.")] = 20,
+    url: UrlOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Show the best parameter sets of a campaign."""
+    if weights is not None:
+        assignments(weights.split(","), "--weights")
+    with connect(url) as client:
+        found = full_id(client, identifier)
+        page = client.solutions(found, weights, limit)
+        spec = client.campaign(found).spec
+    if as_json:
+        print_json(page)
+    else:
+        print_solutions(page.items, spec)
+
+
+@app.command()
+def export(
+    identifier: CampaignArgument,
+    table: Annotated[TableName, typer.Option(help="Which table.")] = TableName.EVALUATIONS,
+    form: Annotated[Format, typer.Option("--format", help="In which format.")] = Format.CSV,
+    output: Annotated[str, typer.Option("--output", "-o", metavar="FILE", help="Where to; - is standard output.")] = "-",
+    url: UrlOption = None,
+    as_json: Annotated[bool, typer.Option("--json", help="The same as --format json.")] = False,
+) -> None:
+    """Write a whole table of a campaign to a file."""
+    form = Format.JSON if as_json else form
+    with connect(url) as client:
+        pieces = _pieces(client, full_id(client, identifier), table, form)
+        if output == "-":
+            if form is Format.PARQUET and sys.stdout.isatty():
+                raise InvalidInputError(Problem("--output", "Parquet is no text for a terminal", "give -o FILE"))
+            for piece in pieces:
+                sys.stdout.buffer.write(piece)
+            sys.stdout.buffer.flush()
+            return
+        size = 0
+        with _whole_or_not_at_all(Path(output)) as stream:
+            for piece in pieces:
+                size += stream.write(piece)
+    tell(f"{output}: {size:,} bytes")
+
+
+def _pieces(client: Client, identifier: str, table: TableName, form: Format) -> Iterator[bytes]:
+    if form is not Format.JSON:
+        yield from client.table(identifier, table.value, "csv" if form is Format.CSV else "parquet")
+        return
+    separator = "["
+    for row in client.rows(identifier, table.value):
+        yield f"{separator}\n{json.dumps(row, ensure_ascii=False)}".encode()
+        separator = ","
+    yield b"\n]\n" if separator == "," else b"[]\n"
+
+
+@contextmanager
+def _whole_or_not_at_all(path: Path) -> Iterator[BinaryIO]:
+    """A file that appears under its name only when it is complete."""
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with unfinished.open("wb") as stream:
+            yield stream
+        unfinished.replace(path)
+    except OSError as error:
+        raise InvalidInputError(Problem(str(path), f"it cannot be written: {error.strerror}", "give another file")) from error
+    finally:
+        unfinished.unlink(missing_ok=True)

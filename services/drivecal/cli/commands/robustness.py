@@ -1,0 +1,149 @@
+"""`drivecal robustness`: shows a campaign's robustness study, made where nobody made it yet, and what another one says beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+import typer
+
+from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, connect, full_id
+from drivecal.cli.commands.studies import BENCH, Wanted, known, make, specification, wanted_of
+from drivecal.cli.views import robustness_differences
+from drivecal.cli.views.output import parameters_text, print_columns, print_json
+from drivecal.cli.views.robustness_differences import MadeStudy
+from drivecal.client.client import Client
+from drivecal.contracts.campaign import Campaign
+from drivecal.contracts.studies import RobustnessRow
+from drivecal.domain.errors import ConflictError
+
+
+@app.command()
+def robustness(
+    identifier: CampaignArgument,
+    solutions: Annotated[int | None, typer.Option(min=1, max=1000, help="The most sets that are examined; else 20.")] = None,
+    within: Annotated[
+        float | None,
+        typer.Option(min=0, max=7, help="Examine sets whose objective is lower by no more than this, too; else 0."),
+    ] = None,
+    delta: Annotated[
+        float | None, typer.Option(help="Half the width of the first box, in shares of the vehicle's ranges; else 0.01.")
+    ] = None,
+    steps: Annotated[int | None, typer.Option(min=1, max=100, help="Boxes; else 10.")] = None,
+    samples: Annotated[int | None, typer.Option(min=1, max=10_000, help="Vehicles in each box; else 30.")] = None,
+    eta: Annotated[float | None, typer.Option(help="What the condition allows; else 1.")] = None,
+    condition: Annotated[str | None, typer.Option(help="max, mean or per_factor; else max.")] = None,
+    refinements: Annotated[int | None, typer.Option(min=0, max=30, help="Halvings of the last step; else none.")] = None,
+    vehicle: Annotated[
+        str | None, typer.Option(help="Make the study in this vehicle model too, and show what changes.")
+    ] = None,
+    compare: Annotated[str | None, typer.Option(help="Another campaign's study: show what changes.")] = None,
+    again: Annotated[bool, typer.Option("--again", help="Make the study anew, even where there is one.")] = False,
+    url: UrlOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Rank the best sets of a campaign by how far the vehicle may differ; drives them in other vehicles where that was not done yet."""
+    if vehicle is not None and compare is not None:
+        raise typer.BadParameter("name a vehicle model or another campaign, not both")
+    given = {
+        "solutions": solutions,
+        "within": within,
+        "delta": delta,
+        "steps": steps,
+        "samples": samples,
+        "eta": eta,
+        "condition": condition,
+        "refinements": refinements,
+    }
+    with connect(url) as client:
+        campaign = client.campaign(full_id(client, identifier))
+        wanted = wanted_of(campaign, "robustness", given)
+        other = None if compare is None else _study_of(client, client.campaign(full_id(client, compare)))
+        maker = None if again else known(client, campaign, wanted)
+        if maker is None:
+            stages = {"robustness": {**wanted.settings, "of": _source(campaign)}}
+            if vehicle is not None:  # a name that is none is refused before anything is driven
+                there = {"vehicle": campaign.spec["vehicle"] | {"model": vehicle}}
+                client.expected_runs(specification(campaign, "robustness", stages | there))
+            maker = make(client, campaign, "robustness", stages)
+        here = _study(client, maker)
+        if vehicle is not None:
+            other = _in_another_vehicle(client, campaign, maker, vehicle, again=again)
+        beside = None if other is None else _study(client, other)
+    if as_json:
+        print_json(
+            [row.model_dump(mode="json") for row in here.rows]
+            if beside is None
+            else robustness_differences.document(here, beside)
+        )
+        return
+    if beside is None:
+        print_robustness(here.rows)
+    else:
+        robustness_differences.print_difference(here, beside)
+    if hint := few_text(here):
+        typer.echo(hint)
+
+
+def _source(campaign: Campaign) -> str:
+    """The campaign whose best sets are examined: of a study that another campaign's sets were examined in, that one."""
+    return (campaign.spec.get("robustness") or {}).get("of") or campaign.id
+
+
+def _in_another_vehicle(client: Client, campaign: Campaign, maker: Campaign, model: str, *, again: bool) -> Campaign:
+    """The same study, with all its settings, in another vehicle model."""
+    settings: dict[str, Any] = {**maker.spec["robustness"], "of": _source(maker)}
+    bench = {name: maker.spec.get(name) for name in BENCH} | {"vehicle": maker.spec["vehicle"] | {"model": model}}
+    source = campaign if campaign.id == settings["of"] else client.campaign(settings["of"])
+    made = None if again else known(client, source, Wanted("robustness", settings, bench))
+    stages = {"robustness": settings, "vehicle": bench["vehicle"]}
+    return made or make(client, maker, f"robustness in {model}", stages)
+
+
+def _study_of(client: Client, campaign: Campaign) -> Campaign:
+    maker = known(client, campaign, wanted_of(campaign, "robustness", {}))
+    if maker is None:
+        raise ConflictError(f"campaign {campaign.id} has no robustness study; `drivecal robustness {campaign.id}` makes one")
+    return maker
+
+
+def _study(client: Client, maker: Campaign) -> MadeStudy:
+    return MadeStudy(maker, client.setup(maker.id), client.robustness(maker.id))
+
+
+def few_text(study: MadeStudy) -> str:
+    """Why fewer sets were examined than asked for, and what would take more; empty where it is so many."""
+    wanted = study.maker.spec.get("robustness") or {}
+    count, within = len(study.rows), wanted.get("within") or 0
+    if not count or wanted.get("sets") or count >= wanted.get("solutions", 0):
+        return ""
+    sets = "only 1 set has" if count == 1 else f"only {count} sets have"
+    if within:
+        return f"{sets} an objective within {within:g} of the best; a larger --within takes more"
+    return f"{sets} the best objective; --within 0.5 takes those that are lower by up to 0.5, too"
+
+
+def print_robustness(rows: Sequence[RobustnessRow]) -> None:
+    """Prints the examined sets, most robust first."""
+    if not rows:
+        typer.echo("no set was examined: the campaign found none with a result in every scenario")
+        return
+    print_columns(
+        ["rank", "degree", "delta_max", "objective", "scores", "region", "to worse", "parameters"],
+        [
+            [
+                row.rank,
+                f">= {row.degree}" if row.at_least else row.degree,
+                f"{row.radius:.4g}",
+                None if row.objective is None else f"{row.objective:.4f}",
+                " ".join(f"{name} {'-' if score is None else score}" for name, score in row.scores.items()),
+                row.region,
+                None if row.to_worse is None else f"{row.to_worse:.3f}",
+                parameters_text(row.parameters),
+            ]
+            for row in rows
+        ],
+    )
+    for row in rows:
+        if row.recommended:
+            typer.echo(f"recommended: rank {row.rank}, because it has {row.reason}")

@@ -1,0 +1,83 @@
+"""`drivecal serve`: the coordinator in one command."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+from typing import Annotated
+
+import typer
+
+from drivecal.cli.application import JsonOption, app, exit_code
+from drivecal.configuration.access import check_exposure
+from drivecal.configuration.settings import Settings, load_settings
+from drivecal.configuration.tokens import TokenFile
+from drivecal.domain.errors import DrivecalError
+
+log = logging.getLogger(__name__)
+
+
+@app.command()
+def serve(
+    host: Annotated[str, typer.Option(help="The address to listen on.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(help="The port to listen on; 0 takes any free one.", min=0, max=65535)] = 8000,
+    workers: Annotated[int | None, typer.Option(help="Simulations at a time; else DRIVECAL_WORKERS, else one per CPU.")] = None,
+    ray_address: Annotated[
+        str | None, typer.Option(help="A Ray cluster; else DRIVECAL_RAY_ADDRESS, else a local Ray is started.")
+    ] = None,
+    database_url: Annotated[
+        str | None, typer.Option(help="SQLAlchemy URL; else DRIVECAL_DATABASE_URL, else SQLite in the home folder.")
+    ] = None,
+    home: Annotated[
+        str | None, typer.Option(help="The folder of drivecal's files; else DRIVECAL_HOME, else .drivecal.")
+    ] = None,
+    tokens_file: Annotated[
+        str | None,
+        typer.Option(
+            help="Who may use the server, a line each: NAME read|write TOKEN; else DRIVECAL_TOKENS_FILE, else this machine."
+        ),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Run the server: the API and the dispatcher with its workers. Ctrl-C or SIGTERM stops it; campaigns go on at the next start."""
+    from drivecal.configuration import logs  # half a second, for this command only
+
+    settings = load_settings(
+        workers=workers, ray_address=ray_address, database_url=database_url, home=home, tokens_file=tokens_file
+    )
+    logs.configure("server", settings)
+    try:
+        code = _serve(settings, host, port, as_json=as_json)
+    except DrivecalError as error:
+        if settings.log_format != "json":
+            raise
+        log.error("%s", error)  # noqa: TRY400  # the sentence says it all; a traceback would bury it
+        code = exit_code(error)
+    raise typer.Exit(code)
+
+
+def _serve(settings: Settings, host: str, port: int, *, as_json: bool) -> int:
+    from drivecal.server import serving  # and the database's half a second
+
+    with serving.listen(host, port) as listener:
+        url = serving.url_of(listener, host)
+        check_exposure(listener.getsockname()[0], settings)
+        if settings.tokens_file is None:
+            log.info("no token is asked for: only this machine can connect")
+        else:
+            tokens = TokenFile(settings.tokens_file).tokens
+            reading = sum(not token.may_write for token in tokens)
+            log.info("a token is asked for: %d in %s, %d of them may only read", len(tokens), settings.tokens_file, reading)
+        database = serving.prepare_database(settings)
+        log.info("starting; the database is %s", database.name)
+
+        def ready() -> None:
+            if as_json:
+                typer.echo(json.dumps({"url": url, "pid": os.getpid(), "database": database.name}))
+            else:
+                typer.echo(f"drivecal is ready at {url} (Ctrl-C stops it)")
+
+        code = serving.run_server(settings, database, listener, url, ready)
+        database.dispose()
+    return code

@@ -1,0 +1,72 @@
+"""Studies of what a campaign found: those that were made already, by itself or by another campaign, and new ones."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import typer
+
+from drivecal.cli.application import code_of_state, tell
+from drivecal.cli.views.progress import follow
+from drivecal.client.client import Client
+from drivecal.contracts.campaign import Campaign
+from drivecal.domain.campaigns import CampaignState
+
+STAGES = ("optimizer", "sensitivity", "robustness", "validation")
+Stage = Literal["robustness", "validation"]
+BENCH = ("catalogue", "weights", "driving_function", "vehicle", "evaluator")
+"""What a study shares with the campaign whose sets or map it is about, unless something else is asked for."""
+_STUDIES = re.compile(r"( \((robustness|validation)( in [^()]*)?\))+$")
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """Which study: its `settings` as far as they matter, and on what."""
+
+    stage: Stage
+    settings: Mapping[str, Any]
+    bench: Mapping[str, Any]
+
+    def is_made_by(self, maker: Campaign) -> bool:
+        """Whether a campaign's study is the wanted one."""
+        settings = maker.spec.get(self.stage) or {}
+        same = all(settings.get(name) == value for name, value in self.settings.items())
+        return same and all(maker.spec.get(name) == value for name, value in self.bench.items())
+
+
+def wanted_of(campaign: Campaign, stage: Stage, given: Mapping[str, Any]) -> Wanted:
+    """A study of a campaign, in its own vehicle, with the settings that the user gave."""
+    settings = {name: value for name, value in given.items() if value is not None}
+    return Wanted(stage, settings, {name: campaign.spec.get(name) for name in BENCH})
+
+
+def known(client: Client, campaign: Campaign, wanted: Wanted) -> Campaign | None:
+    """Who made the wanted study of a campaign: itself, else the newest that succeeded; None where nobody did."""
+    if campaign.spec.get(wanted.stage) and wanted.is_made_by(campaign):
+        return campaign
+    for study in client.studies(campaign.id).items:
+        if study.stage == wanted.stage and study.state == CampaignState.SUCCEEDED and study.campaign != campaign.id:
+            maker = client.campaign(study.campaign)
+            if wanted.is_made_by(maker):
+                return maker
+    return None
+
+
+def specification(campaign: Campaign, study: str, stages: Mapping[str, Any]) -> dict[str, Any]:
+    """Of a campaign like the given one that makes the study alone. A study of a study is named as one of what both are about."""
+    name = f"{_STUDIES.sub('', campaign.name)[:180]} ({study})"
+    return {**campaign.spec, **dict.fromkeys(STAGES), **stages, "name": name}
+
+
+def make(client: Client, campaign: Campaign, study: str, stages: Mapping[str, Any]) -> Campaign:
+    """The campaign of `specification`, followed to its end."""
+    made = client.submit(specification(campaign, study, stages))
+    tell(f"campaign {made.id} makes the study")
+    ended = follow(client, made.id)
+    if CampaignState(ended.state) is not CampaignState.SUCCEEDED:
+        tell(f"campaign {made.id} {ended.state}{f': {ended.error}' if ended.error else ''}")
+        raise typer.Exit(code_of_state(ended.state))
+    return ended

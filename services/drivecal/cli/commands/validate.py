@@ -1,0 +1,71 @@
+"""`drivecal validate`: shows a campaign's validation study, made where nobody made it yet."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated
+
+import typer
+
+from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, connect, full_id
+from drivecal.cli.commands.studies import known, make, wanted_of
+from drivecal.cli.views.output import print_columns, print_json
+from drivecal.contracts.studies import ValidationRow
+from drivecal.domain.errors import ConflictError
+from drivecal.report.sections.errors import errors_text
+
+
+@app.command()
+def validate(
+    identifier: CampaignArgument,
+    samples: Annotated[int | None, typer.Option(min=1, help="Sets of the first Latin hypercube; else 200.")] = None,
+    references: Annotated[int | None, typer.Option(min=1, max=1000, help="Variants of each set; else 30.")] = None,
+    largest: Annotated[int | None, typer.Option(min=1, help="Sets of the largest Latin hypercube; else 20000.")] = None,
+    again: Annotated[bool, typer.Option("--again", help="Make the study anew, even where there is one.")] = False,
+    url: UrlOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Check by simulation whether a campaign's influence map is right where it says that a parameter does not matter."""
+    with connect(url) as client:
+        campaign = client.campaign(full_id(client, identifier))
+        wanted = wanted_of(campaign, "validation", {"samples": samples, "references": references, "largest": largest})
+        maker = None if again else known(client, campaign, wanted)
+        if maker is None:
+            link = campaign.links.get("influence_map")
+            if link is None:
+                raise ConflictError(f"campaign {campaign.id} has no influence map to validate; name one that used a map")
+            sensitivity = {"map": link.rpartition("/")[2]}
+            maker = make(client, campaign, "validation", {"sensitivity": sensitivity, "validation": dict(wanted.settings)})
+        rows = client.validation(maker.id)
+    if as_json:
+        print_json([row.model_dump(mode="json") for row in rows])
+    else:
+        print_validation(rows)
+
+
+def print_validation(rows: Sequence[ValidationRow]) -> None:
+    """Prints Tables 1 and 2 of the paper for this map."""
+    print_columns(
+        ["scenario", "n", "n*_LHS", "n_ref", "compared", "different", "wrong", "R_err", "95 % interval", "effects covered"],
+        [
+            [
+                row.scenario,
+                row.reducible,
+                row.bases,
+                row.references,
+                row.compared,
+                row.different,
+                row.wrong,
+                None if row.error_rate is None else f"{row.error_rate:.3%}",
+                None if row.lower_95 is None or row.upper_95 is None else f"{row.lower_95:.3%} to {row.upper_95:.3%}",
+                f"{row.covered} of {row.effects}",
+            ]
+            for row in rows
+        ],
+    )
+    compared, different, wrong = (sum(getattr(row, name) for row in rows) for name in ("compared", "different", "wrong"))
+    if compared:
+        typer.echo(errors_text("variants", compared, different, wrong))
+    nothing = [row.scenario for row in rows if not row.compared]
+    if nothing:
+        typer.echo(f"nothing to validate in {', '.join(nothing)}: no parameter has a region in which it does not matter")

@@ -1,0 +1,59 @@
+"""`drivecal workers`: who simulates, and what."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+
+from drivecal.cli.application import JsonOption, UrlOption, app, connect, tell
+from drivecal.cli.views.output import duration, print_columns, print_json
+from drivecal.contracts.inventory import WorkerAnswer, WorkerPage
+
+
+@app.command()
+def workers(url: UrlOption = None, as_json: JsonOption = False) -> None:
+    """Show the workers: what each is doing, and how fast."""
+    with connect(url) as client:
+        page = client.workers()
+    if as_json:
+        print_json(page)
+        return
+    now = datetime.now(UTC)
+    header = ["worker", "node", "state", "cells", "cells/s", "remembers", "simulates"]
+    rows = [
+        [
+            one.id,
+            one.node,
+            one.state,
+            one.cells,
+            None if one.cells_per_second is None else f"{one.cells_per_second:.1f}",
+            remembering(one),
+            doing(one, now),
+        ]
+        for one in page.items
+    ]
+    print_columns(header, rows)
+    for line in remarks(page, now):
+        tell(line)
+
+
+def doing(worker: WorkerAnswer, now: datetime) -> str | None:
+    """What a worker simulates, and for how long it has been at this batch."""
+    if worker.scenario is None or worker.since is None:
+        return worker.scenario
+    return f"{worker.scenario} for {duration(max(0.0, (now - worker.since) / timedelta(seconds=1)))}"
+
+
+def remembering(worker: WorkerAnswer) -> str | None:
+    """What a worker keeps to certify runs."""
+    if worker.states is None or worker.state_mb is None or worker.state_mb_at_most is None:
+        return None
+    return f"{worker.states:,} states, {worker.state_mb:.0f} of {worker.state_mb_at_most:.0f} MB"
+
+
+def remarks(page: WorkerPage, now: datetime) -> list[str]:
+    """What has to be said about the table."""
+    found = [f"degraded: {page.degraded}"] if page.degraded else []
+    if not page.fresh and page.items and page.dispatcher_seen_at is not None:
+        age = duration((now - page.dispatcher_seen_at) / timedelta(seconds=1))
+        found.append(f"this is what the dispatcher said {age} ago, before it fell silent")
+    return found

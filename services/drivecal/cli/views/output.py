@@ -1,0 +1,195 @@
+"""How results look on stdout: plain columns that survive a pipe, or JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from datetime import datetime
+from typing import Any
+
+import typer
+from pydantic import BaseModel
+
+from drivecal.cli.views.event_text import ASKED
+from drivecal.contracts.campaign import Campaign, CellCounts, Solution, StageCellCounts
+from drivecal.report.sections.commands import evaluation
+
+OUTCOMES = ("failed", "certified", "reused", "repeated", "simulated")
+"""Of requested cells, the frequent ones last."""
+
+
+def print_json(answer: BaseModel | Mapping[str, Any] | Sequence[Any]) -> None:
+    """Prints an answer as JSON."""
+    document = answer.model_dump(mode="json") if isinstance(answer, BaseModel) else answer
+    typer.echo(json.dumps(document, indent=2, ensure_ascii=False))
+
+
+def print_columns(header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Prints rows under a header, numbers to the right, text to the left."""
+    cells = [[_text(value) for value in row] for row in rows]
+    numeric = [all(_is_number(row[column]) for row in cells) for column in range(len(header))]
+    widths = [max(len(line[column]) for line in [list(header), *cells]) for column in range(len(header))]
+    for line in [list(header), *cells]:
+        parts = [
+            text.rjust(width) if right else text.ljust(width) for text, width, right in zip(line, widths, numeric, strict=True)
+        ]
+        typer.echo("  ".join(parts).rstrip())
+
+
+def print_campaign(campaign: Campaign) -> None:
+    """Prints what one wants to know of a campaign."""
+    lines = [("campaign", f"{campaign.id}  {campaign.name}"), ("state", state_text(campaign))]
+    if campaign.rerun_of:
+        lines.append(("rerun of", campaign.rerun_of))
+    if campaign.error:
+        lines.append(("error", campaign.error))
+    if campaign.sensitivity_cells.requested:
+        lines.append(("analysis", f"{campaign.sensitivity_cells.requested:,} requested = {_sum(campaign.sensitivity_cells)}"))
+    if campaign.cells.requested:
+        lines.append(("cells", cells_text(campaign.cells)))
+    if campaign.baseline:
+        lines.append(
+            ("baseline", f"{_objective(campaign.baseline.objective)}  {parameters_text(campaign.baseline.parameters)}")
+        )
+    if campaign.best:
+        best = campaign.best
+        lines.append(("best", f"{_objective(best.objective)}  {parameters_text(best.parameters)}"))
+        lines.append(("scores", "  ".join(f"{name} {score}" for name, score in best.scores.items())))
+        share = "1 parameter set has" if best.alternatives == 1 else f"{best.alternatives:,} parameter sets share"
+        lines.append(("alternatives", f"{share} the best objective"))
+    if self_check := self_check_text(campaign):
+        lines.append(("self-check", self_check))
+    lines += [("note", note) for note in campaign.notes]
+    seconds = campaign.seconds
+    if seconds.wall:
+        lines.append(("time", f"{duration(seconds.wall)}, of which the workers simulated {duration(seconds.simulating)}"))
+    width = max(len(name) for name, _ in lines)
+    for name, text in lines:
+        typer.echo(f"{name.ljust(width)}  {text}")
+
+
+def print_solutions(solutions: Sequence[Solution], spec: Mapping[str, Any]) -> None:
+    """Prints a ranking of the sets of the campaign with this specification."""
+    if not solutions:
+        typer.echo("no parameter set has a result in every scenario yet")
+        return
+    first = solutions[0]
+    header = ["rank", "objective", "rating", *first.scores, *first.parameters]
+    rows = [
+        [
+            *(one.rank, f"{one.objective:.4f}", f"{one.rating:.3f}"),
+            *(f"{score}*" if scenario in one.reused else score for scenario, score in one.scores.items()),
+            *one.parameters.values(),
+        ]
+        for one in solutions
+    ]
+    print_columns(header, rows)
+    reused = next((one for one in solutions if one.reused), None)
+    if reused is not None:
+        command = evaluation(reused.parameters, spec, reused.scores)
+        typer.echo(f"* taken from a reference; this simulates the set of rank {reused.rank}:\n{command}")
+
+
+def state_text(campaign: Campaign) -> str:
+    """The state with what belongs to it, on one line."""
+    parts = [campaign.state]
+    if campaign.stage and campaign.state == "running":
+        parts.append(campaign.stage if campaign.iteration is None else f"{campaign.stage}, iteration {campaign.iteration + 1}")
+    if campaign.progress.total and campaign.state != "succeeded":
+        parts.append(f"{campaign.progress.done:,} of {campaign.progress.total:,} cells")
+    if campaign.progress.eta_seconds is not None and campaign.state == "running":
+        parts.append(f"about {duration(campaign.progress.eta_seconds)} left")
+    if campaign.requested_action in ASKED:
+        parts.append(ASKED[campaign.requested_action])
+    if campaign.degraded:
+        parts.append(f"degraded: {campaign.degraded}")
+    return ", ".join(parts)
+
+
+def cells_text(cells: CellCounts) -> str:
+    """The cells by outcome, on one line: `requested 1,200 = 800 simulated + 300 reused + 100 repeated`."""
+    audited = f" ({cells.audited:,} of the simulated were audits)" if cells.audited else ""
+    return f"{cells.requested:,} requested = {_sum(cells)}{audited}; {cells.carried_over:,} carried over"
+
+
+def print_cells(runs: Sequence[tuple[str, CellCounts]]) -> None:
+    """Prints how the cells of campaigns were answered, one line each."""
+    header = ["", "proposed", "carried over", "requested", *reversed(OUTCOMES), "audited", "saved"]
+    print_columns(
+        header,
+        [
+            [
+                name,
+                *(
+                    f"{getattr(cells, one):,}"
+                    for one in ("proposed", "carried_over", "requested", *reversed(OUTCOMES), "audited")
+                ),
+                f"{saved(cells):.1%}",
+            ]
+            for name, cells in runs
+        ],
+    )
+
+
+def _sum(cells: CellCounts | StageCellCounts) -> str:
+    counts = by_outcome(cells).items()
+    return " + ".join(f"{count:,} {name}" for name, count in counts if count or name == "simulated")
+
+
+def by_outcome(cells: CellCounts | StageCellCounts) -> dict[str, int]:
+    """The requested cells by outcome, the frequent ones first; those that a stage does not know are 0."""
+    return {name: getattr(cells, name, 0) for name in reversed(OUTCOMES)}
+
+
+def self_check_text(campaign: Campaign) -> str:
+    """What the audits found, on one line; empty before the first."""
+    rates = campaign.error_rate
+    audited, different, wrong = (
+        sum(getattr(rate, name) for rate in rates.values()) for name in ("audited", "different", "wrong")
+    )
+    if not audited:
+        return ""
+    cells = "1 reusable cell was" if audited == 1 else f"{audited:,} reusable cells were"
+    text = f"{cells} simulated all the same: {different:,} scored differently, {wrong:,} by more than 1"
+    stopped = [name for name, rate in rates.items() if rate.stopped]
+    return f"{text}; reuse was stopped in {', '.join(stopped)}" if stopped else text
+
+
+def saved(cells: CellCounts) -> float:
+    """The share of the requested cells that needed no simulation."""
+    answered = cells.repeated + cells.reused + cells.certified
+    return answered / cells.requested if cells.requested else 0.0
+
+
+def parameters_text(parameters: Mapping[str, float]) -> str:
+    """`P1=0.5 P2=1`."""
+    return " ".join(f"{name}={value:g}" for name, value in parameters.items())
+
+
+def duration(seconds: float) -> str:
+    """`8 s`, `3 min 05 s`, `2 h 10 min`."""
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60:02} s"
+    return f"{whole // 3600} h {whole % 3600 // 60:02} min"
+
+
+def when(moment: datetime | None) -> str:
+    """A moment in the reader's time zone."""
+    return "" if moment is None else moment.astimezone().strftime("%Y-%m-%d %H:%M:%S")
+
+
+def _objective(value: float | None) -> str:
+    return "no result yet" if value is None else f"{value:.4f}"
+
+
+def _text(value: object) -> str:
+    if value is None:
+        return "-"
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _is_number(text: str) -> bool:
+    return text == "-" or text.removesuffix("%").replace(",", "").replace(".", "", 1).removeprefix("-").isdigit()

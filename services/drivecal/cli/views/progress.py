@@ -1,0 +1,172 @@
+"""Follows a campaign: a progress bar on a terminal, now and then a line elsewhere. Ctrl-C detaches and cancels nothing."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from types import TracebackType
+from typing import Protocol, Self
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+from drivecal.cli.application import ExitCode, WaitTimedOutError, tell
+from drivecal.cli.views.event_text import event_text
+from drivecal.cli.views.output import by_outcome, duration
+from drivecal.client.client import Client
+from drivecal.contracts.campaign import Campaign
+from drivecal.contracts.events import CampaignEvent
+
+SECONDS_BETWEEN_LINES = 5.0
+_DEGRADED = "degraded: "
+
+
+class Reporter(AbstractContextManager["Reporter"], Protocol):
+    """Shows how a campaign is getting on."""
+
+    def show(self, campaign: Campaign) -> None:
+        """Shows it as it is now."""
+
+    def tell(self, text: str) -> None:
+        """Writes a line about something that happened."""
+
+
+class Bar:
+    """A progress bar on a terminal."""
+
+    def __init__(self, console: Console) -> None:
+        self._progress = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=24),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[detail]}"),
+            console=console,
+            transient=True,
+        )
+        self._task = self._progress.add_task("waiting", total=None, detail="")
+
+    def __enter__(self) -> Self:
+        self._progress.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._progress.stop()
+
+    def show(self, campaign: Campaign) -> None:
+        """Moves the bar."""
+        self._progress.update(
+            self._task,
+            description=_where(campaign),
+            completed=campaign.progress.done,
+            total=campaign.progress.total or None,
+            detail=_detail(campaign),
+        )
+
+    def tell(self, text: str) -> None:
+        """Writes the line above the bar."""
+        self._progress.console.print(text, markup=False, highlight=False)
+
+
+class Lines:
+    """One line every few seconds, and one for each change of state or stage."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._last: tuple[str, str | None] | None = None
+        self._at = 0.0
+        self._degraded: str | None = None
+        """The degraded state that the line before told of."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        return None
+
+    def show(self, campaign: Campaign) -> None:
+        """Writes a line where one is due."""
+        now, kind = self._clock(), (campaign.state, campaign.stage)
+        if kind == self._last and now - self._at < SECONDS_BETWEEN_LINES:
+            return
+        self._last, self._at = kind, now
+        progress = campaign.progress
+        done = f"  {progress.done:,}/{progress.total:,} cells" if progress.total else ""
+        known = campaign.degraded is not None and campaign.degraded == self._degraded
+        shown = campaign.model_copy(update={"degraded": None}) if known else campaign
+        typer.echo(f"{_where(campaign)}{done}  {_detail(shown)}".rstrip(), err=True)
+        self._degraded = shown.degraded
+
+    def tell(self, text: str) -> None:
+        """Writes the line among the others, unless the one before said as much."""
+        reason = text.removeprefix(_DEGRADED) if text.startswith(_DEGRADED) else None
+        if reason is None or reason != self._degraded:
+            typer.echo(text, err=True)
+        self._degraded = reason
+
+
+def reporter() -> Reporter:
+    """What fits stderr."""
+    return Bar(Console(stderr=True)) if sys.stderr.isatty() else Lines()
+
+
+def follow(client: Client, identifier: str, timeout: float | None = None, *, from_beginning: bool = True) -> Campaign:
+    """Shows a campaign's progress, and what happens to it, until it ended, and returns it. Raises WaitTimedOutError after `timeout`
+    seconds.
+
+    Ctrl-C ends the command, not the campaign.
+    """
+    come_back = (
+        f"the campaign goes on; come back with `drivecal watch {identifier}`, end it with `drivecal cancel {identifier}`"
+    )
+    try:
+        deadline = None if timeout is None else time.monotonic() + timeout
+        return show_until_ended(client, identifier, deadline, from_beginning=from_beginning)
+    except KeyboardInterrupt as error:
+        tell(f"detached: {come_back}")
+        raise typer.Exit(ExitCode.INTERRUPTED) from error
+    except TimeoutError as error:
+        raise WaitTimedOutError(f"not ended after {duration(timeout or 0)}: {come_back}") from error
+
+
+def show_until_ended(
+    client: Client, identifier: str, deadline: float | None = None, *, from_beginning: bool = True
+) -> Campaign:
+    """Shows a campaign's progress until it ended, and returns it; what happened to it earlier is told too where `from_beginning` is
+    True. Raises TimeoutError past `deadline`, of the monotonic clock."""
+    said: str | None = None
+    with reporter() as report:
+
+        def told(event: CampaignEvent) -> None:
+            nonlocal said
+            text = event_text(event)
+            if text is not None and text != said:  # what the stream and the dispatcher both say is said once
+                report.tell(text)
+                said = text
+
+        for campaign in client.watch(identifier, deadline, told, from_beginning=from_beginning):
+            report.show(campaign)
+    return campaign
+
+
+def _where(campaign: Campaign) -> str:
+    if campaign.state != "running" or campaign.stage is None:
+        return campaign.state
+    iterations = (campaign.spec.get("optimizer") or {}).get("iterations")
+    if campaign.stage != "calibration" or campaign.iteration is None or iterations is None:
+        return campaign.stage
+    return f"{campaign.stage} {campaign.iteration + 1}/{iterations}"
+
+
+def _detail(campaign: Campaign) -> str:
+    cells = getattr(campaign, f"{campaign.stage}_cells", campaign.cells)  # those of the calibration have no stage in their name
+    parts = [f"{name} {count:,}" for name, count in by_outcome(cells).items() if count]
+    if campaign.best:
+        parts.append(f"best {campaign.best.objective:.3f}")
+    if campaign.progress.eta_seconds is not None and campaign.state == "running":
+        parts.append(f"{duration(campaign.progress.eta_seconds)} left")
+    if campaign.degraded:
+        parts.append(f"{_DEGRADED}{campaign.degraded}")
+    return "  ".join(parts)

@@ -1,0 +1,127 @@
+"""What changes between two robustness studies of the same sets, as in a plain and a hybrid vehicle."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import typer
+
+from drivecal.analysis.robustness_difference import difference, pairs_of
+from drivecal.cli.views.output import parameters_text, print_columns
+from drivecal.contracts.campaign import Campaign
+from drivecal.contracts.setup import CampaignSetup
+from drivecal.contracts.studies import RobustnessRow
+
+BOXES = ("delta", "steps", "samples", "eta", "condition", "refinements", "seed")
+"""Settings that decide what a degree means; `seed` draws the vehicles."""
+CHOICE = ("of", "solutions", "within", "sets")
+"""Settings that decide which sets are examined."""
+Settings = dict[str, tuple[Any, Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class MadeStudy:
+    """A robustness study: the campaign that made it, with what it was taken up, and what it found."""
+
+    maker: Campaign
+    setup: CampaignSetup
+    rows: Sequence[RobustnessRow]
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """All that its degrees depend on, by the names of the campaign file."""
+        spec, wanted = self.maker.spec, self.maker.spec.get("robustness") or {}
+        found: dict[str, Any] = {name: wanted.get(name) for name in (*BOXES, *CHOICE)}
+        found["of"] = found["of"] or self.maker.id
+        scenarios = self.setup.scenarios
+        found["scenarios"] = [one.scenario for one in scenarios]
+        found["weights"] = {one.scenario: round(one.weight, 6) for one in scenarios}
+        found["evaluator"] = self.setup.evaluator
+        for name in ("driving_function", "vehicle", "simulator"):  # with their versions, where a run has been asked for
+            used = sorted({str(getattr(one, name)) for one in scenarios if getattr(one, name)})
+            known = spec.get(name)
+            found[name] = ", ".join(used) or (known["model"] if isinstance(known, dict) else known)
+        found["vehicle.parameters"] = (spec.get("vehicle") or {}).get("parameters") or {}
+        return found
+
+
+def settings_that_differ(here: Mapping[str, Any], there: Mapping[str, Any]) -> Settings:
+    """By name, as (this study's, the other one's)."""
+    return {name: (value, there.get(name)) for name, value in here.items() if value != there.get(name)}
+
+
+def document(here: MadeStudy, there: MadeStudy) -> dict[str, object]:
+    """All of it for programs."""
+    differing = settings_that_differ(here.settings, there.settings)
+    return {
+        "settings": {name: list(both) for name, both in differing.items()},
+        "difference": asdict(difference(here.rows, there.rows)),
+        "here": [row.model_dump(mode="json") for row in here.rows],
+        "there": [row.model_dump(mode="json") for row in there.rows],
+    }
+
+
+def settings_text(differing: Settings) -> list[str]:
+    """Which settings differ, and what that means for the comparison, in a line or two."""
+    if not differing:
+        return ["both studies have the same settings"]
+    listed = ", ".join(f"{name} {_said(here)} -> {_said(there)}" for name, (here, there) in differing.items())
+    lines = [f"settings that differ: {listed}"]
+    if any(name in differing for name in BOXES):
+        lines.append("the degrees do not mean the same: boxes or condition are others")
+    return lines
+
+
+def _said(value: Any) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{name}={one}" for name, one in value.items()) or "none"
+    if isinstance(value, list):
+        return f"{len(value)} given" if value and isinstance(value[0], dict) else ", ".join(map(str, value)) or "none"
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def print_difference(one: MadeStudy, other: MadeStudy) -> None:
+    """Prints which settings differ, both studies side by side, and what changes in words."""
+    typer.echo("\n".join([*settings_text(settings_that_differ(one.settings, other.settings)), ""]))
+    rows, others = one.rows, other.rows
+    print_columns(
+        ["rank", "degree", "objective", "scores that differ", "parameters"],
+        [
+            [
+                _both(mine.rank, theirs.rank),
+                _both(_degree(mine), _degree(theirs)),
+                _both(_objective(mine), _objective(theirs)),
+                ", ".join(
+                    f"{name} {_both(score, theirs.scores.get(name))}"
+                    for name, score in mine.scores.items()
+                    if score != theirs.scores.get(name)
+                ),
+                parameters_text(mine.parameters),
+            ]
+            for mine, theirs in pairs_of(rows, others)
+        ],
+    )
+    found = difference(rows, others)
+    here, there = found.mean_degree
+    lines = [f"{found.sets} sets in both studies" + (f", {found.only_one} in one of them alone" if found.only_one else "")]
+    lines.append("degrees: {} equal, {} lower, {} higher".format(*found.degrees) + f"; mean {here:.2f} to {there:.2f}")
+    lines.append("scores in the nominal vehicle: {} equal, {} lower, {} higher".format(*found.scores))
+    if found.tau is not None:
+        lines.append(f"ranking: Kendall's tau {found.tau:.2f}")
+    lines.append(f"recommended: {'the same set' if found.same_recommended else 'another set'}")
+    typer.echo("\n".join(lines))
+
+
+def _both(here: object, there: object) -> str:
+    shown = ["-" if one is None else str(one) for one in (here, there)]
+    return shown[0] if shown[0] == shown[1] else " -> ".join(shown)
+
+
+def _degree(row: RobustnessRow) -> str:
+    return f">= {row.degree}" if row.at_least else str(row.degree)
+
+
+def _objective(row: RobustnessRow) -> str | None:
+    return None if row.objective is None else f"{row.objective:.3f}"

@@ -1,0 +1,114 @@
+"""What `show` and `watch` print below a campaign: what the self-check found by scenario, and whether reuse paid."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import typer
+
+from drivecal.cli.views.output import duration, print_columns
+from drivecal.contracts.accounting import Accounting, BreakEven
+from drivecal.contracts.campaign import ErrorRate, Narrowed
+
+
+def print_error_rates(rates: Mapping[str, ErrorRate]) -> None:
+    """Prints a line per scenario that was audited or contradicts itself; nothing where there is none."""
+    known = {name: rate for name, rate in rates.items() if rate.audited or rate.stopped or rate.contradictions}
+    if not known:
+        return
+    typer.echo("\nerrors of reused results, found by simulating some of them all the same (wrong: by more than 1)")
+    header = ["scenario", "audited", "different", "wrong", "R_err", "at most (95 %)", "contradictions", "reuse"]
+    print_columns(
+        header,
+        [
+            [
+                name,
+                rate.audited,
+                rate.different,
+                rate.wrong,
+                f"{rate.wrong / rate.audited:.2%}" if rate.audited else None,
+                None if rate.upper_95 is None else f"{rate.upper_95:.2%}",
+                rate.contradictions,
+                "stopped" if rate.stopped else "on",
+            ]
+            for name, rate in known.items()
+        ],
+    )
+
+
+def print_accounting(found: Accounting) -> None:
+    """Prints the balance of a campaign in seconds of its workers."""
+    typer.echo("\nwhat was saved, in CPU time of the workers")
+    lines = [
+        ("answered by equal sets", found.repeated_saved_seconds),
+        ("answered by references", found.reused_saved_seconds),
+        ("answered by certificates", found.certified_saved_seconds),
+        ("sensitivity stage", -found.sensitivity.seconds),
+    ]
+    for name, seconds in lines:
+        if seconds:
+            typer.echo(f"  {name:26}{_signed(seconds):>16}")
+    typer.echo(f"  {'net':26}{_signed(found.net_seconds):>16}")
+    if found.audited:
+        price = _seconds(found.audited_seconds)
+        typer.echo(f"  the self-check simulated {found.audited:,} reusable cells in {price}; they are not counted as saved")
+    confirmed = sum(one.confirmed for one in found.scenarios)
+    if confirmed:
+        typer.echo(
+            f"  {confirmed:,} reused cells were simulated after all, to confirm the best set; they are not counted as saved"
+        )
+    proved = sum(one.proved for one in found.scenarios)
+    if proved:
+        off = [
+            f"{one.scenario} {one.proved_different:,} of {one.proved:,}{f', {one.proved_wrong:,} of them wrong' * bool(one.proved_wrong)}"
+            for one in found.scenarios
+            if one.proved_different
+        ]
+        typer.echo(
+            f"  certificates say of {proved:,} reused cells what a simulation would have given; another score: {'; '.join(off) or 'none'}"
+        )
+    if found.map is not None and not found.map.paid_here:
+        paid = "nobody: it is expert knowledge" if found.map.made_by is None else f"campaign {found.map.made_by}"
+        cost = f" ({found.map.runs:,} runs, {_seconds(found.map.seconds)})" if found.map.runs else ""
+        typer.echo(f"  the influence map was paid by {paid}{cost}")
+    if found.break_even is not None:
+        typer.echo(f"  {break_even_text(found.break_even)}")
+    typer.echo(found.sentence)
+
+
+def break_even_text(found: BreakEven) -> str:
+    """From when on the map pays."""
+    if found.requested_cells is None:
+        return "break-even: never at this rate, reuse saved nothing"
+    text = f"break-even: the map pays from {found.requested_cells:,} requested cells on"
+    if found.campaigns is not None:
+        text += f", that is from {found.campaigns:,} such campaign{'' if found.campaigns == 1 else 's'} on"
+    return text
+
+
+def pays_text(share: float) -> str:
+    """What `ExpectedRuns.break_even_share` means, before a campaign is submitted."""
+    if share > 1:
+        return "the analysis cannot pay within this campaign: it takes more runs than there are cells to reuse; reruns share its map"
+    return f"the analysis pays within this campaign if {share:.1%} of the requested cells are reused"
+
+
+def print_narrowed(narrowed: list[Narrowed] | None) -> None:
+    """Prints what was cut from the search space; nothing where nothing was."""
+    if not narrowed:
+        return
+    typer.echo("\nthe search was narrowed to where some scenario is influenced")
+    header = ["parameter", "lower", "upper", "of lower", "of upper", "values left out", "of"]
+    rows = [
+        [one.parameter, one.lower, one.upper, one.full_lower, one.full_upper, one.removed_values, one.values]
+        for one in narrowed
+    ]
+    print_columns(header, rows)
+
+
+def _signed(seconds: float) -> str:
+    return f"{'-' if seconds < 0 else '+'} {_seconds(abs(seconds))}"
+
+
+def _seconds(seconds: float) -> str:
+    return f"{seconds:.1f} s" if seconds < 60 else duration(seconds)

@@ -1,0 +1,1 @@
+"""The backend on Ray actors, its cluster and its nodes."""

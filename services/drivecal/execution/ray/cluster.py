@@ -1,0 +1,219 @@
+"""Starts a local Ray or joins a cluster: quiet, private, and without taking over the process."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import secrets
+import shutil
+import signal
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from drivecal.cluster.checks import check_token
+from drivecal.cluster.members import Node, ask, members
+from drivecal.cluster.settings import OBJECT_STORE_BYTES, QUIET
+from drivecal.domain.errors import DrivecalError, UnavailableError
+from drivecal.execution.backend import BackendLostError
+from drivecal.execution.ray.node import OwnNode, here
+from drivecal.execution.ray.watch import ClusterWatch, StartedAnewError
+
+LONGEST_FOLDER = 40
+"""Ray's sockets lie 65 characters deep, and a Unix socket's path ends at 107."""
+ANSWER_SECONDS = 1.0
+"""What the store of Ray's state may take to answer."""
+A_MOMENT = 60.0
+"""Between making a folder and locking it, s, amply."""
+
+_LOCAL = {
+    "RAY_AUTH_MODE": "token",
+    # despite its name it makes Ray on Linux, too, listen on 127.0.0.1 only
+    "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",
+}
+
+
+class Cluster:
+    """A connection to Ray: `ray` is the module, imported only after its environment was set."""
+
+    def __init__(self, address: str | None, cpus: int | None) -> None:
+        """Starts a local Ray with `cpus` CPUs (None: all), or joins the cluster at `address`. Raises UnavailableError."""
+        self.name = "the local Ray" if address is None else f"the Ray cluster at {address}"
+        self._folder: _PrivateFolder | None = None
+        self._own: OwnNode | None = None
+        self._watch: ClusterWatch | None = None
+        self.nodes: tuple[Node, ...] = ()
+        """Who lives, of a cluster that was joined; replaced as a whole, about twice a second."""
+        os.environ.update(QUIET)
+        if address is None:
+            os.environ.update(_LOCAL)
+            os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))  # read once per process, so never changed
+            self._folder = _PrivateFolder()
+        elif "RAY_AUTH_MODE" not in os.environ:
+            with_token = "RAY_AUTH_TOKEN" in os.environ or "RAY_AUTH_TOKEN_PATH" in os.environ
+            os.environ["RAY_AUTH_MODE"] = "token" if with_token else "disabled"
+        import ray  # reads its environment at import
+
+        self.ray: ModuleType = ray
+        if address is not None:
+            self._join(address)
+        try:
+            with _own_signal_handlers():
+                if self._folder is not None:
+                    with _spare_processes_left_out():
+                        ray.init(
+                            address="local",  # whatever other cluster the machine or its environment knows
+                            num_cpus=cpus,
+                            include_dashboard=False,
+                            object_store_memory=OBJECT_STORE_BYTES,
+                            _temp_dir=str(self._folder.path),
+                            **_QUIET,
+                        )
+                else:
+                    ray.init(address=address, **_QUIET)
+        except Exception as error:
+            self.close()
+            reason = " ".join(str(error).split()) or type(error).__name__
+            raise UnavailableError(f"{self.name} cannot be used: {reason[:500]}") from error
+        self._watch = ClusterWatch(self.name, self._ask)
+
+    def _join(self, address: str) -> None:
+        """Makes sure that this machine has a node in the cluster, and that everything is there that one needs. Raises UnavailableError:
+        what is wrong here can be mended while we wait."""
+        try:
+            check_token(os.environ)
+            self.nodes = ask(address)
+            if not here(self.nodes):
+                self._own = OwnNode(address)
+        except UnavailableError:
+            raise
+        except DrivecalError as error:
+            raise UnavailableError(str(error)) from error
+
+    def cpus(self) -> int:
+        """The CPUs of all nodes."""
+        return int(self.ray.cluster_resources().get("CPU", 0))
+
+    def check(self) -> None:
+        """Raises BackendLostError where Ray is gone for good: left alone, it would end this process a minute later."""
+        node = self.ray._private.worker._global_node  # noqa: SLF001  # Ray tells nobody else
+        dead = sorted({kind for kind, _ in node.dead_processes()} & _VITAL) if node else ["connection"]
+        if dead:
+            raise BackendLostError(f"Ray's {' and '.join(dead)} ended unexpectedly")
+        if self._own is not None and self._own.ended():
+            raise BackendLostError("this machine's node in the Ray cluster ended unexpectedly")
+        lost = None if self._watch is None else self._watch.lost()
+        if lost is not None:
+            raise BackendLostError(lost)
+
+    def trouble(self) -> str | None:
+        """That Ray does not answer at the moment, in words; None where it does."""
+        return None if self._watch is None else self._watch.trouble()
+
+    def answered_since(self, moment: float) -> bool:
+        """Whether Ray has answered after a moment of the monotonic clock; it is asked twice a second."""
+        return self._watch is not None and self._watch.answered_since(moment)
+
+    def close(self) -> None:
+        """Leaves the cluster; a local Ray ends."""
+        if self._watch is not None:
+            self._watch.stop()
+            self._watch = None
+        self.ray.shutdown()
+        if self._own is not None:
+            self._own.close()
+            self._own = None
+        if self._folder is not None:
+            self._folder.remove()
+            self._folder = None
+
+    def _ask(self) -> None:
+        """Asks the store of the cluster's state who is there, a local one anything. To be called by the watching thread."""
+        client = self.ray._private.worker.global_worker.gcs_client  # noqa: SLF001  # all public ways wait without end
+        try:
+            if self._folder is None:
+                self.nodes = members(client, ANSWER_SECONDS)
+            else:
+                client.internal_kv_exists(b"drivecal", None, timeout=ANSWER_SECONDS)
+        except self.ray.exceptions.AuthenticationError as error:
+            raise StartedAnewError("has started anew, or does not accept our token any more") from error
+
+
+_VITAL = {"raylet", "gcs_server"}
+_QUIET: dict[str, Any] = {"namespace": "drivecal", "log_to_driver": False, "configure_logging": False, "logging_level": "ERROR"}
+
+
+@contextmanager
+def _own_signal_handlers() -> Iterator[None]:
+    """Ray replaces the handler of SIGTERM."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
+    try:
+        yield
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+
+
+_SPARE = ("start_monitor", "start_log_monitor", "start_api_server")
+
+
+@contextmanager
+def _spare_processes_left_out() -> Iterator[None]:
+    """A local Ray without autoscaler, log monitor and dashboard (which `include_dashboard=False` makes smaller, no more): nobody uses
+    them here, and they take a third of what starting Ray costs, and 160 MB. `ray.init` has no switch for them."""
+    from ray._private.node import Node
+
+    theirs = {name: getattr(Node, name) for name in _SPARE}
+    for name in _SPARE:
+        setattr(Node, name, lambda *_, **__: None)
+    try:
+        yield
+    finally:
+        for name, method in theirs.items():
+            setattr(Node, name, method)
+
+
+class _PrivateFolder:
+    """A new folder for a local Ray's sockets and logs that only this user can enter. Those of processes that were killed go; the lock
+    on a folder says that its process lives."""
+
+    def __init__(self) -> None:
+        parent = Path(tempfile.gettempdir())
+        if len(str(parent / "drivecal-ray-abcdefgh" / "r")) > LONGEST_FOLDER:
+            parent = Path("/tmp")  # noqa: S108  # mkdtemp makes a private folder in it
+        for folder in parent.glob("drivecal-ray-*"):
+            _remove_if_left_behind(folder)
+        self._folder = Path(tempfile.mkdtemp(prefix="drivecal-ray-", dir=parent))
+        self._lock = os.open(self._folder, os.O_RDONLY)
+        fcntl.flock(self._lock, fcntl.LOCK_EX)
+        self.path = self._folder / "r"
+        """Ray opens it to everybody; the folder around it stays closed."""
+
+    def remove(self) -> None:
+        """With all that is in it."""
+        shutil.rmtree(self._folder, ignore_errors=True)
+        os.close(self._lock)
+
+
+def _remove_if_left_behind(folder: Path) -> None:
+    try:
+        description = os.open(folder, os.O_RDONLY)
+    except OSError:
+        return  # another user's, or gone
+    try:
+        status = os.fstat(description)
+        if status.st_uid == os.getuid() and time.time() - status.st_ctime > A_MOMENT:
+            fcntl.flock(description, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            shutil.rmtree(folder, ignore_errors=True)
+    except BlockingIOError:
+        return  # its process lives
+    finally:
+        os.close(description)

@@ -1,0 +1,1 @@
+"""The scheduler and its parts: a pure state machine without clock or I/O."""

@@ -1,0 +1,80 @@
+"""What each worker is doing, since when, and how fast it is: from what was sent to it and what came back."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+
+from drivecal.contracts.work import CertificateMemory
+from drivecal.execution.backend import WorkerInfo
+
+RECENT_BATCHES = 20
+"""From which the speed is taken: some seconds of work."""
+
+
+@dataclass(slots=True)
+class _Desk:
+    """What lies at one worker. The first of `batches` (id and scenario) is in work since `since`, the others wait behind it."""
+
+    batches: dict[int, str] = field(default_factory=dict)
+    since: float = 0.0
+    recent: deque[tuple[int, float]] = field(default_factory=lambda: deque(maxlen=RECENT_BATCHES))
+    """Cells and seconds of what it finished last."""
+    remembered: CertificateMemory | None = None
+
+
+class Activity:
+    """By worker. `clock` gives seconds since 1970."""
+
+    def __init__(self, clock: Callable[[], float] = time.time) -> None:
+        self._clock = clock
+        self._desks: dict[str, _Desk] = {}
+
+    def sent(self, worker: str, batch_id: int, scenario: str) -> None:
+        """A batch was sent to a worker."""
+        desk = self._desks.setdefault(worker, _Desk())
+        if not desk.batches:
+            desk.since = self._clock()
+        desk.batches[batch_id] = scenario
+
+    def finished(
+        self, worker: str, batch_id: int, cells: int, seconds: float, remembered: CertificateMemory | None = None
+    ) -> None:
+        """A batch came back; it took the worker so many seconds, and this is what it keeps since to certify other runs."""
+        if self._take(worker, batch_id) and cells and seconds > 0:
+            self._desks[worker].recent.append((cells, seconds))
+        if worker in self._desks and remembered is not None:
+            self._desks[worker].remembered = remembered
+
+    def lost(self, worker: str, batch_id: int) -> None:
+        """A batch does not come back."""
+        self._take(worker, batch_id)
+
+    def describe(self, workers: Collection[WorkerInfo]) -> list[WorkerInfo]:
+        """The workers with what they do. Those that are not among them any more are forgotten."""
+        self._desks = {one.id: self._desks[one.id] for one in workers if one.id in self._desks}
+        return [self._describe(one) for one in workers]
+
+    def _take(self, worker: str, batch_id: int) -> bool:
+        desk = self._desks.get(worker)
+        if desk is None or desk.batches.pop(batch_id, None) is None:
+            return False
+        desk.since = self._clock()
+        return True
+
+    def _describe(self, worker: WorkerInfo) -> WorkerInfo:
+        desk = self._desks.get(worker.id)
+        if desk is None:
+            return worker
+        kept = desk.remembered
+        if kept is not None:
+            worker = replace(worker, states=kept.states, state_mb=kept.bytes / 2**20, state_mb_at_most=kept.limit / 2**20)
+        cells, seconds = sum(one for one, _ in desk.recent), sum(one for _, one in desk.recent)
+        speed = cells / seconds if seconds else None
+        if not desk.batches:
+            return replace(worker, cells_per_second=speed)
+        since = datetime.fromtimestamp(desk.since, UTC).isoformat(timespec="milliseconds")
+        return replace(worker, scenario=next(iter(desk.batches.values())), since=since, cells_per_second=speed)

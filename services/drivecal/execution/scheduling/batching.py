@@ -1,0 +1,91 @@
+"""How many cells go into one batch: enough to make the overhead of a call negligible, few enough that workers finish together."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TypeVar
+
+from drivecal.contracts.work import SetupRequest
+from drivecal.execution.scheduling.in_flight import SetupKey
+
+
+@dataclass(frozen=True, slots=True)
+class BatchPolicy:
+    """The sizes aimed at. Sending a batch and writing down its results takes the dispatcher about 8 ms beside what every cell costs:
+    batches of half a second lose less than 1 % of two cores to it."""
+
+    target_seconds: float = 0.5
+    shortest_seconds: float = 0.04
+    """Batches shrink to this towards the end of the queue."""
+    largest: int = 128
+    """Cells."""
+
+
+MOST_SETUPS = 1_000
+"""Of which costs are remembered, the last ones; studies of vehicle parameters go through hundreds."""
+K = TypeVar("K")
+V = TypeVar("V")
+Kind = tuple[str, ...]
+"""What setups have in common whose cells cost about the same."""
+
+
+def kind_of(setup: SetupRequest) -> Kind:
+    """All of a setup but the vehicle's parameters: a robustness study drives a few cells in each of hundreds of vehicles."""
+    versions = (str(setup.document.get(name)) for name in ("driving_function_version", "vehicle_version", "simulator"))
+    return (setup.catalogue, setup.scenario, setup.driving_function, setup.vehicle, setup.evaluator, *versions)
+
+
+class CellCosts:
+    """Seconds per cell of each setup, measured. The lower median of the last few batches counts: compiling, loading a scenario and
+    a busy machine make single batches too slow, nothing makes one too fast. A setup without a measurement costs what others of its
+    kind do."""
+
+    def __init__(self, remembered: int = 7) -> None:
+        self._remembered = remembered
+        self._kinds: dict[SetupKey, Kind] = {}
+        self._measured: dict[SetupKey | Kind, deque[float]] = {}
+        self._medians: dict[SetupKey | Kind, float] = {}
+
+    def relate(self, setup: SetupKey, kind: Kind) -> None:
+        """Says of which kind a setup is."""
+        _note(self._kinds, setup, kind)
+
+    def observe(self, setup: SetupKey, cells: int, seconds: float) -> None:
+        """Takes in one finished batch."""
+        for one in filter(None, (setup, self._kinds.get(setup))):
+            measured = self._measured.get(one) or deque(maxlen=self._remembered)
+            measured.append(max(seconds, 1e-6) / cells)
+            _note(self._measured, one, measured)
+            _note(self._medians, one, sorted(measured)[(len(measured) - 1) // 2])
+
+    def seconds_per_cell(self, setup: SetupKey) -> float | None:
+        """What a cell of this setup costs; None before the first measurement of its kind."""
+        return self._medians.get(setup, self._medians.get(self._kinds.get(setup, ())))
+
+    def seconds(self, cells: Mapping[SetupKey, int]) -> float:
+        """What cells, counted by setup, will cost together. Setups without a measurement count as the average of the others, or
+        nothing where there is none at all."""
+        costs = ((count, self.seconds_per_cell(setup)) for setup, count in cells.items())
+        known = [(count, cost) for count, cost in costs if cost is not None]
+        counted = sum(count for count, _ in known)
+        measured = sum(count * cost for count, cost in known)
+        return measured / counted * sum(cells.values()) if counted else 0.0
+
+
+def _note(known: dict[K, V], key: K, value: V) -> None:
+    known.pop(key, None)
+    known[key] = value  # behind all others
+    if len(known) > MOST_SETUPS:
+        del known[next(iter(known))]
+
+
+def batch_size(policy: BatchPolicy, seconds_per_cell: float | None, waiting_seconds: float, workers: int) -> int:
+    """Cells for the next batch: `target_seconds` worth, but no more than half a worker's share of what still waits (guided
+    self-scheduling), and one as a probe where nothing is known yet."""
+    if seconds_per_cell is None:
+        return 1
+    share = max(waiting_seconds / (2 * max(workers, 1)), policy.shortest_seconds)
+    return max(1, min(math.floor(min(policy.target_seconds, share) / seconds_per_cell), policy.largest))

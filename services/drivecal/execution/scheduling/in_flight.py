@@ -1,0 +1,129 @@
+"""The cells without an answer, and the simulations that will give it: identical cells of parallel campaigns share one.
+
+Each cell holds a claim to its simulation. The claim that comes first in its campaign's queue leads: the simulation is sent under its
+cell's id, and the others are answered with it. Nothing has to be rearranged where a claim goes or a more urgent one comes.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from drivecal.contracts.work import Cell, SetupRequest
+
+SetupKey = tuple[str, str, str, str]
+"""What two requests have in common that run and rate the same."""
+Identity = tuple[SetupKey, tuple[str, ...], bytes]
+"""What two cells have in common whose results are the same, bit by bit."""
+
+WITNESSES = 2
+"""Workers that must have seen an exception: it is deterministic, unless a worker or an earlier cell of the batch is to blame."""
+
+
+@dataclass(slots=True, eq=False)
+class PendingSimulation:
+    """What is sent to workers until it has a result, for all who claim it."""
+
+    setup: SetupRequest
+    key: SetupKey
+    identity: Identity | None
+    """None for one that is not shared."""
+    claims: list[Claim] = field(default_factory=list)
+    leader: Claim | None = None
+    """Under whose cell it is at a worker; None while it waits."""
+    breakdowns: int = 0
+    witnesses: frozenset[str] = frozenset()
+    """Workers that live and reported that it broke down."""
+
+    @property
+    def avoid(self) -> frozenset[str]:
+        """The worker whose word alone does not count."""
+        return self.witnesses if len(self.witnesses) < WITNESSES else frozenset()
+
+
+@dataclass(slots=True, eq=False)
+class Claim:
+    """One cell of a campaign, `tag`, to the result of a simulation."""
+
+    cell: Cell
+    tag: str
+    priority: int
+    simulation: PendingSimulation
+    withdrawn: bool = False
+    """While it leads: its campaign does not want it any more."""
+
+
+def key_of(setup: SetupRequest) -> SetupKey:
+    """The key of a setup: see `SetupKey`."""
+    return (setup.run_fingerprint, setup.catalogue, setup.scenario, setup.evaluator)
+
+
+class InFlightCells:
+    """Every claim from when it is made until its cell is answered or given up."""
+
+    def __init__(self) -> None:
+        self._claims: dict[int, Claim] = {}
+        self._by_tag: dict[str, dict[int, Claim]] = {}
+        self._shared: dict[Identity, PendingSimulation] = {}
+        self._setups: dict[SetupKey, tuple[SetupRequest, int]] = {}
+
+    def add(self, setup: SetupRequest, cells: Sequence[Cell], tag: str, priority: int, *, exclusive: bool) -> list[Claim]:
+        """The claims of new cells, to simulations that are there already where one is identical and neither is `exclusive`.
+
+        Raises ValueError where a cell's id is outstanding already; nothing is added then.
+        """
+        ids = [cell.id for cell in cells]
+        twice = [one for one in ids if one in self._claims]
+        if twice or len(set(ids)) < len(ids):
+            raise ValueError(f"cells are outstanding already or listed twice, e.g. {twice[:3] or ids[:3]}")
+        if not cells:
+            return []
+        key = key_of(setup)
+        claims = [self._claim(setup, key, cell, tag, priority, exclusive=exclusive) for cell in cells]
+        new = {claim.cell.id: claim for claim in claims}
+        self._claims |= new
+        self._by_tag.setdefault(tag, {}).update(new)
+        self._setups[key] = (setup, self._setups.get(key, (setup, 0))[1] + len(claims))
+        return claims
+
+    def remove(self, claim: Claim) -> None:
+        """Its cell is answered, or not asked for any more. A simulation without claims is none."""
+        simulation = claim.simulation
+        simulation.claims.remove(claim)
+        if not simulation.claims and simulation.identity is not None:
+            del self._shared[simulation.identity]
+        del self._claims[claim.cell.id]
+        its = self._by_tag[claim.tag]
+        del its[claim.cell.id]
+        if not its:
+            del self._by_tag[claim.tag]
+        setup, count = self._setups[simulation.key]
+        if count > 1:
+            self._setups[simulation.key] = (setup, count - 1)
+        else:
+            del self._setups[simulation.key]
+
+    def of(self, tag: str) -> Collection[Claim]:
+        """The claims of a campaign."""
+        return self._by_tag.get(tag, {}).values()
+
+    def setups(self) -> Mapping[SetupKey, SetupRequest]:
+        """Those that cells are outstanding of."""
+        return {key: setup for key, (setup, _) in self._setups.items()}
+
+    def _claim(self, setup: SetupRequest, key: SetupKey, cell: Cell, tag: str, priority: int, *, exclusive: bool) -> Claim:
+        identity = None if exclusive else _identity(key, cell)
+        simulation = None if identity is None else self._shared.get(identity)
+        if simulation is None:
+            simulation = PendingSimulation(setup, key, identity)
+            if identity is not None:
+                self._shared[identity] = simulation
+        claim = Claim(cell, tag, priority, simulation)
+        simulation.claims.append(claim)
+        return claim
+
+
+def _identity(key: SetupKey, cell: Cell) -> Identity:
+    names = tuple(sorted(cell.parameters))
+    return key, names, struct.pack(f"{len(names)}d", *(cell.parameters[name] for name in names))

@@ -1,0 +1,350 @@
+"""Which cells are sent next, to whom, and what becomes of those that broke down: a pure state machine without clock or I/O.
+
+Campaigns of equal priority share the workers' time (`queue`), identical cells are simulated once (`outstanding`), and workers seldom
+have to load another scenario. A batch whose worker was lost is a suspicion against each of its cells: from then on each is sent
+alone, to an idle worker with nothing behind it, so that a poison cell takes no other cell along. After `ATTEMPTS` breakdowns it has
+failed; innocent cells succeed at once.
+
+A worker that lives and reports a breakdown may itself be to blame. Its cells are suspects as well, but go to another worker, or to
+the process that replaces the only one. A worker that refuses a setup says nothing about the cells: they wait for somebody else.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult, SetupRequest
+from drivecal.domain.evaluations import Breakdown
+from drivecal.execution.scheduling.affinity import SetupAffinity
+from drivecal.execution.scheduling.batching import BatchPolicy, CellCosts, batch_size, kind_of
+from drivecal.execution.scheduling.in_flight import WITNESSES, Claim, InFlightCells, key_of
+from drivecal.execution.scheduling.queue import ClaimGroup, FairQueue, Line
+from drivecal.execution.scheduling.worker_health import WorkerHealth
+
+ATTEMPTS = 3
+"""After how many breakdowns a cell has failed."""
+MOST_PASSED_OVER = 100
+"""Batches of half a second, after which a suspect no longer waits until its only worker has nothing else to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class Completed:
+    """The final answer of one cell: `attempts` counts the tries, its breakdowns and the one that gave the result."""
+
+    tag: str
+    worker: str
+    result: CellResult
+    attempts: int
+    leader: int | None = None
+    """The id of the identical cell that was sent in its place; None where it was sent itself."""
+    lease: int | None = None
+    """The number of the lease under which the result was obtained (the leader's, where there is one); whoever leases fills it in."""
+
+    @property
+    def shared(self) -> bool:
+        """True where an identical cell was simulated in its place."""
+        return self.leader is not None
+
+
+@dataclass(frozen=True, slots=True)
+class Dispatch:
+    """A batch to send now; see `Backend.submit`."""
+
+    worker: str
+    batch_id: int
+    batch: Batch
+    expected_seconds: float | None
+    alone: bool
+    breakdowns: Mapping[int, int]
+    """Of each cell of the batch, by its id: how often it broke down so far."""
+
+
+@dataclass(frozen=True, slots=True)
+class Replacement:
+    """A worker to replace; see `Backend.replace`."""
+
+    worker: str
+    fault: str | None
+
+
+@dataclass(slots=True)
+class _Sent:
+    """Cells at a worker, and what the line that they came from was charged for them."""
+
+    worker: str
+    line: Line
+    leaders: list[Claim]
+    alone: bool
+    charged: float = 0.0
+
+
+class Scheduler:
+    """Every cell that is added is completed exactly once, unless it is withdrawn before it was sent or while it was lost."""
+
+    def __init__(self, policy: BatchPolicy) -> None:
+        self._policy = policy
+        self._costs = CellCosts()
+        self._in_flight = InFlightCells()
+        self._queue = FairQueue()
+        self._worker_health = WorkerHealth()
+        self._affinity = SetupAffinity()
+        self._passed_over = 0
+        """Batches that a worker got while a suspect waited that only its replacement can take."""
+        self._sent: dict[int, _Sent] = {}
+        self._changed: dict[int, int] = {}
+        """Breakdowns that were not told yet."""
+        self._batch_ids = itertools.count(1)
+
+    def add(
+        self,
+        setup: SetupRequest,
+        cells: Sequence[Cell],
+        tag: str,
+        priority: int,
+        *,
+        exclusive: bool = False,
+        breakdowns: Mapping[int, int] | None = None,
+    ) -> None:
+        """Queues cells. One that is identical to an outstanding cell (setup, evaluator and every bit of the parameters) is not sent:
+        it takes the other's answer, unless one of the two is `exclusive`. `breakdowns`, by id: how often a cell broke down before
+        this scheduler knew it; at least one more try is made. Raises ValueError where a cell's id is outstanding already."""
+        earlier = breakdowns or {}
+        self._costs.relate(key_of(setup), kind_of(setup))
+        for claim in self._in_flight.add(setup, cells, tag, priority, exclusive=exclusive):
+            simulation = claim.simulation
+            count = min(earlier.get(claim.cell.id, 0), ATTEMPTS - 1)
+            if count > simulation.breakdowns:  # a suspect from now on
+                self._queue.withdraw(simulation)
+                simulation.breakdowns = count
+                if simulation.leader is None:
+                    self._queue.put(simulation)
+            elif simulation.leader is None:
+                self._queue.join(claim)
+
+    def meet(self, ready: Sequence[str]) -> None:
+        """Tells which workers have started and live."""
+        self._worker_health.meet(ready)
+        self._affinity.meet(ready)
+
+    def next_batch(self, worker: str, *, idle: bool) -> Dispatch | None:
+        """What to send to a free slot of a worker, None for nothing. Where it is the turn of a suspect, it gets that alone, and
+        nothing behind a running batch: it runs dry, so that it can take it. So does a worker that is to be replaced."""
+        if self._worker_health.fault(worker) is not None:
+            return None
+        for line in self._queue.in_turn():
+            group = self._suspects_for(worker, line)
+            if group is not None:
+                if not idle:
+                    return None
+                self._passed_over *= not group.avoid
+                return self._dispatch(worker, group, 1)
+            group = self._group_for(worker, line)
+            if group is not None:
+                if self._is_alone(worker):
+                    if self._passed_over >= MOST_PASSED_OVER:
+                        return None
+                    self._passed_over += 1
+                return self._dispatch(worker, group, self._size(worker, group))
+        return None
+
+    def take_back(self, batch_id: int) -> None:
+        """A dispatch was not sent after all: its cells return to the front of their queues, as if they had not been taken out."""
+        self._put_back(self._sent.pop(batch_id))
+
+    def drop(self, batch_id: int, cells: Collection[int]) -> Dispatch | None:
+        """Some cells of a dispatch, which was not sent yet, are not to be simulated: they are forgotten, neither completed nor held.
+        Identical cells that waited for them wait for themselves. Returns the dispatch of what is left, to be sent in place of the
+        first one; None where nothing is."""
+        sent = self._sent[batch_id]
+        dropped = [claim for claim in sent.leaders if claim.cell.id in cells]
+        sent.leaders = [claim for claim in sent.leaders if claim.cell.id not in cells]
+        for claim in dropped:
+            claim.simulation.leader = None
+            self._forget(claim)
+        self._queue.put_back(dropped)
+        if sent.leaders:
+            return self._as_dispatch(batch_id, sent)
+        self._charge(self._sent.pop(batch_id), 0.0)
+        return None
+
+    def take_breakdowns(self) -> dict[int, int]:
+        """The number of breakdowns, by id, of the outstanding cells for which it changed since the last call: to be written down, for
+        the scheduler that comes after this one (`add`)."""
+        changed, self._changed = self._changed, {}
+        return changed
+
+    def replacement(self, worker: str) -> Replacement | None:
+        """Whether an idle worker for which there is no batch is to be replaced: because it never has results, or because a cell broke
+        down at it and there is nobody else to try."""
+        fault = self._worker_health.fault(worker)
+        return Replacement(worker, fault) if fault is not None or self._is_alone(worker) else None
+
+    def is_kept_from(self, worker: str) -> bool:
+        """True where something waits that this worker refuses."""
+        return any(self._worker_health.refuses(worker, setup) for setup in self._queue.setups())
+
+    def trouble(self) -> str | None:
+        """Which workers refuse what is to be done, in words, and why; None where none does."""
+        setups = self._in_flight.setups()
+        refusals = self._worker_health.refusals(setups)
+        if not refusals:
+            return None
+        scenarios = sorted({one.scenario for setup, one in setups.items() if self._worker_health.refusals({setup})})
+        worker, reason = next(iter(refusals.items()))
+        number = f"{len(refusals)} workers refuse" if len(refusals) > 1 else f"{worker} refuses"
+        return f"{number} {', '.join(scenarios)}: {reason}"
+
+    def finished(self, batch_id: int, result: BatchResult) -> list[Completed]:
+        """Takes in the results of a batch; a batch that is not (or no longer) expected changes nothing."""
+        sent = self._sent.pop(batch_id, None)
+        if sent is None:
+            return []
+        setup = sent.leaders[0].simulation.key
+        self._worker_health.answered(result.worker, setup, result)
+        if result.refusal is not None:
+            self._put_back(sent)
+            return []
+        self._charge(sent, result.seconds)
+        if result.results:
+            self._costs.observe(setup, len(sent.leaders), result.seconds)
+        found = {answer.id: answer for answer in result.results}
+        completed = []
+        for leader in sent.leaders:
+            answer = found.get(leader.cell.id) or _broken(
+                leader, Breakdown.ERROR, "the worker returned no result for this cell"
+            )
+            if answer.breakdown is None:
+                completed += self._complete(leader, answer, result.worker, leader.simulation.breakdowns + 1)
+            else:
+                completed += self._broke_down(leader, answer, result.worker, alone=sent.alone)
+        return completed
+
+    def lost(
+        self, batch_id: int, worker: str, breakdown: Breakdown, detail: str, seconds: float | None = None
+    ) -> list[Completed]:
+        """Takes in the loss of a batch: its cells are tried again one by one; those with no attempts left have failed. `seconds`: how
+        long the worker was busy with it, where that is known: it is charged to the campaign's share of the workers' time."""
+        sent = self._sent.pop(batch_id, None)
+        if sent is None:
+            return []
+        self._charge(sent, sent.charged if seconds is None else seconds)
+        answers = [(leader, _broken(leader, breakdown, detail)) for leader in sent.leaders]
+        if breakdown is not Breakdown.ERROR:  # the worker is gone as well
+            return [done for one in answers for done in self._again_or_failed(*one, worker, alone=sent.alone)]
+        self._worker_health.failed(worker, detail)
+        return [done for one in answers for done in self._broke_down(*one, worker, alone=sent.alone)]
+
+    def withdraw(self, tag: str) -> int:
+        """Drops the cells of `tag` that are not at a worker. Returns how many are: those still complete, unless they get lost."""
+        running = 0
+        for claim in list(self._in_flight.of(tag)):
+            if claim.simulation.leader is claim:
+                claim.withdrawn = True
+                running += 1
+            else:
+                self._forget(claim)
+        self._queue.forget(tag)
+        return running
+
+    def held(self, tag: str) -> int:
+        """Cells of `tag` without an answer."""
+        return len(self._in_flight.of(tag))
+
+    def _suspects_for(self, worker: str, line: Line) -> ClaimGroup | None:
+        return next(
+            (one for (setup, avoid), one in line.suspects.items() if self._worker_health.may_try(worker, setup, avoid)), None
+        )
+
+    def _group_for(self, worker: str, line: Line) -> ClaimGroup | None:
+        able = (one for setup, one in line.groups.items() if not self._worker_health.refuses(worker, setup))
+        chosen = self._affinity.choose(worker, {group.setup: self._to_do(group) for group in able})
+        return None if chosen is None else line.groups[chosen]
+
+    def _to_do(self, group: ClaimGroup) -> float:
+        cost = self._costs.seconds_per_cell(group.setup)
+        return group.waiting * (self._policy.target_seconds if cost is None else cost)
+
+    def _size(self, worker: str, group: ClaimGroup) -> int:
+        if self._worker_health.on_probation(worker):
+            return 1
+        cost = self._costs.seconds_per_cell(group.setup)
+        waiting = self._costs.seconds(self._queue.simulations(group.line.priority))
+        return batch_size(self._policy, cost, waiting, self._worker_health.ready)
+
+    def _dispatch(self, worker: str, group: ClaimGroup, cells: int) -> Dispatch:
+        sent = _Sent(worker, group.line, self._queue.take(group, cells), alone=group.avoid is not None)
+        for leader in sent.leaders:
+            leader.simulation.leader = leader
+        self._affinity.load(worker, group.setup)
+        batch_id = next(self._batch_ids)
+        self._sent[batch_id] = sent
+        return self._as_dispatch(batch_id, sent)
+
+    def _as_dispatch(self, batch_id: int, sent: _Sent) -> Dispatch:
+        first = sent.leaders[0].simulation
+        cost = self._costs.seconds_per_cell(first.key)
+        expected = None if cost is None else cost * len(sent.leaders)
+        self._charge(sent, self._policy.target_seconds if expected is None else expected)
+        batch = Batch(first.setup, tuple(leader.cell for leader in sent.leaders))
+        breakdowns = {leader.cell.id: leader.simulation.breakdowns for leader in sent.leaders}
+        return Dispatch(sent.worker, batch_id, batch, expected, sent.alone, breakdowns)
+
+    def _charge(self, sent: _Sent, seconds: float) -> None:
+        """What a batch costs its line by now."""
+        self._queue.charge(sent.line, seconds - sent.charged)
+        sent.charged = seconds
+
+    def _put_back(self, sent: _Sent) -> None:
+        """These cells wait as before, as if they had not been sent."""
+        self._charge(sent, 0.0)
+        for leader in sent.leaders:
+            leader.simulation.leader = None
+            if leader.withdrawn:
+                self._forget(leader)
+        self._queue.put_back(sent.leaders)
+
+    def _broke_down(self, leader: Claim, answer: CellResult, worker: str, *, alone: bool) -> list[Completed]:
+        """A worker that lives reported that a cell gave no result."""
+        simulation = leader.simulation
+        simulation.witnesses |= {worker}
+        if len(simulation.witnesses) >= WITNESSES:
+            self._worker_health.confirmed(simulation.witnesses)
+        return self._again_or_failed(leader, answer, worker, alone=alone)
+
+    def _again_or_failed(self, leader: Claim, answer: CellResult, worker: str, *, alone: bool) -> list[Completed]:
+        simulation = leader.simulation
+        # a cell that broke down before, elsewhere, may be in a batch all the same: what happens there proves nothing against it
+        simulation.breakdowns = min(simulation.breakdowns + 1, ATTEMPTS if alone else ATTEMPTS - 1)
+        settled = answer.breakdown == Breakdown.ERROR and len(simulation.witnesses) >= WITNESSES
+        if settled or simulation.breakdowns >= ATTEMPTS:
+            return self._complete(leader, answer, worker, simulation.breakdowns)
+        simulation.leader = None
+        if leader.withdrawn:  # it had fewer attempts than it was due: it has not failed, it was not simulated
+            self._forget(leader)
+        self._changed |= {claim.cell.id: simulation.breakdowns for claim in simulation.claims}
+        self._queue.put(simulation)
+        return []
+
+    def _complete(self, leader: Claim, answer: CellResult, worker: str, attempts: int) -> list[Completed]:
+        completed = [Completed(leader.tag, worker, answer, attempts)]
+        self._forget(leader)
+        for follower in list(leader.simulation.claims):
+            its = replace(answer, id=follower.cell.id)
+            completed.append(Completed(follower.tag, worker, its, attempts, leader=leader.cell.id))
+            self._forget(follower)
+        return completed
+
+    def _forget(self, claim: Claim) -> None:
+        self._queue.leave(claim)
+        self._in_flight.remove(claim)
+        self._changed.pop(claim.cell.id, None)
+
+    def _is_alone(self, worker: str) -> bool:
+        """True where a cell broke down at this worker and there is nobody else to try."""
+        return any(self._worker_health.nobody_may_try(one.setup, one.avoid or ()) for one in self._queue.avoiding(worker))
+
+
+def _broken(leader: Claim, breakdown: Breakdown, detail: str) -> CellResult:
+    return CellResult(leader.cell.id, None, None, {}, None, 0.0, breakdown.value, detail)

@@ -1,0 +1,146 @@
+"""What the workers have shown so far: whose word counts when a cell breaks down, who is to be replaced, who refuses what. Pure.
+
+A worker that answers every cell with an error at once is always the idle one. Left alone it would take most of the work, and most of
+the second attempts at what it spoilt. So nobody's word counts alone, a worker with results is asked before one without, and one
+that never has any is replaced.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Hashable, Iterable, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+from drivecal.contracts.work import BatchResult
+
+BATCHES_WITHOUT_RESULT = 3
+"""In a row; then a worker is replaced."""
+
+
+class Trust(IntEnum):
+    """In a worker's errors, by what it did since it started."""
+
+    DOUBTED = 0
+    """It had no result in its last batch, and nobody else has confirmed that its cells are to blame."""
+    UNKNOWN = 1
+    PROVEN = 2
+    """It has given results."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Shown:
+    """By one worker since it started."""
+
+    proven: bool = False
+    without_result: int = 0
+    """Its last batches, in a row."""
+    detail: str = ""
+
+    @property
+    def trust(self) -> Trust:
+        if self.without_result:
+            return Trust.DOUBTED
+        return Trust.PROVEN if self.proven else Trust.UNKNOWN
+
+
+_NOTHING = _Shown()
+
+
+class WorkerHealth:
+    """Workers are known by names that no two processes share."""
+
+    def __init__(self) -> None:
+        self._ready: frozenset[str] = frozenset()
+        self._shown: dict[str, _Shown] = {}
+        self._trusted: Counter[Trust] = Counter()
+        """How many of the ready workers are trusted how much."""
+        self._refusals: dict[Hashable, dict[str, str]] = {}
+
+    @property
+    def ready(self) -> int:
+        """Workers that have started."""
+        return len(self._ready)
+
+    def meet(self, ready: Sequence[str]) -> None:
+        """Tells which workers have started. What the others have shown is forgotten, but not what they refused: it holds until
+        somebody else answers."""
+        if self._ready == (now := frozenset(ready)):
+            return
+        self._ready = now
+        self._shown = {worker: shown for worker, shown in self._shown.items() if worker in now}
+        self._trusted = Counter(map(self._trust, now))
+
+    def answered(self, worker: str, setup: Hashable, result: BatchResult) -> None:
+        """Takes in what a worker made of a batch."""
+        refusing = self._refusals.pop(setup, {})
+        still = {name: reason for name, reason in refusing.items() if name in self._ready and name != worker}
+        if result.refusal is not None:
+            still[worker] = result.refusal
+        if still:
+            self._refusals[setup] = still
+        if any(one.breakdown is None for one in result.results):
+            self._note(worker, _Shown(proven=True))
+        elif result.refusal is None:
+            self.failed(worker, (result.results[-1].detail if result.results else None) or "it says nothing")
+
+    def failed(self, worker: str, detail: str) -> None:
+        """A whole batch went without a result."""
+        shown = self._shown.get(worker, _NOTHING)
+        self._note(worker, _Shown(shown.proven, shown.without_result + 1, detail))
+
+    def confirmed(self, workers: Iterable[str]) -> None:
+        """These workers broke down at the same cell: it is to blame."""
+        for worker in workers:
+            self._note(worker, _Shown(self._shown.get(worker, _NOTHING).proven))
+
+    def refuses(self, worker: str, setup: Hashable) -> bool:
+        """True where the worker said that it cannot run the setup."""
+        return worker in self._refusals.get(setup, {})
+
+    def may_try(self, worker: str, setup: Hashable, avoid: Collection[str]) -> bool:
+        """Whether this worker is to be asked about a cell that broke down at those in `avoid`: of the others the most trusted are."""
+        if worker not in self._ready or worker in avoid or self.refuses(worker, setup):
+            return False
+        own = self._trust(worker)
+        return not avoid or not any(self._any_able(trust, setup, avoid) for trust in Trust if trust > own)
+
+    def nobody_may_try(self, setup: Hashable, avoid: Collection[str]) -> bool:
+        """True where there is nobody to ask but those in `avoid` and those who refuse."""
+        return not any(self._any_able(trust, setup, avoid) for trust in Trust)
+
+    def on_probation(self, worker: str) -> bool:
+        """True for a worker without results while others have some: it gets a single cell to begin with."""
+        return self._trust(worker) is not Trust.PROVEN and self._trusted[Trust.PROVEN] > 0
+
+    def fault(self, worker: str) -> str | None:
+        """Why a worker is to be replaced, in words; None where it is not."""
+        shown = self._shown.get(worker, _NOTHING)
+        if shown.without_result < BATCHES_WITHOUT_RESULT:
+            return None
+        return f"{shown.without_result} batches in a row gave no result, the last one because: {shown.detail}"
+
+    def refusals(self, setups: Collection[Hashable]) -> dict[str, str]:
+        """The reason of each worker that refuses one of these setups."""
+        return {
+            worker: reason
+            for setup, refusing in self._refusals.items()
+            if setup in setups
+            for worker, reason in refusing.items()
+        }
+
+    def _any_able(self, trust: Trust, setup: Hashable, avoid: Collection[str]) -> bool:
+        """Whether some worker that is trusted so much neither is in `avoid` nor refuses."""
+        number, refusing = self._trusted[trust], self._refusals.get(setup, {})
+        if number == 0 or number > len(avoid) + len(refusing):
+            return number > 0
+        return number > sum(self._trust(worker) == trust for worker in {*avoid, *refusing} & self._ready)
+
+    def _note(self, worker: str, shown: _Shown) -> None:
+        if worker in self._ready:
+            self._trusted[self._trust(worker)] -= 1
+            self._trusted[shown.trust] += 1
+        self._shown[worker] = shown
+
+    def _trust(self, worker: str) -> Trust:
+        return self._shown.get(worker, _NOTHING).trust

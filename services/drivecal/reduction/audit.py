@@ -1,0 +1,65 @@
+"""The self-check of reuse: a share of reused cells is simulated all the same, and wrong answers are counted per scenario. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from scipy.stats import binomtest
+
+from drivecal.contracts.campaign import ErrorRate
+from drivecal.domain.evaluations import AuditCount
+
+CONFIDENCE = 0.95
+
+
+def clopper_pearson(wrong: int, audited: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
+    """The exact two-sided confidence interval of a proportion (Clopper, Pearson 1934). (0, 1) where nothing was audited."""
+    if not audited:
+        return 0.0, 1.0
+    interval = binomtest(wrong, audited).proportion_ci(confidence)
+    return float(interval.low), float(interval.high)
+
+
+def error_rates(
+    counts: Iterable[AuditCount],
+    before: Mapping[str, ErrorRate],
+    scenarios: Iterable[str],
+    max_error: float,
+    contradictions: Mapping[str, int] | None = None,
+) -> dict[str, ErrorRate]:
+    """The error rate of each scenario (Eq. 8: wrong / audited), with its `contradictions` beside it.
+
+    Reuse in a scenario is stopped once the lower end of the interval passes `max_error`, and stays stopped (`before`).
+    """
+    found = {count.scenario: count for count in counts}
+    rates: dict[str, ErrorRate] = {}
+    for scenario in scenarios:
+        was_stopped = scenario in before and before[scenario].stopped
+        contradicting = (contradictions or {}).get(scenario, 0)
+        count = found.get(scenario)
+        if count is None or count.audited == 0:
+            rates[scenario] = ErrorRate(stopped=was_stopped, contradictions=contradicting)
+            continue
+        lower, upper = clopper_pearson(count.wrong, count.audited)
+        rates[scenario] = ErrorRate(
+            audited=count.audited,
+            different=count.different,
+            wrong=count.wrong,
+            upper_95=upper,
+            stopped=was_stopped or lower > max_error,
+            contradictions=contradicting,
+        )
+    return rates
+
+
+def stopped_after(counts: Iterable[tuple[int, AuditCount]], max_error: float) -> tuple[int, AuditCount] | None:
+    """The iteration at whose end reuse in a scenario was stopped, and the audits until then; None where it never was.
+
+    `counts`: of each iteration alone, in order.
+    """
+    audited = different = wrong = 0
+    for iteration, one in counts:
+        audited, different, wrong = audited + one.audited, different + one.different, wrong + one.wrong
+        if audited and clopper_pearson(wrong, audited)[0] > max_error:
+            return iteration, AuditCount(one.scenario, audited, different, wrong)
+    return None

@@ -1,0 +1,136 @@
+"""Explanations in words. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from drivecal.contracts.explanation import Difference, Explanation, Proof, Reference
+from drivecal.domain.evaluations import AuditCount
+
+_SAME = "it takes equal parameter sets, and runs that a certificate proves to be the same, only"
+
+
+def sentence(one: Explanation, stop: tuple[int, AuditCount] | None = None) -> str:
+    """What an explanation says, in a few sentences. `stop`: after which iteration and by which audits reuse was stopped."""
+    told = _reason(one, stop)
+    return told if one.proof is None else f"{told} {_proven(one.proof, one)}"
+
+
+def _reason(one: Explanation, stop: tuple[int, AuditCount] | None) -> str:
+    beginning = {None: "To be simulated", "failed": "Sent to be simulated, without a result"}.get(one.outcome, "Simulated")
+    where = "" if one.reference is None else _where(one.reference, one.campaign)
+    match one.reason:
+        case "repeated":
+            return f"{_copied('Repeated', one)}: {where} has the same parameter set in the same setup."
+        case "reused":
+            listed = _listed(one.differences)
+            return f"{_copied('Reused', one)}: {where} differs only where {one.scenario} is not influenced: {listed}."
+        case "certified":
+            names = ", ".join(difference.parameter for difference in one.differences) or "nothing"
+            return f"Certified: with these values every decision is that of {where}, so both runs are the same. They differ in {names}."
+        case "audited":
+            return f"{beginning} to check the reduction, which would have reused {where}: {_listed(one.differences)}. {_verdict(one)}"
+        case "confirmation":
+            trusted = f"the best set's score here was that of {where}, which differs only where it should not matter"
+            return f"{beginning} after the search, to confirm it: {trusted}: {_listed(one.differences)}. {_verdict(one)}"
+        case "blocked":
+            blocking = [difference for difference in one.differences if difference.blocks]
+            count = f"{len(blocking)} parameter{'s' if len(blocking) != 1 else ''}"
+            nearest = f"the nearest, {where}, is blocked by {count}: {_listed(blocking)}"
+            return f"{beginning}: none of {one.stored:,} stored sets fits; {nearest}."
+        case "nothing_stored":
+            return f"{beginning}: nothing was stored for this setup when the campaign asked."
+        case "unanswered":
+            return f"{beginning}: the cell that was to answer it ended without a result; since then {where} would fit."
+        case "stopped":
+            return f"{beginning}: {_stopped(one.scenario, stop)}"
+        case "no_map":
+            return f"{beginning}: without an influence map only equal parameter sets are answered from the table, and this one was new."
+        case "exact_only":
+            return (
+                f"{beginning}: only equal parameter sets are answered from the table here (exact only), and this one was new."
+            )
+        case "off":
+            return f"{beginning}: reuse is off in this campaign (reduction.mode: off)."
+        case "study":
+            return f"{beginning}: the study is about what simulations give, so {_SAME}."
+        case "analysis":
+            return f"{beginning}: the sensitivity analysis makes the map that reuse rests on, so {_SAME}."
+
+
+def _proven(proof: Proof, one: Explanation) -> str:
+    where = _where(proof.reference, one.campaign)
+    if one.outcome == "simulated":
+        verdict = "and it did" if proof.agrees else "and it did not"
+        return f"It also checked a certificate: it was to repeat {where} bit for bit, {verdict}."
+    text = f"A certificate says that a simulation would have repeated {where}"
+    if proof.agrees is None:
+        return f"{text}."
+    if proof.agrees:
+        return f"{text}, with the same score."
+    return f"{text}, with score {proof.score}: reuse is {'wrong here' if proof.wrong else 'off by no more than 1'}."
+
+
+def _copied(done: str, one: Explanation) -> str:
+    state = {None: " (its answer is awaited)", "failed": " without a result"}
+    return f"{done}{state.get(one.outcome, '')}"
+
+
+def _where(reference: Reference, campaign: str) -> str:
+    place = f"{reference.stage} iteration {reference.iteration}, individual {reference.individual}"
+    owner = "" if reference.campaign == campaign else f" of campaign {reference.campaign}"
+    return f"evaluation {reference.evaluation} ({place}{owner})"
+
+
+def _listed(differences: Sequence[Difference]) -> str:
+    return "; ".join(map(_difference, differences)) or "no parameter differs"
+
+
+def _difference(one: Difference) -> str:
+    return f"{one.parameter} is {one.value:g} here and {one.reference_value:g} there ({_regions(one)})"
+
+
+def _regions(one: Difference) -> str:
+    if one.region == one.reference_region == "anywhere":
+        return "of no influence"
+    if one.region == one.reference_region:
+        return f"both {_region(one, one.region)}"
+    return f"{_region(one, one.region)} and {_region(one, one.reference_region)}"
+
+
+def _region(one: Difference, region: str) -> str:
+    if region == "below":
+        return f"below {one.lower:g}"
+    if region == "anywhere":
+        return "where it has no influence"
+    if region == "outside":
+        return "outside of what the map covers"
+    return f"above {one.upper:g}" if region == "above" else _bounds(one)
+
+
+def _bounds(one: Difference) -> str:
+    if one.lower is None and one.upper is None:
+        return "influential everywhere"
+    if one.lower is None:
+        return f"influential up to {one.upper:g}"
+    if one.upper is None:
+        return f"influential from {one.lower:g} on"
+    return f"influential from {one.lower:g} to {one.upper:g}"
+
+
+def _verdict(one: Explanation) -> str:
+    audit = one.audit
+    if audit is None or audit.agrees is None or audit.score is None:
+        return "The two cannot be compared: one of them has no result." if one.outcome else "Its answer is awaited."
+    scores = f"the simulation gave {audit.score}, the reference {audit.reference_score}"
+    if audit.agrees:
+        return f"They agree: {scores}."
+    return f"Reuse would have been wrong: {scores}." if audit.wrong else f"They differ by no more than 1: {scores}."
+
+
+def _stopped(scenario: str, stop: tuple[int, AuditCount] | None) -> str:
+    if stop is None:
+        return f"the self-check had stopped reuse in {scenario}."
+    iteration, count = stop
+    audits = f"{count.wrong} of {count.audited} audited cells were wrong"
+    return f"the self-check stopped reuse in {scenario} after iteration {iteration}: {audits}."

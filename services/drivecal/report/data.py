@@ -1,0 +1,83 @@
+"""Everything a report is made of, asked of the server."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from typing import Any, Generic, Literal, TypeVar
+
+from drivecal.client.client import Client
+from drivecal.contracts.accounting import Accounting
+from drivecal.contracts.campaign import Campaign, Generation, Solution
+from drivecal.contracts.inventory import InfluenceRow
+from drivecal.contracts.setup import CampaignSetup
+from drivecal.contracts.studies import OptimumRow, RobustnessRow, Study, ValidationRow
+
+RANKED = 1000
+"""The best sets that are looked at; all of them are in the table."""
+MOST_STUDIES = 5
+"""The studies of one kind that are looked at, of the campaign itself and of others."""
+Row = TypeVar("Row", RobustnessRow, ValidationRow)
+
+
+@dataclass(frozen=True, slots=True)
+class Studied(Generic[Row]):
+    """A study and what it found."""
+
+    study: Study
+    rows: Sequence[Row]
+
+
+@dataclass(frozen=True, slots=True)
+class ReportData:
+    """A campaign with what it found. `basis`: what its influence map rests on, None where it has none or a user posted it; `accounting`:
+    None before the first answered cell; `titles`: of scenarios, by id; `optima`: the sets that share the best objective; studies are
+    those in the campaign's own vehicle first, of these the newest, whichever campaign made them."""
+
+    campaign: Campaign
+    setup: CampaignSetup
+    generations: Sequence[Generation]
+    solutions: Sequence[Solution]
+    optima: Sequence[OptimumRow]
+    influence: Sequence[InfluenceRow]
+    basis: Mapping[str, Any] | None
+    titles: Mapping[str, str]
+    accounting: Accounting | None
+    robustness: Sequence[Studied[RobustnessRow]] = ()
+    validation: Sequence[Studied[ValidationRow]] = ()
+
+    @property
+    def recommended(self) -> RobustnessRow | None:
+        """The set that the first robustness study recommends."""
+        return next((row for studied in self.robustness[:1] for row in studied.rows if row.recommended), None)
+
+
+def collect(client: Client, identifier: str) -> ReportData:
+    """Asks for it. Raises NotFoundError for an unknown campaign, and whatever else the client raises."""
+    campaign = client.campaign(identifier)
+    used = client.map_of(campaign)
+    answered = campaign.cells.requested or campaign.sensitivity_cells.requested
+    own = (campaign.spec.get("vehicle") or {}).get("model")
+    studies = sorted(client.studies(identifier).items, key=lambda one: one.vehicle != own)
+    return ReportData(
+        campaign=campaign,
+        setup=client.setup(identifier),
+        generations=[Generation.model_validate(row) for row in client.rows(identifier, "generations")],
+        solutions=client.solutions(identifier, limit=RANKED).items,
+        optima=client.optima(identifier),
+        influence=client.influence(identifier),
+        basis=None if used is None else used.basis,
+        titles={scenario.id: scenario.title for scenario in client.scenarios().items},
+        accounting=client.accounting(identifier) if answered else None,
+        robustness=_studied(studies, "robustness", client.robustness),
+        validation=_studied(studies, "validation", client.validation),
+    )
+
+
+def _studied(
+    studies: Sequence[Study], stage: Literal["robustness", "validation"], rows: Callable[[str], list[Row]]
+) -> list[Studied[Row]]:
+    wanted = islice((study for study in studies if study.stage == stage), MOST_STUDIES)
+    found = [Studied(study, rows(study.campaign)) for study in wanted]
+    return [one for one in found if one.rows]

@@ -1,0 +1,95 @@
+"""Figure 11: the accumulated cells by what answered them, drawn and as a table."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import accumulate
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
+
+from drivecal.contracts.campaign import Generation
+from drivecal.report.figures.drawing import BLUE, GREEN, SKY, VERMILION, Drawn, style, whole_numbers
+from drivecal.report.markup import table
+from drivecal.report.sections.search import shown
+
+OUTCOMES = (
+    ("simulated", "simulated", "#D9D9D9", ""),
+    ("audited", "simulated as an audit", "#B0B0B0", "\\\\\\\\"),
+    ("failed", "failed", VERMILION, "xxxx"),
+    ("certified", "certified", GREEN, "...."),
+    ("repeated", "repeated", SKY, ""),
+    ("reused", "answered by a reference", BLUE, "////"),
+)
+"""Field, label, colour and hatching, from the bottom: what was simulated below, what was saved above."""
+
+
+def accumulated(generations: Sequence[Generation]) -> dict[str, list[int]]:
+    """By outcome (fields of OUTCOMES) the cells of all iterations up to each."""
+    return {field: list(accumulate(_count(one, field) for one in generations)) for field, *_ in OUTCOMES}
+
+
+def drawn(generations: Sequence[Generation]) -> Drawn:
+    """Figure 11."""
+    caption = (
+        "Figure 11. Requested cells, one parameter set in one scenario each, added up over the iterations by what answered them. What "
+        "the optimizer carried over unchanged is not requested; the runs of the sensitivity analysis are not in it."
+    )
+    totals = accumulated(generations)
+    parts = ", ".join(f"{totals[field][-1]:,} {label}" for field, label, *_ in OUTCOMES)
+    alt = f"Stacked areas that end at {sum(one[-1] for one in totals.values()):,} requested cells: {parts}."
+    return Drawn("figure-11-cells", caption, cells_figure(generations), alt=alt)
+
+
+def cells_table(generations: Sequence[Generation]) -> str:
+    """What Figure 11 shows; every outcome, also those that never occurred."""
+    totals = accumulated(generations)
+    places = {one.iteration: place for place, one in enumerate(generations)}
+    lines = shown(generations)
+    rows = [
+        [one.iteration + 1, sum(values[places[one.iteration]] for values in totals.values())]
+        + [totals[field][places[one.iteration]] for field, *_ in OUTCOMES]
+        for one in lines
+    ]
+    some = "" if len(lines) == len(generations) else f"; {len(lines)} of {len(generations)} iterations, all in generations.csv"
+    return table(
+        ["iteration", "requested", *(label for _, label, *_ in OUTCOMES)], rows, f"Figure 11 in numbers, added up{some}"
+    )
+
+
+def cells_figure(generations: Sequence[Generation]) -> Figure:
+    """Requested cells of all iterations up to each, stacked by outcome; outcomes that never occurred are left out."""
+    totals = accumulated(generations)
+    numbers = [one.iteration + 1 for one in generations]
+    edges = np.append(np.array(numbers) - 0.5, numbers[-1] + 0.5)
+    requested = sum(values[-1] for values in totals.values())
+    saved = sum(totals[field][-1] for field in ("repeated", "reused", "certified")) / max(1, requested)
+    with style():
+        figure = Figure(figsize=(7.4, 3.6), layout="constrained")
+        axes = figure.subplots()
+        base = np.zeros(len(numbers))
+        for field, label, colour, hatch in OUTCOMES:
+            values = totals[field]
+            if not values[-1]:
+                continue
+            share = f"{label}: {values[-1]:,} ({values[-1] / requested:.1%})"
+            part = axes.stairs(base + values, edges, baseline=base, fill=True, facecolor=colour, label=share)
+            part.set(hatch=hatch or None, edgecolor="white", linewidth=0.0)
+            part.set_gid(f"cells.{field}")
+            axes.stairs(base + values, edges, baseline=None, color="#222222", linewidth=0.5)
+            base += values
+        whole_numbers(axes)
+        axes.set(xlabel="iteration", ylabel="accumulated cells", xlim=(edges[0], edges[-1]))
+        axes.set_title(f"{requested:,} requested cells, {saved:.1%} answered without a simulation")
+        axes.set_ylim(0, max(1.0, float(base[-1])) * 1.05)
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
+        handles, labels = axes.get_legend_handles_labels()
+        figure.legend(handles[::-1], labels[::-1], loc="outside right center")
+    return figure
+
+
+def _count(generation: Generation, field: str) -> int:
+    """Audited cells are among the simulated; here each is counted once."""
+    count: int = getattr(generation, field)
+    return count - generation.audited if field == "simulated" else count

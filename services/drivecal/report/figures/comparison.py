@@ -1,0 +1,178 @@
+"""The figures of a comparison: how each optimizer's runs went (Figures 7 and 8), where they ended, and what a reduction changed."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from itertools import accumulate, chain, count
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from drivecal.contracts.campaign import Generation
+from drivecal.contracts.comparison import ComparedPair, ComparedRun, ReductionEffect
+from drivecal.report.figures.drawing import BLUE, INK, KINDS, RULE, Dashes, Drawn, style, whole_numbers
+
+PAPER = {"swarm": "Figure 7. ", "genetic": "Figure 8. "}
+MARKERS = "osv^DPX*"
+SPREAD = 0.06
+"""In shares of the range that is drawn: between the outermost of lines of equal value, which would hide each other."""
+Kind = tuple[int, str]
+"""Of a run of one optimizer: population and reduction."""
+
+
+def search_figures(runs: Sequence[ComparedRun], generations: Mapping[str, Sequence[Generation]]) -> Iterator[Drawn]:
+    """One figure per optimizer, every run a line: the best objective over the iterations, and over the simulations; where all runs have the
+    same best objective all the time, the rating of the best set over the simulations."""
+    kinds = list(dict.fromkeys((one.population, one.reduction) for one in runs))
+    values = [one.best for listed in generations.values() for one in listed if one.best is not None]
+    if not values:
+        return
+    low, high = min(values), max(values)
+    margin = 0.1 * (high - low) or 0.5
+    names: set[str] = set()
+    for optimizer in dict.fromkeys(one.optimizer for one in runs):
+        mine = [one for one in runs if one.optimizer == optimizer and generations.get(one.run)]
+        if mine:
+            with style():
+                figure = Figure(figsize=(7.4, 3.2), layout="constrained")
+                left, right = figure.subplots(1, 2)
+                _draw_runs(left, right, mine, generations, kinds, SPREAD * (high - low + 2 * margin), by_rating=low == high)
+                for axes in (left, right) if low < high else (left,):
+                    axes.set_ylim(low - margin, high + margin)
+                _label(figure, left, right, optimizer, kinds, by_rating=low == high)
+            best = max((one.best for one in mine if one.best is not None), default=None)
+            found = "nothing is answered yet" if best is None else f"the best objective found is {best:.3f}"
+            name = _unlike(f"search-{_slug(optimizer)}", names)
+            names.add(name)
+            alt = f"{len(mine)} runs of {optimizer}; {found}."
+            yield Drawn(name, _caption(optimizer, by_rating=low == high), figure, alt=alt)
+
+
+def _draw_runs(
+    left: Axes,
+    right: Axes,
+    runs: Sequence[ComparedRun],
+    generations: Mapping[str, Sequence[Generation]],
+    kinds: Sequence[Kind],
+    spread: float,
+    *,
+    by_rating: bool,
+) -> None:
+    for place, run in enumerate(runs):
+        listed = generations[run.run]
+        colour, dashes = _look(kinds, (run.population, run.reduction))
+        look: dict[str, Any] = {"color": colour, "linestyle": dashes, "linewidth": 1.0}
+        offset = spread * ((place + 0.5) / len(runs) - 0.5)
+        heights = [float("nan") if one.best is None else one.best + offset for one in listed]
+        left.plot([one.iteration + 1 for one in listed], heights, drawstyle="steps-mid", **look)
+        if run.converged_at is not None:
+            left.plot(run.converged_at, heights[run.converged_at - 1], marker="o", markersize=3, color=colour)
+        taken = list(accumulate(one.requested - one.repeated - one.reused for one in listed))
+        ratings = [float("nan") if one.rating is None else one.rating for one in listed]
+        right.plot(taken, ratings if by_rating else heights, drawstyle="steps-post", **look)
+
+
+def _label(figure: Figure, left: Axes, right: Axes, optimizer: str, kinds: Sequence[Kind], *, by_rating: bool) -> None:
+    left.set(xlabel="iteration", ylabel="best objective")
+    right.set(xlabel="simulations", ylabel="rating of the best set" if by_rating else "best objective")
+    whole_numbers(left)
+    several = len({reduction for _, reduction in kinds}) > 1
+    names = [f"{population:,}, {reduction}" if several else f"{population:,}" for population, reduction in kinds]
+    lines = [Line2D([], [], color=_look(kinds, one)[0], linestyle=_look(kinds, one)[1]) for one in kinds]
+    title = f"{optimizer}: individuals per iteration{', reduction' if several else ''}"
+    figure.legend(lines, names, loc="outside lower center", ncols=4, title=title)
+
+
+def _caption(optimizer: str, *, by_rating: bool) -> str:
+    over = (
+        "Right: since all runs have the same best objective, the weighted continuous rating of the best set, over the simulations that the "
+        "run took."
+        if by_rating
+        else "Right: the same over the simulations that the run took."
+    )
+    return (
+        f"{PAPER.get(optimizer, '')}All runs of {optimizer}. Left: the best objective by iteration; lines of equal value are drawn beside "
+        f"each other, a dot marks where a run had converged. {over}"
+    )
+
+
+def optima_figure(runs: Sequence[ComparedRun]) -> Drawn:
+    """Where all runs ended, and what that took, by population: a mark for each run."""
+    populations = list(dict.fromkeys(one.population for one in runs))
+    kinds = list(dict.fromkeys((one.optimizer, one.reduction) for one in runs))
+    several = len({reduction for _, reduction in kinds}) > 1
+    with style():
+        figure = Figure(figsize=(7.4, 2.9), layout="constrained")
+        panels = figure.subplots(1, 3)
+        for number, kind in enumerate(kinds):
+            mine = [one for one in runs if (one.optimizer, one.reduction) == kind and one.best is not None]
+            across = []
+            for one in mine:
+                peers = [other for other in mine if other.population == one.population]
+                within = (peers.index(one) - (len(peers) - 1) / 2) / max(len(peers), 1)
+                slot = (number - (len(kinds) - 1) / 2) + 0.7 * within
+                across.append(populations.index(one.population) + 0.8 * slot / len(kinds))
+            look = {"linestyle": "none", "marker": MARKERS[number % len(MARKERS)], "markersize": 3.5}
+            label = ", ".join(kind) if several else kind[0]
+            colour = KINDS[number % len(KINDS)][0]
+            for axes, field in zip(panels, ("simulated_best", "rating", "simulations"), strict=True):
+                values = [getattr(one, field) for one in mine]
+                axes.plot(across, [float("nan") if one is None else one for one in values], color=colour, label=label, **look)
+        for axes, what in zip(panels, ("best objective", "rating of the best set", "simulations"), strict=True):
+            axes.set_xticks(range(len(populations)), [f"{one:,}" for one in populations])
+            axes.set(xlabel="individuals per iteration", ylabel=what, xlim=(-0.6, len(populations) - 0.4))
+        panels[-1].set_ylim(0, 1.08 * max(one.simulations for one in runs))
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    caption = (
+        "Final optima of all runs with the ratings of their best sets, and the simulations that each took; one mark per seed."
+    )
+    return Drawn("optima", caption, figure, alt=f"{len(runs)} runs of {len(kinds)} kinds by population size.")
+
+
+def effects_figure(pairs: Sequence[ComparedPair], effects: Sequence[ReductionEffect]) -> Drawn:
+    """Left: the difference of the final optimum of every pair, with the mean and its interval. Right: the share of simulations saved."""
+    named = [one for one in effects if one.optimizer is not None]
+    with style():
+        figure = Figure(figsize=(7.4, 1.4 + 0.5 * len(named)), layout="constrained")
+        left, right = figure.subplots(1, 2, sharey=True)
+        for row, effect in enumerate(named):
+            mine = [
+                one
+                for one in pairs
+                if (one.optimizer, one.population, one.reduction) == (effect.optimizer, effect.population, effect.reduction)
+            ]
+            heights = [row + 0.5 * ((place + 0.5) / len(mine) - 0.5) for place in range(len(mine))]
+            left.plot([one.difference for one in mine], heights, linestyle="none", marker="o", markersize=3, color=BLUE)
+            if effect.lower_95 is not None and effect.upper_95 is not None:
+                left.plot([effect.lower_95, effect.upper_95], [row - 0.36] * 2, color=INK, linewidth=1.2)
+            left.plot(effect.mean_difference, row - 0.36, marker="D", markersize=4, color=INK)
+            shares = [100 * one.saved / one.base_simulations if one.base_simulations else 0.0 for one in mine]
+            right.plot(shares, heights, linestyle="none", marker="o", markersize=3, color=BLUE)
+        left.axvline(0, color=RULE, linewidth=0.8, zorder=0)
+        names = [f"{one.optimizer}, {one.population:,}\n{one.reduction}" for one in named]
+        left.set_yticks(range(len(named)), names)
+        left.set(xlabel="difference of the final optimum", ylim=(len(named) - 0.5, -0.6))
+        right.set(xlabel="simulations saved, %")
+    caption = (
+        "Each dot is a pair of searches with the same seed: with the reduction less without it. Diamond and line: the mean with its 95 % "
+        "confidence interval."
+    )
+    equal, every = sum(one.equal for one in named), sum(one.pairs for one in named)
+    return Drawn("reduction", caption, figure, alt=f"{equal} of {every} pairs end with equal optima.")
+
+
+def _look(kinds: Sequence[Kind], kind: Kind) -> tuple[str, Dashes]:
+    return KINDS[kinds.index(kind) % len(KINDS)]
+
+
+def _unlike(name: str, others: Collection[str]) -> str:
+    """A name of its own: labels that differ may make equal names of files."""
+    numbered = (f"{name}-{number}" for number in count(2))
+    return next(one for one in chain([name], numbered) if one not in others)
+
+
+def _slug(text: str) -> str:
+    return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-") or "optimizer"

@@ -1,0 +1,142 @@
+"""Figure 12, left: the sets that share the best objective in parallel coordinates."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from drivecal.contracts.campaign import Solution
+from drivecal.contracts.setup import SearchedParameter
+from drivecal.contracts.studies import OptimumRow
+from drivecal.plugins.ports import Floats
+from drivecal.report.figures.drawing import INK, KINDS, RULE, Drawn, style
+from drivecal.report.sections.optima import constant, count, searched, summary
+
+MOST_BEST, MOST_OTHERS = 200, 200
+"""Lines that are drawn of the best sets and of those that rank next."""
+OTHER_REGIONS = "#555555"
+WORSE = "#D0D0D0"
+
+
+def positions(sets: Sequence[Solution], parameters: Sequence[SearchedParameter]) -> Floats:
+    """Where the values lie in the parameters' ranges, from 0 to 1, shape (n_sets, n_parameters)."""
+    rows = [[(one.parameters[each.name] - each.lower) / (each.upper - each.lower) for each in parameters] for one in sets]
+    return np.array(rows, dtype=np.float64).reshape(len(sets), len(parameters))
+
+
+def drawn(
+    optima: Sequence[OptimumRow],
+    solutions: Sequence[Solution],
+    parameters: Sequence[SearchedParameter],
+    recommended: Mapping[str, float] | None = None,
+) -> Drawn:
+    """Figure 12, left. `solutions`: the best of the ranking, `optima` among them; `recommended`: the values of the set that a robustness
+    study recommends."""
+    axes = searched(parameters)
+    worse = [one for one in solutions if one.rank > len(optima)][:MOST_OTHERS]
+    same = constant(optima, axes)
+    shown = f"the first {MOST_BEST} of the {len(optima)} sets" if len(optima) > MOST_BEST else count(len(optima), "set")
+    caption = (
+        f"Figure 12, left. {shown[0].upper()}{shown[1:]} with the best objective, each a line through its values, from the lower to the "
+        f"upper bound of each searched parameter; lines of one kind lie in one region."
+    )
+    if worse:
+        caption += f" Grey: the {len(worse)} sets that rank next."
+    if same:
+        caption += " A diamond marks an axis on which all sets with the best objective have the same value."
+    if recommended is not None:
+        caption += " Black with dots: the set that the robustness study recommends."
+    alt = f"Parallel coordinates of {summary(optima)}"
+    if same:
+        alt += " All have " + ", ".join(f"{name} = {value:g}" for name, value in same.items()) + "."
+    return Drawn("figure-12-optima", caption, optima_figure(optima[:MOST_BEST], worse, axes, same, recommended), alt=alt)
+
+
+def optima_figure(
+    best: Sequence[OptimumRow],
+    worse: Sequence[Solution],
+    parameters: Sequence[SearchedParameter],
+    same: Mapping[str, float],
+    recommended: Mapping[str, float] | None = None,
+) -> Figure:
+    """Parallel coordinates over the searched `parameters`; `same`: the axes on which all best sets have one value."""
+    places = np.arange(len(parameters))
+    with style():
+        figure = Figure(figsize=(max(7.4, 0.55 * len(parameters)), 3.7), layout="constrained")
+        axes = figure.subplots()
+        axes.grid(visible=False)
+        for spine in axes.spines.values():
+            spine.set_visible(False)
+        axes.vlines(places, 0, 1, color=RULE, linewidth=0.8, zorder=1)
+        _lines(axes, positions(worse, parameters), WORSE, "-", 0.5, "optima.worse", 2)
+        handles = _regions(axes, best, parameters)
+        if recommended is not None:
+            heights = [(recommended[one.name] - one.lower) / (one.upper - one.lower) for one in parameters]
+            (line,) = axes.plot(
+                places, heights, color=INK, linewidth=1.0, marker="o", markersize=3.5, zorder=5.5, gid="recommended"
+            )
+            line.set_label("recommended")
+            handles.append(line)
+        if worse:
+            handles.append(Line2D([], [], color=WORSE, linewidth=1.2, label="ranked next"))
+        for place, one in enumerate(parameters):
+            _axis(axes, place, one, same.get(one.name))
+        labels = [_name(one, same.get(one.name)) for one in parameters]
+        axes.set_xticks(places, labels)
+        axes.tick_params(axis="x", length=0, pad=11)
+        axes.set_yticks([])
+        axes.set(xlim=(-0.4, len(parameters) - 0.6), ylim=(-0.04, 1.04))
+        figure.legend(handles=handles, loc="outside lower left", ncols=4, handlelength=3.2)
+    return figure
+
+
+def _axis(axes: Axes, place: int, one: SearchedParameter, same: float | None) -> None:
+    """The bounds of a parameter, and a diamond where all best sets have the `same` value."""
+    for height, value, side in ((1.03, one.upper, "bottom"), (-0.03, one.lower, "top")):
+        axes.text(place, height, _value(value), ha="center", va=side, fontsize=6.5, color="#555555")
+    if same is not None:
+        height = (same - one.lower) / (one.upper - one.lower)
+        axes.vlines(place, 0, 1, color=INK, linewidth=2.2, zorder=4)
+        axes.plot(place, height, "D", color="white", markeredgecolor=INK, markersize=6, zorder=6, gid=f"same.{one.name}")
+
+
+def _regions(axes: Axes, best: Sequence[OptimumRow], parameters: Sequence[SearchedParameter]) -> list[Line2D]:
+    """Draws the best sets, the first on top; returns the legend's entries: one per region, one for all without a kind of their own."""
+    counts = Counter(min(one.region, len(KINDS)) for one in best)
+    handles = []
+    for region in sorted(counts):
+        members = [one for one in best if min(one.region, len(KINDS)) == region]
+        if region < len(KINDS):
+            (colour, dashes), label = KINDS[region], f"region {region}: {count(len(members), 'set')}"
+        else:
+            others = len({one.region for one in members})
+            colour, dashes, label = OTHER_REGIONS, "-", f"{count(others, 'other region')}: {count(len(members), 'set')}"
+        width = 1.5 if region < len(KINDS) else 0.7
+        _lines(axes, positions(members, parameters), colour, dashes, width, f"optima.{region}", 5 - 0.01 * region)
+        handles.append(Line2D([], [], color=colour, linestyle=dashes, linewidth=width, label=label))
+    return handles
+
+
+def _lines(axes: Axes, heights: Floats, colour: str, dashes: object, width: float, gid: str, order: float) -> None:
+    if not len(heights):
+        return
+    across = np.broadcast_to(np.arange(heights.shape[1], dtype=np.float64), heights.shape)
+    lines = LineCollection(list(np.stack([across, heights], axis=2)), colors=colour, linestyles=dashes, linewidths=width)
+    lines.set(zorder=order, gid=gid)
+    axes.add_collection(lines)
+
+
+def _name(one: SearchedParameter, same: float | None) -> str:
+    unit = "" if one.unit in {"", "1"} else one.unit
+    below = unit if same is None else f"= {_value(same)} {unit}".rstrip()
+    return f"{one.name}\n{below}"
+
+
+def _value(value: float) -> str:
+    return f"{value:g}".replace("-", "\N{MINUS SIGN}")

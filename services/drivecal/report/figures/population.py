@@ -1,0 +1,79 @@
+"""Figure 10: the population's objectives and the number of alternative optima over the iterations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from matplotlib.figure import Figure
+
+from drivecal.contracts.campaign import Generation
+from drivecal.report.figures.drawing import BLUE, INK, ORANGE, VERMILION, Drawn, style, whole_numbers
+
+LARGEST_WITH_MARKERS = 60
+"""Iterations up to which each gets a marker."""
+LINES = (("best", "best", BLUE, "-", "o"), ("mean", "mean", ORANGE, "--", "s"), ("minimum", "minimum", VERMILION, ":", "v"))
+"""Field, label, colour, dashes, marker: to be told apart without colours as well."""
+
+
+def drawn(generations: Sequence[Generation], baseline: float | None = None) -> Drawn:
+    """Figure 10."""
+    caption = (
+        "Figure 10. Left: the objectives of the population in each iteration. Right: how many distinct parameter sets had been found "
+        "by then with the best objective by then."
+    )
+    answered = [one for one in generations if one.best is not None]
+    alt = "Nothing is answered yet."
+    if answered:
+        first, last = answered[0], answered[-1]
+        alt = (
+            f"The best objective goes from {_text(first.best)} in iteration {first.iteration + 1} to {_text(last.best)} in iteration "
+            f"{last.iteration + 1}, the mean from {_text(first.mean)} to {_text(last.mean)}; at the end {last.alternatives} parameter sets "
+            "share the best objective."
+        )
+    return Drawn("figure-10-population", caption, population_figure(generations, baseline), alt=alt)
+
+
+def population_figure(generations: Sequence[Generation], baseline: float | None = None) -> Figure:
+    """Left: best, mean and minimum of each population, and the objective of the `baseline` where there is one. Right: how many distinct
+    sets have been found by then whose objective is the best by then."""
+    numbers = [one.iteration + 1 for one in generations]
+    marked = len(numbers) <= LARGEST_WITH_MARKERS
+    with style():
+        figure = Figure(figsize=(7.4, 3.0), layout="constrained")
+        left, right = figure.subplots(1, 2)
+        for field, label, colour, dashes, marker in LINES:
+            values = [_number(getattr(one, field)) for one in generations]
+            (line,) = left.plot(numbers, values, linestyle=dashes, color=colour, label=label, linewidth=1.4)
+            line.set_gid(f"population.{field}")
+            if marked:
+                line.set(marker=marker, markersize=3.5)
+        if baseline is not None:
+            left.axhline(baseline, color=INK, linewidth=0.8, linestyle=(0, (6, 3)), label="baseline").set_gid(
+                "population.baseline"
+            )
+        left.set(xlabel="iteration", ylabel="objective F(ps)", title="Population")
+        left.margins(y=0.08)
+        figure.legend(*left.get_legend_handles_labels(), loc="outside lower left", ncols=4)
+        # An iteration that has no best yet is still being answered, and its alternatives are not counted.
+        counts = [float("nan") if one.best is None else one.alternatives for one in generations]
+        (line,) = right.plot(numbers, counts, color=BLUE, linewidth=1.4, drawstyle="steps-mid")
+        line.set_gid("population.alternatives")
+        if marked:
+            line.set(marker="o", markersize=3.5)
+        best = next((one.best for one in reversed(generations) if one.best is not None), None)
+        title = "Alternative optima" if best is None else f"Alternative optima, F(ps) = {best:.3f}"
+        right.set(xlabel="iteration", ylabel="number of parameter sets", title=title)
+        right.set_ylim(0, max(1, *(one.alternatives for one in generations)) * 1.08)
+        for axes in (left, right):
+            whole_numbers(axes)
+            axes.set_xlim(0.5, max(numbers) + 0.5)
+        right.yaxis.get_major_locator().set_params(integer=True)
+    return figure
+
+
+def _text(value: float | None) -> str:
+    return "nothing" if value is None else f"{value:.3f}"
+
+
+def _number(value: float | None) -> float:
+    return float("nan") if value is None else value

@@ -1,0 +1,44 @@
+"""Where parameters matter, as a table, and what that knowledge rests on."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from drivecal.contracts.inventory import InfluenceRow
+from drivecal.report.figures.spider import by_scenario
+from drivecal.report.markup import Emphasized, paragraph, table
+
+
+def parts(rows: Sequence[InfluenceRow], basis: Mapping[str, Any] | None, drawings: Sequence[str]) -> list[str]:
+    """The section: what the map rests on, Figure 9, and the bounds as a table."""
+    if not rows:
+        return [paragraph("No influence map is in use, so only equal parameter sets are answered without a simulation.")]
+    scenarios = by_scenario(rows)
+    cells = {(row.scenario, row.parameter): _bounds(row) for row in rows}
+    names = list(dict.fromkeys(row.parameter for row in rows))
+    lines = [[name, *(cells.get((scenario, name)) for scenario in scenarios)] for name in names]
+    caption = "Figure 9 in numbers: influential bounds in parameter units, inclusive; a dash where nothing is influential"
+    return [paragraph(_origin(basis)), *drawings, table(["parameter", *scenarios], lines, caption)]
+
+
+def _origin(basis: Mapping[str, Any] | None) -> str:
+    if basis is None:
+        return "The influence map was posted by a user; no analysis stands behind it."
+    settings = basis["sensitivity"]
+    return (
+        f"An analysis by elementary effects: design {settings['design']}, {settings['intervals']} intervals, {settings['samples']} "
+        f"samples, threshold {json.dumps(settings['threshold'])}, seed {settings['seed']}; {basis['runs']:,} runs asked for, "
+        f"{basis['simulated']:,} simulated for it."
+    )
+
+
+def _bounds(row: InfluenceRow) -> str | None:
+    if not row.influential:
+        return None
+    if row.unknown:
+        return Emphasized("unknown")
+    if (row.lower, row.upper) == (row.space_lower, row.space_upper):
+        return Emphasized("everywhere")
+    return Emphasized(" … ".join("" if end is None else f"{end:g}" for end in (row.lower, row.upper)))

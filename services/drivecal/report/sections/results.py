@@ -1,0 +1,126 @@
+"""The best sets of a campaign, and in a few sentences what came out of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+
+from drivecal.contracts.campaign import Best, Campaign, Solution
+from drivecal.contracts.studies import OptimumRow
+from drivecal.report.data import ReportData
+from drivecal.report.markup import Number, bullets, paragraph, table
+from drivecal.report.sections import reuse, search
+from drivecal.report.sections.errors import errors_text
+
+SHOWN = 20
+"""The best sets that the page shows; all of them are in the table."""
+
+
+def summary(findings: ReportData) -> list[str]:
+    """What a reader should know first."""
+    campaign, best = findings.campaign, findings.campaign.best
+    if best is None:
+        return [bullets(_studies(findings))] if findings.robustness or findings.validation else [_nothing(campaign)]
+    regions = len({one.region for one in findings.optima})
+    least = "at least " * (len(findings.optima) < best.alternatives)
+    where = f", in {least}{regions} distinct regions" if regions > 1 else ""
+    share = "1 parameter set has it" if best.alternatives == 1 else f"{best.alternatives:,} parameter sets share it{where}"
+    first = f"The best objective is {best.objective:.4f} of 7; {share}."
+    if campaign.baseline is not None and campaign.baseline.objective is not None:
+        first += f" The baseline has {campaign.baseline.objective:.4f}."
+    if findings.solutions and findings.solutions[0].reused:
+        where = ", ".join(findings.solutions[0].reused)
+        first += f" The best set's score in {where} is a reference's; a search prefers those that are too good."
+        first += " The command for it, under Versions and repetition, tells."
+    sentences = [first, *search.convergence(findings.generations)[:1]]
+    if findings.accounting is not None:
+        sentences.append(findings.accounting.sentence)
+    sentences += [_errors(campaign), _proofs(findings), *_studies(findings)]
+    return [bullets(one for one in sentences if one), _compared(findings, best)]
+
+
+def _nothing(campaign: Campaign) -> str:
+    if campaign.spec.get("optimizer", {}) is None:
+        return paragraph("This campaign searched nothing.")
+    return paragraph("No parameter set has a result in every scenario.")
+
+
+def _errors(campaign: Campaign) -> str:
+    audited = sum(one.audited for one in campaign.error_rate.values())
+    if not audited:
+        return ""
+    different, wrong = (sum(getattr(one, name) for one in campaign.error_rate.values()) for name in ("different", "wrong"))
+    stopped = [name for name, one in campaign.error_rate.items() if one.stopped]
+    text = errors_text("audited answers", audited, different, wrong)
+    return text + (f" Reuse was stopped in {', '.join(stopped)}." if stopped else "")
+
+
+def _proofs(findings: ReportData) -> str:
+    known, different, wrong = reuse.proved(findings.accounting)
+    if not known:
+        return ""
+    return (
+        f"Certificates say of {known:,} reused answers what a simulation would have given: {different:,} have another score, {wrong:,} are "
+        "wrong."
+    )
+
+
+def _studies(findings: ReportData) -> list[str]:
+    row, sentences = findings.recommended, []
+    if row is not None:
+        sentences.append(f"Recommended after the robustness study: rank {row.rank} of its table, because it has {row.reason}.")
+    for validated in findings.validation[:1]:
+        told = (sum(getattr(row, name) for row in validated.rows) for name in ("compared", "different", "wrong"))
+        compared, different, wrong = told
+        if compared:
+            sentences.append(errors_text("variants in the validation of the influence map", compared, different, wrong))
+    return sentences
+
+
+def _compared(findings: ReportData, best: Best) -> str:
+    baseline, recommended = findings.campaign.baseline, findings.recommended
+    rows = [_row("best", best.objective, best.scores, best.parameters, best)]
+    caption = "The best set: its score (0 to 7) in each scenario and its parameter values"
+    if recommended is not None:
+        rows.append(_row("recommended", recommended.objective, recommended.scores, recommended.parameters, best))
+        caption += "; beside it the set that the robustness study recommends"
+    if baseline is not None:
+        rows.append(_row("baseline", baseline.objective, baseline.scores, baseline.parameters, best))
+    return table(["", "objective", *best.scores, *best.parameters], rows, caption)
+
+
+def _row(
+    name: str,
+    objective: float | None,
+    scores: Mapping[str, int | None] | Mapping[str, int],
+    values: Mapping[str, float],
+    best: Best,
+) -> list[object]:
+    shown = None if objective is None else Number(f"{objective:.4f}")
+    return [name, shown, *(scores.get(one) for one in best.scores), *(values.get(one) for one in best.parameters)]
+
+
+def solutions_table(solutions: Sequence[Solution], optima: Iterable[OptimumRow]) -> str:
+    """The best sets, with the regions of those that share the best objective."""
+    if not solutions:
+        return ""
+    known = {one.rank: one for one in optima}
+    first, shown = solutions[0], solutions[:SHOWN]
+    rows = [
+        [
+            one.rank,
+            Number(f"{one.objective:.4f}"),
+            Number(f"{one.rating:.3f}"),
+            known[one.rank].region if one.rank in known else None,
+            *(Number(f"{score}*" if name in one.reused else f"{score}") for name, score in one.scores.items()),
+            *one.parameters.values(),
+        ]
+        for one in shown
+    ]
+    caption = (
+        "The best set"
+        if len(shown) == 1
+        else f"The {len(shown)} best sets; equal objectives are ordered by the continuous rating"
+    )
+    if any(one.reused for one in shown):
+        caption += ". A star: the score is that of a reference, this very set was not simulated there"
+    return table(["rank", "objective", "rating", "region", *first.scores, *first.parameters], rows, caption)

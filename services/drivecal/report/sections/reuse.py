@@ -1,0 +1,121 @@
+"""What answered the cells, how often that was wrong, and what it saved."""
+
+from __future__ import annotations
+
+from drivecal.contracts.accounting import Accounting
+from drivecal.contracts.campaign import Campaign, CellCounts, StageCellCounts
+from drivecal.report.markup import Emphasized, Number, paragraph, table
+from drivecal.report.sections.savings import seconds_of
+
+OUTCOMES = ("simulated", "repeated", "reused", "certified", "failed")
+
+
+def cells_by_stage(campaign: Campaign) -> str:
+    """The campaign's cells by outcome."""
+
+    def row(name: str, cells: CellCounts | StageCellCounts) -> list[object]:
+        return [
+            name,
+            *(getattr(cells, one, None) for one in ("proposed", "carried_over", "requested", *OUTCOMES, "audited", "checked")),
+        ]
+
+    stages: dict[str, CellCounts | StageCellCounts] = {
+        "sensitivity": campaign.sensitivity_cells,
+        "calibration": campaign.cells,
+        "robustness": campaign.robustness_cells,
+        "validation": campaign.validation_cells,
+    }
+    rows = [row(name, cells) for name, cells in stages.items() if cells.requested]
+    header = ["stage", "proposed", "carried over", "requested", *OUTCOMES, "of simulated: audits", "checks of certificates"]
+    return table(header, rows, "Cells by stage and outcome", wrap_header=True) if rows else ""
+
+
+def self_check(campaign: Campaign, account: Accounting | None) -> list[str]:
+    """What the audits of reused cells, the checks of certified ones, and certificates of reused ones found."""
+    found = []
+    rates = {name: rate for name, rate in campaign.error_rate.items() if rate.audited or rate.stopped or rate.contradictions}
+    if rates:
+        rows = [
+            [
+                name,
+                rate.audited,
+                rate.different,
+                rate.wrong,
+                Number(f"{rate.wrong / rate.audited:.2%}") if rate.audited else None,
+                None if rate.upper_95 is None else Number(f"{rate.upper_95:.2%}"),
+                rate.contradictions,
+                Emphasized("stopped") if rate.stopped else "on",
+            ]
+            for name, rate in rates.items()
+        ]
+        header = ["scenario", "audited", "different", "wrong", "R_err", "95 % bound", "contradictions", "reuse"]
+        caption = "Self-check: reusable cells that were simulated all the same; wrong: the scores differ by more than 1"
+        found.append(table(header, rows, caption))
+    else:
+        found.append(paragraph("No cell was audited, so nothing is known about errors of reuse in this campaign."))
+    return [*found, *_proved(account), *_certified(campaign)]
+
+
+def proved(found: Accounting | None) -> tuple[int, int, int]:
+    """Reused cells of which a certificate says what a simulation would have given, and how many of their references have another score,
+    and one that is off by more than 1."""
+    rows = [] if found is None else found.scenarios
+    known, different, wrong = (sum(getattr(one, name) for one in rows) for name in PROVED)
+    return known, different, wrong
+
+
+PROVED = ("proved", "proved_different", "proved_wrong")
+
+
+def _proved(found: Accounting | None) -> list[str]:
+    if found is None or not proved(found)[0]:
+        return []
+    rows = [
+        [
+            one.scenario,
+            *(getattr(one, name) for name in ("reused", *PROVED)),
+            Number(f"{one.proved_wrong / one.proved:.2%}") if one.proved else None,
+        ]
+        for one in found.scenarios
+        if one.reused
+    ]
+    header = ["scenario", "reused", "proved", "different", "wrong", "R_err"]
+    caption = (
+        "Self-check without a simulation: reused cells of which a worker happened to know, by a certificate, what a simulation would "
+        "have given. Another campaign like this one may know of others"
+    )
+    return [table(header, rows, caption)]
+
+
+def _certified(campaign: Campaign) -> list[str]:
+    stages = (campaign.sensitivity_cells, campaign.cells, campaign.robustness_cells, campaign.validation_cells)
+    certified, checked = sum(one.certified for one in stages), sum(one.checked for one in stages)
+    if not certified and not checked:
+        return []
+    text = (
+        f"{certified:,} cells were answered by certificates: each repeats a run bit for bit, because its planner would take the same "
+        "decision at every step, so that no error comes with them."
+    )
+    if checked:
+        text += (
+            f" {checked:,} others were simulated all the same to check their certificates; one that differs ends the campaign."
+        )
+    return [paragraph(text)]
+
+
+def accounting(found: Accounting | None) -> list[str]:
+    """Savings and costs, and when the map pays; nothing before the first answered cell."""
+    if found is None:
+        return []
+    rows = [[item, Number(f"{round(seconds, 1) + 0.0:,.1f}")] for item, seconds in seconds_of(found)]
+    parts = [paragraph(found.sentence), table(["", "CPU seconds"], rows, "Cost accounting, in CPU time of the workers")]
+    even = found.break_even
+    if even is not None and even.requested_cells is None:
+        parts.append(paragraph("Reuse saved nothing, so at this rate the influence map never pays."))
+    elif even is not None:
+        plural = "" if even.campaigns == 1 else "s"
+        campaigns = "" if even.campaigns is None else f", {even.campaigns:,} campaign{plural} like this one"
+        parts.append(
+            paragraph(f"At this rate the influence map pays from {even.requested_cells:,} requested cells on{campaigns}.")
+        )
+    return parts

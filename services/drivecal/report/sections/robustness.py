@@ -1,0 +1,138 @@
+"""Robustness: Table 9 of the paper, the ranking by what the best sets bear beside that by how good they are."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from typing import Any
+
+from drivecal.contracts.studies import OptimumRow, RobustnessRow
+from drivecal.report.data import Studied
+from drivecal.report.markup import Number, paragraph, table
+
+Robust = Studied[RobustnessRow]
+
+
+def condition(settings: Mapping[str, Any]) -> str:
+    """The condition in a few words, e.g. `max ≤ 1`."""
+    eta = settings.get("eta", 1.0)
+    bound = "eta by scenario" if isinstance(eta, list) else f"{eta:g}"
+    return f"{settings['condition'].replace('_', ' ')} {'≤' if settings['condition'] == 'max' else '<'} {bound}"
+
+
+def _label(studied: Robust, vehicles: Collection[str | None]) -> str:
+    """What tells a study from others in the head of a column."""
+    settings, vehicle = studied.study.settings, studied.study.vehicle
+    model = f", {vehicle}" if vehicle and len(vehicles) > 1 else ""
+    return f"degree: {condition(settings)}, δ = {settings['delta']:g}{model}"
+
+
+def degree(row: RobustnessRow) -> str:
+    """As in Table 9: at least so many where no box failed."""
+    return f"≥ {row.degree}" if row.at_least else f"{row.degree}"
+
+
+def limits(row: RobustnessRow, settings: Mapping[str, Any]) -> dict[str, float | None]:
+    """The scenarios that broke the condition in the smallest box where it did not hold, with their deviations (None: no result)."""
+    trial = min((one for one in row.trials if not one.holds), key=lambda one: one.radius, default=None)
+    if trial is None:
+        return {}
+    eta = settings.get("eta", 1.0)
+    bounds = dict(zip(trial.deviations, eta, strict=True)) if isinstance(eta, list) else dict.fromkeys(trial.deviations, eta)
+
+    def breaks(name: str, away: float | None) -> bool:
+        return away is None or (away > bounds[name] if settings["condition"] == "max" else away >= bounds[name])
+
+    return {name: away for name, away in trial.deviations.items() if breaks(name, away)}
+
+
+def by_nominal(rows: Sequence[RobustnessRow]) -> dict[int, int]:
+    """The rank in the nominal vehicle (objective, then rating) by the rank of robustness."""
+
+    def worth(row: RobustnessRow) -> tuple[float, float, int]:
+        return -(row.objective if row.objective is not None else -1.0), -(row.rating or 0.0), row.rank
+
+    return {row.rank: place for place, row in enumerate(sorted(rows, key=worth), 1)}
+
+
+def boxes(studied: Robust) -> Iterator[Sequence[object]]:
+    """A header and a row for every set in every box."""
+    scenarios = list(studied.rows[0].scores)
+    yield "rank", "box", "radius", "holds", *(f"deviation_{name}" for name in scenarios)
+    for row in studied.rows:
+        for one in row.trials:
+            yield row.rank, one.box, one.radius, str(one.holds).lower(), *(one.deviations.get(name) for name in scenarios)
+
+
+def parts(studies: Sequence[Robust], optima: Sequence[OptimumRow], campaign: str, drawing: str) -> list[str]:
+    """The section: what was examined, Table 9, the figure, the recommended set."""
+    main, *others = studies
+    settings, made_by = main.study.settings, main.study.campaign
+    of = f" of campaign {settings['of']}" if settings.get("of") not in {None, campaign} else ""
+    sets = f"best set{of} was" if len(main.rows) == 1 else f"{len(main.rows)} best sets{of} were"
+    text = (
+        f"The {sets} driven in other vehicles: {settings['samples']} in each box, boxes of half width "
+        f"k·{settings['delta']:g} of the vehicle parameters' ranges, k = 1 … {settings['steps']}; condition {condition(settings)}. The "
+        "degree of robustness is the number of boxes up to which the condition holds in every scenario."
+    )
+    if main.study.vehicle:
+        text += f" The vehicle model is {main.study.vehicle}."
+    if made_by != campaign:
+        text += f" Campaign {made_by} made this study."
+    found = [
+        paragraph(f"Recommended: rank {row.rank}, because it has {row.reason}.", "key") for row in main.rows if row.recommended
+    ]
+    return [paragraph(text), *found, _quality(main, others), drawing, _values(main, optima)]
+
+
+def _quality(main: Robust, others: Sequence[Robust]) -> str:
+    """The ranking by robust beside that by nominal quality."""
+    nominal, settings = by_nominal(main.rows), main.study.settings
+    elsewhere = [{_key(row.parameters): Number(degree(row)) for row in one.rows} for one in others]
+    rows = [
+        [
+            Number(f"{row.rank}{' *' if row.recommended else ''}"),
+            nominal[row.rank],
+            None if row.objective is None else Number(f"{row.objective:.4f}"),
+            None if row.rating is None else Number(f"{row.rating:.3f}"),
+            *row.scores.values(),
+            Number(degree(row)),
+            *(one.get(_key(row.parameters)) for one in elsewhere),
+            Number(f"{row.radius:.4g}"),
+            _limited(row, settings),
+        ]
+        for row in main.rows
+    ]
+    vehicles = {one.study.vehicle for one in (main, *others)}
+    degrees = [_label(one, vehicles) for one in (main, *others)]
+    header = ["rank, robust", "rank, nominal", "objective", "rating", *main.rows[0].scores, *degrees, "δ max", "limited by"]
+    caption = (
+        "Table 9, robustness: sorted by degree, then by the objective; * recommended. All scores were simulated in the nominal vehicle: "
+        "a set that ranked higher in the search had the score of a reference. δ max: the widest box that holds; limited by: the "
+        "scenarios that broke the condition first, with their deviations"
+    )
+    return table(header, rows, caption, wrap_header=True)
+
+
+def _values(studied: Robust, optima: Sequence[OptimumRow]) -> str:
+    regions = {_key(one.parameters): one.region for one in optima}
+    rows = [
+        [
+            row.rank,
+            *row.parameters.values(),
+            Number(degree(row)),
+            regions.get(_key(row.parameters)),
+            None if row.to_worse is None else Number(f"{row.to_worse:.3f}"),
+        ]
+        for row in studied.rows
+    ]
+    caption = "Table 9, the sets: parameter values in their units, regions as above, distance to the nearest worse set"
+    return table(["rank", *studied.rows[0].parameters, "degree", "region", "to worse"], rows, caption)
+
+
+def _limited(row: RobustnessRow, settings: Mapping[str, Any]) -> str | None:
+    found = limits(row, settings)
+    return ", ".join(f"{name} ({'no result' if away is None else f'{away:.2g}'})" for name, away in found.items()) or None
+
+
+def _key(parameters: Mapping[str, float]) -> tuple[tuple[str, float], ...]:
+    return tuple(sorted(parameters.items()))

@@ -1,0 +1,161 @@
+"""Validation of the reduction: Tables 1 and 2 of the paper, and Figure 14, the histogram of deviations."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from matplotlib.ticker import NullFormatter, StrMethodFormatter
+
+from drivecal.contracts.inventory import InfluenceRow
+from drivecal.contracts.studies import ValidationRow
+from drivecal.report.data import Studied
+from drivecal.report.figures.drawing import BLUE, INK, VERMILION, Drawn, style
+from drivecal.report.markup import Number, paragraph, table
+from drivecal.report.sections.errors import errors_text
+
+LARGEST_AGREEING = 1
+"""Points: a difference beyond it is wrong (Eq. 8)."""
+POINTS = range(-7, 8)
+PANELS_PER_SHEET = 12
+
+
+def reducible(rows: Sequence[InfluenceRow]) -> list[str]:
+    """The parameters of one scenario that have a region of more than one value in which they do not matter."""
+    found = []
+    for row in rows:
+        if row.space_lower is None or row.space_upper is None or row.n_values is None:
+            continue
+        if not row.influential:
+            regions = [row.n_values]
+        else:
+            step = (row.space_upper - row.space_lower) / (row.n_values - 1)
+            below = 0.0 if row.lower is None else row.lower - row.space_lower
+            above = 0.0 if row.upper is None else row.space_upper - row.upper
+            regions = [round(below / step), round(above / step)]
+        if max(regions) > 1:
+            found.append(row.parameter)
+    return found
+
+
+def drawn(rows: Sequence[ValidationRow]) -> Iterator[Drawn]:
+    """Figure 14, on as many sheets as it takes; nothing where nothing was compared."""
+    compared = [row for row in rows if row.compared]
+    caption = (
+        "Figure 14. How far the scores of variants, which differ from a basis only where the map says that it does not matter, are from "
+        "the score of the basis; on a logarithmic scale, or all but the zeros would be invisible. Hatched: by more than one point, wrong."
+    )
+    for number, start in enumerate(range(0, len(compared), PANELS_PER_SHEET), 1):
+        sheet = compared[start : start + PANELS_PER_SHEET]
+        alt = "; ".join(
+            f"{row.scenario}: {row.histogram.get(0, 0):,} of {row.compared:,} unchanged, {row.wrong:,} wrong" for row in sheet
+        )
+        name = "figure-14-validation" if number == 1 else f"figure-14-validation-{number}"
+        yield Drawn(name, caption, validation_figure(sheet), alt=f"Histograms of deviations. {alt}.")
+
+
+def validation_figure(rows: Sequence[ValidationRow]) -> Figure:
+    """A panel per scenario: how many variants differ from their basis by how many points."""
+    columns = min(3, len(rows))
+    lines = math.ceil(len(rows) / columns)
+    top = max(max(row.histogram.values(), default=1) for row in rows)
+    with style():
+        figure = Figure(figsize=(max(3.6, 2.47 * columns), 0.5 + 1.75 * lines), layout="constrained")
+        panels = figure.subplots(lines, columns, squeeze=False, sharex=True, sharey=True)
+        for place, axes in enumerate(panels.flat):
+            if place >= len(rows):
+                axes.set_axis_off()
+                continue
+            _panel(axes, rows[place])
+            axes.set(yscale="log", ylim=(0.7, 2.5 * top), xlim=(-7.6, 7.6))
+            axes.set_xticks(range(-6, 7, 2))
+            axes.yaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
+            axes.yaxis.set_minor_formatter(NullFormatter())
+            axes.grid(visible=False, axis="x")
+        figure.supxlabel("difference from the basis, points", fontsize=8)
+        figure.supylabel("variants", fontsize=8)
+        handles = [
+            Patch(facecolor=BLUE, edgecolor=INK, linewidth=0.4, label=f"up to {LARGEST_AGREEING} point"),
+            Patch(facecolor=VERMILION, edgecolor="white", hatch="////", linewidth=0.4, label="wrong"),
+        ]
+        figure.legend(handles=handles, loc="outside upper right", ncols=2)  # below it would lie on the label
+    return figure
+
+
+def _panel(axes: Axes, row: ValidationRow) -> None:
+    for points in POINTS:
+        count = row.histogram.get(points, 0)
+        if not count:
+            continue
+        wrong = abs(points) > LARGEST_AGREEING
+        (bar,) = axes.bar(points, count, width=0.85, color=VERMILION if wrong else BLUE, hatch="////" if wrong else None)
+        bar.set(edgecolor="white" if wrong else INK, linewidth=0.4, gid=f"{row.scenario}.{points}")
+    rate = "" if row.error_rate is None else f": {row.different / row.compared:.1%} differ, R_err {row.error_rate:.2%}"
+    axes.set_title(f"{row.scenario}{rate}")
+
+
+def parts(
+    studied: Studied[ValidationRow], campaign: str, by_scenario: dict[str, list[InfluenceRow]], drawing: str
+) -> list[str]:
+    """The section: what was compared, Tables 1 and 2, the figure."""
+    rows = studied.rows
+    compared, different, wrong = (sum(getattr(row, name) for row in rows) for name in ("compared", "different", "wrong"))
+    text = (
+        "Sets were drawn from Latin hypercubes until those that lie in some non-influential region covered the main effects and "
+        "interactions of the reducible parameters; each was compared with variants that differ from it inside such regions only. "
+    )
+    text += errors_text("variants", compared, different, wrong) if compared else ""
+    if studied.study.campaign != campaign:
+        text += f" Campaign {studied.study.campaign} made this study."
+    nothing = [row.scenario for row in rows if not row.compared]
+    if nothing:
+        text += f" There was nothing to validate in {', '.join(nothing)}."
+    return [paragraph(text), _sizes(rows, by_scenario), _rates(rows), drawing, _histograms(rows)]
+
+
+def _sizes(rows: Sequence[ValidationRow], by_scenario: dict[str, list[InfluenceRow]]) -> str:
+    lines = [
+        [
+            row.scenario,
+            " ".join(reducible(by_scenario.get(row.scenario, []))),
+            row.reducible,
+            row.effects,
+            row.covered,
+            row.drawn,
+            row.bases,
+            row.references,
+            row.bases * row.references,
+        ]
+        for row in rows
+    ]
+    header = ["scenario", "reducible parameters", "n", "effects", "covered", "LHS", "n*_LHS", "n_ref", "n_validation"]
+    caption = (
+        "Table 1. Sample sizes: n reducible parameters have 2^n - 1 effects; n*_LHS of the LHS sets that qualify were compared"
+    )
+    return table(header, lines, caption)
+
+
+def _histograms(rows: Sequence[ValidationRow]) -> str:
+    lines = [[row.scenario, *(row.histogram.get(points, 0) for points in POINTS)] for row in rows if row.compared]
+    header = ["scenario", *(f"{points:+d}".replace("-", "\N{MINUS SIGN}") if points else "0" for points in POINTS)]
+    return table(header, lines, "Figure 14 in numbers: variants by their difference from the basis, in points") if lines else ""
+
+
+def _rates(rows: Sequence[ValidationRow]) -> str:
+    lines = [
+        [
+            row.scenario,
+            row.compared,
+            row.different,
+            row.wrong,
+            None if row.error_rate is None else Number(f"{row.error_rate:.2%}"),
+            None if row.lower_95 is None else Number(f"{row.lower_95:.2%}"),
+            None if row.upper_95 is None else Number(f"{row.upper_95:.2%}"),
+        ]
+        for row in rows
+    ]
+    header = ["scenario", "compared", "different", "wrong", "R_err", "95 % from", "to"]
+    return table(header, lines, "Table 2. Share of wrong answers (Eq. 8) with its exact 95 % interval (Clopper-Pearson)")

@@ -1,0 +1,181 @@
+"""The database: one pool of connections per process, and transactions that behave alike on SQLite and PostgreSQL."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from sqlalchemy import URL, Connection, Engine, create_engine, event
+
+from drivecal.domain.errors import DatabaseError, UnavailableError
+from drivecal.storage.engine import schema, urls
+from drivecal.storage.engine.failures import translated
+from drivecal.storage.engine.liveness import ServerLiveness, mind_absence
+from drivecal.storage.engine.types import to_json
+
+OLDEST_SQLITE = (3, 35, 0)
+"""The first release with RETURNING."""
+
+
+@dataclass(frozen=True, slots=True)
+class Patience:
+    """How long a process waits for the database before UnavailableError, s. All but `lock` is about PostgreSQL."""
+
+    lock: float
+    """For what another transaction holds, and for a connection of the pool."""
+    connect: int
+    """For a new connection."""
+    statement: int | None
+    """For one statement; None: as long as it takes."""
+    watched: bool
+    """Whether to notice a server that accepts connections and does not answer, within seconds; see `answering`."""
+
+
+PATIENT = Patience(lock=30, connect=5, statement=None, watched=False)
+"""Of those for whom nobody waits: an outage is waited for, and a statement may take long."""
+PROMPT = Patience(lock=4, connect=2, statement=30, watched=True)
+"""Of those for whom somebody waits: requests."""
+
+
+class Database:
+    """An open database. Threads share it; processes each open their own. Functions of the other modules take its connections."""
+
+    def __init__(self, url: URL, engine: Engine, fence: Callable[[Connection], None] | None = None) -> None:
+        self.url = url
+        self.name = urls.shown(url)
+        """For messages: without the password."""
+        self._engine = engine
+        self._fence = fence
+
+    @classmethod
+    def open(cls, url: str, patience: Patience = PATIENT) -> Database:
+        """Prepares the pool; nothing is connected yet. Raises DatabaseError where the URL names no usable database."""
+        parsed = urls.parse(url)
+        if parsed.get_backend_name() == "sqlite" and sqlite3.sqlite_version_info < OLDEST_SQLITE:
+            needed = ".".join(map(str, OLDEST_SQLITE))
+            raise DatabaseError(f"SQLite {sqlite3.sqlite_version} is too old; drivecal needs {needed} or PostgreSQL")
+        return cls(parsed, make_engine(parsed, patience))
+
+    def fenced(self, fence: Callable[[Connection], None]) -> Database:
+        """The same database for somebody who may lose the right to write: every transaction begins with `fence`, which raises then."""
+        return Database(self.url, self._engine, fence)
+
+    @contextmanager
+    def read(self) -> Iterator[Connection]:
+        """A connection that sees one consistent state and cannot write."""
+        with translated(self.name), self._engine.connect() as connection:
+            if connection.dialect.name == "postgresql":
+                connection = connection.execution_options(isolation_level="REPEATABLE READ", postgresql_readonly=True)
+            with connection.begin():
+                yield connection
+
+    @contextmanager
+    def transaction(self) -> Iterator[Connection]:
+        """A connection whose writes are committed together at the end, or not at all where the body raises.
+
+        On SQLite it has the write lock from its start. After UnavailableError the writes may have been committed all the same (the
+        answer to the commit may be what got lost): read again before writing once more.
+        """
+        with translated(self.name), self._engine.connect() as connection:
+            connection = connection.execution_options(drivecal_writes=True)
+            with connection.begin():
+                if self._fence is not None:
+                    self._fence(connection)
+                yield connection
+
+    def upgrade(self) -> None:
+        """Creates the database or brings it to this drivecal's revision. Safe when several processes do it at once.
+
+        Raises DatabaseError as `check`, but for what is only missing or older.
+        """
+        with self._plain_errors():
+            schema.prepare_file(self.url)
+            with self._engine.connect() as connection:
+                schema.refuse_foreign(connection, self.name)
+            schema.use_write_ahead_log(self.url)
+            with self.transaction() as connection:
+                schema.upgrade(connection, self.name)
+
+    def check(self) -> None:
+        """Raises DatabaseError saying what is wrong and what to do where drivecal cannot work with this database as it is."""
+        with self._plain_errors():
+            schema.refuse_missing(self.url)
+            with self._engine.connect() as connection:
+                schema.refuse_foreign(connection, self.name)
+                schema.refuse_unmigrated(connection, self.name)
+
+    def dispose(self) -> None:
+        """Closes the pool's connections."""
+        self._engine.dispose()
+
+    @contextmanager
+    def _plain_errors(self) -> Iterator[None]:
+        try:
+            with translated(self.name):
+                yield
+        except UnavailableError as error:
+            raise DatabaseError(f"{error}; check the URL and that the server runs") from error
+
+
+def make_engine(url: URL, patience: Patience = PATIENT) -> Engine:
+    """An engine with drivecal's settings for SQLite or PostgreSQL."""
+    if url.get_backend_name() == "sqlite":
+        # isolation_level None: the driver leaves transactions to us.
+        arguments: dict[str, Any] = {"timeout": patience.lock, "isolation_level": None}
+    else:
+        arguments = {"connect_timeout": patience.connect, "application_name": "drivecal", **_KEEP_ALIVE}
+    engine = create_engine(
+        url,
+        connect_args=arguments,
+        json_serializer=to_json,
+        hide_parameters=True,  # messages and logs name statements, not thousands of values
+        pool_size=5,
+        max_overflow=35,  # as many as the API has threads; idle ones above pool_size are closed
+        pool_timeout=patience.lock,
+        pool_pre_ping=url.get_backend_name() == "postgresql",
+    )
+    if url.get_backend_name() == "sqlite":
+        event.listen(engine, "connect", _prepare_sqlite)
+        event.listen(engine, "begin", _begin_sqlite)
+        return engine
+    if patience.watched:
+        watch = ServerLiveness(urls.shown(url))
+        event.listen(engine, "do_connect", lambda _dialect, _record, given, options: watch.connect(*given, **options))
+    event.listen(engine, "connect", partial(_prepare_postgresql, patience))
+    return engine
+
+
+_KEEP_ALIVE = {"keepalives_idle": 5, "keepalives_interval": 5, "keepalives_count": 3, "tcp_user_timeout": 20_000}
+"""A connection to a machine that is gone is noticed within some 20 s instead of hours."""
+
+
+def _prepare_sqlite(connection: Any, _record: Any) -> None:
+    for pragma in ("synchronous = FULL", "foreign_keys = ON", "cache_size = -65536", "temp_store = MEMORY"):
+        connection.execute(f"PRAGMA {pragma}")
+
+
+def _begin_sqlite(connection: Connection) -> None:
+    """Writers take the lock at once: two readers that both want to write later would end in a deadlock that no waiting resolves."""
+    writes = connection.get_execution_options().get("drivecal_writes", False)
+    connection.exec_driver_sql(f"PRAGMA query_only = {'OFF' if writes else 'ON'}")
+    connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
+
+
+def _prepare_postgresql(patience: Patience, connection: Any, _record: Any) -> None:
+    # Look-ups touch some thousand rows of large tables. jit compiles longer than they run, and the default cost of a random page,
+    # that of a turning disk, makes the planner prefer a scan of the whole table.
+    connection.execute("SET jit = off")
+    connection.execute("SET random_page_cost = 1.1")
+    mind_absence(connection)
+    if patience.statement is not None:
+        connection.execute(f"SET statement_timeout = '{patience.statement}s'")
+        connection.execute(f"SET lock_timeout = '{patience.lock:.0f}s'")
+    connection.commit()
+    from psycopg.types.array import ListBinaryDumper  # a third of a second that SQLite does without
+
+    # Thousands of keys as the text of an array take longer to write than to find.
+    connection.adapters.register_dumper(list, ListBinaryDumper)

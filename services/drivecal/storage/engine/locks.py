@@ -1,0 +1,155 @@
+"""One server per database: a lock that ends with the process that holds it, however it ends."""
+
+from __future__ import annotations
+
+import os
+import socket
+import sys
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Protocol, Self
+
+from sqlalchemy import URL, Connection, create_engine, event, text
+from sqlalchemy.exc import DBAPIError
+from sqlalchemy.pool import NullPool
+
+from drivecal.domain.errors import DatabaseError
+from drivecal.storage.engine import urls
+from drivecal.storage.engine.failures import translated
+from drivecal.storage.engine.liveness import ServerLiveness, mind_absence
+
+KEY = 0x64726331
+"""First key of the advisory lock on PostgreSQL; the second is a hash of the schema, so that schemas of one database do not collide."""
+
+
+_OWNER = "drivecal server: "
+
+
+class ServerLock(Protocol):
+    """The right to be the server of a database, held from `hold` until `release` or the end of the process."""
+
+    def renew(self) -> None:
+        """Raises DatabaseError where the lock was lost, with a connection to PostgreSQL, and another server has taken it since.
+
+        UnavailableError where PostgreSQL does not answer. To be called with every heartbeat.
+        """
+
+    def release(self) -> None:
+        """Gives the lock back."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None: ...
+
+
+def hold(url: str, otherwise: str = "name another database by DRIVECAL_DATABASE_URL") -> ServerLock:
+    """Takes the lock. Raises DatabaseError naming the holder where another server has it; `otherwise`: what to do but stop it."""
+    parsed = urls.parse(url)
+    file = urls.sqlite_file(parsed)
+    return _PostgresLock(parsed, otherwise) if file is None else _FileLock(file, otherwise)
+
+
+class _Releasing:
+    def release(self) -> None:
+        raise NotImplementedError
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None) -> None:
+        del kind, error, traceback
+        self.release()
+
+
+class _FileLock(_Releasing):
+    """On `<database>.lock`, whose text is the process id of the holder. The file stays; what counts is the lock on it."""
+
+    def __init__(self, database: Path, otherwise: str) -> None:
+        path = database.with_name(database.name + ".lock")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file: IO[str] = path.open("a+", encoding="ascii")
+        except OSError as error:
+            raise DatabaseError(f"{path} cannot be written: {error.strerror}; name a database in another folder") from error
+        if not _try_lock(self._file):
+            self._file.seek(0)
+            holder = self._file.read().strip() or "unknown"
+            self._file.close()
+            raise DatabaseError(f"another drivecal server (process {holder}) uses {database}; stop it, or {otherwise}")
+        self._file.truncate(0)
+        self._file.write(str(os.getpid()))
+        self._file.flush()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def renew(self) -> None:
+        """A file lock cannot be lost."""
+
+    def release(self) -> None:
+        self._file.close()
+
+
+def _try_lock(file: IO[str]) -> bool:
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            file.seek(1 << 30)  # a byte behind the text, which others can then still read
+            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
+
+
+class _PostgresLock(_Releasing):
+    """An advisory lock of a session of its own, which the server ends when the process is gone."""
+
+    def __init__(self, url: URL, otherwise: str) -> None:
+        self._name = urls.shown(url)
+        self._otherwise = otherwise
+        owner = f"{_OWNER}process {os.getpid()} on {socket.gethostname()}"
+        arguments = {"connect_timeout": 5, "application_name": owner[:63], "keepalives_idle": 5, "keepalives_interval": 5}
+        self._engine = create_engine(url, poolclass=NullPool, isolation_level="AUTOCOMMIT", connect_args=arguments)
+        watch = ServerLiveness(self._name)
+        event.listen(self._engine, "do_connect", lambda _dialect, _record, given, options: watch.connect(*given, **options))
+        self._connection = self._acquire()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def renew(self) -> None:
+        if not self._alive():
+            self.release()
+            self._connection = self._acquire()
+
+    def release(self) -> None:
+        if not self._connection.closed:
+            self._connection.invalidate()  # ends the session, even where it is broken
+            self._connection.close()
+
+    def _alive(self) -> bool:
+        try:
+            return not self._connection.closed and self._connection.scalar(text("SELECT 1")) == 1
+        except DBAPIError:
+            return False
+
+    def _acquire(self) -> Connection:
+        with translated(self._name):
+            connection = self._engine.connect()
+            mind_absence(connection.connection.dbapi_connection)  # type: ignore[arg-type]  # it is psycopg's own
+            if connection.scalar(text("SELECT pg_try_advisory_lock(:key, hashtext(current_schema()))"), {"key": KEY}):
+                return connection
+            holder = (connection.scalar(_HOLDER, {"key": KEY}) or "unknown").removeprefix(_OWNER)
+            connection.close()
+        raise DatabaseError(f"another drivecal server ({holder}) uses {self._name}; stop it, or {self._otherwise}")
+
+
+_HOLDER = text(
+    "SELECT application_name || coalesce(', from ' || host(client_addr), '') FROM pg_locks JOIN pg_stat_activity USING (pid)"
+    " WHERE locktype = 'advisory' AND granted AND classid = :key AND objid::bigint = hashtext(current_schema())::bigint & 4294967295"
+    " AND pg_locks.database = (SELECT oid FROM pg_database WHERE datname = current_database())"
+)

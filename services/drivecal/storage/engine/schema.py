@@ -1,0 +1,105 @@
+"""The revision of a database: created and upgraded by Alembic, checked before anything else touches it."""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+from contextlib import closing
+from functools import cache
+from importlib.resources import as_file, files
+
+from alembic import command
+from alembic.config import Config
+from alembic.script import ScriptDirectory
+from sqlalchemy import URL, Connection, inspect, text
+
+from drivecal.domain.errors import DatabaseError
+from drivecal.storage.engine.urls import sqlite_file
+
+REVISION_TABLE = "drivecal_revision"
+"""Holds the revision. Its name tells drivecal's databases from those of other programs that use Alembic."""
+UPGRADE_LOCK = 0x64726976
+"""Key of the advisory lock that lets one process upgrade at a time on PostgreSQL."""
+
+
+def refuse_missing(url: URL) -> None:
+    """Raises DatabaseError where the file is not there or cannot be written."""
+    file = sqlite_file(url)
+    if file is None:
+        return
+    if file.is_dir():
+        raise DatabaseError(f"{file} is a folder; name a file in it")
+    if not file.exists():
+        raise DatabaseError(f"there is no database {file}; `drivecal db upgrade` creates it")
+    for path in (file, file.parent):
+        if not os.access(path, os.W_OK):
+            raise DatabaseError(f"{path} is not writable; give the user that runs drivecal the right to write there")
+
+
+def prepare_file(url: URL) -> None:
+    """Creates the folder of an SQLite database. Raises DatabaseError where that or writing in it is not possible."""
+    file = sqlite_file(url)
+    if file is None:
+        return
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DatabaseError(f"the folder {file.parent} cannot be created: {error.strerror}; name another file") from error
+    if file.exists():
+        refuse_missing(url)
+    elif not os.access(file.parent, os.W_OK):
+        raise DatabaseError(f"{file.parent} is not writable; give the user that runs drivecal the right to write there")
+
+
+def refuse_foreign(connection: Connection, database: str) -> None:
+    """Raises DatabaseError where the database holds another program's tables or was made by a newer drivecal."""
+    tables = inspect(connection).get_table_names()
+    if tables and REVISION_TABLE not in tables:
+        listed = ", ".join(sorted(tables)[:3])
+        raise DatabaseError(f"{database} holds another program's tables ({listed}); give drivecal a database of its own")
+    revision = revision_of(connection)
+    if revision is not None and revision not in known_revisions():
+        raise DatabaseError(
+            f"{database} was made by a newer drivecal (revision {revision}); install that release or name another database"
+        )
+
+
+def refuse_unmigrated(connection: Connection, database: str) -> None:
+    """Raises DatabaseError where the database is not at this drivecal's revision."""
+    revision, head = revision_of(connection), known_revisions()[0]
+    if revision != head:
+        found = "is empty" if revision is None else f"is at revision {revision}, this drivecal needs {head}"
+        raise DatabaseError(f"{database} {found}; run `drivecal db upgrade`")
+
+
+def use_write_ahead_log(url: URL) -> None:
+    """Readers go on while one process writes. The mode stays in the file."""
+    file = sqlite_file(url)
+    if file is not None:
+        with closing(sqlite3.connect(file, timeout=30)) as connection:
+            connection.execute("PRAGMA journal_mode = WAL")
+
+
+def upgrade(connection: Connection, database: str, to: str = "head") -> None:
+    """Runs the missing revisions up to `to` inside the connection's transaction: all of them or none."""
+    if connection.dialect.name == "postgresql":
+        connection.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": UPGRADE_LOCK})
+    refuse_foreign(connection, database)  # once more, under the lock
+    with as_file(files("drivecal.storage") / "migrations") as folder:
+        config = Config(attributes={"connection": connection})
+        config.set_main_option("script_location", str(folder).replace("%", "%%"))
+        command.upgrade(config, to)
+
+
+def revision_of(connection: Connection) -> str | None:
+    """The database's revision; None where it has none of drivecal's tables."""
+    if REVISION_TABLE not in inspect(connection).get_table_names():
+        return None
+    return connection.execute(text(f"SELECT version_num FROM {REVISION_TABLE}")).scalar()  # noqa: S608  # a constant
+
+
+@cache
+def known_revisions() -> tuple[str, ...]:
+    """All revisions that this drivecal knows, newest first. Read once: readiness asks for them every few seconds."""
+    with as_file(files("drivecal.storage") / "migrations") as folder:
+        return tuple(script.revision for script in ScriptDirectory(str(folder)).walk_revisions())

@@ -1,0 +1,303 @@
+"""The tables. `migrations/versions` makes exactly these; a test holds the two together."""
+
+from __future__ import annotations
+
+from sqlalchemy import (
+    Boolean,
+    Column,
+    Float,
+    ForeignKey,
+    Index,
+    Integer,
+    LargeBinary,
+    MetaData,
+    Table,
+    Text,
+    UniqueConstraint,
+    text,
+)
+
+from drivecal.storage.engine.types import Document, Identity, Name, StageNumber, UtcDateTime
+
+metadata = MetaData(
+    naming_convention={
+        "ix": "ix_%(table_name)s_%(column_0_N_name)s",
+        "uq": "uq_%(table_name)s_%(column_0_N_name)s",
+        "ck": "ck_%(table_name)s_%(constraint_name)s",
+        "fk": "fk_%(table_name)s_%(column_0_N_name)s",
+        "pk": "pk_%(table_name)s",
+    }
+)
+
+influence_maps = Table(
+    "influence_maps",
+    metadata,
+    Column("sequence", Identity, primary_key=True),
+    Column("id", Name, nullable=False, unique=True),
+    Column("name", Text, nullable=False),
+    Column("source", Text, nullable=False),
+    Column("driving_function", Text, nullable=False),
+    Column("parameters", Document, nullable=False),
+    Column("scenarios", Document, nullable=False),
+    Column("basis", Document),
+    Column("created_at", UtcDateTime, nullable=False),
+    sqlite_autoincrement=True,
+)
+
+campaigns = Table(
+    "campaigns",
+    metadata,
+    Column("sequence", Identity, primary_key=True),
+    Column("id", Name, nullable=False, unique=True),
+    Column("kind", Name, nullable=False),
+    Column("name", Text, nullable=False),
+    Column("state", Name, nullable=False),
+    Column("requested_action", Name),
+    Column("priority", Integer, nullable=False, server_default="0"),
+    Column("revision", Integer, nullable=False, server_default="0"),
+    Column("stage", StageNumber),
+    Column("iteration", Integer),
+    Column("spec", Document, nullable=False),
+    Column("resolution", Document),
+    Column("narrowed", Document),
+    Column("rerun_of", Name, ForeignKey("campaigns.id")),
+    Column("parent_sequence", Identity, ForeignKey("campaigns.sequence")),
+    Column("influence_map_id", Name, ForeignKey("influence_maps.id")),
+    Column("idempotency_key", Name, unique=True),
+    Column("body_digest", Name),
+    Column("watermark", Identity),
+    Column("degraded", Text),
+    Column("error", Text),
+    Column("notes", Document, nullable=False),
+    Column("cells", Document, nullable=False),
+    Column("sensitivity_cells", Document, nullable=False),
+    Column("robustness_cells", Document),
+    Column("validation_cells", Document),
+    Column("progress", Document, nullable=False),
+    Column("error_rate", Document, nullable=False),
+    Column("best", Document),
+    Column("baseline", Document),
+    Column("simulating_seconds", Float, nullable=False),
+    Column("created_at", UtcDateTime, nullable=False),
+    Column("started_at", UtcDateTime),
+    Column("ended_at", UtcDateTime),
+    Index(
+        None,
+        "parent_sequence",
+        sqlite_where=text("parent_sequence IS NOT NULL"),
+        postgresql_where=text("parent_sequence IS NOT NULL"),
+    ),
+    Index(  # what the dispatcher asks for all the time: some campaigns among all that ever were
+        "ix_campaigns_active",
+        "sequence",
+        sqlite_where=text("ended_at IS NULL"),
+        postgresql_where=text("ended_at IS NULL"),
+    ),
+    sqlite_autoincrement=True,
+)
+
+generations = Table(
+    "generations",
+    metadata,
+    Column("campaign_sequence", Identity, ForeignKey("campaigns.sequence"), primary_key=True),
+    Column("iteration", Integer, primary_key=True),
+    *(
+        Column(count, Integer, nullable=False)
+        for count in (
+            "proposed",
+            "carried_over",
+            "requested",
+            "repeated",
+            "reused",
+            "certified",
+            "simulated",
+            "failed",
+            "audited",
+            "alternatives",
+        )
+    ),
+    Column("best", Float),
+    Column("rating", Float),
+    Column("mean", Float),
+    Column("minimum", Float),
+    Column("population", Document, nullable=False),
+    Column("changed", Document, nullable=False),
+    Column("optimizer_state", Document),
+    Column("objectives", Document),
+    Column("finished", Boolean, nullable=False),
+)
+
+setups = Table(
+    "setups",
+    metadata,
+    Column("id", Identity, primary_key=True),
+    Column("fingerprint", Name, nullable=False, unique=True),
+    Column("scenario", Name, nullable=False),
+    Column("document", Document, nullable=False),
+    sqlite_autoincrement=True,
+)
+
+parameter_sets = Table(
+    "parameter_sets",
+    metadata,
+    Column("id", Identity, primary_key=True),
+    Column("key", LargeBinary, nullable=False, unique=True),
+    Column("parameter_values", Text, nullable=False),
+    sqlite_autoincrement=True,
+)
+
+runs = Table(  # the reference table of the paper: simulated results, each (setup, parameter set) once
+    "runs",
+    metadata,
+    Column("id", Identity, primary_key=True),
+    Column("setup_id", Identity, ForeignKey("setups.id"), nullable=False),
+    Column("parameter_set_id", Identity, ForeignKey("parameter_sets.id"), nullable=False),
+    Column("metrics", Document, nullable=False),
+    Column("failure", Text),
+    Column("milliseconds", Float, nullable=False),
+    Column("worker", Text, nullable=False),
+    # The evaluation that simulated it, and its place in the order of references; no foreign keys, for evaluations point here.
+    Column("evaluation_id", Identity, nullable=False),
+    Column("campaign_sequence", Identity, nullable=False),
+    Column("stage", StageNumber, nullable=False),
+    Column("iteration", Integer, nullable=False),
+    Column("individual", Integer, nullable=False),
+    Column("created_at", UtcDateTime, nullable=False),
+    UniqueConstraint("setup_id", "parameter_set_id"),
+    Index(None, "setup_id", "id"),
+    sqlite_autoincrement=True,
+)
+
+ratings = Table(
+    "ratings",
+    metadata,
+    Column("run_id", Identity, ForeignKey("runs.id"), primary_key=True),
+    Column("evaluator", Name, primary_key=True),
+    Column("score", Integer, nullable=False),
+    Column("rating", Float, nullable=False),
+    # From which watermark on it is seen, where it is younger than its run; 0 where it is as old. Of the same numbers as the ids of runs.
+    Column("since", Identity, nullable=False, server_default="0"),
+    Index(None, "since", sqlite_where=text("since > 0"), postgresql_where=text("since > 0")),
+    sqlite_with_rowid=False,
+)
+
+# Derived from runs and ratings, and rebuilt from them at any time: no foreign keys, which would slow bulk inserts down. A look-up
+# finds in it all that it gives (`storage.reference_keys`).
+reference_keys = Table(
+    "reference_keys",
+    metadata,
+    Column("index_id", Identity, primary_key=True, autoincrement=False),
+    Column("key", LargeBinary, primary_key=True),
+    Column("run_id", Identity, primary_key=True, autoincrement=False),
+    Column("evaluation_id", Identity, nullable=False),
+    Column("score", Integer, nullable=False),
+    Column("rating", Float, nullable=False),
+    Column("failure", Text),
+    Column("since", Identity, nullable=False, server_default="0"),
+    sqlite_with_rowid=False,
+)
+
+reference_indexes = Table(  # the keys of one setup's runs under one map, of those that one evaluator has rated: up to which run
+    "reference_indexes",
+    metadata,
+    Column("id", Identity, primary_key=True),
+    Column("influence_map_sequence", Identity, nullable=False),
+    Column("setup_id", Identity, nullable=False),
+    Column("evaluator", Name, nullable=False),
+    Column("run_id", Identity, nullable=False),
+    UniqueConstraint("influence_map_sequence", "setup_id", "evaluator"),
+    sqlite_autoincrement=True,
+)
+
+evaluations = Table(
+    "evaluations",
+    metadata,
+    Column("id", Identity, primary_key=True),
+    Column("campaign_sequence", Identity, ForeignKey("campaigns.sequence"), nullable=False),
+    Column("stage", StageNumber, nullable=False),
+    Column("iteration", Integer, nullable=False),
+    Column("individual", Integer, nullable=False),
+    Column("scenario", Name, nullable=False),
+    Column("setup_id", Identity, ForeignKey("setups.id"), nullable=False),
+    Column("parameter_set_id", Identity, ForeignKey("parameter_sets.id"), nullable=False),
+    Column("reference_key", LargeBinary),
+    Column("plan", Name, nullable=False),
+    Column("outcome", Name),
+    Column("score", Integer),
+    Column("rating", Float),
+    Column("run_id", Identity, ForeignKey("runs.id")),
+    Column("reference", Identity),
+    Column("audited", Boolean, nullable=False),
+    Column("agrees", Boolean),
+    Column("failure", Text),
+    Column("milliseconds", Float),
+    Column("worker", Text),
+    Column("attempts", Integer, nullable=False),
+    Column("detail", Text),
+    Column("proven_by", Identity),
+    Column("proof_agrees", Boolean),
+    UniqueConstraint("campaign_sequence", "stage", "iteration", "individual", "scenario"),
+    # The plan is in the two look-up indexes, or a class that answered thousands of cells would be read in full to find its donor.
+    Index(None, "campaign_sequence", "scenario", "reference_key", "plan"),
+    Index(None, "campaign_sequence", "scenario", "parameter_set_id", "plan"),
+    Index(
+        "ix_evaluations_pending",
+        "campaign_sequence",
+        "id",
+        sqlite_where=text("outcome IS NULL"),
+        postgresql_where=text("outcome IS NULL"),
+    ),
+    sqlite_autoincrement=True,
+)
+
+processes = Table(
+    "processes",
+    metadata,
+    Column("name", Name, primary_key=True),
+    Column("pid", Integer, nullable=False),
+    Column("started_at", UtcDateTime, nullable=False),
+    Column("heartbeat_at", UtcDateTime, nullable=False),
+    Column("detail", Document, nullable=False),
+    Column("term", Integer, nullable=False, server_default="0"),
+)
+
+leases = Table(  # cells at workers, and those that broke down there before; a cell with its answer has none
+    "leases",
+    metadata,
+    Column("evaluation_id", Identity, ForeignKey("evaluations.id"), primary_key=True, autoincrement=False),
+    Column("number", Integer, nullable=False),
+    Column("attempts", Integer, nullable=False),
+    Column("term", Integer, nullable=False),
+    Column("expires_at", UtcDateTime, nullable=False),
+)
+
+studies = Table(  # what the stages after the calibration found
+    "studies",
+    metadata,
+    Column("campaign_sequence", Identity, ForeignKey("campaigns.sequence"), primary_key=True, autoincrement=False),
+    Column("stage", StageNumber, primary_key=True, autoincrement=False),
+    Column("document", Document, nullable=False),
+)
+
+traces = Table(  # time series of single evaluations, asked for one by one and kept for a while (`storage.traces`)
+    "traces",
+    metadata,
+    Column("evaluation_id", Identity, ForeignKey("evaluations.id"), primary_key=True, autoincrement=False),
+    # The single evaluation that simulates it once more.
+    Column("campaign_sequence", Identity, ForeignKey("campaigns.sequence"), nullable=False),
+    Column("content", LargeBinary),
+    Column("created_at", UtcDateTime, nullable=False),
+)
+
+events = Table(
+    "events",
+    metadata,
+    Column("id", Identity, primary_key=True),
+    Column("campaign_sequence", Identity, ForeignKey("campaigns.sequence"), nullable=False),
+    Column("kind", Name, nullable=False),
+    Column("data", Document, nullable=False),
+    Column("created_at", UtcDateTime, nullable=False),
+    Index(None, "campaign_sequence", "id"),
+    Index(None, "created_at"),
+    sqlite_autoincrement=True,
+)

@@ -1,0 +1,1 @@
+"""Backup, restore, checks and statistics of a whole database."""

@@ -1,0 +1,210 @@
+"""Backups: always one SQLite file that drivecal can open itself, whatever the database is; and back from there into an empty database.
+
+A backup holds one moment of the database, however long it takes and whatever is written meanwhile, and appears under its name only when
+it is complete, checked and on the disk. A restored database is complete or as empty as before.
+"""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+import tempfile
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from sqlalchemy import URL, Connection
+
+from drivecal.domain.errors import DatabaseError
+from drivecal.storage.engine import schema
+from drivecal.storage.engine.database import Database, make_engine
+from drivecal.storage.engine.failures import translated
+from drivecal.storage.engine.urls import sqlite_file
+from drivecal.storage.maintenance.transfer import Progress, copy_rows, count_rows, tables_of
+
+PAGES = 4_096
+"""Pages of an SQLite database that are copied at a time, 16 MB."""
+PASSING = ("processes",)
+"""Tables that tell of the processes that served a database: a database with nothing but their rows counts as empty."""
+
+
+@dataclass(frozen=True, slots=True)
+class Copied:
+    """What a backup or a restored database holds."""
+
+    revision: str
+    rows: dict[str, int]
+    """By table."""
+
+
+def write(database: Database, file: Path, progress: Progress, *, force: bool = False) -> Copied:
+    """Backs the database up into `file`, while others use it. Raises DatabaseError, where `file` exists unless `force`d too, and
+    UnavailableError; `file` is then as it was."""
+    _refuse_target(database, file, force=force)
+    schema.refuse_missing(database.url)
+    with database.read() as connection:
+        schema.refuse_foreign(connection, database.name)
+        revision = schema.revision_of(connection)
+        if revision is None:
+            raise DatabaseError(f"{database.name} is empty; there is nothing to back up")
+        with _partial(file) as partial:
+            if connection.dialect.name == "sqlite":
+                rows = count_rows(connection, tables_of(connection))
+                _copy_pages(connection, partial, "pages", progress)
+            else:
+                rows = _copy_into_new(connection, partial, revision, progress)
+            _check_file(partial, rows)
+            _refuse_target(database, file, force=force)
+            _publish(partial, file)
+    return Copied(revision, rows)
+
+
+def restore(file: Path, database: Database, progress: Progress) -> Copied:
+    """Fills an empty database from a backup and brings it to this drivecal's revision. The caller holds the server's lock.
+
+    Raises DatabaseError where the file is no backup or the database has rows, and UnavailableError; the database is then as it was.
+    """
+    if not file.is_file():
+        raise DatabaseError(f"there is no file {file}; name a backup that `drivecal db backup` made")
+    backup = _open_file(file)
+    try:
+        with backup.read() as source:
+            schema.refuse_foreign(source, backup.name)
+            revision = schema.revision_of(source)
+            if revision is None:
+                raise DatabaseError(f"{file} holds no database of drivecal; name a backup that `drivecal db backup` made")
+            _refuse_damaged(source, file)
+            schema.prepare_file(database.url)
+            rows = count_rows(source, tables_of(source))
+            target = sqlite_file(database.url)
+            if target is None:
+                with database.transaction() as connection:
+                    _refuse_rows(connection, database.name)
+                    _make_anew(connection, database.name, revision)
+                    copy_rows(source, connection, progress)
+                    _compare(connection, rows, database.name)
+                    schema.upgrade(connection, database.name)
+                    connection.exec_driver_sql("ANALYZE")
+            else:
+                if target.exists() and target.samefile(file):
+                    raise DatabaseError(f"{file} is the database itself; name another file or another database")
+                with database.read() as connection:
+                    _refuse_rows(connection, database.name)
+                _copy_pages(source, target, "pages", progress)
+                with database.read() as connection:
+                    _compare(connection, rows, database.name)
+    finally:
+        backup.dispose()
+    database.upgrade()
+    return Copied(revision, rows)
+
+
+def _refuse_target(database: Database, file: Path, *, force: bool) -> None:
+    if file.is_dir() or not file.name:
+        raise DatabaseError(f"{file} is a folder; name a file in it")
+    source = sqlite_file(database.url)
+    if source is not None and source.exists() and file.exists() and file.samefile(source):
+        raise DatabaseError(f"{file} is the database itself; name another file")
+    if file.exists() and not force:
+        raise DatabaseError(f"{file} exists already; name another file, or replace it by --force")
+
+
+@contextmanager
+def _partial(file: Path) -> Iterator[Path]:
+    """A file beside `file` that only we know, gone afterwards unless it was published."""
+    try:
+        handle, name = tempfile.mkstemp(prefix=f"{file.name}.", suffix=".partial", dir=file.parent)
+    except OSError as error:
+        raise DatabaseError(f"{file.parent} cannot be written: {error.strerror}; name a file in another folder") from error
+    os.close(handle)
+    try:
+        yield Path(name)
+    finally:
+        for remains in ("", "-journal", "-wal", "-shm"):
+            Path(name + remains).unlink(missing_ok=True)
+
+
+def _publish(partial: Path, file: Path) -> None:
+    """Gives a complete backup its name, on the disk too."""
+    with partial.open("rb+") as written:
+        os.fsync(written.fileno())
+    partial.replace(file)
+    if os.name == "posix":  # elsewhere folders cannot be opened
+        folder = os.open(file.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+
+
+def _copy_pages(source: Connection, target: Path, label: str, progress: Progress) -> None:
+    """Copies an SQLite database in the source's transaction, so that others may write meanwhile and the copy does not see it. The target
+    is changed in one transaction of its own."""
+    source.exec_driver_sql("SELECT count(*) FROM sqlite_master")  # a transaction sees its moment from its first statement on
+    driver: Any = source.connection.driver_connection
+    with translated(str(target)), closing(sqlite3.connect(target, timeout=30)) as copy:
+        driver.backup(copy, pages=PAGES, progress=lambda _, left, total: progress(label, total - left, total))
+
+
+def _copy_into_new(source: Connection, partial: Path, revision: str, progress: Progress) -> dict[str, int]:
+    opened = _open_file(partial)
+    try:
+        with opened.transaction() as target:
+            schema.upgrade(target, opened.name, revision)
+            return copy_rows(source, target, progress)
+    finally:
+        opened.dispose()
+
+
+def _open_file(file: Path) -> Database:
+    url = URL.create("sqlite+pysqlite", database=str(file))
+    return Database(url, make_engine(url))
+
+
+def _check_file(partial: Path, rows: dict[str, int]) -> None:
+    with translated(str(partial)), closing(sqlite3.connect(partial)) as plain:
+        plain.execute("PRAGMA journal_mode = DELETE")  # one file, which can be read where nothing can be written too
+    opened = _open_file(partial)
+    try:
+        with opened.read() as connection:
+            _refuse_damaged(connection, partial)
+            _compare(connection, rows, "the backup")
+    finally:
+        opened.dispose()
+
+
+def _refuse_damaged(connection: Connection, file: Path) -> None:
+    problems = [str(row[0]) for row in connection.exec_driver_sql("PRAGMA integrity_check(3)") if row[0] != "ok"]
+    problems += [f"a row of {row[0]} points to one of {row[2]} that is not there" for row in _dangling(connection)]
+    if problems:
+        raise DatabaseError(f"{file} is damaged ({'; '.join(problems)}); use another backup")
+
+
+def _dangling(connection: Connection) -> list[tuple[str, int, str, int]]:
+    return [tuple(row) for row in connection.exec_driver_sql("PRAGMA foreign_key_check").fetchmany(3)]
+
+
+def _refuse_rows(connection: Connection, name: str) -> None:
+    schema.refuse_foreign(connection, name)
+    found = count_rows(connection, tables_of(connection))
+    there = [f"{count:,} in {table}" for table, count in found.items() if count and table not in PASSING]
+    if there:
+        raise DatabaseError(f"{name} has rows already ({', '.join(there)}); name an empty database")
+
+
+def _make_anew(connection: Connection, name: str, revision: str) -> None:
+    """Empty tables at a backup's revision, in the place of empty ones of whatever revision."""
+    if schema.revision_of(connection) is not None:
+        for table in reversed(tables_of(connection)):
+            table.drop(connection)
+        connection.exec_driver_sql(f"DROP TABLE {schema.REVISION_TABLE}")
+    schema.upgrade(connection, name, revision)
+
+
+def _compare(connection: Connection, rows: dict[str, int], name: str) -> None:
+    found = count_rows(connection, tables_of(connection))
+    different = [f"{found.get(table)} and not {count} in {table}" for table, count in rows.items() if found.get(table) != count]
+    if different:
+        raise DatabaseError(f"{name} has other rows than were copied ({'; '.join(different)}); check the disk and try again")

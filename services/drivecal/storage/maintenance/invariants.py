@@ -1,0 +1,230 @@
+"""Whether the rows of a database fit together: what every transaction promises to keep, checked afterwards. Only reads.
+
+Each check gives one sentence per thing that is broken. In one snapshot nothing is, at any moment of a running server.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+
+from sqlalchemy import (
+    ColumnElement,
+    Connection,
+    FromClause,
+    SmallInteger,
+    and_,
+    case,
+    exists,
+    func,
+    or_,
+    select,
+    type_coerce,
+)
+
+from drivecal.domain.campaigns import CampaignState, Stage
+from drivecal.domain.evaluations import Outcome
+from drivecal.storage.engine.tables import (
+    campaigns,
+    evaluations,
+    generations,
+    leases,
+    ratings,
+    reference_indexes,
+    reference_keys,
+    runs,
+)
+from drivecal.storage.engine.types import ORDER
+from drivecal.storage.evaluations import COPIES, DONORS
+from drivecal.storage.maintenance.consistency import Check
+from drivecal.storage.references.runs import largest_id
+
+ENDED = tuple(state for state in CampaignState if state.ended)
+ROWS = 100
+"""That are in memory at a time."""
+
+
+def check_counters(connection: Connection) -> Iterator[str]:
+    """The counters of each campaign are those of its cells, and add up."""
+    counted: dict[tuple[int, int], dict[str, int]] = {}
+    stage, audited = type_coerce(evaluations.c.stage, SmallInteger), func.sum(case((evaluations.c.audited, 1), else_=0))
+    checked = func.sum(case((evaluations.c.proof_agrees.is_not(None), 1), else_=0))
+    columns = evaluations.c.campaign_sequence, stage, evaluations.c.outcome
+    for sequence, number, outcome, count, audits, checks in connection.execute(
+        select(*columns, func.count(), audited, checked).group_by(*columns)
+    ):
+        cells = counted.setdefault((sequence, number), {})
+        cells[outcome or "pending"] = count
+        cells["checked"] = cells.get("checked", 0) + checks
+        if outcome == Outcome.SIMULATED:
+            cells["audited"] = audits
+    carried_over = func.sum(generations.c.carried_over)
+    carried = connection.execute(
+        select(generations.c.campaign_sequence, carried_over).group_by(generations.c.campaign_sequence)
+    )
+    for sequence, count in carried:
+        counted.setdefault((sequence, ORDER[Stage.CALIBRATION]), {})["carried_over"] = count
+    kept = [campaigns.c[name] for name in _COUNTERS.values()]
+    own = select(campaigns.c.sequence, campaigns.c.id, *kept).where(
+        campaigns.c.kind != "comparison"
+    )  # which sums up those of its runs
+    for one in connection.execute(own.order_by(campaigns.c.sequence)):
+        for stage_of, name in _COUNTERS.items():
+            cells = counted.get((one.sequence, ORDER[stage_of]), {})
+            cells["requested"] = sum(cells.get(outcome, 0) for outcome in Outcome)
+            cells["proposed"] = sum(cells.get(part, 0) for part in ("carried_over", "pending", "requested"))
+            for part, count in (getattr(one, name) or {}).items():
+                if part not in _NOT_IN_ROWS and count != cells.get(part, 0):
+                    yield f"campaign {one.id} counts {count} {part} in its {name}, its rows {cells.get(part, 0)}"
+
+
+_COUNTERS = {
+    Stage.SENSITIVITY: "sensitivity_cells",
+    Stage.CALIBRATION: "cells",
+    Stage.ROBUSTNESS: "robustness_cells",
+    Stage.VALIDATION: "validation_cells",
+}
+_NOT_IN_ROWS = {"unrepeatable"}
+
+
+def check_ended(connection: Connection) -> Iterator[str]:
+    """Campaigns that have ended have no leases, and those that succeeded no cell without an answer; answered cells have no lease."""
+    ended = campaigns.c.state.in_(ENDED)
+    for one in connection.execute(select(campaigns.c.id, campaigns.c.state).where(ended != campaigns.c.ended_at.is_not(None))):
+        yield f"campaign {one.id} is {one.state}, and its end is {'not ' if one.state in ENDED else ''}written down"
+    cells = evaluations.join(campaigns)
+    pending = select(campaigns.c.id, func.count()).select_from(cells).where(evaluations.c.outcome.is_(None))
+    for name, count in connection.execute(pending.where(campaigns.c.state == CampaignState.SUCCEEDED).group_by(campaigns.c.id)):
+        yield f"campaign {name} has succeeded, and {count} of its cells have no answer"
+    leased = select(campaigns.c.id, func.count()).select_from(leases.join(cells)).group_by(campaigns.c.id)
+    for name, count in connection.execute(leased.where(ended)):
+        yield f"campaign {name} has ended, and {count} of its cells are leased"
+    for name, count in connection.execute(leased.where(evaluations.c.outcome.is_not(None))):
+        yield f"{count} cells of campaign {name} have their answers, and are leased"
+
+
+def check_answers(connection: Connection) -> Iterator[str]:
+    """Every answered cell has its run, of its own setup; every copy was answered by a cell or run that may answer others."""
+    cell, run, donor = evaluations.c, runs.alias("run"), evaluations.alias("donor")
+    joined = evaluations.outerjoin(run, run.c.id == cell.run_id).outerjoin(donor, donor.c.id == cell.reference)
+    same = and_(
+        run.c.setup_id == cell.setup_id, or_(cell.outcome == Outcome.REUSED, run.c.parameter_set_id == cell.parameter_set_id)
+    )
+    answered = cell.outcome.in_([*DONORS, *COPIES])
+    yield from _cells(connection, joined, answered & (run.c.id.is_(None) | ~same), "have no run of their own cell")
+    yield from _cells(connection, joined, answered & (cell.score.is_(None) | cell.rating.is_(None)), "have no score")
+    failed = (cell.outcome == Outcome.FAILED) & (cell.run_id.is_not(None) | cell.score.is_not(None))
+    yield from _cells(connection, joined, failed, "failed and have a result all the same")
+    orphaned = cell.outcome.in_(COPIES) & (donor.c.id.is_(None) | donor.c.outcome.not_in(DONORS) | donor.c.outcome.is_(None))
+    yield from _cells(connection, joined, orphaned, "are copies of cells that may not answer others")
+
+
+def _cells(connection: Connection, joined: FromClause, broken: ColumnElement[bool], sentence: str) -> Iterator[str]:
+    query = select(func.count(), func.min(evaluations.c.id)).select_from(joined).where(broken)
+    count, first = connection.execute(query).one()
+    if count:
+        yield f"{count:,} answered cells {sentence}, the first of them evaluation {first}"
+
+
+def check_references(connection: Connection) -> Iterator[str]:
+    """One run per setup and parameter set, rated, and simulated for a cell that is there."""
+    origin = evaluations.alias("origin")
+    several = select(runs.c.setup_id, runs.c.parameter_set_id).group_by(runs.c.setup_id, runs.c.parameter_set_id)
+    for setup, parameters in connection.execute(several.having(func.count() > 1).limit(5)):
+        yield f"parameter set {parameters} has several runs in setup {setup}"
+    for sentence, broken in (
+        ("have no rating", ~exists().where(ratings.c.run_id == runs.c.id)),
+        (
+            "were simulated for no cell that is there",
+            ~exists().where(origin.c.id == runs.c.evaluation_id, origin.c.campaign_sequence == runs.c.campaign_sequence),
+        ),
+    ):
+        count, first = connection.execute(select(func.count(), func.min(runs.c.id)).where(broken)).one()
+        if count:
+            yield f"{count:,} runs {sentence}, the first of them run {first}"
+    newest = largest_id(connection)
+    for name, watermark in connection.execute(
+        select(campaigns.c.id, campaigns.c.watermark).where(campaigns.c.watermark > newest).limit(5)
+    ):
+        yield f"campaign {name} may use runs up to {watermark}, and the newest is {newest}"
+
+
+def check_key_copies(connection: Connection) -> Iterator[str]:
+    """What reference keys say of their runs is what the runs say."""
+    key = reference_keys.c
+    joined = (
+        reference_keys.outerjoin(reference_indexes, reference_indexes.c.id == key.index_id)
+        .outerjoin(runs, (runs.c.id == key.run_id) & (runs.c.setup_id == reference_indexes.c.setup_id))
+        .outerjoin(ratings, (ratings.c.run_id == key.run_id) & (ratings.c.evaluator == reference_indexes.c.evaluator))
+    )
+    differs = or_(
+        ratings.c.run_id.is_(None),
+        runs.c.id.is_(None),
+        key.run_id > reference_indexes.c.run_id,
+        key.since > reference_indexes.c.run_id,
+        key.since != ratings.c.since,
+        key.evaluation_id != runs.c.evaluation_id,
+        key.score != ratings.c.score,
+        key.rating != ratings.c.rating,
+        key.failure.is_distinct_from(runs.c.failure),
+    )
+    count = connection.execute(select(func.count()).select_from(joined).where(differs)).scalar_one()
+    if count:
+        yield f"{count:,} reference keys differ from the runs that they stand for"
+
+
+def check_comparisons(connection: Connection) -> Iterator[str]:
+    """Runs are calibrations of a comparison, which see nobody else's results, and rest and end with it; it has some, and counts what they
+    do once it has succeeded."""
+    run, comparison = campaigns.alias("run"), campaigns.alias("comparison")
+    joined = run.outerjoin(comparison, comparison.c.sequence == run.c.parent_sequence)
+    belonging = select(run.c.id).select_from(joined).where(run.c.parent_sequence.is_not(None))
+    open_run, open_comparison = run.c.state.not_in(ENDED), comparison.c.state.not_in(ENDED)
+    for sentence, broken in (
+        ("belongs to no comparison that is there", comparison.c.sequence.is_(None) | (comparison.c.kind != "comparison")),
+        ("is a run of a comparison, and no calibration", run.c.kind != "calibration"),
+        ("is a run of a comparison, and sees results of others", run.c.watermark != 0),
+        ("goes on, and its comparison has ended", open_run & ~open_comparison),
+        (
+            "has begun, and its comparison has not",
+            run.c.started_at.is_not(None) & comparison.c.started_at.is_(None) & open_comparison,
+        ),
+        (
+            "runs, and its comparison rests",
+            (run.c.state == CampaignState.RUNNING) & (comparison.c.state == CampaignState.PAUSED),
+        ),
+    ):
+        for name in connection.scalars(belonging.where(broken)):
+            yield f"campaign {name} {sentence}"
+    of_it = exists().where(run.c.parent_sequence == comparison.c.sequence)
+    for name in connection.scalars(select(comparison.c.id).where(comparison.c.kind == "comparison", ~of_it)):
+        yield f"comparison {name} has no runs"
+    yield from _wrong_sums(connection)
+
+
+def _wrong_sums(connection: Connection) -> Iterator[str]:
+    """Where a comparison has succeeded: until then its sums may be a second behind."""
+    ended = campaigns.alias("ended")
+    succeeded = (ended.c.kind == "comparison") & (ended.c.state == CampaignState.SUCCEEDED)
+    for one in connection.execute(
+        select(ended.c.sequence, ended.c.id, ended.c.cells, ended.c.sensitivity_cells).where(succeeded)
+    ):
+        found: dict[str, Counter[str]] = {"cells": Counter(), "sensitivity_cells": Counter()}
+        query = select(campaigns.c.cells, campaigns.c.sensitivity_cells).where(campaigns.c.parent_sequence == one.sequence)
+        for run in connection.execute(query.execution_options(yield_per=ROWS)):
+            found["cells"].update(run.cells)
+            found["sensitivity_cells"].update(run.sensitivity_cells)
+        for name, counted in found.items():
+            for part, count in getattr(one, name).items():
+                if count != counted[part]:
+                    yield f"comparison {one.id} counts {count} {part} in its {name}, its runs {counted[part]}"
+
+
+INVARIANTS: dict[str, Check] = {
+    "counters": check_counters,
+    "ended campaigns": check_ended,
+    "answered cells": check_answers,
+    "references": check_references,
+    "copies in reference keys": check_key_copies,
+    "comparisons": check_comparisons,
+}

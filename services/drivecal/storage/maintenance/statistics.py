@@ -1,0 +1,151 @@
+"""What is going on in the whole database, cheaply: asked for every few seconds, and never reads a table in full.
+
+What has ended never changes, so it is added up once and carried along in a `Tally`; from one look to the next only campaigns that are
+open, or new, are read.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from datetime import timedelta
+from typing import Any, NamedTuple
+
+from sqlalchemy import Connection, func, select
+
+from drivecal.domain.campaigns import Stage
+from drivecal.domain.evaluations import Outcome
+from drivecal.storage import processes
+from drivecal.storage.engine.bulk import among
+from drivecal.storage.engine.tables import campaigns, leases
+from drivecal.storage.engine.types import now
+from drivecal.storage.processes import StoredProcess
+from drivecal.storage.references import runs
+
+ROWS_AT_A_TIME = 2000
+SETTLED_AFTER = timedelta(minutes=1)
+"""Campaigns are numbered before they are committed, so one may become visible after a later one: within this time, amply."""
+
+
+class CampaignKey(NamedTuple):
+    """Which campaigns are counted together."""
+
+    kind: str
+    state: str
+
+
+class CellKey(NamedTuple):
+    """Which cells are counted together: `stage` is `evaluation` for single evaluations."""
+
+    stage: str
+    outcome: str
+
+
+@dataclass(frozen=True, slots=True)
+class Sums:
+    """Over campaigns: how many there are, their cells by outcome, cells that wait, and the seconds their simulations took."""
+
+    campaigns: Counter[CampaignKey] = field(default_factory=Counter)
+    cells: Counter[CellKey] = field(default_factory=Counter)
+    pending: Counter[str] = field(default_factory=Counter)
+    simulating_seconds: float = 0.0
+
+    def plus(self, rows: Iterable[Any]) -> Sums:
+        """These and some campaigns more."""
+        found = Sums(self.campaigns.copy(), self.cells.copy(), self.pending.copy())
+        seconds = self.simulating_seconds
+        for row in rows:
+            found.campaigns[CampaignKey(row.kind, row.state)] += 1
+            if row.kind == "comparison":  # which sums up what its runs count
+                continue
+            seconds += row.simulating_seconds
+            for stage, counts in _counts(row):
+                for outcome in Outcome:
+                    found.cells[CellKey(stage, outcome)] += counts.get(outcome, 0)
+                if row.ended_at is None:
+                    found.pending[stage] += counts.get("pending", 0)
+        return Sums(found.campaigns, found.cells, found.pending, seconds)
+
+
+@dataclass(frozen=True, slots=True)
+class Tally:
+    """What needs not be read again: the sums over ended campaigns up to number `settled`, and which ones up to there are `open`."""
+
+    settled: int = 0
+    open: tuple[int, ...] = ()
+    ended: Sums = field(default_factory=Sums)
+
+
+@dataclass(frozen=True, slots=True)
+class Statistics:
+    """Of the whole database at one moment."""
+
+    sums: Sums
+    leases: int
+    """Cells at workers."""
+    largest_run: int
+    """The number of the newest run in the reference table: how many there are, or, on PostgreSQL, a little more."""
+    dispatcher: StoredProcess | None
+
+
+def read(connection: Connection, tally: Tally) -> tuple[Statistics, Tally]:
+    """The statistics, and the tally to ask with the next time."""
+    sums, following = _advance(connection, tally)
+    dispatcher = processes.read(connection, processes.DISPATCHER)
+    out = 0
+    if dispatcher is not None:  # as many as are at workers, and those that broke down: never many
+        current = (leases.c.term == dispatcher.term) & (leases.c.expires_at > now())
+        out = connection.scalar(select(func.count()).select_from(leases).where(current)) or 0
+    return Statistics(sums, out, runs.largest_id(connection), dispatcher), following
+
+
+def _advance(connection: Connection, tally: Tally) -> tuple[Sums, Tally]:
+    looked_at: list[Any] = [
+        row for part in among(connection, campaigns.c.sequence, tally.open) for row in connection.execute(_QUERY.where(part))
+    ]
+    ended = tally.ended.plus(row for row in looked_at if row.ended_at is not None)
+    still_open: list[Any] = [row for row in looked_at if row.ended_at is None]
+    settled, last = tally.settled, tally.settled
+    recent: list[Any] = []
+    horizon = now() - SETTLED_AFTER
+    while True:
+        following = _QUERY.where(campaigns.c.sequence > last).order_by(campaigns.c.sequence).limit(ROWS_AT_A_TIME)
+        page = connection.execute(following).all()
+        old = 0
+        if not recent:
+            old = next((index for index, row in enumerate(page) if row.created_at > horizon), len(page))
+        ended = ended.plus(row for row in page[:old] if row.ended_at is not None)
+        still_open += [row for row in page[:old] if row.ended_at is None]
+        recent += page[old:]
+        settled = page[old - 1].sequence if old else settled
+        if len(page) < ROWS_AT_A_TIME:
+            break
+        last = page[-1].sequence
+    return ended.plus([*still_open, *recent]), Tally(settled, tuple(row.sequence for row in still_open), ended)
+
+
+def _counts(row: Any) -> Iterable[tuple[str, Mapping[str, int]]]:
+    """The counts of a campaign's cells by stage."""
+    if row.kind != "calibration":
+        return [(row.kind, row.cells)]
+    return [
+        (Stage.SENSITIVITY, row.sensitivity_cells),
+        (Stage.CALIBRATION, row.cells),
+        (Stage.ROBUSTNESS, row.robustness_cells or {}),
+        (Stage.VALIDATION, row.validation_cells or {}),
+    ]
+
+
+_QUERY = select(
+    campaigns.c.sequence,
+    campaigns.c.kind,
+    campaigns.c.state,
+    campaigns.c.cells,
+    campaigns.c.sensitivity_cells,
+    campaigns.c.robustness_cells,
+    campaigns.c.validation_cells,
+    campaigns.c.simulating_seconds,
+    campaigns.c.created_at,
+    campaigns.c.ended_at,
+)

@@ -1,0 +1,166 @@
+"""Copies all rows of one database into another of the same revision, SQLite or PostgreSQL, in bounded memory.
+
+Tables are looked up in the databases and not in `tables`, so that databases of earlier revisions can be copied too. Between the two,
+values are as SQLite stores them: JSON as its text, moments as text in UTC, truth as 0 and 1. So what was copied there and back is
+the same, bit by bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from itertools import islice
+from typing import Any
+
+from sqlalchemy import (
+    JSON,
+    BigInteger,
+    Boolean,
+    Column,
+    Connection,
+    DateTime,
+    Float,
+    Integer,
+    LargeBinary,
+    MetaData,
+    SmallInteger,
+    String,
+    Table,
+    func,
+    inspect,
+    select,
+    text,
+)
+
+from drivecal.domain.errors import DatabaseError
+from drivecal.storage.engine import urls
+from drivecal.storage.engine.failures import translated
+from drivecal.storage.engine.schema import REVISION_TABLE
+
+CHUNK = 20_000
+"""Rows that are in memory at a time, and in one COPY of PostgreSQL, which remembers each row until its foreign keys are checked."""
+
+Progress = Callable[[str, int, int], None]
+"""Told every now and then: the table, how many of its rows are copied, and how many it has."""
+
+
+def tables_of(connection: Connection) -> list[Table]:
+    """The tables of a database but that of its revision, in an order in which they can be filled."""
+    return _reflected(connection, [name for name in inspect(connection).get_table_names() if name != REVISION_TABLE])
+
+
+def _reflected(connection: Connection, names: Sequence[str]) -> list[Table]:
+    metadata = MetaData()
+    metadata.reflect(connection, only=names)
+    return metadata.sorted_tables
+
+
+def count_rows(connection: Connection, tables: Sequence[Table]) -> dict[str, int]:
+    """How many rows there are, by table."""
+    return {table.name: connection.execute(select(func.count()).select_from(table)).scalar_one() for table in tables}
+
+
+def copy_rows(source: Connection, target: Connection, progress: Progress) -> dict[str, int]:
+    """Copies all rows and the numbers that the next rows get; says how many rows there were by table. The target has its tables, and no
+    rows yet. Raises DatabaseError where the source lacks one of the target's tables."""
+    names = [table.name for table in tables_of(target)]
+    missing = sorted(set(names) - set(inspect(source).get_table_names()))
+    if missing:
+        raise DatabaseError(f"{urls.shown(source.engine.url)} lacks tables of its revision: {', '.join(missing)}")
+    tables = _reflected(source, names)
+    counts = count_rows(source, tables)
+    for table in tables:
+        done = 0
+        rows = _read(source, table)
+        while chunk := _some(source, rows):
+            with translated(urls.shown(target.engine.url)):
+                _write(target, table, chunk)
+            done += len(chunk)
+            progress(table.name, done, counts[table.name])
+    _set_sequences(target, last_numbers(source, tables))
+    return counts
+
+
+def _some(source: Connection, rows: Iterator[tuple[Any, ...]]) -> list[tuple[Any, ...]]:
+    with translated(urls.shown(source.engine.url)):  # here, or what is wrong with one database would be said of the other
+        return list(islice(rows, CHUNK))
+
+
+def _read(connection: Connection, table: Table) -> Iterator[tuple[Any, ...]]:
+    order = ", ".join(column.name for column in table.primary_key)
+    driver: Any = connection.connection.driver_connection
+    if connection.dialect.name != "postgresql":
+        names = ", ".join(column.name for column in table.columns)
+        yield from driver.execute(f"SELECT {names} FROM {table.name} ORDER BY {order}")  # noqa: S608  # the database's own names
+        return
+    columns = [_neutral(column) for column in table.columns]
+    query = f"SELECT {', '.join(one for one, _ in columns)} FROM {table.name} ORDER BY {order}"  # noqa: S608  # the same
+    with driver.cursor() as cursor, cursor.copy(f"COPY ({query}) TO STDOUT (FORMAT BINARY)") as copy:
+        copy.set_types([kind for _, kind in columns])
+        yield from copy.rows()
+
+
+def _neutral(column: Column[Any]) -> tuple[str, str]:
+    """An expression of PostgreSQL for what SQLite would store, and its type."""
+    if isinstance(column.type, JSON):
+        return f"{column.name}::text", "text"
+    if isinstance(column.type, DateTime):
+        return f"to_char({column.name} AT TIME ZONE 'UTC', 'YYYY-MM-DD HH24:MI:SS.US')", "text"
+    if isinstance(column.type, Boolean):
+        return f"{column.name}::int", "int4"
+    kinds = {LargeBinary: "bytea", SmallInteger: "int2", BigInteger: "int8", Integer: "int4", Float: "float8", String: "text"}
+    return column.name, next(name for kind, name in kinds.items() if isinstance(column.type, kind))
+
+
+def _write(connection: Connection, table: Table, rows: Sequence[tuple[Any, ...]]) -> None:
+    names = ", ".join(column.name for column in table.columns)
+    driver: Any = connection.connection.driver_connection
+    if connection.dialect.name == "postgresql":
+        connection.execute(text("SET LOCAL TIME ZONE 'UTC'"))  # in which it reads moments that name none
+        with driver.cursor() as cursor, cursor.copy(f"COPY {table.name} ({names}) FROM STDIN") as copy:
+            for row in rows:
+                copy.write_row(row)
+    else:
+        marks = ", ".join("?" for _ in table.columns)
+        driver.executemany(f"INSERT INTO {table.name} ({names}) VALUES ({marks})", rows)  # noqa: S608  # the database's own names
+
+
+def last_numbers(connection: Connection, tables: Sequence[Table]) -> dict[str, int]:
+    """The last number that was given out, by table. Numbers of rows that are gone (events) must not come again."""
+    found: dict[str, int] = {}
+    for table in tables:
+        if connection.dialect.name == "postgresql":
+            sequence = _postgresql_sequence(connection, table.name)
+            if sequence is not None:
+                last, called = connection.execute(text(f"SELECT last_value, is_called FROM {sequence}")).one()  # noqa: S608  # its own
+                found[table.name] = last if called else 0
+        elif _counts(connection):
+            query = text("SELECT seq FROM sqlite_sequence WHERE name = :name")
+            found[table.name] = connection.scalar(query, {"name": table.name}) or 0
+    return {name: last for name, last in found.items() if last}
+
+
+def _set_sequences(connection: Connection, last: dict[str, int]) -> None:
+    for table, value in last.items():
+        values = {"name": table, "value": value}
+        if connection.dialect.name == "postgresql":
+            sequence = _postgresql_sequence(connection, table)
+            connection.execute(text("SELECT setval(CAST(:name AS regclass), :value)"), values | {"name": sequence})
+        else:  # it counted the rows that were just inserted
+            changed = connection.execute(text("UPDATE sqlite_sequence SET seq = :value WHERE name = :name"), values)
+            if not changed.rowcount:
+                connection.execute(text("INSERT INTO sqlite_sequence (name, seq) VALUES (:name, :value)"), values)
+
+
+def _postgresql_sequence(connection: Connection, table: str) -> str | None:
+    """The sequence that numbers a table's rows; None where nothing does."""
+    query = text(
+        "SELECT pg_get_serial_sequence(:table, attname) FROM pg_attribute WHERE attrelid = CAST(:table AS regclass) AND attnum > 0"
+        " AND NOT attisdropped AND pg_get_serial_sequence(:table, attname) IS NOT NULL"
+    )
+    found: str | None = connection.scalar(query, {"table": table})
+    return found
+
+
+def _counts(connection: Connection) -> bool:
+    """Whether SQLite has its table of sequences: it comes with the first table that is numbered without gaps."""
+    return bool(connection.scalar(text("SELECT count(*) FROM sqlite_master WHERE name = 'sqlite_sequence'")))

@@ -1,0 +1,94 @@
+"""Influence maps: where parameters matter, from expert knowledge or from an analysis."""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import Connection, Row, select
+
+from drivecal.domain.errors import NotFoundError
+from drivecal.storage.engine import cursors
+from drivecal.storage.engine.identifiers import is_identifier
+from drivecal.storage.engine.tables import influence_maps
+from drivecal.storage.engine.types import now
+
+
+@dataclass(frozen=True, slots=True)
+class StoredInfluenceMap:
+    """An influence map as it is stored. `sequence` names it in the functions of `reference_keys`."""
+
+    sequence: int
+    id: str
+    name: str
+    source: str
+    driving_function: str
+    parameters: Any
+    """The parameters that it was made for, or checked against, with their grids, as a JSON document."""
+    scenarios: Mapping[str, Any]
+    """By scenario and parameter, as a JSON document."""
+    basis: Mapping[str, Any] | None
+    """What an analysis rests on: fixed values, setups, evaluator, settings; None where a user posted the map."""
+    created_at: datetime
+
+
+def insert(
+    connection: Connection,
+    *,
+    name: str,
+    source: str,
+    driving_function: str,
+    parameters: Any,
+    scenarios: Mapping[str, Any],
+    basis: Mapping[str, Any] | None = None,
+) -> StoredInfluenceMap:
+    """Stores a map; `parameters` and `scenarios` are JSON documents."""
+    statement = influence_maps.insert().values(
+        id=uuid.uuid4().hex,
+        name=name,
+        source=source,
+        driving_function=driving_function,
+        parameters=parameters,
+        scenarios=dict(scenarios),
+        basis=None if basis is None else dict(basis),
+        created_at=now(),
+    )
+    return _influence_map(connection.execute(statement.returning(influence_maps)).one())
+
+
+def get(connection: Connection, influence_map_id: str) -> StoredInfluenceMap:
+    """A map by its id. Raises NotFoundError."""
+    row = None
+    if is_identifier(influence_map_id):
+        row = connection.execute(select(influence_maps).where(influence_maps.c.id == influence_map_id)).one_or_none()
+    if row is None:
+        raise NotFoundError("influence map", influence_map_id)
+    return _influence_map(row)
+
+
+def page(connection: Connection, *, limit: int = 50, cursor: str | None = None) -> tuple[list[StoredInfluenceMap], str | None]:
+    """At most `limit` maps, newest first, and the cursor of the next page (None on the last). Raises InvalidInputError."""
+    query = select(influence_maps).order_by(influence_maps.c.sequence.desc()).limit(limit + 1)
+    if cursor is not None:
+        (before,) = cursors.decode(cursor, int)
+        query = query.where(influence_maps.c.sequence < before)
+    found = [_influence_map(row) for row in connection.execute(query)]
+    following = cursors.encode(found[limit - 1].sequence) if len(found) > limit else None
+    return found[:limit], following
+
+
+def _influence_map(row: Row[Any]) -> StoredInfluenceMap:
+    return StoredInfluenceMap(
+        sequence=row.sequence,
+        id=row.id,
+        name=row.name,
+        source=row.source,
+        driving_function=row.driving_function,
+        parameters=row.parameters,
+        scenarios=row.scenarios,
+        basis=row.basis,
+        created_at=row.created_at,
+    )

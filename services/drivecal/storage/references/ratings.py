@@ -1,0 +1,102 @@
+"""Ratings of stored runs by other evaluators than the one that rated them first.
+
+They follow from the metrics that are stored with a run, so that whether an evaluator has an opinion of a run does not depend on when,
+or for which campaign, it was asked. (Ratings that a run is simulated again for are written down by `runs.insert_results`.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from sqlalchemy import Connection, case, exists, func, select
+
+from drivecal.domain.evaluations import Rating
+from drivecal.storage.engine.bulk import among
+from drivecal.storage.engine.bulk import insert as insert_into
+from drivecal.storage.engine.tables import campaigns, ratings, runs
+
+
+def are_all_by(connection: Connection, evaluator: str) -> bool:
+    """True where every campaign that may have simulated anything used `evaluator` ("name version"): it has rated every run then, for
+    results are stored with their ratings. Found without looking at the runs, of which there may be millions."""
+    used = func.coalesce(campaigns.c.resolution["evaluator"].as_string(), "")
+    others = exists().where(campaigns.c.started_at.is_not(None), campaigns.c.kind != "comparison", used != evaluator)
+    return not connection.scalar(select(others))
+
+
+@dataclass(frozen=True, slots=True)
+class UnratedRun:
+    """A run that an evaluator has not rated; a metric is None where it was not finite."""
+
+    id: int
+    metrics: Mapping[str, float | None]
+    failure: str | None
+
+
+def unrated(
+    connection: Connection,
+    setup_id: int,
+    evaluator: str,
+    *,
+    after: int,
+    upto: int,
+    limit: int,
+    parameter_set_id: int | None = None,
+    only_failed: bool = False,
+) -> list[UnratedRun]:
+    """At most `limit` of a setup's runs, `after` < id <= `upto`, that `evaluator` ("name version") has not rated, ordered by id;
+    with `parameter_set_id` only that of this parameter set."""
+    rated = exists().where(ratings.c.run_id == runs.c.id, ratings.c.evaluator == evaluator)
+    query = (
+        select(runs.c.id, runs.c.metrics, runs.c.failure)
+        .where(runs.c.setup_id == setup_id, runs.c.id > after, runs.c.id <= upto, ~rated)
+        .order_by(runs.c.id)
+        .limit(limit)
+    )
+    if parameter_set_id is not None:
+        query = query.where(runs.c.parameter_set_id == parameter_set_id)
+    if only_failed:
+        query = query.where(runs.c.failure.is_not(None))
+    return [UnratedRun(row.id, row.metrics, row.failure) for row in connection.execute(query)]
+
+
+@dataclass(frozen=True, slots=True)
+class RatingCoverage:
+    """How many runs that were simulated for other evaluators this one has rated by what is stored of them (`anew`), how many runs were
+    simulated again for it (`again`), and how many it has not rated (`missing`)."""
+
+    anew: int
+    again: int
+    missing: int
+
+
+def standing(connection: Connection, setup_ids: Sequence[int], evaluator: str, watermark: int) -> RatingCoverage:
+    """Of the runs in these setups and their ratings by `evaluator` ("name version"), both up to `watermark`."""
+    seen, later = ratings.c.since <= watermark, ratings.c.since > 0
+    joined = runs.outerjoin(ratings, (ratings.c.run_id == runs.c.id) & (ratings.c.evaluator == evaluator) & seen)
+    query = (
+        select(runs.c.campaign_sequence, func.count(), func.count(ratings.c.run_id), func.count(case((later, 1))))
+        .select_from(joined)
+        .where(runs.c.setup_id.in_(setup_ids), runs.c.id <= watermark)
+        .group_by(runs.c.campaign_sequence)
+    )
+    counted = connection.execute(query).all()
+    anew, again, missing = 0, 0, 0
+    used: dict[int, str] = {}
+    for condition in among(connection, campaigns.c.sequence, [row[0] for row in counted]):
+        rows = connection.execute(select(campaigns.c.sequence, campaigns.c.resolution).where(condition))
+        used |= {sequence: (resolution or {}).get("evaluator", evaluator) for sequence, resolution in rows}
+    for sequence, every, rated, repeated in counted:
+        anew += rated - repeated if used.get(sequence) != evaluator else 0
+        again += repeated
+        missing += every - rated
+    return RatingCoverage(anew, again, missing)
+
+
+def insert(connection: Connection, evaluator: str, found: Sequence[tuple[int, Rating]]) -> None:
+    """Stores an evaluator's ratings of runs by their id; one that is there already stays."""
+    rows = [{"run_id": one, "evaluator": evaluator, "score": rating.score, "rating": rating.rating} for one, rating in found]
+    if rows:
+        statement = insert_into(connection, ratings).on_conflict_do_nothing(index_elements=["run_id", "evaluator"])
+        connection.execute(statement, rows)

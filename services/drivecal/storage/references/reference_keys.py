@@ -1,0 +1,230 @@
+"""Reference keys of stored runs under an influence map: one indexed look-up answers a population (Figure 6 of the paper).
+
+Which reference answers a key must not depend on when keys were computed, nor on what other campaigns store meanwhile: of the runs up
+to a campaign's watermark, the first in the order of (campaign, stage, iteration, individual) wins. Runs are stored in the order in
+which workers finish, so the first one may come late. Therefore a key keeps each run that comes before all runs of a smaller id: the
+last of those up to the watermark is the winner, for every watermark. A run whose rating is younger than itself has, in all of this, the
+number of its rating (`since`) in place of its id.
+
+What a donor gives (evaluation, score, rating, failure) is copied to its key, since neither a run nor its ratings ever change: so a look-up
+reads one tree only, and not the rows of runs, which are ten times as large and lie all over the table.
+
+Keys are indexed for each evaluator apart, of the runs that it has rated: one that it cannot rate answers nothing, and must not hide a
+later one that it can. Which it can rate follows from what is stored up to a campaign's watermark (`runs.insert_results`), so it is the same
+for everybody.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import chain
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from sqlalchemy import Connection, Row, Select, SmallInteger, func, select, type_coerce
+
+from drivecal.domain.evaluations import Donor
+from drivecal.storage.engine.bulk import among, insert
+from drivecal.storage.engine.database import Database
+from drivecal.storage.engine.tables import parameter_sets as parameter_sets_table
+from drivecal.storage.engine.tables import ratings, reference_indexes, reference_keys, runs
+from drivecal.storage.references import parameter_sets
+
+KeyFunction = Callable[[tuple[str, ...], npt.NDArray[np.int64]], Sequence[bytes]]
+"""From names and values in billionths, shape (n, n_p), to n keys of 16 bytes."""
+CHUNK = 50_000
+"""Runs per transaction: some 100 MB of memory, and other writers wait for about a second."""
+
+_ORIGIN = (
+    runs.c.campaign_sequence,
+    type_coerce(runs.c.stage, SmallInteger),  # by its number: stages are ordered as they run, not by name
+    runs.c.iteration,
+    runs.c.individual,
+)
+_COPIED = (runs.c.evaluation_id, ratings.c.score, ratings.c.rating, runs.c.failure, ratings.c.since)
+
+
+def look_up(
+    connection: Connection, influence_map_sequence: int, setup_id: int, keys: Sequence[bytes], evaluator: str, watermark: int
+) -> dict[bytes, Donor]:
+    """The first references of `keys` among the runs that `evaluator` rated, both up to `watermark`. To be called after `sync`."""
+    index = connection.scalar(_index(influence_map_sequence, setup_id, evaluator))
+    newest: dict[bytes, tuple[int, Donor]] = {}
+    if index is None:
+        return {}
+    one = reference_keys.c
+    for condition in among(connection, one.key, sorted(keys)):  # in the order of the tree
+        query = select(one.key, one.since, one.evaluation_id, one.run_id, one.score, one.rating, one.failure).where(
+            one.index_id == index, condition, one.run_id <= watermark, one.since <= watermark
+        )
+        for key, since, *donor in connection.execute(query).all():
+            number = since or donor[1]
+            if key not in newest or number > newest[key][0]:
+                newest[key] = number, Donor(*donor)
+    return {key: donor for key, (_, donor) in newest.items()}
+
+
+def sync(
+    database: Database,
+    influence_map_sequence: int,
+    setup_id: int,
+    evaluator: str,
+    upto_run_id: int,
+    key_function: KeyFunction,
+    chunk: int = CHUNK,
+) -> int:
+    """Computes the missing keys of one setup's runs up to `upto_run_id`, of those that `evaluator` rated; says of how many runs.
+
+    To be called when the evaluator has rated them (`ratings`): one that it rates later is not looked at again. Works
+    in transactions of `chunk` runs and goes on where it was interrupted.
+    """
+    total = 0
+    while True:
+        with database.transaction() as connection:
+            index = _ensure_index(connection, influence_map_sequence, setup_id, evaluator)
+            done = _sync_chunk(connection, index, setup_id, evaluator, upto_run_id, key_function, chunk)
+        total += done
+        if done < chunk:
+            return total
+
+
+def indexes(connection: Connection) -> list[Row[Any]]:
+    """What keys there are: rows of id, influence_map_sequence, setup_id, evaluator and run_id, up to which they are there."""
+    return list(connection.execute(select(reference_indexes).order_by(reference_indexes.c.id)))
+
+
+def wrong_keys(connection: Connection, index: Row[Any], key_function: KeyFunction, every: int, chunk: int = CHUNK) -> int:
+    """How many of one index's rows would be other ones if they were made anew; looks at each `every`-th run only.
+
+    A run has to have its row where no run of a smaller number comes earlier in the order of origins under the same key, and none elsewhere.
+    """
+    wrong = found = after = 0
+    while rows := _rated(connection, index.setup_id, index.evaluator, after, index.run_id, chunk, every):
+        keys = _keys(rows, key_function)
+        stored = _stored(connection, index.id, sorted(set(keys)))
+        for key, row in zip(keys, rows, strict=True):
+            place, others = _place(row), stored.get(key, {})
+            number = _number(row)
+            first = all(at > number or place < earlier for other, (at, earlier) in others.items() if other != row.id)
+            wrong += first != (row.id in others)
+            found += row.id in others
+        after = _number(rows[-1])
+    there = select(func.count()).where(reference_keys.c.index_id == index.id, reference_keys.c.run_id % every == 0)
+    return wrong + abs(connection.execute(there).scalar_one() - found)
+
+
+def _sync_chunk(
+    connection: Connection, index: int, setup_id: int, evaluator: str, upto: int, key_function: KeyFunction, chunk: int
+) -> int:
+    since = _since(connection, index)
+    rows = _rated(connection, setup_id, evaluator, since, upto, chunk)
+    if rows:
+        keys = _keys(rows, key_function)
+        first = {} if since == 0 else _first(connection, index, sorted(set(keys)))
+        records: list[tuple[Any, ...]] = []
+        for key, row in zip(keys, rows, strict=True):
+            place = _place(row)
+            if key not in first or place < first[key]:
+                first[key] = place
+                records.append((index, key, *row[: 1 + len(_COPIED)]))
+        _insert(connection, sorted(records))  # no two have the same index, key and run
+    reached = max(_number(rows[-1]) if len(rows) == chunk else upto, since)
+    connection.execute(reference_indexes.update().where(reference_indexes.c.id == index).values(run_id=reached))
+    return len(rows)
+
+
+def _rated(
+    connection: Connection, setup_id: int, evaluator: str, after: int, upto: int, chunk: int, every: int = 1
+) -> Sequence[Row[Any]]:
+    """Of the next `chunk` runs that the evaluator rated, in the order of their numbers: id, what their keys copy, origin, parameter set."""
+    query = (
+        select(runs.c.id, *_COPIED, *_ORIGIN, parameter_sets_table.c.parameter_values)
+        .join(parameter_sets_table)
+        .join(ratings, (ratings.c.run_id == runs.c.id) & (ratings.c.evaluator == evaluator))
+        .limit(chunk)
+    )
+    if every != 1:
+        query = query.where(runs.c.id % every == 0)
+    first = query.where(runs.c.setup_id == setup_id, ratings.c.since == 0, runs.c.id > after, runs.c.id <= upto)
+    # "+ 0", or SQLite would go through all runs of the setup in search of the few late ratings, which have an index of their own
+    late = query.where(runs.c.setup_id + 0 == setup_id, ratings.c.since > 0, ratings.c.since > after, ratings.c.since <= upto)
+    both = connection.execute(first.order_by(runs.c.id)), connection.execute(late.order_by(ratings.c.since))
+    return sorted(chain(*both), key=_number)[:chunk]
+
+
+def _number(row: Row[Any]) -> int:
+    """From which watermark on a row of `_rated` is seen."""
+    number: int = row.since or row.id
+    return number
+
+
+def _place(row: Row[Any]) -> tuple[int, ...]:
+    """The origin of a row of `_rated`."""
+    return tuple(row[1 + len(_COPIED) : -1])
+
+
+def _index(influence_map: int, setup_id: int, evaluator: str) -> Select[int]:
+    return select(reference_indexes.c.id).where(
+        reference_indexes.c.influence_map_sequence == influence_map,
+        reference_indexes.c.setup_id == setup_id,
+        reference_indexes.c.evaluator == evaluator,
+    )
+
+
+def _ensure_index(connection: Connection, influence_map: int, setup_id: int, evaluator: str) -> int:
+    found = connection.scalar(_index(influence_map, setup_id, evaluator))
+    if found is not None:
+        return found
+    row = {"influence_map_sequence": influence_map, "setup_id": setup_id, "evaluator": evaluator, "run_id": 0}
+    connection.execute(insert(connection, reference_indexes).on_conflict_do_nothing(), row)
+    return connection.execute(_index(influence_map, setup_id, evaluator)).scalar_one()
+
+
+def _since(connection: Connection, index: int) -> int:
+    """Up to which run keys are there. Locks the row, so that one process syncs at a time."""
+    query = select(reference_indexes.c.run_id).where(reference_indexes.c.id == index).with_for_update()
+    since: int = connection.execute(query).scalar_one()
+    return since
+
+
+def _keys(rows: Sequence[Row[Any]], key_function: KeyFunction) -> list[bytes]:
+    keys = [b""] * len(rows)
+    for names, positions, values in parameter_sets.parse([row.parameter_values for row in rows]):
+        for position, key in zip(positions, key_function(names, values), strict=True):
+            keys[position] = key
+    return keys
+
+
+def _first(connection: Connection, index: int, keys: Sequence[bytes]) -> dict[bytes, tuple[int, ...]]:
+    """The earliest origin of each key that is there already."""
+    return {key: min(place for _, place in stored.values()) for key, stored in _stored(connection, index, keys).items()}
+
+
+def _stored(connection: Connection, index: int, keys: Sequence[bytes]) -> dict[bytes, dict[int, tuple[int, tuple[int, ...]]]]:
+    """The numbers and origins of keys that are there already, by key and run."""
+    found: dict[bytes, dict[int, tuple[int, tuple[int, ...]]]] = {}
+    for condition in among(connection, reference_keys.c.key, keys):
+        query = (
+            select(reference_keys.c.key, reference_keys.c.since, runs.c.id, *_ORIGIN)
+            .join(runs, runs.c.id == reference_keys.c.run_id)
+            .where(reference_keys.c.index_id == index, condition)
+        )
+        for key, since, run_id, *origin in connection.execute(query):
+            found.setdefault(key, {})[run_id] = since or run_id, tuple(origin)
+    return found
+
+
+def _insert(connection: Connection, rows: Sequence[tuple[Any, ...]]) -> None:
+    """By the drivers themselves: with a million rows, handing each through SQLAlchemy would take most of the time."""
+    if connection.dialect.name == "postgresql":
+        driver: Any = connection.connection.driver_connection
+        with driver.cursor() as cursor, cursor.copy(f"COPY {_COLUMNS} FROM STDIN (FORMAT BINARY)") as copy:
+            copy.set_types(["int8", "bytea", "int8", "int8", "int4", "float8", "text", "int8"])
+            for row in rows:
+                copy.write_row(row)
+    elif rows:
+        connection.exec_driver_sql(f"INSERT INTO {_COLUMNS} VALUES (?, ?, ?, ?, ?, ?, ?, ?)", rows)  # noqa: S608  # a constant
+
+
+_COLUMNS = "reference_keys (index_id, key, run_id, evaluation_id, score, rating, failure, since)"

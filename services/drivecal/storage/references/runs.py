@@ -1,0 +1,217 @@
+"""The reference table: simulated results, each (setup, parameter set) once, and their ratings by evaluator."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import repeat
+from typing import Any
+
+from sqlalchemy import Connection, func, select, text
+
+from drivecal.domain.campaigns import Stage
+from drivecal.domain.evaluations import Donor
+from drivecal.storage.engine.bulk import among, insert
+from drivecal.storage.engine.tables import ratings, runs, setups
+from drivecal.storage.engine.types import finite, now
+
+
+@dataclass(frozen=True, slots=True)
+class NewRun:
+    """A simulated result, rated by `evaluator` ("name version"), and the evaluation that it comes from."""
+
+    setup_id: int
+    parameter_set_id: int
+    metrics: Mapping[str, float]
+    failure: str | None
+    milliseconds: float
+    worker: str
+    evaluator: str
+    score: int
+    rating: float
+    evaluation_id: int
+    campaign_sequence: int
+    stage: Stage
+    iteration: int
+    individual: int
+    from_series: bool = False
+    """The rating says what the evaluator saw in the time series, and does not follow from the metrics."""
+
+
+@dataclass(frozen=True, slots=True)
+class StoredRun:
+    """What the reference table holds for a cell after `insert_results`: this result or an earlier one.
+
+    `agrees`: False where an earlier result of the same cell differs in any bit of metrics, failure or, by the same evaluator, score or
+    rating, so that something that decides runs is missing in the setup's fingerprint.
+    """
+
+    id: int
+    evaluation_id: int
+    agrees: bool
+
+
+def insert_results(connection: Connection, results: Sequence[NewRun]) -> list[StoredRun]:
+    """Stores results exactly once and says for each, in order, what is stored for its cell. The first result of a cell stays.
+
+    A rating is stored together with its run, or it follows from the run's stored metrics (`ratings`): then a campaign that sees the run
+    sees it too, whoever simulates what meanwhile. Only a rating `from_series` can be had by simulating a stored run again; where that gave
+    the stored bits, it is kept with a number of its own, so that campaigns see it which begin from now on, and no other.
+    """
+    if not results:
+        return []
+    new = _insert(connection, results)
+    _insert_ratings(connection, {(run, one.evaluator): one for run, one in new.values()}, repeat(0))
+    ids = {id(one): run for run, one in new.values()}
+    compared = iter(_compare(connection, [one for one in results if id(one) not in ids]))
+    return [StoredRun(ids[id(one)], one.evaluation_id, agrees=True) if id(one) in ids else next(compared) for one in results]
+
+
+def largest_id(connection: Connection) -> int:
+    """The number of the newest run, or of the newest rating of an older one: the watermark of a campaign that starts now. 0 for none."""
+    newest = connection.scalar(select(func.max(runs.c.id))) or 0
+    return max(newest, connection.scalar(select(func.max(ratings.c.since)).where(ratings.c.since > 0)) or 0)
+
+
+def stocked(connection: Connection, setup_ids: Collection[int]) -> set[int]:
+    """Those of some setups of which there are runs at all: one look for what would be a look-up for each."""
+    found: set[int] = set()
+    for condition in among(connection, setups.c.id, sorted(setup_ids)):
+        any_run = select(runs.c.id).where(runs.c.setup_id == setups.c.id).exists()
+        found.update(connection.scalars(select(setups.c.id).where(condition, any_run)))
+    return found
+
+
+def look_up_exact(
+    connection: Connection, setup_id: int, parameter_set_ids: Sequence[int], evaluator: str, watermark: int
+) -> dict[int, Donor]:
+    """The stored results of parameter sets in one setup, by parameter set id; of runs that `evaluator` rated, both up to `watermark`."""
+    found: dict[int, Donor] = {}
+    for condition in among(connection, runs.c.parameter_set_id, sorted(int(one) for one in parameter_set_ids)):
+        query = (
+            select(runs.c.parameter_set_id, runs.c.id, runs.c.evaluation_id, runs.c.failure, ratings.c.score, ratings.c.rating)
+            .join(ratings, (ratings.c.run_id == runs.c.id) & (ratings.c.evaluator == evaluator))
+            .where(runs.c.setup_id == setup_id, condition, runs.c.id <= watermark, ratings.c.since <= watermark)
+        )
+        for parameter_set_id, run, evaluation, failure, score, rating in connection.execute(query).all():
+            found[parameter_set_id] = Donor(evaluation, run, score, rating, failure)
+    return found
+
+
+def scores(connection: Connection, run_ids: Sequence[int], evaluator: str) -> dict[int, int]:
+    """The scores that an evaluator gave to runs, by their id. Runs that it has not rated are left out."""
+    return {run_id: score for (run_id, by), (score, _) in _ratings(connection, run_ids).items() if by == evaluator}
+
+
+def metrics(connection: Connection, run_ids: Sequence[int]) -> dict[int, dict[str, float | None]]:
+    """The measured metrics of runs by id, None for what was not finite. Ids that are not stored are left out."""
+    found: dict[int, dict[str, float | None]] = {}
+    for condition in among(connection, runs.c.id, [int(one) for one in run_ids]):
+        for row in connection.execute(select(runs.c.id, runs.c.metrics).where(condition)):
+            found[row.id] = row.metrics
+    return found
+
+
+def _insert(connection: Connection, results: Sequence[NewRun]) -> dict[tuple[int, int], tuple[int, NewRun]]:
+    """Stores results of cells that have none: by cell, the run's id and the result that it is."""
+    created_at = now()
+    statement = insert(connection, runs).on_conflict_do_nothing(index_elements=["setup_id", "parameter_set_id"])
+    inserted = connection.execute(
+        statement.returning(runs.c.setup_id, runs.c.parameter_set_id, runs.c.id), [_row(one, created_at) for one in results]
+    )
+    firsts: dict[tuple[int, int], NewRun] = {}
+    for one in results:
+        firsts.setdefault(_key(one), one)
+    return {(setup, parameter_set): (run, firsts[setup, parameter_set]) for setup, parameter_set, run in inserted}
+
+
+def _compare(connection: Connection, results: Sequence[NewRun]) -> list[StoredRun]:
+    """What is stored for cells that had a result already, and whether these agree with it."""
+    if not results:
+        return []
+    known = _stored(connection, results)
+    stored = [known[_key(one)] for one in results]
+    repeats = [
+        run.failure == one.failure and run.metrics == finite(dict(one.metrics))
+        for run, one in zip(stored, results, strict=True)
+    ]
+    late: dict[tuple[int, str], NewRun] = {}
+    for run, one, same in zip(stored, results, repeats, strict=True):
+        if one.from_series and same and one.failure is None:
+            late.setdefault((run.id, one.evaluator), one)
+    standing = _ratings(connection, sorted({run.id for run in stored}))
+    missing = {key: one for key, one in late.items() if key not in standing}
+    _insert_ratings(connection, missing, _numbers(connection, len(missing)))
+    standing |= {key: (one.score, one.rating) for key, one in missing.items()}
+    return [
+        StoredRun(
+            id=run.id,
+            evaluation_id=run.evaluation_id,
+            agrees=same and standing.get((run.id, one.evaluator), (one.score, one.rating)) == (one.score, one.rating),
+        )
+        for run, one, same in zip(stored, results, repeats, strict=True)
+    ]
+
+
+def _key(one: NewRun) -> tuple[int, int]:
+    return one.setup_id, one.parameter_set_id
+
+
+def _row(one: NewRun, created_at: Any) -> dict[str, Any]:
+    return {
+        "setup_id": one.setup_id,
+        "parameter_set_id": one.parameter_set_id,
+        "metrics": dict(one.metrics),
+        "failure": one.failure,
+        "milliseconds": float(one.milliseconds),
+        "worker": one.worker,
+        "evaluation_id": one.evaluation_id,
+        "campaign_sequence": one.campaign_sequence,
+        "stage": one.stage,
+        "iteration": int(one.iteration),
+        "individual": int(one.individual),
+        "created_at": created_at,
+    }
+
+
+def _insert_ratings(connection: Connection, found: Mapping[tuple[int, str], NewRun], since: Iterable[int]) -> None:
+    """`since`: of each, in order."""
+    rows = [
+        {"run_id": run, "evaluator": evaluator, "score": int(one.score), "rating": float(one.rating), "since": number}
+        for ((run, evaluator), one), number in zip(found.items(), since, strict=False)
+    ]
+    if rows:
+        connection.execute(insert(connection, ratings).on_conflict_do_nothing(index_elements=["run_id", "evaluator"]), rows)
+
+
+def _numbers(connection: Connection, count: int) -> Sequence[int]:
+    """The next numbers of the sequence that numbers runs: no run will have them."""
+    if count == 0:
+        return ()
+    if connection.dialect.name == "postgresql":
+        query = text("SELECT nextval(pg_get_serial_sequence('runs', 'id')) FROM generate_series(1, :count)")
+        return sorted(connection.scalars(query, {"count": count}))
+    connection.execute(text("UPDATE sqlite_sequence SET seq = seq + :count WHERE name = 'runs'"), {"count": count})
+    last: int = connection.execute(text("SELECT seq FROM sqlite_sequence WHERE name = 'runs'")).scalar_one()
+    return range(last - count + 1, last + 1)
+
+
+def _stored(connection: Connection, results: Sequence[NewRun]) -> dict[tuple[int, int], Any]:
+    wanted: dict[int, list[int]] = {}
+    for one in results:
+        wanted.setdefault(one.setup_id, []).append(one.parameter_set_id)
+    columns = select(runs.c.setup_id, runs.c.parameter_set_id, runs.c.id, runs.c.evaluation_id, runs.c.failure, runs.c.metrics)
+    found: dict[tuple[int, int], Any] = {}
+    for setup_id, ids in wanted.items():
+        for condition in among(connection, runs.c.parameter_set_id, ids):
+            for row in connection.execute(columns.where(runs.c.setup_id == setup_id, condition)):
+                found[row.setup_id, row.parameter_set_id] = row
+    return found
+
+
+def _ratings(connection: Connection, run_ids: Sequence[int]) -> dict[tuple[int, str], tuple[int, float]]:
+    found: dict[tuple[int, str], tuple[int, float]] = {}
+    for condition in among(connection, ratings.c.run_id, run_ids):
+        for row in connection.execute(select(ratings).where(condition)):
+            found[row.run_id, row.evaluator] = (row.score, row.rating)
+    return found

@@ -1,0 +1,99 @@
+"""Looks at campaigns that cost next to nothing: whether they changed, and how far they are. No document is parsed that is not needed."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, fields
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import Connection, bindparam, select
+
+from drivecal.domain.actions import Action
+from drivecal.domain.campaigns import CampaignState, Stage
+from drivecal.domain.errors import NotFoundError
+from drivecal.storage.campaigns import Listed, listed
+from drivecal.storage.engine.bulk import among
+from drivecal.storage.engine.identifiers import is_identifier
+from drivecal.storage.engine.tables import campaigns, processes
+from drivecal.storage.processes import DISPATCHER
+
+
+@dataclass(frozen=True, slots=True)
+class CampaignRevision:
+    """What tells whether a campaign has changed: nothing of it does without its `revision`."""
+
+    sequence: int
+    id: str
+    state: CampaignState
+    requested_action: Action | None
+    revision: int
+    degraded: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class ProgressSnapshot(CampaignRevision):
+    """A glance, and what moves while a campaign runs; documents as they are stored."""
+
+    stage: Stage | None
+    iteration: int | None
+    progress: Mapping[str, Any]
+    cells: Mapping[str, Any]
+    sensitivity_cells: Mapping[str, Any]
+    robustness_cells: Mapping[str, Any] | None
+    validation_cells: Mapping[str, Any] | None
+    best: Mapping[str, Any] | None
+    simulating_seconds: float
+    started_at: datetime | None
+    ended_at: datetime | None
+
+
+_GLANCE = [campaigns.c[one.name] for one in fields(CampaignRevision)]
+_PULSE = [campaigns.c[one.name] for one in fields(ProgressSnapshot)]
+_HEARTBEAT = select(processes.c.heartbeat_at).where(processes.c.name == DISPATCHER)
+_CAMPAIGN = select(*_GLANCE, _HEARTBEAT.scalar_subquery().label("heartbeat_at")).where(campaigns.c.id == bindparam("campaign"))
+"""Made once: making a statement costs as much as executing it."""
+
+
+def heartbeat(connection: Connection) -> datetime | None:
+    """When the dispatcher was last heard of; None where there never was one."""
+    return connection.scalar(_HEARTBEAT)
+
+
+def campaign_revision(connection: Connection, campaign_id: str) -> tuple[CampaignRevision, datetime | None]:
+    """A campaign by its id, and the dispatcher's heartbeat, by one query. Raises NotFoundError."""
+    row: Any = None
+    if is_identifier(campaign_id):
+        row = connection.execute(_CAMPAIGN, {"campaign": campaign_id}).one_or_none()
+    if row is None:
+        raise NotFoundError("campaign", campaign_id)
+    return _glance(row), row.heartbeat_at
+
+
+def page(
+    connection: Connection, *, kind: Listed, state: CampaignState | None, limit: int, cursor: str | None
+) -> list[CampaignRevision]:
+    """The campaigns that `campaigns.page` gives for the same arguments, and one more where there are more."""
+    return [_glance(row) for row in connection.execute(listed(_GLANCE, kind, state, limit + 1, cursor))]
+
+
+def revisions(connection: Connection, sequences: Collection[int]) -> dict[int, int]:
+    """The revisions of campaigns, by number."""
+    found: dict[int, int] = {}
+    for condition in among(connection, campaigns.c.sequence, list(sequences)):
+        query = select(campaigns.c.sequence, campaigns.c.revision).where(condition)
+        found.update((row.sequence, row.revision) for row in connection.execute(query))
+    return found
+
+
+def snapshots(connection: Connection, sequences: Collection[int]) -> list[ProgressSnapshot]:
+    """How far campaigns are."""
+    found: list[ProgressSnapshot] = []
+    for condition in among(connection, campaigns.c.sequence, list(sequences)):
+        rows = connection.execute(select(*_PULSE).where(condition)).mappings()
+        found += [ProgressSnapshot(**{**row, "state": CampaignState(row["state"])}) for row in rows]
+    return found
+
+
+def _glance(row: Any) -> CampaignRevision:
+    return CampaignRevision(row.sequence, row.id, CampaignState(row.state), row.requested_action, row.revision, row.degraded)

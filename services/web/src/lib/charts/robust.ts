@@ -1,0 +1,52 @@
+/** Figure 12: how far each of the best sets bears other vehicles. */
+
+import type { BoxTrial, RobustRow } from "../server/types";
+
+export interface Piece {
+  from: number;
+  to: number;
+  /** The largest deviation in any scenario; null where a vehicle has no result. */
+  worst: number | null;
+  looks: "same" | "changes" | "fails";
+  box: number;
+}
+
+/** The largest deviation over all scenarios and vehicles of a box; null where one has no result. */
+export function worst(trial: BoxTrial): number | null {
+  const found = Object.values(trial.deviations);
+  return found.length === 0 || found.some((one) => one === null) ? null : Math.max(...(found as number[]));
+}
+
+/** The bar of a set, from 0 to the widest box that was tried, a piece for each box. */
+export function pieces(row: RobustRow): Piece[] {
+  let from = 0;
+  return [...row.trials]
+    .sort((a, b) => a.radius - b.radius)
+    .map((trial) => {
+      const found = worst(trial);
+      const piece: Piece = { from, to: trial.radius, worst: found, box: trial.box, looks: !trial.holds ? "fails" : found === 0 ? "same" : "changes" };
+      from = trial.radius;
+      return piece;
+    });
+}
+
+/** What the condition of a study was, in words. */
+export function condition(settings: Readonly<Record<string, unknown>>): string {
+  const eta = Array.isArray(settings["eta"]) ? (settings["eta"] as unknown[]).join(", ") : String(settings["eta"] ?? 1);
+  if (settings["condition"] === "mean") return `the mean change over the vehicles below ${eta}`;
+  if (settings["condition"] === "per_factor") return `each factor's mean change below ${eta}`;
+  return `no score changes by more than ${eta}`;
+}
+
+/** The sets of two studies, each with its row in either: those of the first in their order, then those that only the other has. */
+export function sideBySide(rows: readonly RobustRow[], others: readonly RobustRow[]): { one: RobustRow | null; other: RobustRow | null }[] {
+  const key = (row: RobustRow): string => JSON.stringify(Object.entries(row.parameters).sort(([a], [b]) => a.localeCompare(b)));
+  const known = new Map(others.map((row) => [key(row), row]));
+  const mine = new Set(rows.map(key));
+  return [...rows.map((one) => ({ one, other: known.get(key(one)) ?? null })), ...others.filter((other) => !mine.has(key(other))).map((other) => ({ one: null, other }))];
+}
+
+/** A degree that may only be known from below. */
+export function degreeText(row: RobustRow | null): string {
+  return row === null ? "–" : `${row.at_least ? "≥ " : ""}${row.degree}`;
+}

@@ -1,0 +1,36 @@
+/** What a form says of its fields besides what the API's description says: names that can be chosen, and what a field is for. */
+
+import { count } from "../text/format";
+import fields from "./fields.json";
+import type { Schema } from "./schema";
+
+/** By the path of a field, `[]` for any place in a list. */
+export type Choices = Readonly<Record<string, readonly string[]>>;
+
+/** Built-in plug-ins; the API lists the names of others only where it refuses one, so that any name can be written as well. */
+export const BUILT_IN: Choices = fields.names;
+const HELP: Readonly<Record<string, string>> = fields.help;
+
+/** The names that can be chosen at a path. */
+export function choicesAt(choices: Choices, path: string): readonly string[] {
+  return choices[path.replace(/\[\d+\]/g, "[]")] ?? [];
+}
+
+/** Smaller and larger numbers than these are no limit that anybody reaches. */
+const BEYOND = 1e7;
+
+/** What is said below a field: its description, else ours; and its limits. */
+export function helpAt(path: string, schema: Schema, names: readonly string[] = []): string {
+  const own = schema.description?.split("\n\n")[0]?.replaceAll("`", "") ?? HELP[path.replace(/\[\d+\]/g, "[]")] ?? "";
+  const least = schema.minimum ?? schema.exclusiveMinimum;
+  const limits = [
+    least !== undefined && Math.abs(least) < BEYOND ? `${schema.minimum === undefined ? "more than" : "at least"} ${bound(least)}` : "",
+    schema.maximum !== undefined && Math.abs(schema.maximum) < BEYOND ? `at most ${bound(schema.maximum)}` : "",
+  ].filter(Boolean);
+  const said = limits.join(", ");
+  return [own.replaceAll("`", ""), names.length > 0 ? `Installed: ${names.join(", ")}.` : "", said && `${said.charAt(0).toUpperCase()}${said.slice(1)}.`].filter(Boolean).join(" ");
+}
+
+function bound(value: number): string {
+  return Number.isInteger(value) ? count(value) : String(value);
+}

@@ -1,0 +1,99 @@
+/** One campaign as it is now: read once, moved on by what the live connection tells, read again where more than its progress changed. */
+
+import { Refusal, Tagged, all } from "./api";
+import { follow } from "./live.svelte";
+import { Rate } from "../charts/rate";
+import type { Campaign, CampaignEvent, Generation } from "./types";
+
+const MOST_EVENTS = 300;
+const READ_AGAIN_MILLISECONDS = 1_000;
+/** After these the answer of the campaign itself holds more than its progress. */
+const TELLING = new Set(["best", "baseline", "reuse_stopped", "note", "influence_map", "stage", "generation", "failed", "succeeded", "cancelled", "queued", "paused"]);
+
+export class CampaignState {
+  campaign = $state.raw<Campaign | null>(null);
+  events = $state.raw<CampaignEvent[]>([]);
+  generations = $state.raw<Generation[]>([]);
+  problem = $state<Refusal | null>(null);
+  rate = $state<number | null>(null);
+
+  private readonly tagged: Tagged<Campaign>;
+  private readonly speed = new Rate();
+  private stop: (() => void) | null = null;
+  private timer: ReturnType<typeof setTimeout> | undefined;
+  private tick: ReturnType<typeof setInterval> | undefined;
+  private reading = false;
+  private knownGenerations = -1;
+
+  constructor(readonly id: string) {
+    this.tagged = new Tagged<Campaign>(`/campaigns/${encodeURIComponent(id)}`);
+  }
+
+  start(): () => void {
+    void this.read();
+    this.stop = follow(this.id, {
+      event: (event) => this.take(event),
+      progress: (moving) => {
+        if (this.campaign === null) return;
+        this.campaign = { ...this.campaign, ...moving };
+        this.measure();
+      },
+      ended: () => this.soon(0),
+      again: () => this.soon(0),
+    });
+    // The answer's tag makes this cheap; it is there for what no event tells, such as audits.
+    this.tick = setInterval(() => {
+      if (!document.hidden && this.campaign?.ended_at === null) this.soon(0);
+    }, 5_000);
+    return () => {
+      this.stop?.();
+      clearTimeout(this.timer);
+      clearInterval(this.tick);
+    };
+  }
+
+  /** Reads it again within a second. */
+  soon(milliseconds = READ_AGAIN_MILLISECONDS): void {
+    clearTimeout(this.timer);
+    this.timer = setTimeout(() => void this.read(), milliseconds);
+  }
+
+  private take(event: CampaignEvent): void {
+    if (event.id !== null && this.events.some((known) => known.id === event.id)) return;
+    this.events = [...this.events, event].slice(-MOST_EVENTS);
+    if (event.kind === "degraded" && this.campaign !== null) this.campaign = { ...this.campaign, degraded: String(event.data["reason"] ?? "degraded") };
+    if (event.kind === "recovered" && this.campaign !== null) this.campaign = { ...this.campaign, degraded: null };
+    if (TELLING.has(event.kind)) this.soon(this.campaign === null ? 0 : READ_AGAIN_MILLISECONDS / 2);
+  }
+
+  private async read(): Promise<void> {
+    if (this.reading) return;
+    this.reading = true;
+    try {
+      const found = await this.tagged.next();
+      if (found) {
+        this.campaign = found;
+        this.measure();
+        const iteration = found.ended_at === null ? (found.iteration ?? -1) : Infinity;
+        if (found.kind === "calibration" && found.cells.proposed > 0 && iteration !== this.knownGenerations) {
+          this.knownGenerations = iteration;
+          this.generations = await all<Generation>(`/campaigns/${this.id}/generations`);
+        }
+      }
+      this.problem = null;
+    } catch (error) {
+      // Where the server is away for a moment, what is known stays on the page.
+      if (error instanceof Refusal && (this.campaign === null || error.status === 404)) this.problem = error;
+    } finally {
+      this.reading = false;
+    }
+  }
+
+  private measure(): void {
+    const campaign = this.campaign;
+    if (campaign === null) return;
+    const stages = [campaign.cells, campaign.sensitivity_cells, campaign.robustness_cells, campaign.validation_cells];
+    const answered = stages.reduce((sum, cells) => sum + (cells.requested ?? 0), 0);
+    this.rate = campaign.ended_at === null ? this.speed.at(performance.now() / 1000, answered) : null;
+  }
+}

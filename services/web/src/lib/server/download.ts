@@ -1,0 +1,71 @@
+/** Files that the page makes. */
+
+import { isDark } from "../theme.svelte";
+
+export function download(name: string, content: Blob): void {
+  const anchor = document.createElement("a");
+  anchor.href = URL.createObjectURL(content);
+  anchor.download = name;
+  anchor.click();
+  setTimeout(() => URL.revokeObjectURL(anchor.href), 10_000);
+}
+
+export function downloadCanvas(name: string, canvas: HTMLCanvasElement | null): void {
+  canvas?.toBlob((blob) => {
+    if (blob) download(name, blob);
+  });
+}
+
+/** What a drawing lies on, and is written with, outside of the page. */
+export function paper(): { ground: string; ink: string } {
+  return isDark() ? { ground: "#1c2026", ink: "#e8ebef" } : { ground: "#ffffff", ink: "#1b2129" };
+}
+
+/** A drawing as it is seen, in the size of its view box. */
+function standalone(drawing: SVGSVGElement): string {
+  const copy = drawing.cloneNode(true) as SVGSVGElement;
+  const box = drawing.viewBox.baseVal;
+  const { ground, ink } = paper();
+  copy.setAttribute("xmlns", "http://www.w3.org/2000/svg");
+  copy.setAttribute("width", String(box.width));
+  copy.setAttribute("height", String(box.height));
+  copy.setAttribute("color", ink);
+  copy.setAttribute("font-family", "sans-serif");
+  copy.insertAdjacentHTML("afterbegin", `<rect x="${box.x}" y="${box.y}" width="${box.width}" height="${box.height}" fill="${ground}"/>`);
+  return new XMLSerializer().serializeToString(copy);
+}
+
+export function downloadSvg(name: string, drawing: SVGSVGElement): void {
+  download(name, new Blob([standalone(drawing)], { type: "image/svg+xml" }));
+}
+
+/** At least 1200 pixels wide, so that it can be printed. */
+export function downloadPng(name: string, drawing: SVGSVGElement): void {
+  const image = new Image();
+  const box = drawing.viewBox.baseVal;
+  const scale = Math.max(2, 1200 / box.width);
+  const address = URL.createObjectURL(new Blob([standalone(drawing)], { type: "image/svg+xml" }));
+  image.onload = () => {
+    const canvas = document.createElement("canvas");
+    canvas.width = Math.round(box.width * scale);
+    canvas.height = Math.round(box.height * scale);
+    canvas.getContext("2d")?.drawImage(image, 0, 0, canvas.width, canvas.height);
+    URL.revokeObjectURL(address);
+    downloadCanvas(name, canvas);
+  };
+  image.src = address;
+}
+
+/** The numbers beside a drawing. */
+export interface Sheet {
+  head: readonly string[];
+  rows: readonly (readonly (string | number | null)[])[];
+}
+
+export function csvOf(sheet: Sheet): string {
+  const field = (value: string | number | null): string => {
+    const text = value === null ? "" : String(value);
+    return /[",\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text;
+  };
+  return [sheet.head, ...sheet.rows].map((row) => row.map(field).join(",")).join("\n") + "\n";
+}

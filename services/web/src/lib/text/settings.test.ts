@@ -1,0 +1,28 @@
+import { expect, test } from "vitest";
+import { asked } from "./settings";
+
+test("what was asked for is told with all settings that were chosen, and nothing that is empty", () => {
+  const spec = {
+    catalogue: ["S3", "S5"], weights: { S3: 2 }, driving_function: "frenet", vehicle: { model: "hybrid", parameters: {} }, evaluator: "learned", fixed: {}, baseline: null,
+    optimizer: { kind: "genetic", population: 200, iterations: 15, start: "lhs", seed: 1, start_sets: [], mutation: 0.2 },
+    reduction: { mode: "influence", audit: 0.02, max_error: 0.02, narrow: false, confirm: 20, certified: true }, sensitivity: { map: "0123456789abcdef" }, robustness: null,
+  };
+  expect(asked({ kind: "calibration", spec }, null)).toEqual([
+    ["Scenarios", "S3, S5"],
+    ["Weights", "S3 2"],
+    ["Driving function", "frenet"],
+    ["Vehicle", "hybrid"],
+    ["Evaluator", "learned"],
+    ["Optimizer", "genetic: population 200, iterations 15, start lhs, seed 1, mutation 0.2"],
+    ["Sensitivity", "the stored influence map 01234567"],
+    ["Reduction", "influence: 2.0 % audited, stopped where more than 2.0 % are wrong, not narrow, certified, the best confirmed by simulation, at most 20 sets"],
+  ]);
+});
+
+test("a comparison is told by its optimizers, and a specification that is not known by nothing", () => {
+  const spec = { optimizers: [{ kind: "genetic", label: null, mutation: 0.2 }, { kind: "swarm", label: null }], populations: [50, 100], seeds: [1, 2, 3], reductions: ["off", { mode: "exact", audit: 0.02 }] };
+  expect(asked({ kind: "comparison", spec }, null)).toEqual([
+    ["Optimizers", "genetic: mutation 0.2; swarm"], ["Populations", "50, 100"], ["Seeds", "1, 2, 3"], ["Reductions", "off; exact: audit 0.02"],
+  ]);
+  expect(asked({ kind: "calibration", spec: {} }, null)).toEqual([]);
+});

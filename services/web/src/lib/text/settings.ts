@@ -1,0 +1,64 @@
+/** What a campaign was asked to do, row by row, for people. */
+
+import { number, percent } from "./format";
+import { settingsText, studiesOf } from "./studies";
+import type { Campaign, Setup } from "../server/types";
+
+type Asked = Pick<Campaign, "kind" | "spec">;
+type Settings = Readonly<Record<string, unknown>>;
+
+function isSettings(value: unknown): value is Settings {
+  return typeof value === "object" && value !== null && !Array.isArray(value);
+}
+
+function text(value: unknown): string {
+  if (typeof value === "number") return number(value, 6);
+  if (Array.isArray(value)) return value.every((one) => typeof one !== "object") ? value.map(text).join(", ") : `${value.length} of them`;
+  if (isSettings(value)) return list(value);
+  return String(value);
+}
+
+/** `population 200, iterations 15`; what is empty or null is left out. */
+function list(settings: Settings, without: readonly string[] = []): string {
+  return Object.entries(settings)
+    .filter(([name, value]) => !without.includes(name) && value !== null && !(Array.isArray(value) && value.length === 0) && !(isSettings(value) && Object.keys(value).length === 0))
+    .map(([name, value]) => (value === true ? name.replaceAll("_", " ") : value === false ? `not ${name.replaceAll("_", " ")}` : `${name.replaceAll("_", " ")} ${text(value)}`))
+    .join(", ");
+}
+
+function named(name: unknown, more: string): string {
+  return [String(name), more].filter(Boolean).join(": ");
+}
+
+/** Names and texts. Scenarios with their weights are the setup's, which knows all of them; without it, those that were named. */
+export function asked(campaign: Asked, setup: Setup | null): [string, string][] {
+  const { spec } = campaign;
+  const rows: [string, string | null][] = [];
+  const vehicle = spec["vehicle"];
+  const function_ = setup?.scenarios.find((one) => one.driving_function)?.driving_function ?? spec["driving_function"];
+  const model = setup?.scenarios.find((one) => one.vehicle)?.vehicle ?? (isSettings(vehicle) ? vehicle["model"] : undefined);
+  if (setup === null) {
+    rows.push(["Scenarios", spec["catalogue"] === undefined ? null : text(spec["catalogue"])]);
+    rows.push(["Weights", isSettings(spec.weights) && Object.keys(spec.weights).length > 0 ? list(spec.weights) : null]);
+  }
+  rows.push(["Driving function", function_ === undefined ? null : String(function_)]);
+  rows.push(["Vehicle", model === undefined ? null : named(model, isSettings(vehicle) && isSettings(vehicle["parameters"]) ? list(vehicle["parameters"]) : "")]);
+  rows.push(["Evaluator", setup?.evaluator ?? (spec["evaluator"] === undefined ? null : String(spec["evaluator"]))]);
+  rows.push(["Held fixed", isSettings(spec["fixed"]) ? list(spec["fixed"]) : null]);
+  rows.push(["To compare with", isSettings(spec["baseline"]) ? list(spec["baseline"]) : null]);
+  if (Array.isArray(spec["optimizers"])) {
+    rows.push(["Optimizers", spec["optimizers"].filter(isSettings).map((one) => named(one["label"] ?? one["kind"], list(one, ["kind", "label"]))).join("; ")]);
+    for (const name of ["populations", "seeds", "iterations", "start"]) rows.push([name.charAt(0).toUpperCase() + name.slice(1), spec[name] === undefined ? null : text(spec[name])]);
+    rows.push(["Reductions", Array.isArray(spec["reductions"]) ? spec["reductions"].map((one) => (isSettings(one) ? named(one["mode"], list(one, ["mode"])) : String(one))).join("; ") : null]);
+  }
+  if (isSettings(spec.optimizer)) rows.push(["Optimizer", named(spec.optimizer["kind"], list(spec.optimizer, ["kind"]))]);
+  if (isSettings(spec.sensitivity)) rows.push(["Sensitivity", typeof spec.sensitivity["map"] === "string" ? `the stored influence map ${spec.sensitivity["map"].slice(0, 8)}` : list(spec.sensitivity)]);
+  if (isSettings(spec.reduction) && spec.optimizer !== null) {
+    const { mode, audit, max_error: most, confirm } = spec.reduction;
+    const audits = mode === "influence" ? `${percent(Number(audit))} audited, stopped where more than ${percent(Number(most))} are wrong` : "";
+    const confirmed = mode === "influence" && confirm ? `the best confirmed by simulation, at most ${String(confirm)} sets` : "";
+    rows.push(["Reduction", named(mode, [audits, list(spec.reduction, ["mode", "audit", "max_error", "confirm"]), confirmed].filter(Boolean).join(", "))]);
+  }
+  for (const stage of studiesOf(campaign)) rows.push([stage === "robustness" ? "Robustness" : "Validation", settingsText(stage, spec[stage] ?? {})]);
+  return rows.filter((row): row is [string, string] => row[1] !== null && row[1] !== "");
+}

@@ -1,0 +1,28 @@
+import { expect, test } from "vitest";
+import { sideBySide } from "../charts/robust";
+import { calibrates, kindOf, sameBoxes, settingsText, studiesOf } from "./studies";
+import type { RobustRow } from "../server/types";
+
+const ROBUSTNESS = { delta: 0.01, steps: 10, samples: 30, eta: 1, condition: "max", refinements: 2, of: "abc" };
+
+test("a campaign without an optimizer is told by its studies", () => {
+  const study = { kind: "calibration", spec: { optimizer: null, robustness: ROBUSTNESS, validation: null } };
+  expect([calibrates(study), studiesOf(study), kindOf(study)]).toEqual([false, ["robustness"], "robustness study"]);
+  const both = { kind: "calibration", spec: { optimizer: { kind: "genetic" }, validation: {} } };
+  expect([calibrates(both), studiesOf(both), kindOf(both)]).toEqual([true, ["validation"], ""]);
+  expect(calibrates({ kind: "calibration", spec: {} })).toBe(true);
+  expect(kindOf({ kind: "comparison", spec: {} })).toBe("comparison");
+});
+
+test("a study says how it is made", () => {
+  expect(settingsText("robustness", ROBUSTNESS)).toBe("up to 10 boxes, each wider by 0.01, then 2 halvings, with 30 vehicles in each; condition: no score changes by more than 1");
+  expect(settingsText("validation", { samples: 200, references: 30, largest: 20_000 })).toContain("30 variants of each set");
+  expect([sameBoxes(ROBUSTNESS, { ...ROBUSTNESS, of: "other" }), sameBoxes(ROBUSTNESS, { ...ROBUSTNESS, delta: 0.02 })]).toEqual([true, false]);
+});
+
+test("two studies are laid side by side by their sets, whatever the order of parameters", () => {
+  const row = (rank: number, parameters: Record<string, number>): RobustRow =>
+    ({ rank, parameters, degree: rank, objective: 1, rating: 1, at_least: false, radius: 0, recommended: false, reason: null, region: 1, to_worse: null, trials: [] });
+  const found = sideBySide([row(1, { P1: 1, P2: 2 }), row(2, { P1: 5, P2: 2 })], [row(1, { P1: 7, P2: 7 }), row(2, { P2: 2, P1: 1 })]);
+  expect(found.map((one) => [one.one?.rank ?? null, one.other?.rank ?? null])).toEqual([[1, 2], [2, null], [null, 1]]);
+});

@@ -1,0 +1,36 @@
+import { expect, test } from "vitest";
+import type { Moving } from "../server/types";
+import { eventLine, leadingStage, parts, referenceWords, sentence, stagesOf } from "./words";
+
+const moving: Moving = {
+  state: "running", requested_action: null, degraded: null, stage: "calibration", iteration: 3, progress: { done: 1, total: 2, eta_seconds: null },
+  cells: { proposed: 20, pending: 2, requested: 8, repeated: 1, reused: 2, certified: 1, simulated: 3, failed: 1 },
+  sensitivity_cells: { proposed: 0, pending: 0, requested: 0, repeated: 0, certified: 0, simulated: 0, failed: 0 },
+  robustness_cells: {}, validation_cells: {}, seconds: { wall: 0, simulating: 0 },
+};
+
+test("the parts of what was requested are all of it", () => {
+  expect(parts(moving.cells).reduce((sum, one) => sum + one.cells, 0)).toBe(moving.cells.requested);
+});
+
+test("a sentence says what is going on, and what was asked for first", () => {
+  expect(sentence(moving)).toBe("Searching: iteration 4.");
+  expect(sentence({ ...moving, requested_action: "pause" })).toContain("Asked to pause");
+  expect(sentence({ ...moving, state: "succeeded", stage: null })).toBe("Finished.");
+});
+
+test("only stages that asked for anything are shown", () => {
+  expect(stagesOf(moving)).toEqual(["calibration"]);
+  const study = { ...moving, stage: null, cells: { ...moving.cells, proposed: 0 }, robustness_cells: { proposed: 5 } };
+  expect([leadingStage(moving), leadingStage(study)]).toEqual(["calibration", "robustness"]);
+});
+
+test("an event that is not known is told by its name", () => {
+  expect(eventLine("something_new", {})).toBe("Something new");
+  expect(eventLine("generation", { iteration: 0, best: 5, mean: 4.25 })).toBe("Iteration 1: best 5.000, mean 4.250");
+});
+
+test("a cell that was simulated is not said to be answered by the reference that it checks", () => {
+  expect([referenceWords("reused"), referenceWords("repeated"), referenceWords("certified")]).toEqual(Array(3).fill("Answered by"));
+  for (const reason of ["audited", "confirmation", "blocked", "unanswered"]) expect(referenceWords(reason)).not.toContain("Answered");
+});

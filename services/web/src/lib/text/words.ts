@@ -1,0 +1,115 @@
+/** What the words mean, said where they are shown. */
+
+import type { Cells, Moving } from "../server/types";
+
+export type Outcome = "repeated" | "reused" | "certified" | "simulated" | "failed";
+
+export const OUTCOMES: readonly Outcome[] = ["repeated", "reused", "certified", "simulated", "failed"];
+
+export const MEANING: Record<Outcome | "pending" | "carried_over", string> = {
+  carried_over: "individuals that the optimizer left unchanged: not asked for again",
+  pending: "still to be answered",
+  repeated: "answered by the stored result of the same parameter set",
+  reused: "answered by a stored set that differs only where the influence map says that it does not matter",
+  certified: "answered by a stored run that this one provably repeats, bit for bit",
+  simulated: "driven in the simulation; a collision or a missed task is a result as well, with score 0",
+  failed: "without a result after all attempts: ranked last, never used as a reference",
+};
+
+export const STAGES: Record<string, string> = {
+  sensitivity: "Sensitivity",
+  calibration: "Calibration",
+  robustness: "Robustness",
+  validation: "Validation",
+};
+
+const ENDED: readonly string[] = ["succeeded", "failed", "cancelled"];
+
+export function hasEnded(state: string): boolean {
+  return ENDED.includes(state);
+}
+
+/** The counters of the stage that runs; of an ended campaign, those of the calibration, or of the last stage that asked for anything. */
+export function cellsOf(campaign: Moving, stage: string | null): Partial<Cells> {
+  if (stage === "sensitivity") return campaign.sensitivity_cells;
+  if (stage === "robustness") return campaign.robustness_cells;
+  if (stage === "validation") return campaign.validation_cells;
+  return campaign.cells;
+}
+
+/** The stages that have asked for cells, in their order. */
+export function stagesOf(campaign: Moving): string[] {
+  return Object.keys(STAGES).filter((stage) => (cellsOf(campaign, stage).proposed ?? 0) > 0 || campaign.stage === stage);
+}
+
+/** The stage by which a campaign is told in a line: the search, else what it does now, else what it did last. */
+export function leadingStage(campaign: Moving): string {
+  if (campaign.cells.proposed > 0) return "calibration";
+  return campaign.stage ?? stagesOf(campaign).at(-1) ?? "calibration";
+}
+
+/** What `requested` is made of; the sum of all parts and `pending` is what was asked for altogether. */
+export function parts(cells: Partial<Cells>): { outcome: Outcome; cells: number }[] {
+  return OUTCOMES.map((outcome) => ({ outcome, cells: cells[outcome] ?? 0 }));
+}
+
+/** One sentence about the state. */
+export function sentence(campaign: Moving & { kind?: string }): string {
+  const { state, stage, requested_action: asked } = campaign;
+  if (asked === "pause") return "Asked to pause: what runs at the workers is finished first.";
+  if (asked === "cancel" || state === "cancelling") return "Asked to end: what runs at the workers is finished first, and kept.";
+  if (state === "queued") return "Waiting for its turn.";
+  if (state === "paused") return "Resting. Nothing is lost; resume it whenever you like.";
+  if (state === "succeeded") return "Finished.";
+  if (state === "cancelled") return "Ended on request; what was finished is kept.";
+  if (state === "failed") return "Ended with an error.";
+  if (campaign.kind === "comparison") return "Searching, several runs side by side.";
+  if (stage === "sensitivity") return "Finding out where which parameter matters.";
+  if (stage === "calibration") return `Searching: iteration ${(campaign.iteration ?? 0) + 1}.`;
+  if (stage === "robustness") return "Driving the best sets in other vehicles.";
+  if (stage === "validation") return "Checking the influence map by simulation.";
+  return "Running.";
+}
+
+/** What the evaluation beside a cell is to it, by the reason of its explanation. */
+export function referenceWords(reason: string): string {
+  if (reason === "blocked") return "Nearest stored:";
+  if (reason === "audited") return "Simulated to check the reduction, which would have taken";
+  if (reason === "confirmation") return "Simulated to confirm the best set, for which the search took";
+  if (reason === "unanswered") return "Would fit by now:";
+  return "Answered by";
+}
+
+/** An event as a line of a log; null for those that say nothing to people. */
+export function eventLine(kind: string, data: Record<string, unknown>): string {
+  const text = (name: string): string => String(data[name] ?? "");
+  const value = (name: string): number => Number(data[name] ?? 0);
+  switch (kind) {
+    case "stage":
+      return `${STAGES[text("stage")] ?? text("stage")} begins, at most ${value("cells").toLocaleString("en-GB")} cells`;
+    case "phase":
+      return `Analysis: ${text("name")} finished, ${value("requested").toLocaleString("en-GB")} cells so far`;
+    case "influence_map":
+      return "The influence map is there";
+    case "generation":
+      return `Iteration ${value("iteration") + 1}: best ${value("best").toFixed(3)}, mean ${value("mean").toFixed(3)}`;
+    case "best":
+      return `The best set now: ${value("objective").toFixed(3)}`;
+    case "baseline":
+      return `The set to compare with: ${value("objective").toFixed(3)}`;
+    case "reuse_stopped":
+      return `Reuse stopped in ${text("scenario")}: ${value("wrong")} of ${value("audited")} audited answers were wrong`;
+    case "degraded":
+      return `Degraded: ${text("reason")}`;
+    case "recovered":
+      return "What was degraded is well again";
+    case "note":
+      return text("text");
+    case "failed":
+      return `Failed: ${text("error")}`;
+    case "run":
+      return `Run ${text("name")} ${text("state")}`;
+    default:
+      return kind.charAt(0).toUpperCase() + kind.slice(1).replaceAll("_", " ");
+  }
+}

@@ -1,0 +1,47 @@
+"""What pausing, resuming and cancelling come to, by the state that a campaign is in. Pure."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Any, Literal
+
+from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.errors import ConflictError
+from drivecal.domain.events import EventKind
+
+Action = Literal["cancel", "pause", "resume"]
+
+
+def change(
+    campaign_id: str, state: CampaignState, asked: Action | None, action: Action, *, has_started: bool, now: datetime
+) -> tuple[EventKind, dict[str, Any]] | None:
+    """What to tell, and the columns to change, where `asked` was requested before and not done yet; None where `action` asks for what
+    holds or was asked for already.
+
+    Where something runs, the dispatcher is asked. Raises ConflictError where the campaign has ended or is about to be cancelled.
+    """
+    if state.ended:
+        if action == "cancel" and state is CampaignState.CANCELLED:
+            return None
+        raise ConflictError(f"campaign {campaign_id} has ended ({state}): it is too late to {action} it")
+    cancelling = state is CampaignState.CANCELLING or asked == "cancel"
+    if cancelling and action != "cancel":
+        raise ConflictError(f"campaign {campaign_id} is being cancelled: it is too late to {action} it")
+    match action:
+        case "cancel" if not cancelling:
+            if state is CampaignState.RUNNING:
+                return EventKind.CANCELLING, {"requested_action": "cancel"}
+            return EventKind.CANCELLED, {"state": CampaignState.CANCELLED, "ended_at": now, "requested_action": None}
+        case "pause" if state is CampaignState.QUEUED:
+            return EventKind.PAUSED, {"state": CampaignState.PAUSED}
+        case "pause" if state is CampaignState.RUNNING and asked != "pause":
+            return EventKind.PAUSING, {"requested_action": "pause"}
+        case "pause" if asked == "resume":
+            return EventKind.PAUSED, {"requested_action": None}
+        case "resume" if state is CampaignState.PAUSED and not has_started:
+            return EventKind.QUEUED, {"state": CampaignState.QUEUED}
+        case "resume" if state is CampaignState.PAUSED and asked != "resume":
+            return EventKind.RESUMING, {"requested_action": "resume"}
+        case "resume" if asked == "pause":
+            return EventKind.RESUMED, {"requested_action": None}
+    return None

@@ -1,0 +1,174 @@
+"""The dispatcher's pulse, with the database that it is written to."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from sqlalchemy import Connection
+from tests.support.runs import get, submit
+
+from drivecal.dispatch.heartbeat import STUCK_AFTER_SECONDS, Heartbeat
+from drivecal.dispatch.leadership import Leadership
+from drivecal.domain.errors import DatabaseError, SupersededError, UnavailableError
+from drivecal.execution.backend import WorkerInfo
+from drivecal.execution.measures import MEASURES
+from drivecal.storage import campaigns, processes
+from drivecal.storage.engine.database import Database
+from drivecal.storage.processes import StoredProcess
+
+WORKER = WorkerInfo("worker-1", "here", 7, "idle", 3)
+
+
+def reported(database: Database) -> StoredProcess:
+    with database.read() as connection:
+        found = processes.read(connection, "dispatcher")
+    assert found is not None
+    return found
+
+
+def pulse_of(database: Database, **options: Any) -> Heartbeat:
+    leadership = Leadership.begin(database)
+    return Heartbeat(database.fenced(leadership.fence), leadership, **options)
+
+
+def test_it_says_how_the_workers_are_and_running_campaigns_what_is_wrong(database: Database) -> None:
+    waiting, running = submit(database), submit(database)
+    with database.transaction() as connection:
+        campaigns.start(connection, running.sequence)
+    heartbeat = pulse_of(database)
+    heartbeat.tell([WORKER], "waiting for Ray: it is being started")
+    heartbeat.beat()
+    found = reported(database)
+    assert found.detail["workers"][0]["id"] == "worker-1"
+    assert found.detail["degraded"] == "waiting for Ray: it is being started"
+    assert found.detail["measures"] == MEASURES.snapshot()
+    assert get(database, running).degraded == "waiting for Ray: it is being started"
+    assert get(database, waiting).degraded is None
+    heartbeat.tell([WORKER], None)
+    heartbeat.beat()
+    assert get(database, running).degraded is None
+    assert reported(database).detail["degraded"] is None
+
+
+def test_it_beats_while_the_main_thread_is_busy_and_says_since_when(database: Database) -> None:
+    now = [0.0]
+    heartbeat = pulse_of(database, clock=lambda: now[0])
+    heartbeat.tell([WORKER], "one of 2 workers does not start")
+    with heartbeat:
+        first = reported(database).heartbeat_at
+        now[0] += STUCK_AFTER_SECONDS + 1
+        deadline = time.monotonic() + 30
+        while "stuck_since" not in reported(database).detail:
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+    found = reported(database)
+    assert found.heartbeat_at > first
+    assert found.detail["degraded"].startswith(
+        "one of 2 workers does not start; the dispatcher has been busy with one step since "
+    )
+    heartbeat.tell([WORKER], None)
+    heartbeat.beat()
+    assert "stuck_since" not in reported(database).detail
+    assert reported(database).detail["degraded"] is None
+
+
+class _Unreachable:
+    """A database that does not answer while `away`."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+        self.away = False
+
+    @contextmanager
+    def transaction(self) -> Iterator[Connection]:
+        if self.away:
+            raise UnavailableError("the database does not answer")
+        with self._database.transaction() as connection:
+            yield connection
+
+
+def test_it_outlives_an_outage_of_the_database(database: Database, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO")
+    leadership = Leadership.begin(database)
+    unreachable = _Unreachable(database.fenced(leadership.fence))
+    unreachable.away = True
+    with Heartbeat(unreachable, leadership) as heartbeat:  # type: ignore[arg-type]
+        deadline = time.monotonic() + 30
+        while "waiting for the database" not in caplog.text:
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        heartbeat.tell([WORKER], None)
+        unreachable.away = False
+        while not reported(database).detail.get("workers"):
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+    assert caplog.text.count("waiting for the database") == 1
+    assert "the database answers again" in caplog.text
+
+
+def _lost() -> None:
+    raise DatabaseError("another drivecal server (process 1) uses the database")
+
+
+def _tell_until_it_raises(heartbeat: Heartbeat) -> None:
+    deadline = time.monotonic() + 30
+    while time.monotonic() < deadline:
+        heartbeat.tell([WORKER], None)
+        time.sleep(0.01)
+
+
+def _ends(heartbeat: Heartbeat, error: type[Exception], words: str) -> None:
+    with pytest.raises(error, match=words):
+        _tell_until_it_raises(heartbeat)
+
+
+def test_the_main_thread_learns_that_another_dispatcher_was_elected_or_has_the_lock(database: Database) -> None:
+    with pulse_of(database) as heartbeat:
+        Leadership.begin(database)
+        _ends(heartbeat, SupersededError, "another dispatcher was elected")
+    assert reported(database).detail == {}, "the new one's row is left alone"
+    with pulse_of(database, renew_lock=_lost) as heartbeat:
+        _ends(heartbeat, DatabaseError, "another drivecal server")
+
+
+def test_an_unexpected_error_is_told_and_ends_the_main_thread(database: Database, caplog: pytest.LogCaptureFixture) -> None:
+    def broken() -> None:
+        raise ZeroDivisionError("a bug")
+
+    with pulse_of(database, renew_lock=broken) as heartbeat:
+        _ends(heartbeat, ZeroDivisionError, "a bug")
+    assert "Traceback" in caplog.text
+
+
+STUCK = """
+import sys, time
+from drivecal.dispatch import pulse
+from drivecal.dispatch.leadership import Tenure
+from drivecal.storage.engine.database import Database
+pulse.GRACE_SECONDS = 0.5
+database = Database.open(sys.argv[1])
+tenure = Tenure.begin(database)
+with pulse.Pulse(database.fenced(tenure.fence), tenure):
+    Tenure.begin(database)
+    time.sleep(120)
+"""
+
+
+@pytest.mark.usefixtures("database")
+def test_without_a_pulse_a_stuck_process_ends(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", STUCK, f"sqlite:///{tmp_path / 'drivecal.db'}"],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 1, done.stderr
+    assert "another dispatcher was elected" in done.stderr

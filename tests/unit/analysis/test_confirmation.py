@@ -1,0 +1,96 @@
+"""The best set of a search is simulated where it owes scores to references, until one is as good as it seems."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivecal.analysis.confirmation import CONFIRMED, Confirmation, remarkable
+from drivecal.analysis.solutions import Ranking
+from drivecal.domain.evaluations import CellScore
+
+LATER = 9
+"""An iteration behind the last one."""
+
+
+def copied(number: int, score: int, *, own: bool = False, iteration: int = 0) -> CellScore:
+    return CellScore(number, "S1", score, float(score), own, iteration, number)
+
+
+def confirmed(answers: list[CellScore], truth: dict[int, int | None], limit: int) -> tuple[Ranking, Confirmation]:
+    """Carried out to its end; `truth` is what simulations give."""
+    ranking = Ranking({"S1": 1})
+    ranking.add(answers)
+    best = ranking.best()
+    assert best is not None
+    confirmation = Confirmation(limit, best[0].objective)
+    while (chosen := confirmation.choose(ranking)) is not None:
+        confirmation.tried.append(chosen.parameter_set)
+        score = truth[chosen.parameter_set]
+        rating = None if score is None else float(score)
+        ranking.add([CellScore(chosen.parameter_set, "S1", score, rating, True, LATER + len(confirmation.tried), 0)])
+    return ranking, confirmation
+
+
+def test_sets_are_tried_from_the_best_on_until_one_has_only_scores_of_its_own() -> None:
+    believed = [copied(1, 5), copied(2, 7), copied(3, 6), copied(4, 5, own=True), copied(5, 4)]
+    ranking, confirmation = confirmed(believed, {2: 3, 3: 6}, limit=10)
+    assert confirmation.tried == [2, 3]
+    best = ranking.ranking()[0]
+    assert (best.parameter_set, best.objective, best.reused) == (3, 6.0, ())
+    assert confirmation.verdict(best) == f"{CONFIRMED}: the best objective is 6.0000, the search believed 7.0000; 2 sets tried"
+
+
+def test_a_belief_that_was_right_is_told_as_such() -> None:
+    ranking, confirmation = confirmed([copied(1, 5), copied(2, 4)], {1: 5}, limit=10)
+    verdict = confirmation.verdict(ranking.ranking()[0])
+    assert verdict == f"{CONFIRMED}: the best objective is 5.0000, as the search believed; 1 set tried"
+    assert remarkable(["reuse in S1 was stopped", verdict]) == ["reuse in S1 was stopped"]
+
+
+def test_a_set_whose_simulation_fails_is_tried_once_and_told() -> None:
+    ranking, confirmation = confirmed([copied(1, 7), copied(2, 6), copied(3, 5, own=True)], {1: None, 2: 4}, limit=10)
+    assert confirmation.tried == [1, 2]
+    verdict = confirmation.verdict(ranking.ranking()[0])
+    assert (
+        verdict == "not confirmed: the best set's score in S1 is still a reference's, for its simulation failed; 2 sets tried"
+    )
+    assert remarkable([verdict]) == [verdict]
+
+
+def test_no_more_than_the_limit_are_tried_and_that_is_told() -> None:
+    ranking, confirmation = confirmed([copied(number, 7) for number in range(5)], dict.fromkeys(range(5), 1), limit=3)
+    assert confirmation.tried == [0, 1, 2]
+    verdict = confirmation.verdict(ranking.ranking()[0])
+    assert verdict.startswith("not confirmed: the best set's score in S1 is still a reference's; no more than 3 sets")
+
+
+@given(
+    believed=st.lists(st.tuples(st.integers(0, 7), st.booleans()), min_size=1, max_size=12),
+    off=st.lists(st.integers(-3, 1), min_size=12, max_size=12),
+)
+def test_the_confirmed_best_is_the_best_of_those_that_have_scores_of_their_own(
+    believed: list[tuple[int, bool]], off: list[int]
+) -> None:
+    answers = [copied(number, score, own=own) for number, (score, own) in enumerate(believed)]
+    truth: dict[int, int | None] = {number: max(0, score + off[number]) for number, (score, _) in enumerate(believed)}
+    ranking, confirmation = confirmed(answers, truth, limit=100)
+    best, *others = ranking.ranking()
+    assert not best.reused
+    assert len(set(confirmation.tried)) == len(confirmation.tried)
+    assert best.objective == max(one.objective for one in [best, *others] if not one.reused)
+    assert not any(one.reused and one.order < best.order for one in others), "nothing that only seems better is left"
+
+
+def test_nothing_is_tried_where_no_reference_answered() -> None:
+    _, confirmation = confirmed([copied(1, 5, own=True), copied(2, 7, own=True)], {}, limit=10)
+    assert confirmation.tried == []
+
+
+@pytest.mark.parametrize("tried", [(), (2,), (2, 3)])
+def test_a_standing_names_the_next_set_to_doubt(tried: tuple[int, ...]) -> None:
+    ranking = Ranking({"S1": 1})
+    ranking.add([copied(1, 4), copied(2, 7), copied(3, 6), copied(4, 5, own=True)])
+    found = ranking.doubtful(tried)
+    assert (None if found is None else found.parameter_set) == {(): 2, (2,): 3, (2, 3): None}[tried]

@@ -1,0 +1,134 @@
+"""The account of a campaign, held against numbers worked out by hand."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivecal.analysis.savings import MapOrigin, account, break_even
+from drivecal.contracts.accounting import BreakEven
+from drivecal.domain.campaigns import Stage
+from drivecal.domain.evaluations import AuditCount, Outcome, OutcomeCosts
+
+
+def _costs(
+    scenario: str,
+    outcome: Outcome,
+    cells: int,
+    seconds: float,
+    *,
+    audited: bool = False,
+    stage: Stage = Stage.CALIBRATION,
+    runs: int | None = None,
+    run_seconds: float | None = None,
+) -> OutcomeCosts:
+    answered = (0 if outcome is Outcome.FAILED else cells) if runs is None else runs
+    return OutcomeCosts(
+        stage, scenario, outcome, audited, cells, seconds, answered, seconds if run_seconds is None else run_seconds
+    )
+
+
+ANALYSIS = [
+    _costs("S1", Outcome.SIMULATED, 300, 3.0, stage=Stage.SENSITIVITY),
+    _costs("S2", Outcome.SIMULATED, 300, 6.0, stage=Stage.SENSITIVITY),
+    _costs("S2", Outcome.REPEATED, 20, 0.0, stage=Stage.SENSITIVITY, run_seconds=0.4),
+    _costs("S2", Outcome.FAILED, 2, 1.0, stage=Stage.SENSITIVITY),
+]
+CALIBRATION = [
+    _costs("S1", Outcome.SIMULATED, 90, 0.9),
+    _costs("S1", Outcome.SIMULATED, 10, 0.1, audited=True),
+    _costs("S1", Outcome.REPEATED, 40, 0.0, run_seconds=99.0),
+    _costs("S1", Outcome.REUSED, 360, 0.0, run_seconds=99.0),
+    _costs("S2", Outcome.SIMULATED, 450, 9.0),
+    _costs("S2", Outcome.REUSED, 45, 0.0, run_seconds=99.0),
+    _costs("S2", Outcome.FAILED, 5, 2.5),
+]
+
+
+def test_what_was_simulated_to_confirm_the_best_set_saved_nothing() -> None:
+    found = account("c", "succeeded", ["S1", "S2"], CALIBRATION, None, confirmed={"S1": 60})
+    first, second = found.scenarios
+    assert (first.reused, first.confirmed, second.confirmed) == (360, 60, 0)
+    assert first.reused_saved_seconds == pytest.approx(3.0)
+    assert found.saved_seconds == pytest.approx(0.4 + 3.0 + 0.9)
+
+
+def test_the_account_of_a_campaign_with_its_own_map() -> None:
+    found = account("c", "succeeded", ["S1", "S2"], ANALYSIS + CALIBRATION, MapOrigin("m", "c", ANALYSIS + CALIBRATION))
+    assert found.sensitivity.model_dump() == {
+        "requested": 622,
+        "repeated": 20,
+        "certified": 0,
+        "simulated": 600,
+        "failed": 2,
+        "seconds": 10.0,
+    }
+    first, second = found.scenarios
+    assert (first.requested, first.simulated, first.audited) == (500, 100, 10)
+    assert first.mean_seconds == pytest.approx(0.01)
+    assert first.repeated_saved_seconds == pytest.approx(0.4)
+    assert first.reused_saved_seconds == pytest.approx(3.6)
+    assert (second.requested, second.failed) == (500, 5)
+    assert second.mean_seconds == pytest.approx(0.02)
+    assert second.reused_saved_seconds == pytest.approx(0.9)
+    assert (found.requested, found.answered_without_simulation, found.simulated, found.audited) == (1000, 445, 550, 10)
+    assert (found.share_without_simulation, found.share_reused) == (0.445, 0.405)
+    assert found.simulated_seconds == pytest.approx(10.0)
+    assert found.audited_seconds == pytest.approx(0.1)
+    assert found.saved_seconds == pytest.approx(0.4 + 3.6 + 0.9)
+    assert found.net_seconds == pytest.approx(4.9 - 10.0)
+    assert found.map_net_seconds == pytest.approx(4.5 - 10.0)
+    assert found.map is not None
+    assert (found.map.made_by, found.map.paid_here, found.map.runs, found.map.seconds) == ("c", True, 600, 10.0)
+    assert found.break_even == BreakEven(requested_cells=2223, campaigns=3, reruns=2)
+    assert "44.5 % of 1,000" in found.sentence.replace("%", " %")
+    assert "net loss of 5.1 s" in found.sentence
+
+
+def test_what_certificates_say_of_reused_cells_stands_in_the_account_of_its_scenario() -> None:
+    found = account("c", "running", ["S1", "S2"], CALIBRATION, None, [AuditCount("S2", 9, 3, 1)])
+    counts = [(one.proved, one.proved_different, one.proved_wrong) for one in found.scenarios]
+    assert counts == [(0, 0, 0), (9, 3, 1)]
+
+
+def test_a_rerun_pays_nothing_for_the_map_and_counts_what_answered_it() -> None:
+    rows = [_costs("S1", Outcome.REPEATED, 300, 0.0, run_seconds=6.0), _costs("S1", Outcome.REUSED, 100, 0.0, run_seconds=2.0)]
+    found = account("rerun", "succeeded", ["S1"], rows, MapOrigin("m", "first", ANALYSIS))
+    assert found.scenarios[0].mean_seconds == pytest.approx(0.02)
+    assert found.saved_seconds == found.net_seconds == pytest.approx(8.0)
+    assert found.share_without_simulation == 1.0
+    assert found.map is not None
+    assert (found.map.paid_here, found.map.seconds) == (False, 10.0)
+    assert found.break_even == BreakEven(requested_cells=2000, campaigns=5, reruns=4)
+
+
+def test_a_map_of_a_user_costs_nothing_and_has_no_break_even() -> None:
+    found = account("c", "running", ["S1", "S2"], CALIBRATION, MapOrigin("m", None))
+    assert found.map is not None
+    assert (found.map.made_by, found.map.seconds, found.break_even) == (None, 0.0, None)
+    assert found.map_net_seconds == found.reused_saved_seconds
+
+
+def test_a_campaign_without_answers_saves_nothing_yet() -> None:
+    found = account("c", "running", ["S1"], ANALYSIS, None)
+    assert (found.requested, found.share_without_simulation, found.share_reused, found.map_net_seconds) == (0, None, None, None)
+    assert found.scenarios[0].mean_seconds is None
+    assert found.net_seconds == -10.0
+
+
+def test_a_map_that_saves_nothing_never_pays() -> None:
+    assert break_even(1.0, 0.0, 1000) == BreakEven(requested_cells=None, campaigns=None, reruns=None)
+
+
+@given(st.floats(0.01, 1e6), st.floats(0.01, 1e6), st.integers(1, 10**6))
+def test_from_the_break_even_on_the_map_has_paid_and_not_before(cost: float, saved: float, requested: int) -> None:
+    found = break_even(cost, saved, requested)
+    assert found is not None
+    assert found.requested_cells is not None
+    assert found.campaigns is not None
+    assert found.campaigns * saved >= cost * (1 - 1e-6)
+    assert (found.campaigns - 1) * saved < cost
+    rate = saved / requested
+    assert found.requested_cells * rate >= cost * (1 - 1e-6)
+    assert (found.requested_cells - 1) * rate < cost * (1 + 1e-6)

@@ -1,0 +1,106 @@
+"""Evaluated parameter sets are ranked under any weights."""
+
+from __future__ import annotations
+
+import random
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivecal.analysis.solutions import EvaluatedSet, Ranking
+from drivecal.domain.evaluations import CellScore
+
+
+def _cells(scores: dict[int, dict[str, int | None]]) -> list[CellScore]:
+    return [
+        CellScore(number, scenario, score, None if score is None else score + 0.25, own=True, iteration=number, individual=0)
+        for number, by_scenario in scores.items()
+        for scenario, score in by_scenario.items()
+    ]
+
+
+def _ranking(cells: list[CellScore], weights: dict[str, float]) -> list[EvaluatedSet]:
+    ranking = Ranking(weights)
+    ranking.add(cells)
+    return ranking.ranking()
+
+
+def test_the_objective_is_the_weighted_sum_with_weights_normalised_to_one() -> None:
+    (only,) = _ranking(_cells({1: {"S1": 6, "S2": 3}}), {"S1": 2, "S2": 1})
+    assert only.objective == pytest.approx(5.0)
+    assert only.scores == {"S1": 6, "S2": 3}
+
+
+def test_a_set_without_a_result_in_a_weighted_scenario_is_not_ranked() -> None:
+    cells = _cells({1: {"S1": 7, "S2": None}, 2: {"S1": 1, "S2": 1}})
+    assert [one.parameter_set for one in _ranking(cells, {"S1": 1, "S2": 1})] == [2]
+    assert [one.parameter_set for one in _ranking(cells, {"S1": 1, "S2": 0})] == [1, 2]
+
+
+def test_equal_objectives_are_ordered_by_rating_then_by_discovery() -> None:
+    cells = [
+        CellScore(1, "S1", 6, 5.9, True, 0, 3),
+        CellScore(2, "S1", 6, 6.2, True, 4, 0),
+        CellScore(3, "S1", 6, 5.9, True, 0, 1),
+        CellScore(4, "S1", 5, 5.4, True, 0, 0),
+    ]
+    ranking = Ranking({"S1": 1})
+    ranking.add(cells)
+    assert [one.parameter_set for one in ranking.ranking()] == [2, 3, 1, 4]
+    found = ranking.best()
+    assert found is not None
+    assert (found[0].parameter_set, found[1]) == (2, 3)
+
+
+def test_a_set_met_again_keeps_the_place_of_its_discovery() -> None:
+    cells = [CellScore(1, "S1", 6, 6.0, True, iteration, 2) for iteration in (5, 2, 7)]
+    (only,) = _ranking(cells, {"S1": 1})
+    assert (only.iteration, only.individual) == (2, 2)
+
+
+def test_the_sets_own_result_counts_more_than_a_copy() -> None:
+    copy = CellScore(1, "S1", 7, 6.8, own=False, iteration=0, individual=0)
+    own = CellScore(1, "S1", 5, 5.1, own=True, iteration=3, individual=0)
+    failed = CellScore(1, "S1", None, None, own=True, iteration=0, individual=0)
+    assert [one.objective for one in _ranking([copy, own], {"S1": 1})] == [5.0]
+    assert [one.objective for one in _ranking([own, copy], {"S1": 1})] == [5.0]
+    assert [one.objective for one in _ranking([failed, copy], {"S1": 1})] == [7.0]
+
+
+def test_a_solution_says_which_of_its_scores_are_those_of_a_reference() -> None:
+    copy = CellScore(1, "S1", 7, 6.8, own=False, iteration=0, individual=0)
+    own = CellScore(1, "S2", 5, 5.1, own=True, iteration=0, individual=0)
+    (only,) = _ranking([copy, own], {"S1": 1, "S2": 1})
+    assert only.reused == ("S1",)
+
+
+def test_nothing_evaluated_gives_no_ranking() -> None:
+    assert Ranking({"S1": 1}).ranking() == []
+    assert Ranking({"S1": 1}).best() is None
+
+
+_scores = st.lists(st.lists(st.integers(0, 7), min_size=3, max_size=3), min_size=1, max_size=30)
+
+
+@given(_scores, st.lists(st.floats(0.01, 100), min_size=3, max_size=3))
+def test_the_objectives_are_those_of_numpy(scores: list[list[int]], weights: list[float]) -> None:
+    names = ["S1", "S2", "S3"]
+    cells = _cells({number: dict(zip(names, row, strict=True)) for number, row in enumerate(scores)})
+    ranked = _ranking(cells, dict(zip(names, weights, strict=True)))
+    expected = np.sort(np.array(scores) @ np.array(weights) / sum(weights))[::-1]
+    assert [one.objective for one in ranked] == pytest.approx(expected.tolist(), abs=1e-9)
+
+
+@given(_scores, st.randoms(use_true_random=False))
+def test_the_standing_does_not_depend_on_the_order_or_the_portions_of_the_answers(
+    scores: list[list[int]], shuffle: random.Random
+) -> None:
+    cells = _cells({number % 7: dict(zip(["S1", "S2", "S3"], row, strict=True)) for number, row in enumerate(scores)})
+    mixed = cells.copy()
+    shuffle.shuffle(mixed)
+    ranking = Ranking({"S1": 1, "S2": 2, "S3": 3})
+    for cell in mixed:
+        ranking.add([cell])
+    assert ranking.ranking() == _ranking(cells, {"S1": 1, "S2": 2, "S3": 3})

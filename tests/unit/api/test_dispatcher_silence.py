@@ -1,0 +1,107 @@
+"""What is said of a dispatcher that says nothing."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+
+import pytest
+
+from drivecal.api.live.dispatcher_health import SILENT_SECONDS, degraded, silence
+from drivecal.api.responses import etag, list_etag, matches
+from drivecal.domain.actions import Action
+from drivecal.domain.campaigns import CampaignState
+from drivecal.storage.revision_queries import CampaignRevision
+
+NOW = datetime(2026, 1, 1, tzinfo=UTC)
+
+
+def campaign_revision(
+    state: CampaignState = CampaignState.RUNNING, asked: Action | None = None, revision: int = 7, degraded: str | None = None
+) -> CampaignRevision:
+    return CampaignRevision(1, "c0ffee", state, asked, revision, degraded)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "said"),
+    [
+        (-1, None),
+        (0, None),
+        (SILENT_SECONDS, None),
+        (4.1, "more than 4 s"),
+        (9, "more than 4 s"),
+        (11, "more than 10 s"),
+        (59, "more than 30 s"),
+        (61, "more than a minute"),
+        (10_000_000, "more than an hour"),
+    ],
+)
+def test_a_silence_is_told_in_words_that_stay_the_same_for_a_while(seconds: float, said: str | None) -> None:
+    found = silence(NOW - timedelta(seconds=seconds), NOW)
+    assert found == (None if said is None else f"the dispatcher has been silent for {said}")
+
+
+def test_a_dispatcher_that_never_spoke_is_not_running() -> None:
+    assert silence(None, NOW) == "no dispatcher is running"
+
+
+@pytest.mark.parametrize(
+    ("state", "asked", "waits"),
+    [
+        (CampaignState.QUEUED, None, True),
+        (CampaignState.RUNNING, None, True),
+        (CampaignState.RUNNING, "pause", True),
+        (CampaignState.CANCELLING, None, True),
+        (CampaignState.PAUSED, None, False),
+        (CampaignState.PAUSED, "resume", True),
+        (CampaignState.SUCCEEDED, None, False),
+        (CampaignState.FAILED, None, False),
+        (CampaignState.CANCELLED, None, False),
+    ],
+)
+def test_only_campaigns_that_wait_for_the_dispatcher_suffer_from_its_silence(
+    state: CampaignState, asked: Action | None, *, waits: bool
+) -> None:
+    assert degraded(campaign_revision(state, asked), "silent") == ("silent" if waits else None)
+
+
+def test_what_the_dispatcher_said_last_is_told_with_its_silence() -> None:
+    assert degraded(campaign_revision(degraded="no workers"), None) == "no workers"
+    assert degraded(campaign_revision(degraded="no workers"), "silent") == "silent; it last said: no workers"
+
+
+def test_the_tag_changes_with_the_revision_and_with_what_is_said() -> None:
+    tags = {
+        etag(campaign_revision(), None),
+        etag(campaign_revision(revision=8), None),
+        etag(campaign_revision(), "silent"),
+        etag(campaign_revision(degraded="no workers"), None),
+        etag(campaign_revision(degraded="no workers"), "silent"),
+    }
+    assert len(tags) == 5
+    assert etag(campaign_revision(), None) == etag(campaign_revision(), None)
+    assert all(tag.startswith('W/"c0ffee-') for tag in tags)
+    pages = {
+        list_etag([], None),
+        list_etag([campaign_revision()], None),
+        list_etag([campaign_revision(), campaign_revision()], None),
+        list_etag([campaign_revision()], "silent"),
+        list_etag([campaign_revision(revision=8)], None),
+    }
+    assert len(pages) == 5
+
+
+@pytest.mark.parametrize(
+    ("given", "fits"),
+    [
+        (None, False),
+        ("", False),
+        ('W/"a-1-0"', True),
+        ('"a-1-0"', True),
+        ('"x", W/"a-1-0"', True),
+        ("*", True),
+        ('W/"a-2-0"', False),
+        ("a-1-0", False),
+    ],
+)
+def test_tags_are_compared_weakly(given: str | None, fits: bool) -> None:
+    assert matches(given, 'W/"a-1-0"') is fits

@@ -1,0 +1,56 @@
+"""Who takes which setup: a worker stays with what it knows, and nobody stands idle for it."""
+
+from __future__ import annotations
+
+from drivecal.execution.scheduling.affinity import MOST_HOMES, SetupAffinity
+from drivecal.execution.scheduling.in_flight import SetupKey
+
+
+def key(name: str) -> SetupKey:
+    return ("fingerprint " + name, "highway", name, "reference")
+
+
+A, B, C, D = (key(name) for name in "ABCD")
+
+
+def loaded(*pairs: tuple[str, SetupKey]) -> SetupAffinity:
+    setups = SetupAffinity()
+    for worker, setup in pairs:
+        setups.load(worker, setup)
+    return setups
+
+
+def test_a_worker_comes_back_to_the_setups_that_it_was_the_first_to_take() -> None:
+    setups = loaded(("one", A), ("two", B), ("one", C), ("two", D))
+    assert setups.choose("one", {A: 1.0, B: 9.0}) == A
+    assert setups.choose("two", {A: 9.0, B: 1.0}) == B
+    assert setups.choose("one", {A: 1.0, B: 9.0, C: 2.0, D: 9.0}) == C
+
+
+def test_who_has_nothing_of_its_own_to_do_helps_where_most_is_left() -> None:
+    setups = loaded(("one", A), ("two", B), ("two", C))
+    assert setups.choose("one", {B: 1.0, C: 5.0}) == B  # nobody is at it
+    setups.load("one", B)
+    assert setups.choose("three", {B: 1.0, C: 5.0}) == C
+
+
+def test_a_setup_without_a_home_is_taken_by_whoever_comes() -> None:
+    setups = loaded(("one", A), ("two", B))
+    assert setups.choose("two", {A: 9.0, D: 1.0}) == D
+
+
+def test_the_home_of_a_worker_that_is_gone_is_free_again() -> None:
+    setups = loaded(("one", A), ("two", B))
+    setups.meet(["two"])
+    assert setups.choose("two", {A: 1.0}) == A
+    setups.load("two", A)
+    setups.load("two", D)
+    setups.meet(["two", "three"])
+    assert setups.choose("three", {A: 1.0, C: 0.1}) == C
+
+
+def test_homes_are_forgotten_at_last() -> None:
+    setups = SetupAffinity()
+    for number in range(MOST_HOMES + 5):
+        setups.load("one", key(str(number)))
+    assert setups.choose("two", {key("0"): 1.0, key("9"): 5.0}) == key("0")

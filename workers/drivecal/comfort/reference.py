@@ -1,0 +1,24 @@
+"""The reference evaluator as a plug-in. Pure Python: the coordinator re-rates stored metrics with it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from drivecal.comfort import scale
+from drivecal.domain.evaluations import Rating
+from drivecal.domain.scenarios import Manoeuvre
+from drivecal.plugins.ports import Evaluator
+
+
+class ReferenceEvaluator:
+    """Rates by the reference comfort scale, see `drivecal.comfort.scale`."""
+
+    name = "reference"
+    version = "1"
+
+    def rate(self, manoeuvre: Manoeuvre, metrics: Mapping[str, float]) -> Rating:
+        """The rating of a run that did not fail."""
+        return scale.rate(manoeuvre, metrics)
+
+
+REFERENCE: Evaluator = ReferenceEvaluator()
