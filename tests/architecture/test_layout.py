@@ -5,12 +5,15 @@ from __future__ import annotations
 import ast
 import importlib
 from collections import Counter
+from graphlib import TopologicalSorter
 from pathlib import Path
 
+import grimp
 import pytest
 from tests.support.tree import PROJECT, ROOTS, modules, packages, parsed, shown
 
 LONGEST = 400
+MOST_MODULES = 16
 LONGER = {"workers/drivecal/planner/kernel.py": 700}
 """Numba's cache does not notice edits in imported modules, so jitted functions that call each other stay in one."""
 TOP_LEVEL = {
@@ -92,3 +95,19 @@ def test_undocumented_things_would_be_found() -> None:
         '"""Doc."""\nclass A:\n  "A."\n  def b(self): ...\n  def _c(self): ...\nasync def d():\n  def e(): ...\nclass _F: ...\n'
     )
     assert undocumented(ast.parse(source), "") == ["A.b", "d"]
+
+
+@pytest.mark.parametrize("folder", sorted({path.parent for path in modules()}), ids=shown)
+def test_a_folder_can_be_overlooked(folder: Path) -> None:
+    assert len([path for path in folder.glob("*.py") if path.name != "__init__.py"]) <= MOST_MODULES
+
+
+def test_a_class_name_means_one_class() -> None:
+    classes = Counter(node.name for path in modules() for node in ast.walk(parsed(path)) if isinstance(node, ast.ClassDef))
+    assert [name for name, count in classes.items() if count > 1 and not name.startswith("_")] == []
+
+
+def test_no_modules_import_each_other_in_a_circle() -> None:
+    graph = grimp.build_graph("drivecal", cache_dir=None)
+    imports = {module: graph.find_modules_directly_imported_by(module) for module in graph.modules}
+    TopologicalSorter(imports).prepare()  # raises CycleError, which names the circle

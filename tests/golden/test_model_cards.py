@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from tests.golden import held_out
 
-from drivecal.comfort import learned
+from drivecal.comfort import regression_arrays
 from drivecal.training import comfort, comfort_card, multibody, vehicle, vehicle_card
 from drivecal.training.drives import Drives
 from drivecal.training.manoeuvres import TRAINED, UNSEEN, draw
@@ -19,7 +19,7 @@ from drivecal.training.tables import read_table
 from drivecal.vehicle import residual
 
 VEHICLE_CARD = residual.FILE.with_suffix(".md")
-COMFORT_CARD = learned.FILE.with_suffix(".md")
+COMFORT_CARD = regression_arrays.FILE.with_suffix(".md")
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?")
 
 
@@ -65,7 +65,7 @@ def test_the_hybrid_vehicles_range_is_what_its_card_says() -> None:
 
 def test_the_learned_evaluator_agrees_with_the_panel_on_held_out_manoeuvres_as_its_card_says() -> None:
     drives = comfort.drives(held_out=True)
-    ratings = comfort_card.ratings(learned.shipped(), drives)
+    ratings = comfort_card.ratings(regression_arrays.shipped(), drives)
     assert_alike(comfort_card.agreement_table(ratings, drives), read_table(COMFORT_CARD, comfort_card.AGREEMENT))
     assert_alike(comfort_card.calibration_table(ratings, drives), read_table(COMFORT_CARD, comfort_card.CALIBRATION))
 

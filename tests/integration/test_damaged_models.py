@@ -10,7 +10,7 @@ from tests.support.computed import ComputedBackend
 from tests.support.runs import SMALL, dispatcher, get, submit
 from tests.support.server import serving
 
-from drivecal.comfort import learned
+from drivecal.comfort import learned, regression_arrays
 from drivecal.comfort.learned import LEARNED
 from drivecal.domain.campaigns import CampaignState
 from drivecal.storage.engine.database import Database
@@ -23,11 +23,11 @@ MIDDLE = {"P1": 0, "P2": 1, "P3": 100, "P4": 1000, "P5": 750, "P6": 0.5, "P7": 1
 
 def damage(folder: Path, patch: pytest.MonkeyPatch) -> None:
     """Both files lack their ends, and nobody has read them yet."""
-    copies = [folder / residual.FILE.name, folder / learned.FILE.name]
-    for file, copy in zip((residual.FILE, learned.FILE), copies, strict=True):
+    copies = [folder / residual.FILE.name, folder / regression_arrays.FILE.name]
+    for file, copy in zip((residual.FILE, regression_arrays.FILE), copies, strict=True):
         copy.write_bytes(file.read_bytes()[:-40])
     patch.setattr(hybrid, "shipped", lambda: residual.read(copies[0]))
-    patch.setattr(learned, "shipped", lambda: learned.read(copies[1]))
+    patch.setattr(learned, "shipped", lambda: regression_arrays.read(copies[1]))
     for plugin in (HYBRID, LEARNED):
         patch.delitem(vars(plugin), "version", raising=False)
 

@@ -1,4 +1,4 @@
-"""The dispatcher's pulse, with the database that it is written to."""
+"""The dispatcher's heartbeat, with the database that it is written to."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def reported(database: Database) -> StoredProcess:
     return found
 
 
-def pulse_of(database: Database, **options: Any) -> Heartbeat:
+def heartbeat_of(database: Database, **options: Any) -> Heartbeat:
     leadership = Leadership.begin(database)
     return Heartbeat(database.fenced(leadership.fence), leadership, **options)
 
@@ -42,7 +42,7 @@ def test_it_says_how_the_workers_are_and_running_campaigns_what_is_wrong(databas
     waiting, running = submit(database), submit(database)
     with database.transaction() as connection:
         campaigns.start(connection, running.sequence)
-    heartbeat = pulse_of(database)
+    heartbeat = heartbeat_of(database)
     heartbeat.tell([WORKER], "waiting for Ray: it is being started")
     heartbeat.beat()
     found = reported(database)
@@ -59,7 +59,7 @@ def test_it_says_how_the_workers_are_and_running_campaigns_what_is_wrong(databas
 
 def test_it_beats_while_the_main_thread_is_busy_and_says_since_when(database: Database) -> None:
     now = [0.0]
-    heartbeat = pulse_of(database, clock=lambda: now[0])
+    heartbeat = heartbeat_of(database, clock=lambda: now[0])
     heartbeat.tell([WORKER], "one of 2 workers does not start")
     with heartbeat:
         first = reported(database).heartbeat_at
@@ -130,11 +130,11 @@ def _ends(heartbeat: Heartbeat, error: type[Exception], words: str) -> None:
 
 
 def test_the_main_thread_learns_that_another_dispatcher_was_elected_or_has_the_lock(database: Database) -> None:
-    with pulse_of(database) as heartbeat:
+    with heartbeat_of(database) as heartbeat:
         Leadership.begin(database)
         _ends(heartbeat, SupersededError, "another dispatcher was elected")
     assert reported(database).detail == {}, "the new one's row is left alone"
-    with pulse_of(database, renew_lock=_lost) as heartbeat:
+    with heartbeat_of(database, renew_lock=_lost) as heartbeat:
         _ends(heartbeat, DatabaseError, "another drivecal server")
 
 
@@ -142,27 +142,27 @@ def test_an_unexpected_error_is_told_and_ends_the_main_thread(database: Database
     def broken() -> None:
         raise ZeroDivisionError("a bug")
 
-    with pulse_of(database, renew_lock=broken) as heartbeat:
+    with heartbeat_of(database, renew_lock=broken) as heartbeat:
         _ends(heartbeat, ZeroDivisionError, "a bug")
     assert "Traceback" in caplog.text
 
 
 STUCK = """
 import sys, time
-from drivecal.dispatch import pulse
-from drivecal.dispatch.leadership import Tenure
+from drivecal.dispatch import heartbeat
+from drivecal.dispatch.leadership import Leadership
 from drivecal.storage.engine.database import Database
-pulse.GRACE_SECONDS = 0.5
+heartbeat.GRACE_SECONDS = 0.5
 database = Database.open(sys.argv[1])
-tenure = Tenure.begin(database)
-with pulse.Pulse(database.fenced(tenure.fence), tenure):
-    Tenure.begin(database)
+leadership = Leadership.begin(database)
+with heartbeat.Heartbeat(database.fenced(leadership.fence), leadership):
+    Leadership.begin(database)
     time.sleep(120)
 """
 
 
 @pytest.mark.usefixtures("database")
-def test_without_a_pulse_a_stuck_process_ends(tmp_path: Path) -> None:
+def test_without_a_heartbeat_a_stuck_process_ends(tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-c", STUCK, f"sqlite:///{tmp_path / 'drivecal.db'}"],
         capture_output=True,

@@ -1,1 +1,1 @@
-"""Campaigns: what is asked for (`problem`) and how it is worked through, stage by stage (`staged`)."""
+"""Campaigns: resolved from a specification, worked through stage by stage, their cells tracked, their results read."""

@@ -1,1 +1,1 @@
-"""Gets cells simulated: which are sent next, to whom, and what becomes of those that broke down. `ray_backend` reaches the workers."""
+"""Execution of cells: which are sent next, to which worker, and what becomes of those that broke down."""

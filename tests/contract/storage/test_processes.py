@@ -14,7 +14,10 @@ from drivecal.storage import processes
 from drivecal.storage.engine import locks
 from drivecal.storage.engine.database import Database
 
-HOLD = "import sys, time; from drivecal.storage import locks; lock = locks.hold(sys.argv[1]); print('held', flush=True); time.sleep(60)"
+HOLD = (
+    "import sys, time; from drivecal.storage.engine import locks; "
+    "lock = locks.hold(sys.argv[1]); print('held', flush=True); time.sleep(60)"
+)
 
 
 def test_a_process_is_known_by_its_last_heartbeat(database: Database) -> None:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from drivecal.comfort import rocket
 from drivecal.comfort.channels import LENGTH
-from drivecal.comfort.learned import Regression, shipped
+from drivecal.comfort.regression_arrays import Regression, shipped
 from drivecal.domain.scenarios import Manoeuvre
 from drivecal.plugins.ports import Floats
 

@@ -10,7 +10,7 @@ from numba import njit
 
 from drivecal.comfort import rocket
 from drivecal.comfort.channels import MIRROR, channels_of
-from drivecal.comfort.learned import Regression
+from drivecal.comfort.regression_arrays import Regression
 from drivecal.comfort.scale import BEST
 from drivecal.domain.evaluations import Rating
 from drivecal.domain.scenarios import Manoeuvre

@@ -33,7 +33,7 @@ def train_vehicle() -> None:
 
 def train_comfort() -> None:
     """The learned comfort evaluator."""
-    from drivecal.comfort.learned import FILE, write
+    from drivecal.comfort.regression_arrays import FILE, write
     from drivecal.domain.scenarios import Manoeuvre
     from drivecal.training import comfort, comfort_card
     from drivecal.training.tables import write_table

@@ -12,8 +12,8 @@ from sklearn.metrics import cohen_kappa_score
 
 from drivecal.comfort import rocket
 from drivecal.comfort.channels import LENGTH, UNITS
-from drivecal.comfort.learned import Regression
 from drivecal.comfort.regression import features_of
+from drivecal.comfort.regression_arrays import Regression
 from drivecal.domain.scenarios import Manoeuvre
 from drivecal.plugins.ports import Floats
 from drivecal.training.panel import Panel

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from drivecal.comfort.learned import Regression
 from drivecal.comfort.regression import Rater
+from drivecal.comfort.regression_arrays import Regression
 from drivecal.domain.scenarios import Manoeuvre
 from drivecal.plugins.ports import Floats
 from drivecal.training.comfort import PanelAgreement, rated_by_panel
