@@ -22,7 +22,7 @@ from drivecal.configuration.settings import load_settings
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, RerunSpecification
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.actions import Action
-from drivecal.domain.campaigns import CampaignState, Stage
+from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.evaluations import Outcome, Rating
 from drivecal.domain.scenarios import Manoeuvre
@@ -93,7 +93,7 @@ def test_a_narrowed_campaign_searches_where_some_scenario_is_influenced(database
     assert 0.5 <= found["P2"].upper <= 0.7
     assert 0.2 <= found["P3"].lower <= 0.4
     with database.read() as connection:
-        rows = [row for row in results.stream(connection, narrow.sequence) if row.stage is Stage.CALIBRATION]
+        rows = [row for row in results.stream(connection, narrow.sequence) if row.stage is StageName.CALIBRATION]
     for name, one in found.items():
         assert all(one.lower <= row.parameters[name] <= one.upper for row in rows)
     assert any("narrowed" in note and "P4 held at 0.5" in note for note in narrow.notes)
@@ -141,7 +141,7 @@ def test_expert_sets_are_in_the_start_population_after_the_baseline(database: Da
     for reduction in ({}, {"narrow": True}):
         ended = _run(database, baseline=baseline, optimizer=optimizer, reduction=reduction)
         with database.read() as connection:
-            rows = [row for row in results.stream(connection, ended.sequence) if row.stage is Stage.CALIBRATION]
+            rows = [row for row in results.stream(connection, ended.sequence) if row.stage is StageName.CALIBRATION]
         first = {row.individual: row.parameters for row in rows if row.iteration == 0}
         given = [{name: first[place][name] for name in baseline} for place in range(3)]
         assert given == [baseline, experts[0], experts[2]], "each once"

@@ -14,7 +14,7 @@ from tests.support.runs import WITH_ANALYSIS, dispatcher
 from drivecal.campaigns.resolve.maps import map_from_document
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.contracts.work import Cell, CellResult
-from drivecal.domain.campaigns import CampaignState, Stage
+from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.influence import InfluenceMap
 from drivecal.storage import campaigns, results
@@ -99,8 +99,8 @@ def test_the_runs_of_the_analysis_are_references_from_the_first_population_on(da
     with database.read() as connection:
         rows = {row.id: row for row in results.stream(connection, ended.sequence)}
     stages = {row.id: row.stage for row in rows.values()}
-    first = [row for row in rows.values() if row.stage is Stage.CALIBRATION and row.iteration == 0]
-    assert any(row.outcome is Outcome.REUSED and stages[row.reference or 0] is Stage.SENSITIVITY for row in first)
+    first = [row for row in rows.values() if row.stage is StageName.CALIBRATION and row.iteration == 0]
+    assert any(row.outcome is Outcome.REUSED and stages[row.reference or 0] is StageName.SENSITIVITY for row in first)
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -13,7 +13,7 @@ from tests.support.runs import SMALL, dispatcher, get, influenced, nothing_matte
 from drivecal.campaigns.resolve.problem import resolve
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.contracts.work import Cell, CellResult, SetupRequest
-from drivecal.domain.campaigns import CampaignState, Stage
+from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.evaluations import Outcome
 from drivecal.storage import results, studies
@@ -32,7 +32,7 @@ def heavy(setup: SetupRequest, cell: Cell) -> CellResult:
     return CellResult(cell.id, rating, int(rating), {"rating": rating}, None, 5.0)
 
 
-def study(database: Database, campaign: StoredCampaign, stage: Stage = Stage.ROBUSTNESS) -> dict[str, Any]:
+def study(database: Database, campaign: StoredCampaign, stage: StageName = StageName.ROBUSTNESS) -> dict[str, Any]:
     with database.read() as connection:
         found = studies.get(connection, campaign.sequence, stage)
     assert found is not None
@@ -71,7 +71,7 @@ def test_every_vehicle_has_a_setup_of_its_own_in_the_reference_table(database: D
         rows = list(results.stream(connection, ended.sequence))
     assert len(counted) == 3 * (1 + 2 * 8)
     assert sum(one.runs for one in counted) == len(rows) == ended.robustness_cells.simulated
-    assert {row.stage for row in rows} == {Stage.ROBUSTNESS}
+    assert {row.stage for row in rows} == {StageName.ROBUSTNESS}
     again = run(
         database, submit(database, optimizer=None, robustness=campaign.spec["robustness"]), ComputedBackend(driven=heavy)
     )
@@ -87,7 +87,7 @@ def test_the_best_sets_of_a_calibration_are_examined_one_of_each_region_first(da
     assert len(found) == 5
     assert {row["objective"] for row in found} == {ended.best.objective}
     assert max(row["region"] for row in found) >= 1
-    assert ended.stage is Stage.ROBUSTNESS
+    assert ended.stage is StageName.ROBUSTNESS
 
 
 def test_scores_that_were_references_are_simulated_in_the_nominal_vehicle_first(database: Database) -> None:
@@ -96,7 +96,9 @@ def test_scores_that_were_references_are_simulated_in_the_nominal_vehicle_first(
     ended = run(database, campaign, ComputedBackend(driven=heavy))
     with database.read() as connection:
         first = [
-            row for row in results.stream(connection, ended.sequence) if row.stage is Stage.ROBUSTNESS and row.iteration == 0
+            row
+            for row in results.stream(connection, ended.sequence)
+            if row.stage is StageName.ROBUSTNESS and row.iteration == 0
         ]
     assert {row.outcome for row in first} == {Outcome.SIMULATED, Outcome.REPEATED}
 
@@ -145,7 +147,7 @@ def test_a_campaign_killed_in_its_studies_ends_like_one_that_was_not(tmp_path: P
                 (row.stage, row.iteration, row.individual, row.scenario, row.outcome, row.score)
                 for row in results.stream(connection, campaign.sequence)
             ]
-        both = [study(opened, ended, stage) for stage in (Stage.ROBUSTNESS, Stage.VALIDATION)]
+        both = [study(opened, ended, stage) for stage in (StageName.ROBUSTNESS, StageName.VALIDATION)]
         found.append((cells, ended.cells, ended.robustness_cells, ended.validation_cells, ended.best, both))
         opened.dispose()
     assert found[0] == found[1]
@@ -163,7 +165,7 @@ def test_validation_counts_variants_that_differ_where_the_map_says_that_they_can
         validation={"samples": 20, "references": 5},
     )
     ended = run(database, campaign, ComputedBackend(answer=influenced))
-    one, two = study(database, ended, Stage.VALIDATION)["items"]
+    one, two = study(database, ended, StageName.VALIDATION)["items"]
     assert (one["scenario"], two["scenario"]) == ("S1", "S2")
     assert one["reducible"] == 10
     assert one["covered"] == one["effects"] == 2**10 - 1
@@ -180,7 +182,7 @@ def test_where_everything_matters_there_is_nothing_to_validate(database: Databas
     stored_map = post_map(database, {"S1": {"P1": {"influential": True}}})
     campaign = submit(database, stored_map=stored_map, optimizer=None, validation={"samples": 20})
     ended = run(database, campaign)
-    found = study(database, ended, Stage.VALIDATION)
+    found = study(database, ended, StageName.VALIDATION)
     assert ended.state is CampaignState.SUCCEEDED
     assert all("nothing to validate" in note for note in found["notes"])
     assert len(found["notes"]) == 3

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from math import ceil
 
 from drivecal.contracts.accounting import Accounting, BreakEven, MapCost, ScenarioAccount, SensitivityCost
-from drivecal.domain.campaigns import Stage
+from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import AuditCount, Outcome, OutcomeCosts
 
 ROUNDING = 1e-9
@@ -44,7 +44,7 @@ def account(
     rows = [
         _scenario(
             name,
-            [one for one in costs if one.stage is Stage.CALIBRATION and one.scenario == name],
+            [one for one in costs if one.stage is StageName.CALIBRATION and one.scenario == name],
             proved.get(name, _NOTHING),
             (confirmed or {}).get(name, 0),
         )
@@ -84,7 +84,7 @@ _SECONDS = ("simulated_seconds", "audited_seconds", "repeated_saved_seconds", "r
 
 def sensitivity_cost(costs: Iterable[OutcomeCosts]) -> SensitivityCost:
     """What the sensitivity stage among `costs` took."""
-    stage = [one for one in costs if one.stage is Stage.SENSITIVITY]
+    stage = [one for one in costs if one.stage is StageName.SENSITIVITY]
     cells = _cells(stage)
     return SensitivityCost(
         requested=sum(cells.values()),

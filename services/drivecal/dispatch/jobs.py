@@ -15,7 +15,7 @@ from drivecal.campaigns.stages.campaign import StagedCampaign
 from drivecal.campaigns.stages.evaluation import SingleEvaluation
 from drivecal.contracts.comparison import ComparisonSpecification
 from drivecal.contracts.input_errors import validated
-from drivecal.domain.campaigns import CampaignState, Stage
+from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import ConflictError
 from drivecal.execution.scheduling.scheduler import Completed
 from drivecal.storage import campaigns, traces
@@ -46,7 +46,7 @@ class Active:
         return self.campaign.id
 
     @property
-    def stage(self) -> Stage | None:
+    def stage(self) -> StageName | None:
         """In which it is, for the log; None where that is not known yet, and of a single evaluation."""
         return self.job.stage if isinstance(self.job, StagedCampaign) else None
 

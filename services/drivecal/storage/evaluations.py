@@ -9,7 +9,7 @@ from typing import Any
 
 from sqlalchemy import Column, ColumnElement, Connection, Select, SmallInteger, bindparam, select, type_coerce, update
 
-from drivecal.domain.campaigns import Stage
+from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Donor, Outcome
 from drivecal.domain.parameters import ParameterSet
 from drivecal.storage import leases
@@ -31,7 +31,7 @@ class NewEvaluation:
     its audit does not trust. A copy of a donor has its answer at once; every other cell is pending.
     """
 
-    stage: Stage
+    stage: StageName
     iteration: int
     individual: int
     scenario: str
@@ -49,7 +49,7 @@ class PendingEvaluation:
     """A cell without its answer. `reference`: the evaluation that will answer it or is audited by it, None where there is none."""
 
     id: int
-    stage: Stage
+    stage: StageName
     iteration: int
     individual: int
     scenario: str
@@ -129,7 +129,9 @@ def pending(connection: Connection, campaign_sequence: int) -> list[PendingEvalu
     ]
 
 
-def reused(connection: Connection, campaign_sequence: int, stage: Stage, iteration: int) -> list[tuple[int, int, ParameterSet]]:
+def reused(
+    connection: Connection, campaign_sequence: int, stage: StageName, iteration: int
+) -> list[tuple[int, int, ParameterSet]]:
     """The cells of an iteration that have their answer from a reference, and of which nothing more is known: id, setup, parameters."""
     query = (
         select(evaluations.c.id, evaluations.c.setup_id, parameter_sets.c.parameter_values)

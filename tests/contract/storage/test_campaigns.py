@@ -9,7 +9,7 @@ from tests.support.storage import campaign, new_run, sample_set_ids, setup_id
 
 from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, Progress, StageCellCounts
 from drivecal.domain.actions import Action
-from drivecal.domain.campaigns import CampaignState, Stage
+from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import ConflictError, InvalidInputError, NotFoundError
 from drivecal.storage import campaigns
 from drivecal.storage.campaigns import CampaignHeading, Snapshot
@@ -149,7 +149,7 @@ def test_a_started_campaign_sees_what_was_stored_until_then(database: Database) 
 
 def test_progress_is_written_and_read_back_whole(database: Database) -> None:
     snapshot = Snapshot(
-        stage=Stage.CALIBRATION,
+        stage=StageName.CALIBRATION,
         iteration=3,
         cells=CellCounts(proposed=10, pending=4, requested=6, simulated=6, audited=1),
         progress=Progress(done=6, total=10, eta_seconds=1.5),

@@ -6,7 +6,7 @@ import pytest
 from sqlalchemy import Connection, text
 
 from drivecal.contracts.campaign import CellCounts, Progress, StageCellCounts
-from drivecal.domain.campaigns import CampaignState, Stage
+from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import ConflictError, OverloadError
 from drivecal.storage import admission, campaigns, comparisons, events
 from drivecal.storage.campaigns import Snapshot, StoredCampaign
@@ -136,7 +136,7 @@ def test_a_comparison_that_does_not_fit_its_runs_is_found(database: Database, st
 
 def test_cells_that_a_comparison_sums_up_are_counted_once(database: Database) -> None:
     snapshot = Snapshot(
-        stage=Stage.CALIBRATION,
+        stage=StageName.CALIBRATION,
         iteration=0,
         cells=CellCounts(proposed=5, requested=5, simulated=5),
         sensitivity_cells=StageCellCounts(),

@@ -8,7 +8,7 @@ import pytest
 from sqlalchemy import Connection, event, update
 from tests.support.storage import campaign, sample_set_ids, setup_id
 
-from drivecal.domain.campaigns import CampaignState, Stage
+from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.evaluations import Outcome
 from drivecal.storage import campaigns, evaluations, leases, processes
 from drivecal.storage.engine.database import Database
@@ -102,7 +102,7 @@ def test_leases_of_the_current_term_are_those_at_workers(database: Database) -> 
         processes.elect(connection, processes.DISPATCHER, 1, now())
         sequence, setup = campaign(connection).sequence, setup_id(connection)
         cells = [
-            NewEvaluation(Stage.CALIBRATION, 0, n, "S1", setup, parameter_set, Outcome.SIMULATED)
+            NewEvaluation(StageName.CALIBRATION, 0, n, "S1", setup, parameter_set, Outcome.SIMULATED)
             for n, parameter_set in enumerate(sample_set_ids(connection, 4))
         ]
         ids = evaluations.insert(connection, sequence, cells)

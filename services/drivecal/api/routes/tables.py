@@ -19,7 +19,7 @@ from drivecal.api.tables.ranking import CampaignRanking, ranking
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec
 from drivecal.campaigns.results.optima import alternatives
 from drivecal.contracts.campaign import Solution
-from drivecal.domain.campaigns import Stage
+from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import ConflictError
 from drivecal.storage import campaigns, generations, results
 from drivecal.storage import studies as stored_studies
@@ -135,7 +135,7 @@ def list_robustness(campaign_id: str, query: TableQuery, database: DatabaseDepen
     """The best sets by how far the vehicle may differ before they lose what makes them good: most robust first, the recommended one
     marked with the reason. None before the robustness stage."""
     campaign = _campaign(database, campaign_id)
-    found, flat = _study(database, campaign, Stage.ROBUSTNESS), form_of(query, accept) != "json"
+    found, flat = _study(database, campaign, StageName.ROBUSTNESS), form_of(query, accept) != "json"
     begun_with = _pinned(campaign)
 
     def rows(start: int, stop: int) -> list[Row]:
@@ -152,7 +152,7 @@ def list_validation(campaign_id: str, query: TableQuery, database: DatabaseDepen
     """How often answers differ where the influence map says that they cannot, by scenario (Tables 1 and 2, Figure 14). None before the
     validation stage."""
     campaign = _campaign(database, campaign_id)
-    found, flat = _study(database, campaign, Stage.VALIDATION), form_of(query, accept) != "json"
+    found, flat = _study(database, campaign, StageName.VALIDATION), form_of(query, accept) != "json"
 
     def rows(start: int, stop: int) -> list[Row]:
         return [studies.validation_row(one, flat=flat) for one in found[start:stop]]
@@ -160,7 +160,7 @@ def list_validation(campaign_id: str, query: TableQuery, database: DatabaseDepen
     return table_answer(f"validation-{campaign.id}", query, accept, studies.validation_columns, slices(rows, len(found)))
 
 
-def _study(database: Database, campaign: StoredCampaign, stage: Stage) -> list[dict[str, Any]]:
+def _study(database: Database, campaign: StoredCampaign, stage: StageName) -> list[dict[str, Any]]:
     with database.read() as connection:
         found = stored_studies.get(connection, campaign.sequence, stage)
     items: list[dict[str, Any]] = [] if found is None else found["items"]

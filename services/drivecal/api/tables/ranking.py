@@ -9,7 +9,7 @@ from drivecal.analysis.solutions import EvaluatedSet as Ranked
 from drivecal.analysis.solutions import Ranking
 from drivecal.contracts.assignments import assignments
 from drivecal.contracts.campaign import Solution
-from drivecal.domain.campaigns import Stage
+from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.storage import results
 from drivecal.storage.campaigns import StoredCampaign
@@ -56,7 +56,7 @@ def ranking(database: Database, campaign: StoredCampaign, own: Mapping[str, floa
     used = own if weights is None else _weights(weights, list(own))
     standing = Ranking(used)
     with database.read() as connection:
-        standing.add(results.answers(connection, campaign.sequence, Stage.CALIBRATION))
+        standing.add(results.answers(connection, campaign.sequence, StageName.CALIBRATION))
     return CampaignRanking(database, standing.ranking(), [name for name, weight in used.items() if weight > 0])
 
 

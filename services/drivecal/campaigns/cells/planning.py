@@ -12,7 +12,7 @@ from sqlalchemy import Connection
 
 from drivecal.campaigns.resolve.problem import Bench
 from drivecal.campaigns.resolve.spaces import function_names
-from drivecal.domain.campaigns import Stage
+from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Donor
 from drivecal.domain.influence import InfluenceMap
 from drivecal.domain.parameters import ParameterSet
@@ -88,7 +88,7 @@ def _keys_of(view: View, scenario: str, names: tuple[str, ...], values: npt.NDAr
 
 @MEASURES.timed("lookup")
 def plan_cells(
-    connection: Connection, view: View, policy: Policy, stage: Stage, iteration: int, wanted: Sequence[WantedCell]
+    connection: Connection, view: View, policy: Policy, stage: StageName, iteration: int, wanted: Sequence[WantedCell]
 ) -> list[NewEvaluation]:
     """What answers each of the requested cells, in order."""
     setup_ids = ensure_setups(connection, view.bench)

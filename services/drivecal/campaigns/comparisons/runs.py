@@ -21,7 +21,7 @@ from drivecal.campaigns.comparisons.resolve import ComparisonProblem
 from drivecal.campaigns.stages.campaign import StagedCampaign
 from drivecal.campaigns.stages.eta import EtaEstimate
 from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, StageCellCounts
-from drivecal.domain.campaigns import CampaignState, Stage
+from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import DrivecalError, NoResultError, RefutedError, SupersededError, UnavailableError
 from drivecal.domain.events import EventKind
 from drivecal.execution.scheduling.scheduler import Completed
@@ -66,7 +66,7 @@ class ComparisonJob:
             done = _Sum.over(comparisons.tallies(connection, campaign.sequence)).done
         self._clock, self._next_sum = clock, clock()
         self._eta = EtaEstimate(clock, done)
-        self.stage = Stage.CALIBRATION
+        self.stage = StageName.CALIBRATION
         self.goes_on = False
         """Whether there is more to do now, though nothing was given to simulate and nothing is awaited."""
         self.finished = False

@@ -13,15 +13,16 @@ from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.stages.calibration import Calibration
 from drivecal.campaigns.stages.robustness import RobustnessStage
 from drivecal.campaigns.stages.sensitivity import Sensitivity
+from drivecal.campaigns.stages.stage import CampaignStage, Stage
 from drivecal.campaigns.stages.validation import ValidationStage
-from drivecal.domain.campaigns import Stage
 from drivecal.execution.scheduling.scheduler import Completed
 from drivecal.storage import campaigns
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import influence_maps
 
-AnyStage = Sensitivity | Calibration | RobustnessStage | ValidationStage
+STAGES: tuple[type[CampaignStage], ...] = (Sensitivity, Calibration, RobustnessStage, ValidationStage)
+"""In the order in which they run."""
 
 
 class StagedCampaign:
@@ -35,11 +36,11 @@ class StagedCampaign:
         )
         self._begun = False
         self._sequence = campaign.sequence
-        every = list(Stage)
-        self._ahead = every if campaign.stage is None else every[every.index(campaign.stage) :]
+        names = [kind.name for kind in STAGES]
+        self._ahead = list(STAGES if campaign.stage is None else STAGES[names.index(campaign.stage) :])
         self.stage = campaign.stage
         """In which it is, None before the first."""
-        self._stage: AnyStage | None = None
+        self._stage: Stage | None = None
 
     @property
     def finished(self) -> bool:
@@ -73,33 +74,15 @@ class StagedCampaign:
         """Writes results down; gives what is to be simulated instead."""
         return [] if self._stage is None else self._stage.record(completed)
 
-    def _next(self, campaign: StoredCampaign) -> AnyStage | None:
-        """The first wanted stage of those that are ahead; None where all are over."""
+    def _next(self, campaign: StoredCampaign) -> Stage | None:
+        """Returns the next stage that the campaign wants; None when all are over."""
         while self._ahead:
-            stage, *self._ahead = self._ahead
-            if self._wants(campaign, stage):
-                self.stage = stage
-                return self._make(campaign, stage)
+            kind, *self._ahead = self._ahead
+            if kind.is_wanted(campaign, self._problem):
+                view = self._with_map(campaign) if kind.uses_map else self._view
+                self.stage = kind.name
+                return kind(self._database, campaign, self._problem, view)
         return None
-
-    def _wants(self, campaign: StoredCampaign, stage: Stage) -> bool:
-        match stage:
-            case Stage.SENSITIVITY:
-                return campaign.influence_map_id is None and self._problem.analysis() is not None
-            case Stage.CALIBRATION:
-                return self._problem.optimization is not None
-            case Stage.ROBUSTNESS:
-                return self._problem.specification.robustness is not None
-            case Stage.VALIDATION:
-                return self._problem.specification.validation is not None
-
-    def _make(self, campaign: StoredCampaign, stage: Stage) -> AnyStage:
-        if stage is Stage.SENSITIVITY:
-            return Sensitivity(self._database, campaign, self._problem, self._view)
-        if stage is Stage.ROBUSTNESS:
-            return RobustnessStage(self._database, campaign, self._problem, self._view)
-        view = self._with_map(campaign)
-        return (Calibration if stage is Stage.CALIBRATION else ValidationStage)(self._database, campaign, self._problem, view)
 
     def _with_map(self, campaign: StoredCampaign) -> View:
         if campaign.influence_map_id is None:

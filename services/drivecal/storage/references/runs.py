@@ -9,7 +9,7 @@ from typing import Any
 
 from sqlalchemy import Connection, func, select, text
 
-from drivecal.domain.campaigns import Stage
+from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Donor
 from drivecal.storage.engine.bulk import among, insert
 from drivecal.storage.engine.tables import ratings, runs, setups
@@ -31,7 +31,7 @@ class NewRun:
     rating: float
     evaluation_id: int
     campaign_sequence: int
-    stage: Stage
+    stage: StageName
     iteration: int
     individual: int
     from_series: bool = False
