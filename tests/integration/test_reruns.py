@@ -175,7 +175,7 @@ def test_a_rerun_of_a_subset_of_the_scenarios_simulates_those_alone(database: Da
     backend = ComputedBackend(answer=influenced)
     again = _rerun(database, first, backend, weights={"S1": 0})
     assert again.influence_map_id == first.influence_map_id
-    assert again.sensitivity_cells.requested == 0
+    assert again.counts(StageName.SENSITIVITY).requested == 0
     assert set(again.error_rate) == {"S2"}
     assert {scenario for scenario, _ in backend.sent} <= {"S2"}
     assert any("S1" in note for note in again.notes)
@@ -189,7 +189,7 @@ def test_another_evaluator_rates_stored_runs_and_simulates_only_what_is_new(data
     again = _rerun(database, first, backend, evaluator="strict")
     assert again.spec["evaluator"] == "strict"
     assert again.influence_map_id != first.influence_map_id, "the map was made from the other ratings"
-    assert again.sensitivity_cells.repeated > 0.7 * again.sensitivity_cells.requested
+    assert again.counts(StageName.SENSITIVITY).repeated > 0.7 * again.counts(StageName.SENSITIVITY).requested
     assert again.cells.repeated + again.cells.reused > 0
     with database.read() as connection:
         rows = list(results.stream(connection, again.sequence))
@@ -202,13 +202,13 @@ def test_another_evaluator_rates_stored_runs_and_simulates_only_what_is_new(data
             expected = strict_answer(row.scenario, Cell(1, row.parameters))
             assert (row.score, row.rating, row.failure) == (expected.score, expected.rating, expected.failure)
     assert any(row.failure == "collision" and row.score == 0 and row.outcome is Outcome.REPEATED for row in rows)
-    assert len(backend.sent) == again.cells.simulated + again.sensitivity_cells.simulated
+    assert len(backend.sent) == again.cells.simulated + again.counts(StageName.SENSITIVITY).simulated
     for rate in again.error_rate.values():
         assert rate.wrong == rate.different == 0
     third = _rerun(database, again, weights={"S1": 3}, evaluator="strict")
     assert third.influence_map_id == again.influence_map_id
     back = _rerun(database, again, evaluator="reference")
-    assert back.sensitivity_cells.simulated == 0
+    assert back.counts(StageName.SENSITIVITY).simulated == 0
     assert back.best == first.best
 
 

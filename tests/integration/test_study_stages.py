@@ -55,7 +55,7 @@ def test_sets_are_ranked_by_what_vehicles_they_bear(database: Database) -> None:
     assert not failing["holds"]
     assert failing["deviations"] == {"S1": 2.0, "S2": 2.0, "S3": 2.0}
     # nominal runs, then 5, 3 and 1 boxes
-    assert ended.robustness_cells.requested == 3 * 3 + (5 + 3 + 1) * 8 * 3
+    assert ended.counts(StageName.ROBUSTNESS).requested == 3 * 3 + (5 + 3 + 1) * 8 * 3
     assert ended.cells.requested == 0
 
 
@@ -70,12 +70,12 @@ def test_every_vehicle_has_a_setup_of_its_own_in_the_reference_table(database: D
         counted = setups.counts(connection)
         rows = list(results.stream(connection, ended.sequence))
     assert len(counted) == 3 * (1 + 2 * 8)
-    assert sum(one.runs for one in counted) == len(rows) == ended.robustness_cells.simulated
+    assert sum(one.runs for one in counted) == len(rows) == ended.counts(StageName.ROBUSTNESS).simulated
     assert {row.stage for row in rows} == {StageName.ROBUSTNESS}
     again = run(
         database, submit(database, optimizer=None, robustness=campaign.spec["robustness"]), ComputedBackend(driven=heavy)
     )
-    assert again.robustness_cells.repeated == again.robustness_cells.requested
+    assert again.counts(StageName.ROBUSTNESS).repeated == again.counts(StageName.ROBUSTNESS).requested
     assert study(database, again)["items"] == study(database, ended)["items"]
 
 
@@ -115,7 +115,7 @@ def test_a_vehicle_without_a_result_ends_the_growing_of_boxes(database: Database
     row = study(database, ended)["items"][0]
     assert row["degree"] == 2
     assert row["trials"][-1]["deviations"] == {"S1": None}
-    assert ended.robustness_cells.failed > 0
+    assert ended.counts(StageName.ROBUSTNESS).failed > 0
 
 
 def test_a_campaign_whose_calibration_found_nothing_has_nothing_to_examine(database: Database) -> None:
@@ -148,7 +148,9 @@ def test_a_campaign_killed_in_its_studies_ends_like_one_that_was_not(tmp_path: P
                 for row in results.stream(connection, campaign.sequence)
             ]
         both = [study(opened, ended, stage) for stage in (StageName.ROBUSTNESS, StageName.VALIDATION)]
-        found.append((cells, ended.cells, ended.robustness_cells, ended.validation_cells, ended.best, both))
+        found.append(
+            (cells, ended.cells, ended.counts(StageName.ROBUSTNESS), ended.counts(StageName.VALIDATION), ended.best, both)
+        )
         opened.dispose()
     assert found[0] == found[1]
 
@@ -175,7 +177,7 @@ def test_validation_counts_variants_that_differ_where_the_map_says_that_they_can
     assert two["error_rate"] == 0.0
     assert two["histogram"] == {"0": two["compared"]}
     assert 0 < two["upper_95"] < 0.1
-    assert ended.validation_cells.requested == sum(row["bases"] * 6 for row in (one, two))
+    assert ended.counts(StageName.VALIDATION).requested == sum(row["bases"] * 6 for row in (one, two))
 
 
 def test_where_everything_matters_there_is_nothing_to_validate(database: Database) -> None:

@@ -12,7 +12,7 @@ from sqlalchemy import Connection
 from drivecal.campaigns.resolve.maps import analysis_to_document, smallest_s_rel
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve, resolve_evaluation
 from drivecal.campaigns.resolve.spaces import space_to_document
-from drivecal.contracts.campaign import Best, CellCounts, ErrorRate, Progress, StageCellCounts
+from drivecal.contracts.campaign import Best, CellCounts, ErrorRate, Progress
 from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
 from drivecal.domain.campaigns import CampaignState, StageName
@@ -63,9 +63,8 @@ def carry_out(database: Database, campaign_id: str, individuals: int = 5, *, end
         snapshot = Snapshot(
             stage=StageName.CALIBRATION,
             iteration=0,
-            cells=CellCounts(proposed=cells, requested=cells, simulated=cells),
+            cells={StageName.CALIBRATION: CellCounts(proposed=cells, requested=cells, simulated=cells)},
             progress=Progress(done=cells, total=cells, eta_seconds=0.0),
-            sensitivity_cells=StageCellCounts(),
             error_rate={name: ErrorRate() for name in problem.scenarios},
             best=best,
             baseline=None,

@@ -8,7 +8,7 @@ from datetime import datetime
 from typing import Any
 
 from drivecal.api.live.dispatcher_health import degraded
-from drivecal.contracts.campaign import Campaign, Seconds
+from drivecal.contracts.campaign import Campaign, CellCounts, Seconds
 from drivecal.contracts.evaluation import EvaluatedCell, Evaluation
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import ConflictError
@@ -55,10 +55,7 @@ def campaign_answer(stored: StoredCampaign, now: datetime, silent: str | None, c
         stage=stored.stage,
         iteration=stored.iteration,
         progress=stored.progress,
-        cells=stored.cells,
-        sensitivity_cells=stored.sensitivity_cells,
-        robustness_cells=stored.robustness_cells,
-        validation_cells=stored.validation_cells,
+        stages={stage: CellCounts(**cells) for stage, cells in stored.stages.items()},
         error_rate=dict(stored.error_rate),
         best=stored.best,
         baseline=stored.baseline,

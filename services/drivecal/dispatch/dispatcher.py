@@ -209,7 +209,7 @@ class Dispatcher:
             self._submit(active, work)
             if job.finished:
                 self._end(active, CampaignState.SUCCEEDED)
-            elif not work and not active.goes_on:
+            elif not work and not job.goes_on:
                 log.warning("cells of the campaign are answered or simulated elsewhere; it is taken up again")
                 active.job, active.not_before = None, self._clock() + RETRY_SECONDS
 
@@ -241,7 +241,8 @@ class Dispatcher:
     def _finish_stopping(self, active: Active) -> None:
         if self._pool.held(active.tag) or active.unwritten:
             return
-        active.sum_up()
+        if active.job is not None:
+            active.job.sum_up()
         if active.stopping is CampaignState.CANCELLED:
             self._end(active, CampaignState.CANCELLED)
             return

@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import datetime
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, computed_field, model_validator
 
 
 class Answer(BaseModel):
@@ -54,6 +54,55 @@ class StageCellCounts(Answer):
     pending: int = 0
     checked: int = 0
     unrepeatable: int = 0
+
+
+EARLIER_NAMES = {stage: f"{stage}_cells" for stage in ("sensitivity", "robustness", "validation")} | {"calibration": "cells"}
+
+
+class CellsByStage(Answer):
+    """Cells of a campaign by stage; a stage that has not begun is missing. The other fields repeat those of four stages by the names of
+    earlier releases."""
+
+    stages: dict[str, CellCounts] = {}
+
+    @model_validator(mode="before")
+    @classmethod
+    def _by_stage(cls, data: Any) -> Any:
+        """Reads what a release without `stages` answers."""
+        if not isinstance(data, dict) or "stages" in data:
+            return data
+        return data | {"stages": {stage: data[name] for stage, name in EARLIER_NAMES.items() if data.get(name)}}
+
+    @computed_field  # type: ignore[prop-decorator]  # mypy knows no decorated properties
+    @property
+    def cells(self) -> CellCounts:
+        """The calibration stage, a single evaluation, or the sum over the runs of a comparison."""
+        return self.stages.get("calibration", CellCounts())
+
+    @computed_field  # type: ignore[prop-decorator]
+    @property
+    def sensitivity_cells(self) -> StageCellCounts:
+        """The sensitivity stage."""
+        return self._of("sensitivity")
+
+    @computed_field  # type: ignore[prop-decorator]
+    @property
+    def robustness_cells(self) -> StageCellCounts:
+        """The robustness stage."""
+        return self._of("robustness")
+
+    @computed_field  # type: ignore[prop-decorator]
+    @property
+    def validation_cells(self) -> StageCellCounts:
+        """The validation stage."""
+        return self._of("validation")
+
+    def _of(self, stage: str) -> StageCellCounts:
+        return StageCellCounts(**self.stages.get(stage, CellCounts()).model_dump())
+
+    def by_stage(self) -> dict[str, CellCounts | StageCellCounts]:
+        """The stages that have begun, each with the counts that it can have."""
+        return {stage: self.cells if stage == "calibration" else self._of(stage) for stage in self.stages}
 
 
 class ErrorRate(Answer):
@@ -109,7 +158,7 @@ class Seconds(Answer):
     simulating: float = 0.0
 
 
-class Campaign(Answer):
+class Campaign(CellsByStage):
     """A campaign as `GET /campaigns/{id}` shows it."""
 
     id: str
@@ -124,10 +173,6 @@ class Campaign(Answer):
     stage: str | None = None
     iteration: int | None = None
     progress: Progress = Progress()
-    cells: CellCounts = CellCounts()
-    sensitivity_cells: StageCellCounts = StageCellCounts()
-    robustness_cells: StageCellCounts = StageCellCounts()
-    validation_cells: StageCellCounts = StageCellCounts()
     error_rate: dict[str, ErrorRate] = {}
     best: Best | None = None
     baseline: Baseline | None = None

@@ -235,6 +235,7 @@ def test_the_statistics_read_open_and_new_campaigns_only(filled: Database) -> No
         for number in range(1500):
             campaign(connection, str(number))
         connection.execute(text("UPDATE campaigns SET state = 'succeeded', ended_at = created_at WHERE sequence < 1490"))
+        connection.execute(text("INSERT INTO campaign_stages SELECT sequence, 2, '{}' FROM campaigns"))
         processes.elect(connection, processes.DISPATCHER, 1, now())
     gather_statistics(filled)
     with filled.read() as connection:

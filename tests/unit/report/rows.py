@@ -151,9 +151,11 @@ def findings(**given: Any) -> ReportData:
         id="0" * 32,
         name="a <b>small</b> study",
         state="succeeded",
-        cells=CellCounts(
-            proposed=120, carried_over=40, requested=80, repeated=10, reused=20, simulated=48, failed=2, audited=8
-        ),
+        stages={
+            "calibration": CellCounts(
+                proposed=120, carried_over=40, requested=80, repeated=10, reused=20, simulated=48, failed=2, audited=8
+            )
+        },
         error_rate={"S1": ErrorRate(audited=8, different=1, wrong=1, upper_95=0.5265, stopped=True), "S2": ErrorRate()},
         best=Best(objective=6.0, parameters={"P1": 1, "P2": 2.5, "P3": 4}, scores={"S1": 5, "S2": 7}, alternatives=3),
         baseline=Baseline(objective=None, parameters={"P1": 5, "P2": 5, "P3": 5}, scores={"S1": 4, "S2": None}),

@@ -14,7 +14,7 @@ from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.contracts.campaign import CellCounts
 from drivecal.contracts.comparison import ComparedGroup, ComparedPair, ComparedRun, ComparisonSpecification, ReductionEffect
 from drivecal.contracts.input_errors import validated
-from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.storage import campaigns, generations, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.generations import Figures
@@ -104,6 +104,7 @@ def _needed(figures: Figures | CellCounts) -> int:
 
 
 def _run(campaign: StoredCampaign, course: Course, best: float | None) -> ComparedRun:
+    analysed = campaign.counts(StageName.SENSITIVITY)
     return ComparedRun(
         run=campaign.id,
         **course.conditions._asdict(),
@@ -112,7 +113,7 @@ def _run(campaign: StoredCampaign, course: Course, best: float | None) -> Compar
         requested=campaign.cells.requested,
         simulations=course.simulated,
         confirmations=course.confirmations,
-        analysis=campaign.sensitivity_cells.requested - campaign.sensitivity_cells.repeated,
+        analysis=analysed.requested - analysed.repeated,
         best=course.best[-1] if course.best else None,
         simulated_best=course.optimum,
         rating=course.ratings[-1] if course.ratings else None,

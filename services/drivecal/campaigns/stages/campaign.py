@@ -8,6 +8,7 @@ from dataclasses import replace
 from drivecal.campaigns.cells.cell_tracker import Work
 from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.cells.rerating import note_of, rate_stored_runs
+from drivecal.campaigns.job import Job
 from drivecal.campaigns.resolve.maps import check_basis, stored_map
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.stages.calibration import Calibration
@@ -25,7 +26,7 @@ STAGES: tuple[type[CampaignStage], ...] = (Sensitivity, Calibration, RobustnessS
 """In the order in which they run."""
 
 
-class StagedCampaign:
+class StagedCampaign(Job):
     """Gives and takes work as its stages do, in their order. The sensitivity stage is over when the campaign has an influence map."""
 
     def __init__(self, database: Database, campaign: StoredCampaign, problem: CalibrationProblem) -> None:
@@ -42,11 +43,6 @@ class StagedCampaign:
         """In which it is, None before the first."""
         self._stage: Stage | None = None
 
-    @property
-    def finished(self) -> bool:
-        """Whether nothing is left to do."""
-        return self._begun and self._stage is None
-
     def work(self) -> list[Work]:
         """What to simulate next; empty where answers are awaited or everything is `finished`."""
         if not self._begun:
@@ -56,6 +52,7 @@ class StagedCampaign:
             if work or not self._stage.finished:
                 return work
             self._stage = self._next(self._campaign())
+        self.finished = True
         return []
 
     def _begin(self) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -12,13 +12,14 @@ from sqlalchemy import Connection
 
 from drivecal.campaigns.cells.cell_tracker import CellTracker, Work
 from drivecal.campaigns.cells.planning import View, WantedCell, plan_cells
+from drivecal.campaigns.job import Job
 from drivecal.campaigns.resolve.problem import Bench, CalibrationProblem
 from drivecal.campaigns.stages.eta import EtaEstimate
 from drivecal.contracts.campaign import Progress
 from drivecal.domain.campaigns import StageName
 from drivecal.execution.scheduling.scheduler import Completed
 from drivecal.reduction.assignment import Policy
-from drivecal.storage import campaigns, results
+from drivecal.storage import campaign_stages, campaigns, results
 from drivecal.storage.campaigns import Snapshot, StoredCampaign
 from drivecal.storage.engine.database import Database
 
@@ -33,7 +34,7 @@ class Round:
     carried_over: int = 0
 
 
-class Stage(ABC):
+class Stage(Job):
     """One stage of a campaign: `work` gives cells to simulate, `record` takes their results, until the stage is `finished`.
 
     All state is in the database after every call: a new object on the same campaign goes on exactly as this one would. By default it asks
@@ -72,19 +73,19 @@ class Stage(ABC):
         """Goes on from stored rows if the stage does not ask for its finished rounds again."""
         return []
 
-    def _announce(self, connection: Connection, asked: Round) -> None:
+    def _announce(self, connection: Connection, asked: Round) -> None:  # a hook
         """Adds the events that precede a new round."""
 
-    def _store(self, connection: Connection, asked: Round) -> None:
+    def _store(self, connection: Connection, asked: Round) -> None:  # a hook
         """Stores what belongs to a new round besides its cells."""
 
-    def _conclude(self) -> None:
+    def _conclude(self) -> None:  # a hook
         """Stores the outcome of the stage."""
 
     def _snapshot(self, connection: Connection) -> Snapshot:
         """The progress to store; a subclass adds what it knows."""
         del connection
-        counts = campaigns.campaign_stages.counts({self.name: self._tracker.counts}, self.name)
+        counts = campaign_stages.counts({self.name: self._tracker.counts}, self.name)
         return Snapshot(
             stage=self.name,
             iteration=None if self._round is None else self._round.number,

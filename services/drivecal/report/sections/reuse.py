@@ -19,13 +19,7 @@ def cells_by_stage(campaign: Campaign) -> str:
             *(getattr(cells, one, None) for one in ("proposed", "carried_over", "requested", *OUTCOMES, "audited", "checked")),
         ]
 
-    stages: dict[str, CellCounts | StageCellCounts] = {
-        "sensitivity": campaign.sensitivity_cells,
-        "calibration": campaign.cells,
-        "robustness": campaign.robustness_cells,
-        "validation": campaign.validation_cells,
-    }
-    rows = [row(name, cells) for name, cells in stages.items() if cells.requested]
+    rows = [row(name, cells) for name, cells in campaign.by_stage().items() if cells.requested]
     header = ["stage", "proposed", "carried over", "requested", *OUTCOMES, "of simulated: audits", "checks of certificates"]
     return table(header, rows, "Cells by stage and outcome", wrap_header=True) if rows else ""
 
@@ -88,8 +82,8 @@ def _proved(found: Accounting | None) -> list[str]:
 
 
 def _certified(campaign: Campaign) -> list[str]:
-    stages = (campaign.sensitivity_cells, campaign.cells, campaign.robustness_cells, campaign.validation_cells)
-    certified, checked = sum(one.certified for one in stages), sum(one.checked for one in stages)
+    stages = campaign.stages.values()
+    certified, checked = sum(cells.certified for cells in stages), sum(cells.checked for cells in stages)
     if not certified and not checked:
         return []
     text = (
