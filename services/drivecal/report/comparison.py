@@ -9,8 +9,9 @@ from importlib.metadata import version
 from pathlib import Path
 
 from drivecal.client.client import Client
-from drivecal.contracts.campaign import Campaign, Generation
+from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.comparison import ComparedGroup, ComparedPair, ComparedRun, ReductionEffect
+from drivecal.contracts.tables import Generation
 from drivecal.report.figures.comparison import effects_figure, optima_figure, search_figures
 from drivecal.report.folder import writable
 from drivecal.report.markup import Number, contents, document, files, heading, paragraph, section, table, verbatim

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from drivecal.contracts.inventory import InfluenceRow
+from drivecal.contracts.tables import InfluenceRow
 
 Pair = tuple[str, str]
 """Scenario and parameter."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 from sqlalchemy import Connection, Row, Select, case, func, literal, select, tuple_
@@ -54,6 +54,9 @@ class StoredEvaluation:
     check a certificate, and of reused ones by chance."""
     proof_agrees: bool | None
     """Where it was simulated to check: whether both runs are the same."""
+
+
+_STORED = tuple(field.name for field in fields(StoredEvaluation) if field.name in evaluations.c)
 
 
 def by_id(connection: Connection, evaluation_id: int) -> StoredEvaluation:
@@ -234,29 +237,10 @@ def _of_campaign(campaign_sequence: int) -> Select[Any]:
 
 
 def _evaluation(row: Row[Any]) -> StoredEvaluation:
-    return StoredEvaluation(
-        id=row.id,
-        campaign_sequence=row.campaign_sequence,
-        stage=row.stage,
-        iteration=row.iteration,
-        individual=row.individual,
-        scenario=row.scenario,
-        setup_id=row.setup_id,
-        parameter_set_id=row.parameter_set_id,
-        parameters={name: float(value) for name, value in json.loads(row.parameter_values).items()},
-        plan=Outcome(row.plan),
-        outcome=None if row.outcome is None else Outcome(row.outcome),
-        score=row.score,
-        rating=row.rating,
-        run_id=row.run_id,
-        reference=row.proven_by if row.outcome == Outcome.CERTIFIED else row.reference,
-        audited=row.audited,
-        agrees=row.agrees,
-        failure=row.failure,
-        milliseconds=row.milliseconds,
-        worker=row.worker,
-        attempts=row.attempts,
-        detail=row.detail,
-        proven_by=row.proven_by,
-        proof_agrees=row.proof_agrees,
-    )
+    values = {name: getattr(row, name) for name in _STORED} | {
+        "parameters": {name: float(value) for name, value in json.loads(row.parameter_values).items()},
+        "plan": Outcome(row.plan),
+        "outcome": None if row.outcome is None else Outcome(row.outcome),
+        "reference": row.proven_by if row.outcome == Outcome.CERTIFIED else row.reference,
+    }
+    return StoredEvaluation(**values)

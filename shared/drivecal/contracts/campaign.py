@@ -198,65 +198,6 @@ class CampaignPage(Answer):
     next_cursor: str | None = None
 
 
-class Generation(Answer):
-    """One iteration of the calibration stage."""
-
-    iteration: int
-    proposed: int
-    carried_over: int
-    requested: int
-    repeated: int
-    reused: int
-    certified: int
-    simulated: int
-    failed: int
-    audited: int
-    best: float | None
-    """The best objective so far."""
-    rating: float | None = None
-    """The weighted continuous rating of the best set so far; null in campaigns of releases that did not keep it."""
-    mean: float | None
-    minimum: float | None
-    alternatives: int
-    """Distinct parameter sets seen so far whose objective equals the best so far."""
-
-
-class Solution(Answer):
-    """One evaluated parameter set; `rank` counts from 1, equal objectives are ordered by `rating`, then by discovery."""
-
-    rank: int
-    objective: float
-    rating: float
-    parameters: dict[str, float]
-    scores: dict[str, int]
-    reused: list[str] = []
-    """Scenarios whose score is that of a reference: this very set was not simulated there."""
-    iteration: int
-    individual: int
-
-
-class EvaluationRow(Answer):
-    """One requested cell."""
-
-    id: int
-    stage: str
-    iteration: int
-    individual: int
-    scenario: str
-    parameters: dict[str, float]
-    outcome: str | None
-    """Null while the answer is pending."""
-    score: int | None
-    rating: float | None
-    reference: int | None
-    """The id of the evaluation that answered it, or that was audited."""
-    audited: bool
-    agrees: bool | None
-    failure: str | None
-    milliseconds: float | None
-    worker: str | None
-
-
 class ExpectedRuns(Answer):
     """What a campaign will cost at most: cells proposed by stage, and simulations if nothing could be answered otherwise."""
 
@@ -271,10 +212,3 @@ class ExpectedRuns(Answer):
     """The share of requested cells that would have to be reused for the interval analysis to pay within this campaign, all runs counted
     alike: above 1 it cannot. Null without both stages. How many will be reused cannot be known before."""
     notes: list[str] = []
-
-
-class SolutionPage(Answer):
-    """A page of solutions, best first; `next_cursor` null on the last."""
-
-    items: list[Solution]
-    next_cursor: str | None = None

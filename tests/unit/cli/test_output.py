@@ -11,7 +11,8 @@ from drivecal.cli.commands.campaigns import kind_text
 from drivecal.cli.main import app
 from drivecal.cli.views.output import cells_text, duration, print_campaign, print_columns, print_solutions, saved
 from drivecal.cli.views.progress import Lines
-from drivecal.contracts.campaign import Best, Campaign, CellCounts, ErrorRate, Progress, Seconds, Solution
+from drivecal.contracts.campaign import Best, Campaign, CellCounts, ErrorRate, Progress, Seconds
+from drivecal.contracts.tables import Solution
 
 CELLS = CellCounts(proposed=100, carried_over=40, requested=60, repeated=6, reused=9, simulated=44, failed=1, audited=2)
 

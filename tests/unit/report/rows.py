@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from drivecal.contracts.accounting import Accounting, BreakEven, ScenarioAccount, SensitivityCost
-from drivecal.contracts.campaign import Baseline, Best, Campaign, CellCounts, ErrorRate, Generation, Seconds, Solution
-from drivecal.contracts.inventory import InfluenceRow
+from drivecal.contracts.campaign import Baseline, Best, Campaign, CellCounts, ErrorRate, Seconds
 from drivecal.contracts.setup import CampaignSetup, ScenarioSetup, SearchedParameter
-from drivecal.contracts.studies import BoxTrial, OptimumRow, RobustnessRow, Study, ValidationRow
+from drivecal.contracts.studies import Study
+from drivecal.contracts.tables import BoxTrial, Generation, InfluenceRow, OptimumRow, RobustnessRow, Solution, ValidationRow
 from drivecal.report.data import ReportData, Studied
 
 

@@ -6,31 +6,14 @@ from collections.abc import Mapping
 from decimal import Decimal
 from typing import Any
 
-from drivecal.api.tables.files import Column
 from drivecal.campaigns.resolve.maps import map_from_document
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec
 from drivecal.campaigns.resolve.spaces import space_from_document
-from drivecal.contracts.inventory import InfluenceRow
+from drivecal.contracts.tables import InfluenceRow
 from drivecal.domain.influence import Influence
 from drivecal.domain.parameters import Parameter
 from drivecal.storage.references.influence_maps import StoredInfluenceMap
 
-COLUMNS = [
-    Column("scenario", "text"),
-    Column("parameter", "text"),
-    Column("influential", "truth"),
-    Column("lower", "number"),
-    Column("upper", "number"),
-    Column("s_rel_intervals", "numbers"),
-    Column("mu", "number"),
-    Column("sigma", "number"),
-    Column("mu_star", "number"),
-    Column("unknown", "truth"),
-    Column("unit", "text"),
-    Column("space_lower", "number"),
-    Column("space_upper", "number"),
-    Column("n_values", "integer"),
-]
 MEASURES = ("s_rel_intervals", "mu", "sigma", "mu_star")
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from drivecal.analysis.solutions import EvaluatedSet as Ranked
 from drivecal.analysis.solutions import Ranking
 from drivecal.contracts.assignments import assignments
-from drivecal.contracts.campaign import Solution
+from drivecal.contracts.tables import Solution
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.storage import results

@@ -12,7 +12,7 @@ import typer
 from drivecal.cli.application import JsonOption, UrlOption, app, connect, full_id, full_map_id
 from drivecal.cli.views.output import print_columns, print_json
 from drivecal.client.client import Client
-from drivecal.contracts.inventory import InfluenceRow
+from drivecal.contracts.tables import InfluenceRow
 from drivecal.domain.errors import ConflictError, NotFoundError
 from drivecal.sensitivity.agreement import Agreement, Pair, agreement
 

@@ -11,7 +11,8 @@ import typer
 from pydantic import BaseModel
 
 from drivecal.cli.views.event_text import ASKED
-from drivecal.contracts.campaign import Campaign, CellCounts, Solution, StageCellCounts
+from drivecal.contracts.campaign import Campaign, CellCounts, StageCellCounts
+from drivecal.contracts.tables import Solution
 from drivecal.report.sections.commands import evaluation
 
 OUTCOMES = ("failed", "certified", "reused", "repeated", "simulated")

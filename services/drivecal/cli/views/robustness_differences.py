@@ -12,7 +12,7 @@ from drivecal.analysis.robustness_difference import difference, pairs_of
 from drivecal.cli.views.output import parameters_text, print_columns
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.setup import CampaignSetup
-from drivecal.contracts.studies import RobustnessRow
+from drivecal.contracts.tables import RobustnessRow
 
 BOXES = ("delta", "steps", "samples", "eta", "condition", "refinements", "seed")
 """Settings that decide what a degree means; `seed` draws the vehicles."""

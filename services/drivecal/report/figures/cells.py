@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from drivecal.contracts.campaign import Generation
+from drivecal.contracts.tables import Generation
 from drivecal.report.figures.drawing import BLUE, GREEN, SKY, VERMILION, Drawn, style, whole_numbers
 from drivecal.report.markup import table
 from drivecal.report.sections.search import shown

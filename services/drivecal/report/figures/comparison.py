@@ -11,8 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from drivecal.contracts.campaign import Generation
 from drivecal.contracts.comparison import ComparedPair, ComparedRun, ReductionEffect
+from drivecal.contracts.tables import Generation
 from drivecal.report.figures.drawing import BLUE, INK, KINDS, RULE, Dashes, Drawn, style, whole_numbers
 
 PAPER = {"swarm": "Figure 7. ", "genetic": "Figure 8. "}

@@ -11,9 +11,8 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from drivecal.contracts.campaign import Solution
 from drivecal.contracts.setup import SearchedParameter
-from drivecal.contracts.studies import OptimumRow
+from drivecal.contracts.tables import OptimumRow, Solution
 from drivecal.plugins.ports import Floats
 from drivecal.report.figures.drawing import INK, KINDS, RULE, Drawn, style
 from drivecal.report.sections.optima import constant, count, searched, summary

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from matplotlib.figure import Figure
 
-from drivecal.contracts.campaign import Generation
+from drivecal.contracts.tables import Generation
 from drivecal.report.figures.drawing import BLUE, INK, ORANGE, VERMILION, Drawn, style, whole_numbers
 
 LARGEST_WITH_MARKERS = 60

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 
-from drivecal.contracts.studies import BoxTrial, RobustnessRow
+from drivecal.contracts.tables import BoxTrial, RobustnessRow
 from drivecal.report.figures.drawing import INK, SKY, VERMILION, Drawn, style
 from drivecal.report.sections.robustness import Robust, condition, degree
 

@@ -6,9 +6,8 @@ from collections.abc import Iterable, Sequence
 from itertools import groupby
 
 from drivecal.analysis.optima import NEIGHBOURS
-from drivecal.contracts.campaign import Solution
 from drivecal.contracts.setup import SearchedParameter
-from drivecal.contracts.studies import OptimumRow
+from drivecal.contracts.tables import OptimumRow, Solution
 from drivecal.report.markup import Number, paragraph, table
 
 MOST_REGIONS = 12

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 
-from drivecal.contracts.campaign import Best, Campaign, Solution
-from drivecal.contracts.studies import OptimumRow
+from drivecal.contracts.campaign import Best, Campaign
+from drivecal.contracts.tables import OptimumRow, Solution
 from drivecal.report.data import ReportData
 from drivecal.report.markup import Number, bullets, paragraph, table
 from drivecal.report.sections import reuse, search

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
-from drivecal.contracts.studies import OptimumRow, RobustnessRow
+from drivecal.contracts.tables import OptimumRow, RobustnessRow
 from drivecal.report.data import Studied
 from drivecal.report.markup import Number, paragraph, table
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from drivecal.analysis.convergence import UNCHANGED_ALTERNATIVES, UNCHANGED_BEST, alternatives_at, best_at
-from drivecal.contracts.campaign import Campaign, Generation
+from drivecal.contracts.campaign import Campaign
+from drivecal.contracts.tables import Generation
 from drivecal.report.markup import Number, table
 
 MOST_LINES = 13
