@@ -36,10 +36,10 @@ def members(client: Any, timeout: float = ANSWER_SECONDS) -> tuple[Node, ...]:
 def ask(address: str) -> tuple[Node, ...]:
     """The nodes of the cluster whose head is at `address`, the head's own among them. Raises UnavailableError where nobody answers, or
     not yet, and NotAuthorisedError where our token is not accepted."""
-    import ray
+    _knock(address)
+    import ray  # reads its environment at import, so not before there is a head to ask
 
     core: Any = import_module("ray._raylet")
-    _knock(address)
     core.AuthenticationTokenLoader.instance().reset_cache()  # the file may have been mended since the last attempt
     try:
         nodes = members(core.GcsClient(address=address))
