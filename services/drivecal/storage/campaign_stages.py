@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from sqlalchemy import JSON, Connection, Dialect, ScalarSelect, SmallInteger, Table, select, type_coerce
+from sqlalchemy import JSON, Connection, Dialect, Label, SmallInteger, Table, select, type_coerce
 from sqlalchemy.ext.compiler import compiles
 from sqlalchemy.sql.compiler import SQLCompiler
 from sqlalchemy.sql.functions import GenericFunction
@@ -50,11 +50,11 @@ def _on_postgresql(element: _DocumentByNumber, compiler: SQLCompiler, **options:
     return f"json_object_agg({compiler.process(element.clauses, **options)})"
 
 
-def by_stage(of: Table | Any = campaigns) -> ScalarSelect[dict[StageName, dict[str, int]]]:
+def by_stage(of: Table | Any = campaigns) -> Label[dict[StageName, dict[str, int]]]:
     """Column `stages` of a query over `of`, the campaigns: their counts by stage."""
     number, cells = type_coerce(campaign_stages.c.stage, SmallInteger), type_coerce(campaign_stages.c.cells, JSON)
     query = select(_DocumentByNumber(number, cells)).where(campaign_stages.c.campaign_sequence == of.c.sequence)
-    return query.correlate(of).scalar_subquery().label("stages")  # type: ignore[return-value]
+    return query.correlate(of).scalar_subquery().label("stages")
 
 
 def counts(stages: CountsByStage, stage: StageName) -> Counts:

@@ -73,25 +73,25 @@ class CellsByStage(Answer):
             return data
         return data | {"stages": {stage: data[name] for stage, name in EARLIER_NAMES.items() if data.get(name)}}
 
-    @computed_field  # type: ignore[prop-decorator]  # mypy knows no decorated properties
+    @computed_field  # type: ignore[prop-decorator]  # decorated properties
     @property
     def cells(self) -> CellCounts:
         """The calibration stage, a single evaluation, or the sum over the runs of a comparison."""
         return self.stages.get("calibration", CellCounts())
 
-    @computed_field  # type: ignore[prop-decorator]
+    @computed_field  # type: ignore[prop-decorator]  # decorated properties
     @property
     def sensitivity_cells(self) -> StageCellCounts:
         """The sensitivity stage."""
         return self._of("sensitivity")
 
-    @computed_field  # type: ignore[prop-decorator]
+    @computed_field  # type: ignore[prop-decorator]  # decorated properties
     @property
     def robustness_cells(self) -> StageCellCounts:
         """The robustness stage."""
         return self._of("robustness")
 
-    @computed_field  # type: ignore[prop-decorator]
+    @computed_field  # type: ignore[prop-decorator]  # decorated properties
     @property
     def validation_cells(self) -> StageCellCounts:
         """The validation stage."""

@@ -28,7 +28,7 @@ FILES: dict[str, Any] = {"content": {"text/csv": {}, "application/vnd.apache.par
 
 def page_or_file(model: type[BaseModel]) -> dict[int | str, dict[str, Any]]:
     """The OpenAPI description of a table's answer."""
-    return {200: {"model": Page[model], "description": "A page, or the whole table", **FILES}}  # type: ignore[valid-type]
+    return {200: {"model": Page[model], "description": "A page, or the whole table", **FILES}}  # type: ignore[valid-type]  # made at run time
 
 
 def slices(rows: Callable[[int, int], Rows], length: int) -> Pages:
