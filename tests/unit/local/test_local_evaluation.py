@@ -1,0 +1,55 @@
+"""Evaluation in process gives what a worker gives."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from drivecal import local
+from drivecal.domain.errors import InvalidInputError
+
+GOLDEN = Path(__file__).parents[2] / "golden" / "cells.json"
+VALUES = [-14.5, 0.06, 182, 235, 132, 0.77, 124, 1486, 5.9, 8.3, 87]
+HASTY = {f"P{number}": value for number, value in enumerate(VALUES, start=1)}
+
+
+def golden() -> dict[str, Any]:
+    cells: dict[str, Any] = json.loads(GOLDEN.read_text())["cells"]
+    return {name.split()[0]: cell for name, cell in cells.items() if name.endswith("hasty")}
+
+
+def test_all_scenarios_give_the_golden_cells() -> None:
+    result = local.evaluate(HASTY)
+    cells = golden()
+    assert list(result.cells) == list(cells)
+    for scenario, cell in result.cells.items():
+        expected = cells[scenario]
+        assert (cell.score, cell.failure, cell.error) == (expected["score"], expected["failure"], None)
+        floats = {"rating": cell.rating, **cell.metrics}
+        for name, value in expected["floats"].items():
+            assert floats[name] == pytest.approx(float.fromhex(value), rel=1e-9, abs=1e-9)
+    assert result.objective == pytest.approx(sum(cell["score"] for cell in cells.values()) / len(cells))
+
+
+def test_the_named_scenarios_are_simulated_with_the_given_vehicle() -> None:
+    result = local.evaluate(HASTY, ["S4", "S2"], vehicle={"model": "single_track", "parameters": {"mass": 2500}})
+    assert list(result.scores) == ["S4", "S2"]
+    assert result.cells["S4"].metrics != local.evaluate(HASTY, "S4").cells["S4"].metrics
+
+
+@pytest.mark.parametrize(
+    ("arguments", "field"),
+    [
+        ({"parameters": {"P1": 1.0}}, "parameters"),
+        ({"scenarios": "S9"}, "scenario"),
+        ({"evaluator": "nothing"}, "evaluator"),
+        ({"vehicle": {"modle": "x"}}, "vehicle"),
+    ],
+)
+def test_wrong_arguments_are_refused_by_their_field(arguments: dict[str, Any], field: str) -> None:
+    with pytest.raises(InvalidInputError) as refused:
+        local.evaluate(**({"parameters": HASTY} | arguments))
+    assert any(problem.field.startswith(field) for problem in refused.value.problems)
