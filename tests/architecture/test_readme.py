@@ -14,8 +14,8 @@ import typer
 from drivecal.campaigns.comparisons.resolve import resolve_comparison
 from drivecal.campaigns.resolve.maps import resolve_map
 from drivecal.campaigns.resolve.problem import resolve
-from drivecal.cli.documents import read_document
 from drivecal.cli.main import app
+from drivecal.client.documents import read_document
 from drivecal.contracts.comparison import ComparisonSpecification
 from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import CampaignSpecification, InfluenceMapSpecification

@@ -22,8 +22,8 @@ from scipy.stats import qmc
 
 from drivecal.cli.commands.demo.command import CAMPAIGN
 from drivecal.cli.commands.demo.coordinator import coordinator, fresh_folder
-from drivecal.cli.documents import read_document
 from drivecal.client.client import Client
+from drivecal.client.documents import read_document
 from drivecal.comfort.learned import LEARNED
 from drivecal.comfort.reference import REFERENCE
 from drivecal.contracts.campaign import Campaign

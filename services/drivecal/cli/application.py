@@ -11,8 +11,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from drivecal.client.client import Client
-from drivecal.configuration.settings import load_settings
+from drivecal.client import Client
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import (
     DrivecalError,
@@ -149,8 +148,7 @@ def tell(message: str) -> None:
 
 def connect(url: str | None) -> Client:
     """A client of the server that flags, environment and config file name."""
-    settings = load_settings(url=url)
-    return Client(settings.url, token=settings.token)
+    return Client(url)
 
 
 def full_id(client: Client, identifier: str) -> str:

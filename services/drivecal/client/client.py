@@ -15,8 +15,11 @@ import httpx
 from pydantic import BaseModel, ValidationError
 
 from drivecal.client.answers import raise_for, unreachable
+from drivecal.client.documents import Document, plain
 from drivecal.client.event_stream import EventParser, ServerSentEvent
 from drivecal.client.following import READ_SECONDS, Following, Sent, Told
+from drivecal.client.frames import DownloadedTable
+from drivecal.configuration.settings import load_settings
 from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns
 from drivecal.contracts.comparison import ComparedGroup, ComparedPair, ComparedRun, ExpectedComparison, ReductionEffect
@@ -53,9 +56,14 @@ class Client:
     never where the first attempt may have done something that a second one would do again.
     """
 
-    def __init__(self, url: str, timeout: float = 30.0, token: str | None = None) -> None:
+    def __init__(self, url: str | None = None, token: str | None = None, *, timeout: float = 30.0) -> None:
+        """Connects to the `url` with the `token`. Omitted, each comes from `DRIVECAL_URL`, `DRIVECAL_TOKEN` or the config file, as on
+        the command line; an empty token sends none."""
+        if url is None or token is None:
+            settings = load_settings(url=url)
+            url, token = settings.url, settings.token if token is None else token
         self.url = url.rstrip("/")
-        headers = {} if token is None else {"Authorization": f"Bearer {token}"}
+        headers = {"Authorization": f"Bearer {token}"} if token else {}
         # Only a connection that was never made is tried again, so that nothing is ever done twice.
         transport = httpx.HTTPTransport(retries=ATTEMPTS_TO_CONNECT - 1)
         self._http = httpx.Client(base_url=self.url, timeout=timeout, transport=transport, headers=headers)
@@ -66,19 +74,19 @@ class Client:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self._http.close()
 
-    def submit(self, specification: Mapping[str, Any], key: str | None = None) -> Campaign:
+    def submit(self, specification: Document, key: str | None = None) -> Campaign:
         """Queues a campaign. Submitting again with the same `key` gives the same campaign."""
         return self._post("/api/v1/campaigns", Campaign, specification, key=key or uuid.uuid4().hex)
 
-    def expected_runs(self, specification: Mapping[str, Any]) -> ExpectedRuns:
+    def expected_runs(self, specification: Document) -> ExpectedRuns:
         """Checks a campaign without queueing it and says what it would cost."""
         return self._post("/api/v1/campaigns", ExpectedRuns, specification, query={"validate_only": "true"})
 
-    def compare(self, specification: Mapping[str, Any], key: str | None = None) -> Campaign:
+    def compare(self, specification: Document, key: str | None = None) -> Campaign:
         """Queues a comparison of optimizers or reductions: a campaign whose runs are campaigns of their own."""
         return self._post("/api/v1/comparisons", Campaign, specification, key=key or uuid.uuid4().hex)
 
-    def expected_comparison(self, specification: Mapping[str, Any]) -> ExpectedComparison:
+    def expected_comparison(self, specification: Document) -> ExpectedComparison:
         """Checks a comparison without queueing it and says what it would cost."""
         return self._post("/api/v1/comparisons", ExpectedComparison, specification, query={"validate_only": "true"})
 
@@ -100,6 +108,12 @@ class Client:
         Raises TimeoutError when the monotonic clock passes `deadline`.
         """
         return iter(Following(self, identifier, deadline, told, from_beginning=from_beginning))
+
+    def wait(self, identifier: str, timeout: float | None = None) -> Campaign:
+        """Returns the campaign once it has ended. Raises TimeoutError after `timeout` seconds; the campaign goes on."""
+        deadline = None if timeout is None else time.monotonic() + timeout
+        *_, campaign = self.watch(identifier, deadline, from_beginning=False)
+        return campaign
 
     def campaign_unless(self, identifier: str, etag: str) -> tuple[Campaign | None, str, float | None]:
         """The campaign, None where it is still the one of `etag`; its ETag; how many seconds the server asks to wait before the next
@@ -147,7 +161,7 @@ class Client:
         path = _path("campaigns", identifier, action)
         return self._post(path, Campaign, kind="campaign", identifier=identifier)
 
-    def rerun(self, identifier: str, changes: Mapping[str, Any], key: str | None = None) -> Campaign:
+    def rerun(self, identifier: str, changes: Document, key: str | None = None) -> Campaign:
         """Queues a new campaign on the references and the influence map of an ended one."""
         path = _path("campaigns", identifier, "rerun")
         return self._post(path, Campaign, changes, key=key or uuid.uuid4().hex, kind="campaign", identifier=identifier)
@@ -158,11 +172,19 @@ class Client:
         path = _path("campaigns", identifier, "solutions")
         return self._get(path, SolutionPage, query=query, kind="campaign", identifier=identifier)
 
-    def table(self, identifier: str, table: Table, form: Literal["csv", "parquet"]) -> Iterator[bytes]:
+    def evaluations(self, identifier: str, **query: Any) -> DownloadedTable:
+        """Every requested cell of a campaign; `query` filters as in the REST API, e.g. `scenario="S1"`."""
+        return self.frame(identifier, "evaluations", **query)
+
+    def frame(self, identifier: str, table: Table, **query: Any) -> DownloadedTable:
+        """A whole table of a campaign, for pandas, polars or Arrow."""
+        return DownloadedTable(b"".join(self.table(identifier, table, "parquet", **query)))
+
+    def table(self, identifier: str, table: Table, form: Literal["csv", "parquet"], **query: Any) -> Iterator[bytes]:
         """A whole table, in pieces as they come."""
         path = _path("campaigns", identifier, table)
         try:
-            with self._http.stream("GET", path, params={"format": form}) as response:
+            with self._http.stream("GET", path, params={**query, "format": form}) as response:
                 if not response.is_success:
                     response.read()
                 raise_for(response, "campaign", identifier)
@@ -238,7 +260,7 @@ class Client:
         """Why a cell was, or was not, answered without a simulation; `evaluation` is its number in the table `evaluations`."""
         return self._get(_path("evaluations", evaluation, "explain"), Explanation, kind="evaluation", identifier=evaluation)
 
-    def evaluate(self, specification: Mapping[str, Any], key: str | None = None) -> Evaluation:
+    def evaluate(self, specification: Document, key: str | None = None) -> Evaluation:
         """Queues the evaluation of one parameter set."""
         return self._post("/api/v1/evaluations", Evaluation, specification, key=key or uuid.uuid4().hex)
 
@@ -252,7 +274,7 @@ class Client:
         raise_for(response, "evaluation", evaluation)
         return None if response.status_code == 202 else self._answer(response, TraceAnswer)
 
-    def post_influence_map(self, specification: Mapping[str, Any]) -> InfluenceMapAnswer:
+    def post_influence_map(self, specification: Document) -> InfluenceMapAnswer:
         """Stores an influence map."""
         return self._post("/api/v1/influence-maps", InfluenceMapAnswer, specification)
 
@@ -294,7 +316,7 @@ class Client:
         self,
         path: str,
         model: type[Answer],
-        document: Mapping[str, Any] | None = None,
+        document: Document | None = None,
         query: Mapping[str, Any] | None = None,
         key: str | None = None,
         kind: str = "",
@@ -303,7 +325,8 @@ class Client:
         headers = {"Idempotency-Key": key} if key else {}
         # Actions on a campaign (no document) and counting (validate_only) may be repeated as well.
         ask = self._once if document is not None and not key and not query else self._request
-        response = ask("POST", path, query=query, headers=headers, document=document)
+        content = None if document is None else plain(document)
+        response = ask("POST", path, query=query, headers=headers, document=content)
         raise_for(response, kind, identifier)
         return self._answer(response, model)
 

@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+import io
 import json
+import sys
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import pyarrow as pa
 import pytest
+from pyarrow import parquet
 
-from drivecal.client import following
-from drivecal.client.client import Client
+from drivecal.client import Client, DownloadedTable, following
 from drivecal.contracts.campaign import Campaign
+from drivecal.contracts.specification import CampaignSpecification
 from drivecal.domain.errors import (
     ConflictError,
     DrivecalError,
@@ -279,3 +285,64 @@ def test_a_table_that_breaks_off_is_an_error() -> None:
 def test_an_address_where_nothing_answers_is_named(url: str) -> None:
     with pytest.raises(UnavailableError, match="drivecal serve"), Client(url) as client:
         client.workers()
+
+
+def test_the_server_and_the_token_come_from_the_settings(monkeypatch: pytest.MonkeyPatch) -> None:
+    with server(campaign("queued")) as (given, script):
+        monkeypatch.setenv("DRIVECAL_URL", given.url)
+        monkeypatch.setenv("DRIVECAL_TOKEN", "secret-0123456789")
+        with Client() as client:
+            client.campaign("c1")
+    assert script.requests[0][2]["authorization"] == "Bearer secret-0123456789"
+
+
+def test_a_specification_may_be_plain_data_a_model_or_a_file(tmp_path: Path) -> None:
+    specification = CampaignSpecification(name="mine", weights={"S1": 2})
+    file = tmp_path / "campaign.yaml"
+    file.write_text("name: mine\nweights: {S1: 2}\n")
+    document = {"name": "mine", "weights": {"S1": 2}}
+    with server(*[campaign("queued")] * 4) as (client, script):
+        for form in (document, specification, file, str(file)):
+            client.submit(form)
+    assert [json.loads(body) for *_, body in script.requests] == [document] * 4
+
+
+def test_waiting_returns_the_ended_campaign() -> None:
+    with server(campaign("succeeded")) as (client, _):
+        assert client.wait("c1", timeout=10).state == "succeeded"
+
+
+@pytest.fixture
+def downloaded() -> tuple[DownloadedTable, str]:
+    """A table of which no cell of the second row has a value, and the path of its request."""
+    content = io.BytesIO()
+    columns = {"id": pa.array([7, None], pa.int64()), "agrees": pa.array([True, None]), "rating": pa.array([6.5, None])}
+    parquet.write_table(pa.table(columns), content)
+    with server((200, {}, content.getvalue())) as (client, script):
+        table = client.evaluations("c1", scenario="S1")
+    return table, script.requests[0][1]
+
+
+def test_a_table_comes_whole_and_filtered(downloaded: tuple[DownloadedTable, str]) -> None:
+    table, path = downloaded
+    assert path == "/api/v1/campaigns/c1/evaluations?scenario=S1&format=parquet"
+    assert table.to_arrow().to_pylist() == [{"id": 7, "agrees": True, "rating": 6.5}, dict.fromkeys(("id", "agrees", "rating"))]
+
+
+def test_frames_of_pandas_keep_the_types_of_columns_with_missing_values(downloaded: tuple[DownloadedTable, str]) -> None:
+    pytest.importorskip("pandas")
+    frame = downloaded[0].to_pandas()
+    assert frame.dtypes.map(str).to_dict() == {"id": "Int64", "agrees": "boolean", "rating": "float64"}
+    assert frame["id"][0] == 7
+
+
+def test_polars_reads_the_downloaded_file(downloaded: tuple[DownloadedTable, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    read = SimpleNamespace(read_parquet=lambda file: parquet.read_table(file).num_rows)
+    monkeypatch.setitem(sys.modules, "polars", read)
+    assert downloaded[0].to_polars() == 2
+
+
+def test_a_missing_package_is_named(downloaded: tuple[DownloadedTable, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "polars", None)
+    with pytest.raises(ImportError, match="pip install polars"):
+        downloaded[0].to_polars()

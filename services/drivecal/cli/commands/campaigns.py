@@ -19,12 +19,12 @@ from drivecal.cli.application import (
     tell,
     with_full_ids,
 )
-from drivecal.cli.documents import read_document
 from drivecal.cli.views.comparisons import comparison_document, print_comparison
 from drivecal.cli.views.output import print_campaign, print_columns, print_json, saved, when
 from drivecal.cli.views.progress import follow
 from drivecal.cli.views.savings import pays_text, print_accounting, print_error_rates, print_narrowed
 from drivecal.client.client import Action, Client
+from drivecal.client.documents import read_document
 from drivecal.contracts.assignments import assignments
 from drivecal.contracts.campaign import Campaign, ExpectedRuns
 from drivecal.domain.campaigns import CampaignState

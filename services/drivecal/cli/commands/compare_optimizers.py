@@ -8,9 +8,9 @@ import typer
 
 from drivecal.cli.application import JsonOption, UrlOption, app, connect, with_full_ids
 from drivecal.cli.commands.campaigns import DryRunOption, TimeoutOption, WaitOption, submitted
-from drivecal.cli.documents import read_document
 from drivecal.cli.views.comparisons import print_expected
 from drivecal.cli.views.output import print_json
+from drivecal.client.documents import read_document
 
 
 @app.command("compare-optimizers")

@@ -8,8 +8,8 @@ import typer
 
 from drivecal.cli.application import JsonOption, UrlOption, app, connect, full_map_id, tell
 from drivecal.cli.commands.influence import print_influence
-from drivecal.cli.documents import read_document
 from drivecal.cli.views.output import print_columns, print_json, when
+from drivecal.client.documents import read_document
 from drivecal.contracts.inventory import InfluenceMapAnswer
 
 maps = typer.Typer(

@@ -15,10 +15,10 @@ import typer
 
 from drivecal.cli.application import ExitCode, JsonOption, app, tell
 from drivecal.cli.commands.demo.coordinator import coordinator, fresh_folder
-from drivecal.cli.documents import read_document
 from drivecal.cli.views.output import duration, print_cells, print_json, print_solutions, saved, self_check_text
 from drivecal.cli.views.progress import show_until_ended
 from drivecal.client.client import Client
+from drivecal.client.documents import read_document
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.campaign import Campaign
 from drivecal.domain.errors import DrivecalError

@@ -73,7 +73,7 @@ def coordinator(home: Path) -> Iterator[Client]:
             start_new_session=True,
         )
     try:
-        with _interrupted_by_sigterm(), Client(_url_when_ready(process, home)) as client:
+        with _interrupted_by_sigterm(), Client(_url_when_ready(process, home), token="") as client:
             yield client
     finally:
         process.terminate()

@@ -9,16 +9,20 @@ from __future__ import annotations
 import math
 import re
 import sys
-from collections.abc import Hashable
+from collections.abc import Hashable, Mapping
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
 import yaml
+from pydantic import BaseModel
 
 from drivecal.contracts import strict_json
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
 
+Document = Mapping[str, Any] | BaseModel | str | PathLike[str]
+"""What a call submits: plain data, a specification of `drivecal.contracts`, or the path of a YAML or JSON file."""
 LARGEST_FILE = 1_048_576
 """Bytes, as the server accepts them."""
 
@@ -38,6 +42,13 @@ def read_document(file: str) -> dict[str, Any]:
     if not isinstance(document, dict):
         raise InvalidInputError(Problem(name, f"it holds {shown(document)}, not an object", "write `field: value` lines"))
     return document
+
+
+def plain(document: Document) -> Mapping[str, Any]:
+    """Returns the body of a call. Raises InvalidInputError as `read_document`."""
+    if isinstance(document, BaseModel):
+        return document.model_dump(mode="json", exclude_unset=True)
+    return document if isinstance(document, Mapping) else read_document(str(document))
 
 
 def _content(file: str) -> tuple[bytes, str]:
@@ -69,7 +80,7 @@ class _Loader(yaml.SafeLoader):
             raise _refusal(f"the tag {shown(event.tag)} is not supported", event.start_mark, "write the plain value")
         return super().compose_node(parent, index)
 
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:  # noqa: ARG002  # PyYAML's signature
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:  # noqa: ARG002, FBT001, FBT002  # PyYAML's signature
         seen: set[str] = set()
         for key, _ in node.value:
             if key.tag != "tag:yaml.org,2002:str":

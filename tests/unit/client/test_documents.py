@@ -12,7 +12,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivecal.cli.documents import LARGEST_FILE, read_document
+from drivecal.client.documents import LARGEST_FILE, read_document
 from drivecal.domain.errors import InvalidInputError
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
