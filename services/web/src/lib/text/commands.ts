@@ -12,7 +12,7 @@ export function tableCommands(origin: string, id: string, table: string, query: 
   const url = `${origin}/api/v1/campaigns/${id}/${table}`;
   return {
     cli: cliOf(id, table, query),
-    python: `import httpx\n\nrows = httpx.get("${url}", params=${pythonOf({ ...query, limit: "1000" })}).json()["items"]`,
+    python: clientPython(origin, `table = client.frame(${[JSON.stringify(id), JSON.stringify(table), ...keywords(query)].join(", ")}).to_pandas()`),
     curl: `curl -s '${url}?${full}' -o ${table}.csv`,
   };
 }
@@ -22,14 +22,29 @@ function cliOf(id: string, table: string, query: Record<string, string>): string
   return `drivecal export ${id.slice(0, 8)} --table ${table} --format csv -o ${table}.csv`;
 }
 
-/** Anything that is posted. */
+/** A campaign, a rerun or a comparison to submit. */
 export function postCommands(origin: string, path: string, body: unknown, cli: string): Commands {
   const json = JSON.stringify(body);
   return {
     cli,
-    python: `import httpx\n\nanswer = httpx.post("${origin}/api/v1${path}", json=${pythonOf(body)}).json()`,
+    python: clientPython(origin, `campaign = ${posted(path, pythonOf(body))}`),
     curl: `curl -s -X POST '${origin}/api/v1${path}' -H 'Content-Type: application/json' -d '${json.replaceAll("'", "'\\''")}'`,
   };
+}
+
+/** A call of the Python client; the token comes from DRIVECAL_TOKEN. */
+export function clientPython(origin: string, call: string): string {
+  return `from drivecal.client import Client\n\nwith Client("${origin}") as client:\n    ${call}`;
+}
+
+function keywords(query: Record<string, string>): string[] {
+  return Object.entries(query).map(([name, value]) => `${name}=${JSON.stringify(value)}`);
+}
+
+function posted(path: string, body: string): string {
+  const rerun = /^\/campaigns\/(.+)\/rerun$/.exec(path)?.[1];
+  if (rerun !== undefined) return `client.rerun(${JSON.stringify(rerun)}, ${body})`;
+  return `client.${path === "/comparisons" ? "compare" : "submit"}(${body})`;
 }
 
 /** A value as Python writes it. */
