@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from scipy.stats import kendalltau
-
 from drivecal.contracts.tables import RobustnessRow
 
 
@@ -45,6 +43,8 @@ def difference(rows: Sequence[RobustnessRow], others: Sequence[RobustnessRow]) -
         for scenario, score in row.scores.items()
         if score is not None and other.scores.get(scenario) is not None
     ]
+    from scipy.stats import kendalltau  # takes more than a second, which commands that only look things up need not pay
+
     return StudyDifference(
         sets=len(pairs),
         only_one=len(rows) + len(others) - 2 * len(pairs),

@@ -1,1 +1,45 @@
-"""Optimizers as pure ask/tell over grid indices: no I/O, an explicit generator, and a state that serialises at any moment."""
+"""Optimizers as pure ask/tell over grid indices: no I/O, an explicit generator, and a state that serialises at any moment.
+
+>>> import numpy as np
+>>> from drivecal.optimizers import GENETIC, GeneticSettings
+>>> settings = GeneticSettings(population=40, iterations=30, seed=1)
+>>> optimizer = GENETIC.create(settings, n_values=np.array([101, 101]))
+>>> for _ in range(settings.iterations):
+...     points = optimizer.ask().population
+...     objectives = -((points - [30, 70]) ** 2).sum(axis=1).astype(float)
+...     optimizer.tell(objectives, tie_breakers=objectives)
+>>> bool(objectives.max() > -50)
+True
+"""
+
+from drivecal.optimizers.built_in import (
+    GENETIC,
+    RANDOM,
+    SWARM,
+    GeneticSettings,
+    RandomSettings,
+    SwarmSettings,
+)
+from drivecal.optimizers.cma_es import CMA_ES, CmaSettings
+from drivecal.optimizers.genetic import GeneticAlgorithm
+from drivecal.optimizers.optuna_samplers import OPTUNA, OptunaSettings
+from drivecal.optimizers.random_search import RandomSearch
+from drivecal.optimizers.start import start_population
+from drivecal.optimizers.swarm import ParticleSwarm
+
+__all__ = [
+    "CMA_ES",
+    "GENETIC",
+    "OPTUNA",
+    "RANDOM",
+    "SWARM",
+    "CmaSettings",
+    "GeneticAlgorithm",
+    "GeneticSettings",
+    "OptunaSettings",
+    "ParticleSwarm",
+    "RandomSearch",
+    "RandomSettings",
+    "SwarmSettings",
+    "start_population",
+]

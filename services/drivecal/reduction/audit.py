@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from scipy.stats import binomtest
-
 from drivecal.contracts.campaign import ErrorRate
 from drivecal.domain.evaluations import AuditCount
 
@@ -16,6 +14,8 @@ def clopper_pearson(wrong: int, audited: int, confidence: float = CONFIDENCE) ->
     """The exact two-sided confidence interval of a proportion (Clopper, Pearson 1934). (0, 1) where nothing was audited."""
     if not audited:
         return 0.0, 1.0
+    from scipy.stats import binomtest  # takes more than a second, which commands that only look things up need not pay
+
     interval = binomtest(wrong, audited).proportion_ci(confidence)
     return float(interval.low), float(interval.high)
 

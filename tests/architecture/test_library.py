@@ -1,0 +1,44 @@
+"""Packages export the names that users call, and the examples of the documentation run."""
+
+from __future__ import annotations
+
+import doctest
+import importlib
+import re
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PURE = ("analysis", "optimizers", "reduction", "sensitivity")
+FACES = (*PURE, "client", "local")
+
+
+def package(name: str) -> ModuleType:
+    return importlib.import_module(f"drivecal.{name}")
+
+
+@pytest.mark.parametrize("name", FACES)
+def test_a_package_exports_what_it_names_and_hides_no_module(name: str) -> None:
+    exported = package(name).__all__
+    assert all(hasattr(package(name), each) for each in exported)
+    folder = Path(str(package(name).__file__)).parent
+    assert not {path.stem for path in folder.glob("*.py")} & set(exported)
+
+
+@pytest.mark.parametrize("name", [*PURE, "local"])
+def test_the_example_of_a_package_runs_and_is_short(name: str) -> None:
+    result = doctest.testmod(package(name))
+    assert result.attempted
+    assert not result.failed
+    assert len(re.findall(r"^(?:>>>|\.\.\.) ", str(package(name).__doc__), re.MULTILINE)) <= 10
+
+
+@pytest.mark.parametrize("name", PURE)
+def test_a_pure_package_loads_no_scipy(name: str) -> None:
+    """Commands that only look things up would wait for it."""
+    code = f"import sys, drivecal.{name}; sys.exit('scipy' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
