@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import sys
 import threading
 import time
@@ -346,3 +347,22 @@ def test_a_missing_package_is_named(downloaded: tuple[DownloadedTable, str], mon
     monkeypatch.setitem(sys.modules, "polars", None)
     with pytest.raises(ImportError, match="pip install polars"):
         downloaded[0].to_polars()
+
+
+def test_the_python_of_the_readme_runs(monkeypatch: pytest.MonkeyPatch, downloaded: tuple[DownloadedTable, str]) -> None:
+    text = (Path(__file__).parents[3] / "README.md").read_text()
+    (source,) = re.findall(r"^```python\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+    middle = dict(
+        zip([f"P{number}" for number in range(1, 12)], [-0.5, 1, 100, 1000, 750, 0.5, 100, 1000, 5, 10, 100], strict=True)
+    )
+    best = SimpleNamespace(items=[SimpleNamespace(parameters=middle)])
+    monkeypatch.chdir(Path(__file__).parents[3])
+    monkeypatch.setattr(Client, "solutions", lambda *_, **__: best)
+    pytest.importorskip("pandas")
+    with server(campaign("queued"), campaign("succeeded"), (200, {}, downloaded[0].content)) as (given, script):
+        monkeypatch.setenv("DRIVECAL_URL", given.url)
+        names: dict[str, Any] = {}
+        exec(source, names)  # the documentation's own code
+    assert len(names["evaluations"]) == 2
+    assert names["result"].scores["S1"] is not None
+    assert not script.answers
