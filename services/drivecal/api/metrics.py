@@ -123,7 +123,7 @@ def _of_dispatcher(dispatcher: StoredProcess | None) -> Iterator[Any]:
     yield GaugeMetricFamily("drivecal_dispatcher_heartbeat_age_seconds", "Since the dispatcher was last heard of", silent)
     yield CounterMetricFamily("drivecal_dispatcher_elections", "How many dispatchers this database has had", dispatcher.term)
     workers = GaugeMetricFamily("drivecal_workers", "Workers by state; none where the dispatcher is silent", labels=["state"])
-    states = [] if readiness.silent else [one.get("state") for one in dispatcher.detail.get("workers", [])]
+    states = [] if readiness.silent else [worker.get("state") for worker in dispatcher.detail.get("workers", [])]
     for state in WORKER_STATES:
         workers.add_metric([state], states.count(state))
     yield workers

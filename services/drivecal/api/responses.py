@@ -82,7 +82,7 @@ def etag(seen: CampaignRevision, silent: str | None) -> str:
 
 def list_etag(seen: Sequence[CampaignRevision], silent: str | None) -> str:
     """As `etag`, of a page."""
-    return f'W/"{digest("".join(f"{one.id}-{_version(one, silent)} " for one in seen).encode())}"'
+    return f'W/"{digest("".join(f"{revision.id}-{_version(revision, silent)} " for revision in seen).encode())}"'
 
 
 def _version(seen: CampaignRevision, silent: str | None) -> str:
@@ -94,7 +94,7 @@ def matches(if_none_match: str | None, tag: str) -> bool:
     """Whether a client has the answer with this ETag: the weak comparison of RFC 9110, 8.8.3.2."""
     if if_none_match is None:
         return False
-    given = {one.strip().removeprefix("W/") for one in if_none_match.split(",")}
+    given = {tag.strip().removeprefix("W/") for tag in if_none_match.split(",")}
     return "*" in given or tag.removeprefix("W/") in given
 
 

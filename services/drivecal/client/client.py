@@ -142,7 +142,7 @@ class Client:
                 raise_for(response, "campaign", identifier)
                 parser = EventParser()
                 for chunk in response.iter_bytes():
-                    found = [self._sent(one) for one in parser.feed(chunk)]
+                    found = [self._sent(follower) for follower in parser.feed(chunk)]
                     yield from found or [None]
         except httpx.TransportError as error:
             raise unreachable(self.url, error) from error

@@ -217,7 +217,7 @@ def active(connection: Connection) -> list[CampaignHeading]:
     """The campaigns that have not ended, in the order in which they are to be started: what the dispatcher looks after. (Comparisons look
     after their runs.)"""
     states = [state for state in CampaignState if not state.ended]
-    columns = [campaigns.c[one.name] for one in fields(CampaignHeading)]
+    columns = [campaigns.c[field.name] for field in fields(CampaignHeading)]
     query = select(*columns).where(campaigns.c.ended_at.is_(None), campaigns.c.state.in_(states))
     query = query.where(campaigns.c.parent_sequence.is_(None))
     return [
@@ -330,7 +330,7 @@ def set_influence_map(connection: Connection, sequence: int, influence_map_id: s
 
 def set_narrowed(connection: Connection, sequence: int, narrowed: Collection[Narrowed]) -> None:
     """Notes what the common reduction left out of the search space."""
-    connection.execute(_of(sequence).values(narrowed=[one.model_dump(mode="json") for one in narrowed]))
+    connection.execute(_of(sequence).values(narrowed=[parameter.model_dump(mode="json") for parameter in narrowed]))
 
 
 def degrade(connection: Connection, sequences: Collection[int], reason: str | None) -> None:
@@ -350,7 +350,7 @@ def degrade(connection: Connection, sequences: Collection[int], reason: str | No
 
 def end(connection: Connection, sequence: int, state: CampaignState, error: str | None = None) -> bool:
     """Ends a campaign as `state`; False where it has ended already."""
-    open_states = [one for one in CampaignState if not one.ended]
+    open_states = [state for state in CampaignState if not state.ended]
     statement = (
         _of(sequence)
         .where(campaigns.c.state.in_(open_states))
@@ -380,7 +380,7 @@ def _of(sequence: int) -> Update:
 
 
 def _campaign(row: Row[Any]) -> StoredCampaign:
-    as_it_is = {one.name: getattr(row, one.name) for one in fields(StoredCampaign)}
+    as_it_is = {field.name: getattr(row, field.name) for field in fields(StoredCampaign)}
     parsed = {
         "state": CampaignState(row.state),
         "spec": row.spec or {},
@@ -389,6 +389,6 @@ def _campaign(row: Row[Any]) -> StoredCampaign:
         "error_rate": {scenario: ErrorRate(**rate) for scenario, rate in row.error_rate.items()},
         "best": None if row.best is None else Best(**row.best),
         "baseline": None if row.baseline is None else Baseline(**row.baseline),
-        "narrowed": None if row.narrowed is None else tuple(Narrowed(**one) for one in row.narrowed),
+        "narrowed": None if row.narrowed is None else tuple(Narrowed(**parameter) for parameter in row.narrowed),
     }
     return StoredCampaign(**as_it_is | parsed)

@@ -65,16 +65,16 @@ def tallies(connection: Connection, sequence: int) -> Iterator[RunTally]:
     run = campaigns.c
     columns = (run.name, run.started_at, by_stage(), run.error_rate, run.best, run.baseline)
     query = select(*columns, run.simulating_seconds, run.notes).where(run.parent_sequence == sequence).order_by(run.sequence)
-    for one in connection.execute(query.execution_options(yield_per=BATCH)):
+    for row in connection.execute(query.execution_options(yield_per=BATCH)):
         yield RunTally(
-            name=one.name,
-            begun=one.started_at is not None,
-            stages=one.stages,
-            error_rate={scenario: ErrorRate(**rate) for scenario, rate in one.error_rate.items()},
-            best=None if one.best is None else Best(**one.best),
-            baseline=None if one.baseline is None else Baseline(**one.baseline),
-            simulating_seconds=one.simulating_seconds,
-            notes=one.notes,
+            name=row.name,
+            begun=row.started_at is not None,
+            stages=row.stages,
+            error_rate={scenario: ErrorRate(**rate) for scenario, rate in row.error_rate.items()},
+            best=None if row.best is None else Best(**row.best),
+            baseline=None if row.baseline is None else Baseline(**row.baseline),
+            simulating_seconds=row.simulating_seconds,
+            notes=row.notes,
         )
 
 

@@ -173,13 +173,13 @@ def answer(connection: Connection, answers: Sequence[AnsweredCell]) -> int:
     return answered
 
 
-_ANSWER = tuple(one.name for one in fields(AnsweredCell) if one.name != "id")
+_ANSWER = tuple(field.name for field in fields(AnsweredCell) if field.name != "id")
 
 
 def simulate_instead(connection: Connection, evaluation_ids: Sequence[int]) -> None:
     """Plans a simulation for pending copies whose leader has no result, and so can answer nobody."""
     statement = update(evaluations).where(evaluations.c.id == bindparam("evaluation"), evaluations.c.outcome.is_(None))
-    rows = [{"evaluation": one} for one in evaluation_ids]
+    rows = [{"evaluation": identifier} for identifier in evaluation_ids]
     if rows:
         connection.execute(statement.values(plan=Outcome.SIMULATED, reference=None), rows)
 
@@ -203,7 +203,7 @@ def own_exact(
     connection: Connection, campaign_sequence: int, scenario: str, setup_id: int, parameter_set_ids: Sequence[int]
 ) -> dict[int, Donor]:
     """The campaign's own first answers by parameter set, as `own_references`."""
-    ids = [int(one) for one in parameter_set_ids]
+    ids = [int(identifier) for identifier in parameter_set_ids]
     return dict(_own(connection, campaign_sequence, scenario, setup_id, evaluations.c.parameter_set_id, ids))
 
 

@@ -63,7 +63,7 @@ def list_campaigns(query: CampaignsQuery, database: DatabaseDependency, if_none_
         if matches(if_none_match, headers["ETag"]):
             return Response(status_code=304, headers=headers)
         found, following = campaigns.page(connection, state=query.state, limit=query.limit, cursor=query.cursor)
-    page = CampaignPage(items=[campaign_answer(one, moment, silent) for one in found], next_cursor=following)
+    page = CampaignPage(items=[campaign_answer(campaign, moment, silent) for campaign in found], next_cursor=following)
     return Response(page.model_dump_json(), headers=headers, media_type="application/json")
 
 

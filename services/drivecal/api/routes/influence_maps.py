@@ -42,7 +42,7 @@ def list_maps(query: PageQuery, database: DatabaseDependency) -> InfluenceMapPag
     """Influence maps, newest first, without their rows."""
     with database.read() as connection:
         found, following = influence_maps.page(connection, limit=query.limit, cursor=query.cursor)
-    return InfluenceMapPage(items=[_answer(one, with_rows=False) for one in found], next_cursor=following)
+    return InfluenceMapPage(items=[_answer(stored, with_rows=False) for stored in found], next_cursor=following)
 
 
 @router.get("/{map_id}", response_model=InfluenceMapAnswer, responses={200: FILES})

@@ -60,7 +60,7 @@ def list_evaluations(campaign_id: str, query: TableQuery, database: DatabaseDepe
     def pages(limit: int, cursor: str | None) -> tuple[list[Row], str | None]:
         with database.read() as connection:
             found, following = results.page(connection, campaign.sequence, limit=limit, cursor=cursor)
-        return [evaluation_row(one) for one in found], following
+        return [evaluation_row(evaluation) for evaluation in found], following
 
     def columns() -> list[Column]:
         return EvaluationRow.file_columns(list(_parameter_names(database, campaign)))

@@ -35,7 +35,7 @@ def campaign_rows(stored: StoredInfluenceMap, resolved: ResolvedSpec) -> list[In
 
 def map_rows(stored: StoredInfluenceMap) -> list[InfluenceRow]:
     """What a map lists, within the bounds of the space it was made for."""
-    space = {one.name: one for one in space_from_document(stored.parameters)}
+    space = {parameter.name: parameter for parameter in space_from_document(stored.parameters)}
     return [
         _row(scenario, name, influence, _entry(stored, scenario, name), space.get(name))
         for scenario, listed in map_from_document(stored.scenarios).scenarios.items()

@@ -34,7 +34,7 @@ class CampaignRanking:
         """The solutions of ranks `start` + 1 to `stop`."""
         shown = self.ranked[start:stop]
         with self.database.read() as connection:
-            sets = parameter_sets.load(connection, [one.parameter_set for one in shown])
+            sets = parameter_sets.load(connection, [solution.parameter_set for solution in shown])
         return [
             Solution(
                 rank=rank,

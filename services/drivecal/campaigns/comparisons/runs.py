@@ -83,10 +83,10 @@ class ComparisonJob(Job):
     def record(self, completed: Sequence[Completed]) -> list[Work]:
         """Writes results down, run by run; gives what is to be simulated instead, or next."""
         by_run: dict[int, list[Completed]] = {}
-        for one in completed:
-            home = self._homes.pop(one.result.id, None)
+        for completion in completed:
+            home = self._homes.pop(completion.result.id, None)
             if home is not None:
-                by_run.setdefault(home, []).append(one)
+                by_run.setdefault(home, []).append(completion)
         work: list[Work] = []
         for number, mine in by_run.items():
             if number in self._jobs:  # else it failed meanwhile
@@ -130,7 +130,7 @@ class ComparisonJob(Job):
             log.exception("a run of the comparison failed")
             self._end(number, CampaignState.FAILED, f"internal error: {type(error).__name__}: {error}")
             return []
-        self._homes.update((cell.id, number) for one in work for cell in one.cells)
+        self._homes.update((cell.id, number) for batch in work for cell in batch.cells)
         return work
 
     def _end(self, number: int, state: CampaignState, error: str | None = None) -> None:
@@ -199,8 +199,8 @@ class _Sum:
     @classmethod
     def over(cls, runs: Iterable[RunTally]) -> Self:
         found = cls()
-        for one in runs:
-            found._add(one)
+        for run in runs:
+            found._add(run)
         return found
 
     @property

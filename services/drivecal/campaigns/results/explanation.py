@@ -53,7 +53,10 @@ class _Case:
     def comparison(self) -> CellComparison:
         own = self.cell.parameter_set_id
         parameters = parameter_sets.load(self.connection, [own])[own]
-        ranges = {one.name: billionths(one.upper) - billionths(one.lower) for one in self._pinned.space.parameters}
+        ranges = {
+            parameter.name: billionths(parameter.upper) - billionths(parameter.lower)
+            for parameter in self._pinned.space.parameters
+        }
         return CellComparison(
             self.influence_map or InfluenceMap({}),
             self.cell.scenario,
@@ -192,7 +195,7 @@ def _reference(case: _Case, evaluation_id: int) -> tuple[Reference, list[Differe
         score=score,
         failure=donor.failure,
     )
-    return reference, [_difference(one) for one in case.comparison.differences(values)]
+    return reference, [_difference(difference) for difference in case.comparison.differences(values)]
 
 
 def _difference(one: explanation.ParameterDifference) -> Difference:

@@ -98,17 +98,20 @@ class RobustnessStage(StudyStage):
             standing.add(results.answers(connection, source.sequence, StageName.CALIBRATION))
             ranking = standing.ranking()
             least = ranking[0].objective - self._wanted.within - EQUAL if ranking else 0.0
-            enough = sum(1 for one in ranking if one.objective >= least)
+            enough = sum(1 for solution in ranking if solution.objective >= least)
             best, worse = ranking[: min(enough, MOST_BEST)], ranking[enough : enough + MOST_WORSE]
-            sets = parameter_sets.load(connection, [one.parameter_set for one in (*best, *worse)])
+            sets = parameter_sets.load(connection, [solution.parameter_set for solution in (*best, *worse)])
         named = list(self._problem.robust_sets)
-        found = [sets[one.parameter_set] for one in best]
-        listed = named + [one for one in found if one not in named]
+        found = [sets[solution.parameter_set] for solution in best]
+        listed = named + [parameter_set for parameter_set in found if parameter_set not in named]
         space = self._problem.space
-        known = optima(unit_cube(space, listed), unit_cube(space, [sets[one.parameter_set] for one in worse]))
-        regions = np.array([one.region for one in known[len(named) :]], dtype=np.int64)
+        known = optima(unit_cube(space, listed), unit_cube(space, [sets[solution.parameter_set] for solution in worse]))
+        regions = np.array([solution.region for solution in known[len(named) :]], dtype=np.int64)
         chosen = [len(named) + position for position in one_per_region_first(regions, self._wanted.solutions)]
-        return [Examined(listed[one], known[one].region, known[one].to_worse) for one in (*range(len(named)), *chosen)]
+        return [
+            Examined(listed[position], known[position].region, known[position].to_worse)
+            for position in (*range(len(named)), *chosen)
+        ]
 
     @staticmethod
     def is_wanted(campaign: StoredCampaign, problem: CalibrationProblem) -> bool:
@@ -186,7 +189,7 @@ class RobustnessStage(StudyStage):
         if self._study is None or np.isnan(objectives).all():
             return None
         best = float(np.nanmax(objectives))
-        equal = [one for one in range(len(known)) if objectives[one] >= best - EQUAL]
+        equal = [position for position in range(len(known)) if objectives[position] >= best - EQUAL]
         chosen = max(equal, key=lambda one: (known[one].degree, known[one].radius, ratings[one], -one))
         degree = f"{known[chosen].degree}{' or more' if known[chosen].at_least else ''}"
         return (

@@ -16,7 +16,10 @@ def cells_by_stage(campaign: Campaign) -> str:
     def row(name: str, cells: CellCounts | StageCellCounts) -> list[object]:
         return [
             name,
-            *(getattr(cells, one, None) for one in ("proposed", "carried_over", "requested", *OUTCOMES, "audited", "checked")),
+            *(
+                getattr(cells, name, None)
+                for name in ("proposed", "carried_over", "requested", *OUTCOMES, "audited", "checked")
+            ),
         ]
 
     rows = [row(name, cells) for name, cells in campaign.by_stage().items() if cells.requested]
@@ -54,7 +57,7 @@ def proved(found: Accounting | None) -> tuple[int, int, int]:
     """Reused cells of which a certificate says what a simulation would have given, and how many of their references have another score,
     and one that is off by more than 1."""
     rows = [] if found is None else found.scenarios
-    known, different, wrong = (sum(getattr(one, name) for one in rows) for name in PROVED)
+    known, different, wrong = (sum(getattr(row, name) for row in rows) for name in PROVED)
     return known, different, wrong
 
 
@@ -66,12 +69,12 @@ def _proved(found: Accounting | None) -> list[str]:
         return []
     rows = [
         [
-            one.scenario,
-            *(getattr(one, name) for name in ("reused", *PROVED)),
-            Number(f"{one.proved_wrong / one.proved:.2%}") if one.proved else None,
+            scenario.scenario,
+            *(getattr(scenario, name) for name in ("reused", *PROVED)),
+            Number(f"{scenario.proved_wrong / scenario.proved:.2%}") if scenario.proved else None,
         ]
-        for one in found.scenarios
-        if one.reused
+        for scenario in found.scenarios
+        if scenario.reused
     ]
     header = ["scenario", "reused", "proved", "different", "wrong", "R_err"]
     caption = (

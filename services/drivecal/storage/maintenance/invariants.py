@@ -84,8 +84,8 @@ _NOT_IN_ROWS = {"unrepeatable"}
 def check_ended(connection: Connection) -> Iterator[str]:
     """Campaigns that have ended have no leases, and those that succeeded no cell without an answer; answered cells have no lease."""
     ended = campaigns.c.state.in_(ENDED)
-    for one in connection.execute(select(campaigns.c.id, campaigns.c.state).where(ended != campaigns.c.ended_at.is_not(None))):
-        yield f"campaign {one.id} is {one.state}, and its end is {'not ' if one.state in ENDED else ''}written down"
+    for row in connection.execute(select(campaigns.c.id, campaigns.c.state).where(ended != campaigns.c.ended_at.is_not(None))):
+        yield f"campaign {row.id} is {row.state}, and its end is {'not ' if row.state in ENDED else ''}written down"
     cells = evaluations.join(campaigns)
     pending = select(campaigns.c.id, func.count()).select_from(cells).where(evaluations.c.outcome.is_(None))
     for name, count in connection.execute(pending.where(campaigns.c.state == CampaignState.SUCCEEDED).group_by(campaigns.c.id)):
