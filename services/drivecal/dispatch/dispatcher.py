@@ -34,7 +34,7 @@ POLL_SECONDS = 0.1
 TIDY_SECONDS = 60.0
 TRACES_KEPT, MOST_TRACES = timedelta(days=1), 200
 RETRY_SECONDS = 5.0
-"""Until a campaign is taken up again whose cells somebody else seems to have."""
+"""Delay before a campaign resumes whose cells were answered or simulated elsewhere."""
 
 log = logging.getLogger(__name__)
 
@@ -65,7 +65,7 @@ class Dispatcher:
     def run(self, stop: threading.Event) -> None:
         """Works until `stop` is set. A database that does not answer is waited for; everything goes on when it is back.
 
-        Raises SupersededError and BackendLostError: somebody else goes on, or this process has to begin anew.
+        Raises SupersededError and BackendLostError: another dispatcher continues, or this process must restart.
         """
         pause = 0.5
         while not stop.is_set():
@@ -109,10 +109,10 @@ class Dispatcher:
     def _look(self) -> None:
         """Starts what is queued, takes up what was running, does what was requested."""
         with self._database.read() as connection:
-            found = campaigns.active(connection)
+            headings = campaigns.active(connection)
         running = (CampaignState.RUNNING, CampaignState.CANCELLING)
         # those that ran before a restart have their places, whatever is queued; all others in their order
-        for campaign in sorted(found, key=lambda one: one.state not in running):
+        for campaign in sorted(headings, key=lambda heading: heading.state not in running):
             with logs.about(campaign=campaign.id, campaign_name=campaign.name):
                 self._look_at(campaign)
 
@@ -129,7 +129,7 @@ class Dispatcher:
             active.stopping = active.job = None
 
     def _welcome(self, campaign: CampaignHeading, *, cancelled: bool) -> None:
-        """Begins to look after a campaign that it did not look after so far. Those that ran before a restart go on in any case."""
+        """Starts or resumes a campaign. Campaigns that ran before a restart always continue."""
         match campaign.state:
             case CampaignState.QUEUED if self._has_room(campaign):
                 self._start(campaign)
@@ -217,7 +217,7 @@ class Dispatcher:
         """Takes a campaign up from its rows; False where there is something to wait for first, or nothing more to do."""
         if self._pool.held(active.tag) or self._clock() < active.not_before:
             return False  # cells of a forgotten job; their results come first
-        if active.stopping is not None:  # nobody waits for its results any more; a resumed campaign asks for them again
+        if active.stopping is not None:  # results are dropped; a resumed campaign requests them again
             self._pool.give_back(active.unwritten)
             active.unwritten.clear()
             self._finish_stopping(active)
@@ -272,4 +272,4 @@ class Dispatcher:
 def _without(work: Sequence[Work], answered: Collection[int]) -> list[Work]:
     """Work less the cells whose results are there already."""
     left = (replace(batch, cells=tuple(cell for cell in batch.cells if cell.id not in answered)) for batch in work)
-    return [one for one in left if one.cells]
+    return [batch for batch in left if batch.cells]

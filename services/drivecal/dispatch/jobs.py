@@ -1,4 +1,4 @@
-"""Takes campaigns up from their rows: those that begin, and those that somebody began before."""
+"""Starts and resumes campaigns from their rows."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from drivecal.storage.campaigns import CampaignHeading, StoredCampaign
 from drivecal.storage.engine.database import Database
 
 EVALUATION_PRIORITY = 1000
-"""Somebody waits for a single evaluation; a campaign can wait a batch longer."""
+"""A user waits for a single evaluation; a campaign can wait a batch longer."""
 
 
 @dataclass(slots=True)

@@ -115,7 +115,7 @@ class CellTracker:
     def record(self, connection: Connection, completed: Sequence[Completed]) -> list[Work]:
         """Writes down what became of simulated cells, and of those that waited for them; gives what has to be simulated instead.
 
-        Results whose lease is not the current one are late: somebody else has the cell, or had it. They change nothing.
+        Results without the current lease are late and change nothing: the cell was leased again.
         """
         answers: list[AnsweredCell] = []
         orphans: list[PendingEvaluation] = []
@@ -132,13 +132,13 @@ class CellTracker:
                 finished.append((cell, completion))
             else:
                 orphans += self._break_down(cell, completion, answers)
-        proofs = dict(pair for _, one in finished for pair in one.result.probed)
+        proofs = dict(pair for _, simulation in finished for pair in simulation.result.probed)
         self._proofs |= proofs
-        stored = runs.insert_results(connection, [self._new_run(cell, one) for cell, one in finished])
-        for (cell, one), run in zip(finished, stored, strict=True):
-            self._simulated(cell, one, run, answers)
-            if one.result.trace is not None:
-                traces.fill(connection, self._view.campaign, one.result.trace)
+        stored = runs.insert_results(connection, [self._new_run(cell, simulation) for cell, simulation in finished])
+        for (cell, simulation), run in zip(finished, stored, strict=True):
+            self._simulated(cell, simulation, run, answers)
+            if simulation.result.trace is not None:
+                traces.fill(connection, self._view.campaign, simulation.result.trace)
         evaluations.answer(connection, answers)
         evaluations.note_proofs(connection, proofs)
         evaluations.simulate_instead(connection, [orphan.id for orphan in orphans])
@@ -148,18 +148,18 @@ class CellTracker:
         """Spreads the reused cells of an iteration over those of the same setup that are simulated: by their ids."""
         if self._view.checked_certificates is None or not simulated or not self._view.keys:
             return {}
-        found: dict[int, list[Probe]] = {}
+        probes: dict[int, list[Probe]] = {}
         place = simulated[0].stage, simulated[0].iteration
         waiting = [(cell.id, cell.setup_id, cell.parameters) for cell in self._pending.values() if cell.plan is Outcome.REUSED]
         for number, setup_id, parameters in [*evaluations.reused(connection, self._view.campaign, *place), *waiting]:
-            found.setdefault(setup_id, []).append(Probe(number, parameters.floats))
+            probes.setdefault(setup_id, []).append(Probe(number, parameters.floats))
         carriers: dict[int, list[int]] = {}
         for cell in simulated:
             carriers.setdefault(cell.setup_id, []).append(cell.id)
         return {
-            carrier: tuple(found[setup_id][position :: len(carrying)])
+            carrier: tuple(probes[setup_id][position :: len(carrying)])
             for setup_id, carrying in carriers.items()
-            if setup_id in found
+            if setup_id in probes
             for position, carrier in enumerate(carrying)
         }
 
@@ -196,13 +196,13 @@ class CellTracker:
             for setup_id, listed in by_setup.items()
         ]
 
-    def _cell(self, one: PendingEvaluation) -> Cell:
+    def _cell(self, pending: PendingEvaluation) -> Cell:
         """An audited cell is simulated in any case, and checks a certificate on the way."""
         share = self._view.checked_certificates
         if share is None:
-            return Cell(one.id, one.parameters.floats, trace=self._view.traced)
-        check = one.audited or is_checked(self._view.campaign, one.scenario, one.parameters.key, share)
-        return Cell(one.id, one.parameters.floats, certify=True, check=check)
+            return Cell(pending.id, pending.parameters.floats, trace=self._view.traced)
+        check = pending.audited or is_checked(self._view.campaign, pending.scenario, pending.parameters.key, share)
+        return Cell(pending.id, pending.parameters.floats, certify=True, check=check)
 
     def raise_if_refuted(self) -> None:
         """Raises RefutedError where a simulation gave something else than its certificate said: what that proves is a bug. To be called
@@ -219,24 +219,24 @@ class CellTracker:
         for setup_id in sorted(runs.stocked(connection, wanted)):
             cells = wanted[setup_id]
             ids = [cell.parameter_set_id for cell in cells]
-            found = runs.look_up_exact(connection, setup_id, ids, self._evaluator_id, watermark=sys.maxsize)
+            stored = runs.look_up_exact(connection, setup_id, ids, self._evaluator_id, watermark=sys.maxsize)
             for cell in cells:
-                if cell.parameter_set_id in found:
-                    self._answer(cell, found[cell.parameter_set_id], answers)
+                if cell.parameter_set_id in stored:
+                    self._answer(cell, stored[cell.parameter_set_id], answers)
         evaluations.answer(connection, answers)
 
-    def _simulated(self, cell: PendingEvaluation, one: Completed, run: StoredRun, answers: list[AnsweredCell]) -> None:
-        if one.result.score is None or one.result.rating is None:
+    def _simulated(self, cell: PendingEvaluation, completion: Completed, run: StoredRun, answers: list[AnsweredCell]) -> None:
+        if completion.result.score is None or completion.result.rating is None:
             raise ValueError(f"the worker gave no score for evaluation {cell.id}")
         self._counts["unrepeatable"] += not run.agrees
-        if one.result.agrees is False:
-            self._refuted = _refutation(cell, one)
-        donor = Donor(cell.id, run.id, one.result.score, one.result.rating, one.result.failure)
-        if one.shared:  # counted where it was simulated
+        if completion.result.agrees is False:
+            self._refuted = _refutation(cell, completion)
+        donor = Donor(cell.id, run.id, completion.result.score, completion.result.rating, completion.result.failure)
+        if completion.shared:  # counted where it was simulated
             self._answer(cell, donor, answers)
         else:
-            self.simulating_seconds += one.result.milliseconds / 1000
-            self._answer(cell, donor, answers, one)
+            self.simulating_seconds += completion.result.milliseconds / 1000
+            self._answer(cell, donor, answers, completion)
 
     def _answer(
         self, cell: PendingEvaluation, result: Donor, answers: list[AnsweredCell], simulation: Completed | None = None
@@ -264,15 +264,17 @@ class CellTracker:
             )
             self._close(other, outcome)
 
-    def _break_down(self, cell: PendingEvaluation, one: Completed, answers: list[AnsweredCell]) -> list[PendingEvaluation]:
+    def _break_down(
+        self, cell: PendingEvaluation, completion: Completed, answers: list[AnsweredCell]
+    ) -> list[PendingEvaluation]:
         """The cell has no result after all attempts. Copies of the same parameter set share its fate; the others are orphans."""
         orphans: list[PendingEvaluation] = []
-        detail = None if one.result.detail is None else _storable(one.result.detail)
+        detail = None if completion.result.detail is None else _storable(completion.result.detail)
         for other in (cell, *self._copies.pop(cell.id, ())):
             if other.plan is Outcome.REUSED:
                 orphans.append(other)
                 continue
-            own = other is cell and not one.shared
+            own = other is cell and not completion.shared
             answers.append(
                 AnsweredCell(
                     id=other.id,
@@ -280,10 +282,10 @@ class CellTracker:
                     score=None,
                     rating=None,
                     run_id=None,
-                    failure=one.result.breakdown,
-                    milliseconds=one.result.milliseconds if own else None,
-                    worker=one.worker if own else None,
-                    attempts=one.attempts if own else 0,
+                    failure=completion.result.breakdown,
+                    milliseconds=completion.result.milliseconds if own else None,
+                    worker=completion.worker if own else None,
+                    attempts=completion.attempts if own else 0,
                     detail=detail,
                 )
             )
@@ -303,19 +305,19 @@ class CellTracker:
         self._counts["requested"] += 1
         self._counts[outcome.value] += 1
 
-    def _new_run(self, cell: PendingEvaluation, one: Completed) -> NewRun:
-        if one.result.score is None or one.result.rating is None:
+    def _new_run(self, cell: PendingEvaluation, completion: Completed) -> NewRun:
+        if completion.result.score is None or completion.result.rating is None:
             raise ValueError(f"the worker gave no score for evaluation {cell.id}")
         return NewRun(
             setup_id=cell.setup_id,
             parameter_set_id=cell.parameter_set_id,
-            metrics=one.result.metrics,
-            failure=one.result.failure,
-            milliseconds=one.result.milliseconds,
-            worker=one.worker,
+            metrics=completion.result.metrics,
+            failure=completion.result.failure,
+            milliseconds=completion.result.milliseconds,
+            worker=completion.worker,
             evaluator=self._evaluator_id,
-            score=one.result.score,
-            rating=one.result.rating,
+            score=completion.result.score,
+            rating=completion.result.rating,
             evaluation_id=cell.id,
             campaign_sequence=self._view.campaign,
             stage=cell.stage,
@@ -325,13 +327,13 @@ class CellTracker:
         )
 
 
-def _refutation(cell: PendingEvaluation, one: Completed) -> str:
+def _refutation(cell: PendingEvaluation, completion: Completed) -> str:
     where = f"evaluation {cell.id} in {cell.scenario}"
-    if one.result.proven_by is None:
-        return f"{where} was not deterministic on {one.worker}: the same decisions led to another state. Nothing can be certified there"
+    if completion.result.proven_by is None:
+        return f"{where} is not deterministic on {completion.worker}: equal decisions led to different states. Its certificates are invalid"
     return (
-        f"{where} was to repeat evaluation {one.result.proven_by} bit for bit, but its simulation on {one.worker} gave something else: a"
-        " mistake of the driving function's certificates. Run it with reduction.certified: false, and report it"
+        f"{where} should repeat evaluation {completion.result.proven_by} bit for bit, but its simulation on {completion.worker}"
+        " differs: the driving function's certificates are wrong. Set reduction.certified: false, and report this bug"
     )
 
 

@@ -105,14 +105,14 @@ def plan_cells(
             continue
         if scenario in view.keys:
             keys = view.keys[scenario].keys(billionths_matrix(here))
-            class_keys |= {(scenario, one): key for one, key in zip(here, keys, strict=True)}
+            class_keys |= {(scenario, asked): key for asked, key in zip(here, keys, strict=True)}
         if policy.mode != "off" and setup_id in stocked:
             by_id = {set_ids[parameter_set]: set_keys[parameter_set] for parameter_set in here}
             known = _exact(connection, view, scenario, setup_id, list(by_id))
             exact |= {(scenario, by_id[set_id]): donor for set_id, donor in known.items()}
         if policy.mode == "influence" and scenario in view.keys and setup_id in stocked:
-            found = _references(connection, view, scenario, setup_id, list(dict.fromkeys(keys)))
-            references |= {(scenario, key): donor for key, donor in found.items()}
+            stored = _references(connection, view, scenario, setup_id, list(dict.fromkeys(keys)))
+            references |= {(scenario, key): donor for key, donor in stored.items()}
     cells = [
         RequestedCell(
             cell.individual, cell.scenario, set_keys[cell.parameters], class_keys.get((cell.scenario, cell.parameters))
@@ -126,14 +126,14 @@ def plan_cells(
             individual=cell.individual,
             scenario=cell.scenario,
             setup_id=setup_ids[cell.scenario],
-            parameter_set_id=set_ids[one.parameters],
+            parameter_set_id=set_ids[asked.parameters],
             plan=assignment.plan,
             reference_key=cell.reference_key,
             donor=assignment.donor,
             leader=assignment.leader,
             audited=assignment.audited,
         )
-        for one, cell, assignment in zip(wanted, cells, assign(cells, policy, exact, references), strict=True)
+        for asked, cell, assignment in zip(wanted, cells, assign(cells, policy, exact, references), strict=True)
     ]
 
 

@@ -24,16 +24,16 @@ from drivecal.storage.traces import StoredTrace
 PASSING = (Breakdown.CRASH, Breakdown.HANG, Breakdown.MEMORY)
 """Breakdowns that say more about the machine at that moment than about the cell. An exception, met on two workers, comes again."""
 AGAIN_AFTER = timedelta(seconds=30)
-"""How long a trace that failed for a passing reason is not tried again: whoever polls is told why, and starts nothing by it."""
+"""How long a trace that failed for a passing reason is not tried again: until then, requests return the reason and start nothing."""
 
 
-def is_to_be_made(connection: Connection, found: StoredTrace | None) -> bool:
-    """Whether asking for a trace, which was `found`, has it driven: nobody did, or it may be tried again."""
-    if found is None:
+def is_to_be_made(connection: Connection, trace: StoredTrace | None) -> bool:
+    """Whether a request starts a simulation: no trace was requested before, or the failed request may be repeated."""
+    if trace is None:
         return True
-    if found.content is not None:
+    if trace.content is not None:
         return False
-    made = campaigns.by_sequence(connection, found.campaign_sequence)
+    made = campaigns.by_sequence(connection, trace.campaign_sequence)
     if made.state is CampaignState.CANCELLED:
         return True
     return _may_pass(made, _cell(connection, made)) and made.ended_at is not None and now() >= made.ended_at + AGAIN_AFTER
@@ -44,10 +44,10 @@ def request_trace(connection: Connection, number: int) -> StoredCampaign:
 
     Raises NotFoundError, ConflictError where what it was driven with is another version by now: its time series cannot be had again.
     """
-    found = traces.find(connection, number, for_update=True)
-    if found is not None:
-        if not is_to_be_made(connection, found):
-            return campaigns.by_sequence(connection, found.campaign_sequence)
+    trace = traces.find(connection, number, for_update=True)
+    if trace is not None:
+        if not is_to_be_made(connection, trace):
+            return campaigns.by_sequence(connection, trace.campaign_sequence)
         traces.forget(connection, number)
     specification = _specification(connection, number)
     made = campaigns.insert(

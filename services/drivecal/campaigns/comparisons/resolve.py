@@ -66,14 +66,14 @@ def runs_of(specification: ComparisonSpecification) -> list[Run]:
     labels = [optimizer.label or optimizer.kind for optimizer in specification.optimizers]
     reductions = [_reduction(reduction) for reduction in specification.reductions]
     several = len(reductions) > 1
-    found = []
+    runs = []
     for (label, optimizer), population, seed, reduction in product(
         zip(labels, specification.optimizers, strict=True), specification.populations, specification.seeds, reductions
     ):
         conditions = Conditions(label, population, seed, reduction_label(reduction))
         name = f"{label}, population {population}, seed {seed}{f', {conditions.reduction}' if several else ''}"
-        found.append(Run(conditions, _campaign(specification, name, optimizer, conditions, reduction)))
-    return found
+        runs.append(Run(conditions, _campaign(specification, name, optimizer, conditions, reduction)))
+    return runs
 
 
 def resolve_comparison(specification: ComparisonSpecification) -> ComparisonProblem:

@@ -42,7 +42,7 @@ class ComparisonResults:
 
     def pairs(self) -> list[ComparedPair]:
         """One row per pair of runs that differ in the reduction alone."""
-        ids = {course.conditions: one.id for one, course in zip(self.campaigns, self.courses, strict=True)}
+        ids = {course.conditions: campaign.id for campaign, course in zip(self.campaigns, self.courses, strict=True)}
         return [pair_row(pair, ids[pair.run.conditions], ids[pair.base.conditions]) for pair in analysis.pairs(self.courses)]
 
     def effects(self) -> list[ReductionEffect]:
@@ -54,13 +54,13 @@ def compared(connection: Connection, comparison: StoredCampaign) -> ComparisonRe
     """What is known of a comparison so far."""
     stored = campaigns.runs_of(connection, comparison.sequence)
     wanted = runs_of(validated(ComparisonSpecification, comparison.spec))
-    courses = [_course(connection, one, run.conditions) for one, run in zip(stored, wanted, strict=True)]
+    courses = [_course(connection, campaign, run.conditions) for campaign, run in zip(stored, wanted, strict=True)]
     return ComparisonResults(stored, courses)
 
 
 def _course(connection: Connection, run: StoredCampaign, conditions: analysis.Conditions) -> Course:
-    found, _ = generations.page(connection, run.sequence, limit=MOST_GENERATIONS)
-    figures = [one for _, one in found]
+    page, _ = generations.page(connection, run.sequence, limit=MOST_GENERATIONS)
+    figures = [figures for _, figures in page]
     reused = any(figure.reused for figure in figures)
     return Course(
         conditions=conditions,
@@ -86,12 +86,12 @@ def _best_simulated(connection: Connection, run: StoredCampaign) -> float | None
     """See `results.best_simulated`; of a run that has ended it is looked for once: who follows a comparison asks every few seconds."""
     if run.id in _ended:
         return _ended[run.id]
-    found = results.best_simulated(connection, run.sequence, resolved_spec(run).weights)
+    best = results.best_simulated(connection, run.sequence, resolved_spec(run).weights)
     if run.state.ended:
-        _ended[run.id] = found
+        _ended[run.id] = best
         if len(_ended) > MOST_REMEMBERED:
             _ended.clear()
-    return found
+    return best
 
 
 _ended: dict[str, float | None] = {}
@@ -99,7 +99,7 @@ _ended: dict[str, float | None] = {}
 
 
 def _needed(figures: Figures | CellCounts) -> int:
-    """Cells without an answer among the campaign's own: they took a simulation, whoever made it, or failed to."""
+    """Cells without an answer among the campaign's own: simulated, by this or another campaign, or failed."""
     return figures.requested - figures.repeated - figures.reused
 
 

@@ -167,17 +167,17 @@ class ComparisonJob(Job):
         """Sums up in the comparison's own row what its runs count."""
         self._next_sum = self._clock() + SECONDS_BETWEEN_SUMS
         with self._database.transaction() as connection:
-            found = _Sum.over(comparisons.tallies(connection, self._sequence))
+            total = _Sum.over(comparisons.tallies(connection, self._sequence))
             snapshot = Snapshot(
                 stage=StageName.CALIBRATION,
                 iteration=None,
-                cells={stage: campaign_stages.counts(found.stages, stage) for stage in found.stages},
-                progress=self._eta.progress(found.done, max(self._expected, found.done)),
-                error_rate={scenario: _rate(audits) for scenario, audits in found.audits.items() if audits["audited"]},
-                best=found.best,
-                baseline=found.baseline,
-                simulating_seconds=found.simulating_seconds,
-                notes=found.told(),
+                cells={stage: campaign_stages.counts(total.stages, stage) for stage in total.stages},
+                progress=self._eta.progress(total.done, max(self._expected, total.done)),
+                error_rate={scenario: _rate(audits) for scenario, audits in total.audits.items() if audits["audited"]},
+                best=total.best,
+                baseline=total.baseline,
+                simulating_seconds=total.simulating_seconds,
+                notes=total.told(),
             )
             campaigns.save_progress(connection, self._sequence, snapshot)
 
@@ -198,27 +198,27 @@ class _Sum:
 
     @classmethod
     def over(cls, runs: Iterable[RunTally]) -> Self:
-        found = cls()
+        total = cls()
         for run in runs:
-            found._add(run)
-        return found
+            total._add(run)
+        return total
 
     @property
     def done(self) -> int:
         return sum(cells["requested"] for cells in self.stages.values())
 
-    def _add(self, one: RunTally) -> None:
-        for stage, cells in one.stages.items():
+    def _add(self, run: RunTally) -> None:
+        for stage, cells in run.stages.items():
             self.stages.setdefault(stage, Counter()).update(cells)
-        for scenario, rate in one.error_rate.items():
+        for scenario, rate in run.error_rate.items():
             self.audits.setdefault(scenario, Counter()).update(rate.model_dump(exclude={"upper_95"}))
-        if one.best is not None and (self.best is None or one.best.objective > self.best.objective):
-            self.best = one.best
-        self.baseline = self.baseline or one.baseline
-        self.simulating_seconds += one.simulating_seconds
-        self.begun += one.begun
-        for note in remarkable(one.notes):  # optima are told by the tables
-            self.notes.setdefault(note, []).append(one.name)
+        if run.best is not None and (self.best is None or run.best.objective > self.best.objective):
+            self.best = run.best
+        self.baseline = self.baseline or run.baseline
+        self.simulating_seconds += run.simulating_seconds
+        self.begun += run.begun
+        for note in remarkable(run.notes):  # optima are told by the tables
+            self.notes.setdefault(note, []).append(run.name)
 
     def told(self) -> list[str]:
         """What the runs note: once where all do, else with the run's name, of very many the first."""

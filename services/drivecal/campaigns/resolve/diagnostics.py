@@ -19,7 +19,7 @@ class Diagnostics:
         self.problems: list[Problem] = []
 
     def add(self, field: str, message: str, remedy: str = "") -> None:
-        """Notes one thing that is wrong, unless there are so many already that nobody would read it."""
+        """Adds a problem, up to a limit."""
         if len(self.problems) < MOST_FINDINGS:
             self.problems.append(Problem(field, message, remedy))
 

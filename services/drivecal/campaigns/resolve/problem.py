@@ -231,6 +231,6 @@ def resolve_evaluation(specification: EvaluationSpecification) -> EvaluationProb
 def catalogue_scenarios(catalogue: str | list[str]) -> dict[str, tuple[str, Scenario]]:
     """The scenarios of a catalogue, or those listed: id to (catalogue's name, scenario). Raises InvalidInputError."""
     diagnostics = Diagnostics()
-    found = resolvers.find_scenarios(catalogue, diagnostics)
+    scenarios = resolvers.find_scenarios(catalogue, diagnostics)
     diagnostics.raise_if_any()
-    return found
+    return scenarios

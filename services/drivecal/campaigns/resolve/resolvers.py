@@ -45,11 +45,11 @@ def find_scenarios(catalogue: str | list[str], diagnostics: Diagnostics) -> dict
     """By id, in the catalogues' order: (catalogue's name, scenario)."""
     if isinstance(catalogue, str):
         try:
-            found = registry.catalogue(catalogue)
+            loaded = registry.catalogue(catalogue)
         except InvalidInputError as error:
             diagnostics.problems.extend(error.problems)
             return {}
-        return {name: (found.name, scenario) for name, scenario in found.scenarios.items()}
+        return {name: (loaded.name, scenario) for name, scenario in loaded.scenarios.items()}
     every = {
         name: (catalogue.name, scenario)
         for catalogue in registry.catalogues()
@@ -122,12 +122,12 @@ def find_start_sets(
     """What must be in the start population, each once: the baseline, then the sets from expert knowledge."""
     wanted = specification.optimizer
     listed = [] if wanted is None else wanted.start_sets
-    found: list[ParameterSet | None] = []
-    for index, one in enumerate(listed):
+    start_sets: list[ParameterSet | None] = []
+    for index, given in enumerate(listed):
         if len(diagnostics.problems) > MOST_WRONG_SETS:
             break  # who has so many to mend begins with them
-        found.append(given_set(one, space, f"optimizer.start_sets[{index}]", diagnostics))
-    together = tuple(dict.fromkeys(parameter_set for parameter_set in (baseline, *found) if parameter_set is not None))
+        start_sets.append(given_set(given, space, f"optimizer.start_sets[{index}]", diagnostics))
+    together = tuple(dict.fromkeys(parameter_set for parameter_set in (baseline, *start_sets) if parameter_set is not None))
     if wanted is not None and len(together) > wanted.population:
         message = f"{len(together)} sets, the baseline included, do not fit into a population of {wanted.population}"
         diagnostics.add("optimizer.start_sets", message, "give fewer, or a larger population")
@@ -156,8 +156,8 @@ def find_robust_sets(
         diagnostics.add("robustness.eta", message, f"one number, or one for each of {', '.join(scenarios)}")
     if vehicle is not None:
         diagnostics.attempt(lambda: check_nominal(vehicle.parameters, nominal))
-    found = [given_set(one, space, f"robustness.sets[{index}]", diagnostics) for index, one in enumerate(wanted.sets)]
-    return tuple(dict.fromkeys(one for one in found if one is not None))
+    named = [given_set(given, space, f"robustness.sets[{index}]", diagnostics) for index, given in enumerate(wanted.sets)]
+    return tuple(dict.fromkeys(parameter_set for parameter_set in named if parameter_set is not None))
 
 
 def check_validation(specification: CampaignSpecification, diagnostics: Diagnostics) -> None:

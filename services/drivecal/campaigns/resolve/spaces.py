@@ -23,14 +23,14 @@ def search_parameters(
             raise InvalidInputError(Problem(field, f"{function.name} has no parameter space {parameters!r}", remedy))
         return function.spaces[parameters]
     diagnostics = Diagnostics()
-    found: list[Parameter] = []
+    grids: list[Parameter] = []
     known = function_names(function)
     for index, listed in enumerate(parameters):
         where = f"{field}[{index}]"
         if listed.name not in known:
             diagnostics.add(f"{where}.name", f"{function.name} has no parameter {listed.name!r}", f"one of {', '.join(known)}")
             continue
-        if any(listed.name == other.name for other in found):
+        if any(listed.name == other.name for other in grids):
             diagnostics.add(f"{where}.name", f"{listed.name} is listed twice", "list each parameter once")
             continue
         try:
@@ -44,9 +44,9 @@ def search_parameters(
             continue
         _within_limits(function, listed.name, parameter.lower, f"{where}.lower", diagnostics)
         _within_limits(function, listed.name, parameter.upper, f"{where}.upper", diagnostics)
-        found.append(parameter)
+        grids.append(parameter)
     diagnostics.raise_if_any()
-    return tuple(sorted(found, key=lambda parameter: known.index(parameter.name)))
+    return tuple(sorted(grids, key=lambda parameter: known.index(parameter.name)))
 
 
 def function_names(function: DrivingFunction) -> tuple[str, ...]:
@@ -71,7 +71,8 @@ def space_to_document(space: Sequence[Parameter]) -> list[dict[str, Any]]:
 def space_from_document(document: Sequence[Mapping[str, Any]]) -> tuple[Parameter, ...]:
     """The inverse of `space_to_document`."""
     return tuple(
-        Parameter(one["name"], Decimal(one["lower"]), Decimal(one["upper"]), one["n_values"], one["unit"]) for one in document
+        Parameter(entry["name"], Decimal(entry["lower"]), Decimal(entry["upper"]), entry["n_values"], entry["unit"])
+        for entry in document
     )
 
 
@@ -103,10 +104,12 @@ def search_space(
         fixed[name] = value
     missing = [name for name in names if name not in by_name and name not in fixed]
     if missing:
-        one = len(missing) == 1
-        needed = f"{function.name} needs {'a value' if one else 'values'} of {', '.join(missing)}"
-        it = "it" if one else "them"
-        diagnostics.add(f"fixed.{missing[0]}" if one else "fixed", needed, f"list {it} in `parameters` or hold {it} in `fixed`")
+        single = len(missing) == 1
+        needed = f"{function.name} needs {'a value' if single else 'values'} of {', '.join(missing)}"
+        it = "it" if single else "them"
+        diagnostics.add(
+            f"fixed.{missing[0]}" if single else "fixed", needed, f"list {it} in `parameters` or hold {it} in `fixed`"
+        )
     if by_name and set(by_name) <= set(fixed):
         diagnostics.add("fixed", "every parameter is held, so there is nothing to search", "leave at least one parameter free")
     if diagnostics.problems:

@@ -106,16 +106,16 @@ def _not_reused(case: _Case) -> Explanation:
     reason, stop = _forbidden(case)
     if reason is not None:
         return _explanation(case, reason, stop=stop)
-    found, stored = _nearest(case)
-    if found is None:
+    reference_set, stored = _nearest(case)
+    if reference_set is None:
         return _explanation(case, "nothing_stored", stored=0)
-    reference, differences = _reference(case, found.evaluation)
+    reference, differences = _reference(case, reference_set.evaluation)
     return _explanation(
         case,
-        "blocked" if found.blocking else "unanswered",
+        "blocked" if reference_set.blocking else "unanswered",
         reference=reference,
         differences=differences,
-        distance=found.distance,
+        distance=reference_set.distance,
         stored=stored,
     )
 
@@ -170,9 +170,9 @@ def _nearest(case: _Case) -> tuple[Nearest | None, int]:
         for sets in source:
             stored += len(sets.values)
             places = np.insert(sets.places, 0, rank, axis=1)
-            found = case.comparison.nearest(sets.values, places, sets.evaluations)
-            if found is not None and (nearest is None or found.order < nearest.order):
-                nearest = found
+            candidate = case.comparison.nearest(sets.values, places, sets.evaluations)
+            if candidate is not None and (nearest is None or candidate.order < nearest.order):
+                nearest = candidate
     return nearest, stored
 
 
@@ -198,17 +198,17 @@ def _reference(case: _Case, evaluation_id: int) -> tuple[Reference, list[Differe
     return reference, [_difference(difference) for difference in case.comparison.differences(values)]
 
 
-def _difference(one: explanation.ParameterDifference) -> Difference:
-    influence = one.influence
+def _difference(difference: explanation.ParameterDifference) -> Difference:
+    influence = difference.influence
     return Difference(
-        parameter=one.parameter,
-        value=float(from_billionths(one.value)),
-        reference_value=float(from_billionths(one.reference_value)),
-        region=one.region,
-        reference_region=one.reference_region,
+        parameter=difference.parameter,
+        value=float(from_billionths(difference.value)),
+        reference_value=float(from_billionths(difference.reference_value)),
+        region=difference.region,
+        reference_region=difference.reference_region,
         lower=None if influence.lower is None else float(influence.lower),
         upper=None if influence.upper is None else float(influence.upper),
-        blocks=one.blocks,
+        blocks=difference.blocks,
     )
 
 
@@ -254,7 +254,7 @@ def _explanation(
     stop: tuple[int, AuditCount] | None = None,
 ) -> Explanation:
     cell = case.cell
-    found = Explanation(
+    answer = Explanation(
         evaluation=cell.id,
         campaign=case.campaign.id,
         stage=cell.stage,
@@ -273,4 +273,4 @@ def _explanation(
         distance=distance,
         stored=stored,
     )
-    return found.model_copy(update={"sentence": sentence(found, stop)})
+    return answer.model_copy(update={"sentence": sentence(answer, stop)})

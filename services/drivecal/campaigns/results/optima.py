@@ -45,12 +45,12 @@ class Alternatives:
     def shown(self, start: int, stop: int) -> list[Optimum]:
         """What is known of some; the distances, which take most of the time, are computed for these alone."""
         away = to_nearest(self.best[start:stop], self.worse)
-        return [Optimum(int(region), one) for region, one in zip(self.regions[start:stop], away, strict=True)]
+        return [Optimum(int(region), distance) for region, distance in zip(self.regions[start:stop], away, strict=True)]
 
 
 def alternatives(database: Database, ranking: Sequence[EvaluatedSet], space: ParameterSpace) -> Alternatives:
     """The first of a `ranking`, best first: those that share the objective of the very first one, at most MOST_BEST."""
-    equal = sum(1 for _ in takewhile(lambda one: one.objective >= ranking[0].objective - EQUAL, ranking))
+    equal = sum(1 for _ in takewhile(lambda solution: solution.objective >= ranking[0].objective - EQUAL, ranking))
     best, worse = ranking[: min(equal, MOST_BEST)], ranking[equal : equal + MOST_WORSE]
     with database.read() as connection:
         sets = parameter_sets.load(connection, [solution.parameter_set for solution in (*best, *worse)])

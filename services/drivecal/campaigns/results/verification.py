@@ -59,8 +59,10 @@ def verify(database: Database, *, full: bool) -> Iterator[VerificationResult]:
             **CHECKS,
             **INVARIANTS,
             "campaigns, setups and maps": _check_meanings,
-            "parameter sets": lambda one: check_parameter_sets(one, _every(one, parameter_sets.c.id, full=full)),
-            "reference keys": lambda one: _check_reference_keys(one, _every(one, runs.c.id, full=full)),
+            "parameter sets": lambda connection: check_parameter_sets(
+                connection, _every(connection, parameter_sets.c.id, full=full)
+            ),
+            "reference keys": lambda connection: _check_reference_keys(connection, _every(connection, runs.c.id, full=full)),
         }
         for name, check in checks.items():
             verdict = _verdict(connection, name, check)
@@ -71,12 +73,12 @@ def verify(database: Database, *, full: bool) -> Iterator[VerificationResult]:
 
 def _verdict(connection: Connection, name: str, check: Check) -> VerificationResult:
     started = time.perf_counter()
-    found = check(connection)
-    told = list(islice(found, TOLD))
-    more = sum(1 for _ in found)
+    sentences = check(connection)
+    first = list(islice(sentences, TOLD))
+    more = sum(1 for _ in sentences)
     if more:
-        told.append(f"and {more:,} more")
-    return VerificationResult(name, tuple(told), time.perf_counter() - started)
+        first.append(f"and {more:,} more")
+    return VerificationResult(name, tuple(first), time.perf_counter() - started)
 
 
 def _every(connection: Connection, column: Column[int], *, full: bool) -> int:
@@ -92,9 +94,11 @@ def _every(connection: Connection, column: Column[int], *, full: bool) -> int:
 
 def _check_meanings(connection: Connection) -> Iterator[str]:
     """Specifications, resolutions, counters, maps and setups can be read; setups are stored under their fingerprints."""
-    yield from _unreadable("campaign", connection.scalars(select(campaigns_table.c.id)), lambda one: _campaign(connection, one))
+    yield from _unreadable(
+        "campaign", connection.scalars(select(campaigns_table.c.id)), lambda identifier: _campaign(connection, identifier)
+    )
     ids = connection.scalars(select(influence_maps_table.c.id))
-    yield from _unreadable("influence map", ids, lambda one: stored_map(influence_maps.get(connection, one)))
+    yield from _unreadable("influence map", ids, lambda identifier: stored_map(influence_maps.get(connection, identifier)))
     for row in connection.execute(select(setups)):
         try:
             fingerprint = Setup.from_document(row.document).fingerprint
@@ -125,9 +129,9 @@ def _campaign(connection: Connection, campaign_id: str) -> None:
 def _check_runs(connection: Connection, campaign: StoredCampaign) -> None:
     """Raises ValueError where a comparison has other runs than its specification says."""
     wanted = [run.specification.name for run in runs_of(ComparisonSpecification.model_validate(campaign.spec))]
-    found = comparisons.names_of(connection, campaign.sequence)
-    if found != wanted:
-        raise ValueError(f"it has {len(found):,} runs, and its specification says {len(wanted):,}, or others")
+    names = comparisons.names_of(connection, campaign.sequence)
+    if names != wanted:
+        raise ValueError(f"it has {len(names):,} runs, and its specification says {len(wanted):,}, or others")
 
 
 _SPECIFICATIONS: dict[campaigns.Kind, type[BaseModel]] = {
@@ -148,8 +152,8 @@ def _check_reference_keys(connection: Connection, every: int) -> Iterator[str]:
             continue
         scenario = scenarios[index.setup_id]
         try:
-            found = stored_map(influence_maps.get(connection, maps[sequence]))
-            wrong = reference_keys.wrong_keys(connection, index, partial(_keys_of, found, scenario), every)
+            influence_map = stored_map(influence_maps.get(connection, maps[sequence]))
+            wrong = reference_keys.wrong_keys(connection, index, partial(_keys_of, influence_map, scenario), every)
         except _UNREADABLE as error:
             yield f"reference keys of {scenario} under map {maps[sequence]} cannot be made anew: {_first_line(error)}"
         else:

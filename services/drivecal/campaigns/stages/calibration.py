@@ -227,11 +227,11 @@ class Calibration(CampaignStage):
         """What the audits of this and all earlier iterations say, and which results contradict each other."""
         view, sequence, evaluator = self._view, self._campaign.sequence, self._view.bench.evaluator_id
         audits.settle(connection, sequence, self.name, iteration, evaluator)
-        found = audits.contradictions(connection, sequence, view.influence_map_sequence, evaluator, view.watermark)
+        contradictions = audits.contradictions(connection, sequence, view.influence_map_sequence, evaluator, view.watermark)
         limit = self._problem.specification.reduction.max_error
         counts = audits.count(connection, sequence, evaluator)
         before = self._error_rate
-        self._error_rate = error_rates(counts, before, self._problem.scenarios, limit, found)
+        self._error_rate = error_rates(counts, before, self._problem.scenarios, limit, contradictions)
         for scenario, rate in self._error_rate.items():
             if rate.stopped and not (scenario in before and before[scenario].stopped):
                 told = {"scenario": scenario, "wrong": rate.wrong, "audited": rate.audited}
@@ -285,9 +285,9 @@ class Calibration(CampaignStage):
         return CellCounts(**total)
 
     def _describe_best(self, connection: Connection) -> None:
-        found = self._ranking.best()
-        if found is not None:
-            solution, alternatives = found
+        best = self._ranking.best()
+        if best is not None:
+            solution, alternatives = best
             parameters = parameter_sets.load(connection, [solution.parameter_set])[solution.parameter_set]
             before = self._best
             self._best = Best(

@@ -102,8 +102,8 @@ class RobustnessStage(StudyStage):
             best, worse = ranking[: min(enough, MOST_BEST)], ranking[enough : enough + MOST_WORSE]
             sets = parameter_sets.load(connection, [solution.parameter_set for solution in (*best, *worse)])
         named = list(self._problem.robust_sets)
-        found = [sets[solution.parameter_set] for solution in best]
-        listed = named + [parameter_set for parameter_set in found if parameter_set not in named]
+        best_sets = [sets[solution.parameter_set] for solution in best]
+        listed = named + [parameter_set for parameter_set in best_sets if parameter_set not in named]
         space = self._problem.space
         known = optima(unit_cube(space, listed), unit_cube(space, [sets[solution.parameter_set] for solution in worse]))
         regions = np.array([solution.region for solution in known[len(named) :]], dtype=np.int64)
@@ -127,8 +127,8 @@ class RobustnessStage(StudyStage):
         bench, scenarios = self._problem.bench, self._problem.scenarios
         if self._study is None:
             cells = [
-                WantedCell(index, scenario, one.parameters)
-                for index, one in enumerate(self._examined)
+                WantedCell(index, scenario, examined.parameters)
+                for index, examined in enumerate(self._examined)
                 for scenario in scenarios
             ]
             return Round(0, [(bench, cells)], self._exact) if cells else None
@@ -175,12 +175,18 @@ class RobustnessStage(StudyStage):
         objectives, ratings = self._scores @ weights, self._ratings @ weights
         order = sorted(
             range(len(known)),
-            key=lambda one: (-known[one].degree, -_known(objectives[one]), -known[one].radius, -_known(ratings[one]), one),
+            key=lambda number: (
+                -known[number].degree,
+                -_known(objectives[number]),
+                -known[number].radius,
+                -_known(ratings[number]),
+                number,
+            ),
         )
         recommended = self._recommend(objectives, ratings, known)
         rows = [
-            self._row(rank, one, float(objectives[one]), float(ratings[one]), known[one], recommended)
-            for rank, one in enumerate(order, start=1)
+            self._row(rank, number, float(objectives[number]), float(ratings[number]), known[number], recommended)
+            for rank, number in enumerate(order, start=1)
         ]
         return {"items": rows, "settings": self._wanted.model_dump(mode="json", exclude={"sets"})}
 
@@ -190,7 +196,7 @@ class RobustnessStage(StudyStage):
             return None
         best = float(np.nanmax(objectives))
         equal = [position for position in range(len(known)) if objectives[position] >= best - EQUAL]
-        chosen = max(equal, key=lambda one: (known[one].degree, known[one].radius, ratings[one], -one))
+        chosen = max(equal, key=lambda number: (known[number].degree, known[number].radius, ratings[number], -number))
         degree = f"{known[chosen].degree}{' or more' if known[chosen].at_least else ''}"
         return (
             chosen,
@@ -206,19 +212,19 @@ class RobustnessStage(StudyStage):
         known: Robustness,
         recommended: tuple[int, str] | None,
     ) -> dict[str, Any]:
-        scenarios, one = self._problem.scenarios, self._examined[solution]
+        scenarios, examined = self._problem.scenarios, self._examined[solution]
         is_recommended = recommended is not None and recommended[0] == solution
         return {
             "rank": rank,
             "objective": None if np.isnan(objective) else objective,
             "rating": None if np.isnan(rating) else rating,
-            "parameters": one.parameters.floats,
+            "parameters": examined.parameters.floats,
             "scores": {
                 scenario: None if np.isnan(score) else int(score)
                 for scenario, score in zip(scenarios, self._scores[solution].tolist(), strict=True)
             },
-            "region": one.region,
-            "to_worse": one.to_worse,
+            "region": examined.region,
+            "to_worse": examined.to_worse,
             "degree": known.degree,
             "at_least": known.at_least,
             "radius": known.radius,

@@ -113,7 +113,7 @@ class Sensitivity(CampaignStage):
 
     def _conclude(self) -> None:
         """Stores the map, and gives the stage's runs their keys under it, so that they are references from the first population on."""
-        found = self._analysis.result()
+        analysis = self._analysis.result()
         with self._database.transaction() as connection:
             stored = influence_maps.insert(
                 connection,
@@ -121,8 +121,8 @@ class Sensitivity(CampaignStage):
                 source=self._campaign.id,
                 driving_function=self._problem.bench.driving_function.name,
                 parameters=space_to_document(self._problem.space.searched),
-                scenarios=analysis_to_document(found),
-                basis=self._basis(found),
+                scenarios=analysis_to_document(analysis),
+                basis=self._basis(analysis),
             )
             influence_map = stored_map(stored)
             campaigns.set_influence_map(connection, self._campaign.sequence, stored.id)
@@ -144,7 +144,7 @@ class Sensitivity(CampaignStage):
                     connection, {number: key for (number, _), key in zip(portion, made, strict=True)}
                 )
 
-    def _basis(self, found: Mapping[str, ScenarioInfluence]) -> dict[str, Any]:
+    def _basis(self, analysis: Mapping[str, ScenarioInfluence]) -> dict[str, Any]:
         """What the map rests on, so that it is not used for something else, and how fine its measures are."""
         bench, space = self._problem.bench, self._problem.space
         return {
@@ -152,7 +152,7 @@ class Sensitivity(CampaignStage):
             "fixed": {name: text(value) for name, value in space.fixed.items()},
             "setups": {scenario: setup.fingerprint for scenario, setup in bench.setups.items()},
             "evaluator": bench.evaluator_id,
-            "smallest_s_rel": smallest_s_rel(found),
+            "smallest_s_rel": smallest_s_rel(analysis),
             "runs": self._tracker.counts.get("requested", 0),
             "simulated": self._tracker.counts.get("simulated", 0),
         }
