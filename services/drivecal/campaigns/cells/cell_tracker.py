@@ -1,6 +1,6 @@
-"""Books the cells of one campaign that wait for their answers, and writes down what comes back.
+"""Tracks one campaign's cells that wait for answers, and stores the results.
 
-The rows in the database are the truth: a ledger is loaded from them after every assignment, and just so after a crash.
+The database rows are authoritative: a tracker is loaded from them after every assignment and after a crash.
 """
 
 from __future__ import annotations
@@ -28,17 +28,16 @@ from drivecal.storage.references import runs
 from drivecal.storage.references.runs import NewRun, StoredRun
 
 LONGEST_DETAIL = 2_000
-"""Characters of why a cell failed that are kept."""
+"""Characters kept of a cell's failure message."""
 
 log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
 class Work:
-    """Cells of one setup to simulate; a cell's id is that of its evaluation.
+    """Cells of one setup to simulate; a cell's id is its evaluation's id.
 
-    `exclusive`: each is simulated for itself, even where an identical one is under way. `breakdowns`: how often cells broke down so far,
-    by id, where they did.
+    `exclusive` simulates each cell separately, even if an identical cell is under way. `breakdowns` counts earlier breakdowns by cell id.
     """
 
     setup: SetupRequest
@@ -48,18 +47,18 @@ class Work:
 
 
 class CellTracker:
-    """Of one campaign. Every method that changes rows works inside the caller's transaction; the counts change with them, so a
-    ledger whose transaction failed is thrown away and loaded anew."""
+    """The cells of one campaign. Methods that change rows work inside the caller's transaction, and update the counts with them. After a
+    failed transaction, discard the tracker and load another."""
 
     def __init__(self, view: View, counts: Mapping[str, int], simulating_seconds: float) -> None:
-        """`counts`: the cells of the stage so far, as in `contracts.campaign`."""
+        """`counts` are the stage's cells so far, as in `contracts.campaign`."""
         self._view = view
         self._counts = Counter(counts)
         self._pending: dict[int, PendingEvaluation] = {}
         self._copies: dict[int, list[PendingEvaluation]] = {}
         self._breakdowns: Mapping[int, int] = {}
         self._proofs: dict[int, int] = {}
-        """What is known of reused cells that wait for their answer, see `_probes`."""
+        """Certificate probes for reused cells without an answer, see `_probes`."""
         self._requests: Mapping[int, SetupRequest] = {}
         self._refuted: str | None = None
         self._exclusive = False
@@ -69,7 +68,7 @@ class CellTracker:
 
     @property
     def counts(self) -> dict[str, int]:
-        """The cells by outcome, of the whole stage."""
+        """The stage's cells by outcome."""
         return dict(self._counts)
 
     @property
@@ -78,7 +77,7 @@ class CellTracker:
         return len(self._pending)
 
     def request(self, connection: Connection, cells: Sequence[NewEvaluation], carried_over: int) -> None:
-        """Stores a planned population. Copies of stored results have their answer at once."""
+        """Stores a planned population. Copies of stored results are answered at once."""
         evaluations.insert(connection, self._view.campaign, cells)
         self._counts["proposed"] += len(cells) + carried_over
         self._counts["carried_over"] += carried_over
@@ -89,11 +88,11 @@ class CellTracker:
                 self._counts["pending"] += 1
 
     def load(self, connection: Connection, *, share_runs: bool, benches: Sequence[Bench] = ()) -> list[Work]:
-        """Reads what waits for an answer; gives what is to be simulated.
+        """Loads the cells that wait for an answer, and returns the work to simulate.
 
-        With `share_runs`, a cell that another campaign has simulated meanwhile takes that run: it counts as simulated all the same, for
-        the campaign did not see it when it planned. Without it, every cell is simulated for this campaign alone. `benches`: on which
-        cells are driven besides the campaign's own.
+        With `share_runs`, a cell takes a run that another campaign simulated in the meantime. It still counts as simulated, because the
+        campaign did not see that run when it planned. Without it, every cell is simulated for this campaign alone. `benches` lists the
+        cells' benches besides the campaign's own.
         """
         self._requests = {
             setup_id: bench.requests[scenario]
@@ -113,7 +112,7 @@ class CellTracker:
         return self._work(simulated, self._probes(connection, simulated))
 
     def record(self, connection: Connection, completed: Sequence[Completed]) -> list[Work]:
-        """Writes down what became of simulated cells, and of those that waited for them; gives what has to be simulated instead.
+        """Stores the results of simulated cells and of their copies; returns the work to simulate instead.
 
         Results without the current lease are late and change nothing: the cell was leased again.
         """
@@ -145,7 +144,7 @@ class CellTracker:
         return self._work([*again, *orphans])
 
     def _probes(self, connection: Connection, simulated: Sequence[PendingEvaluation]) -> dict[int, tuple[Probe, ...]]:
-        """Spreads the reused cells of an iteration over those of the same setup that are simulated: by their ids."""
+        """Distributes the reused cells of an iteration over simulated cells of the same setup, by cell id."""
         if self._view.checked_certificates is None or not simulated or not self._view.keys:
             return {}
         probes: dict[int, list[Probe]] = {}
@@ -164,8 +163,7 @@ class CellTracker:
         }
 
     def _late(self, connection: Connection, completed: Sequence[Completed]) -> set[int]:
-        """The cells whose lease was over before their results arrived. A result that was obtained for another cell
-        has no lease of its own."""
+        """The cells whose lease expired before their results arrived. A result obtained for another cell has no lease of its own."""
         numbers = {
             completion.result.id: completion.lease
             for completion in completed
@@ -197,7 +195,7 @@ class CellTracker:
         ]
 
     def _cell(self, pending: PendingEvaluation) -> Cell:
-        """An audited cell is simulated in any case, and checks a certificate on the way."""
+        """Returns the cell to simulate. An audited cell is always simulated, and checks a certificate on the way."""
         share = self._view.checked_certificates
         if share is None:
             return Cell(pending.id, pending.parameters.floats, trace=self._view.traced)
@@ -205,8 +203,7 @@ class CellTracker:
         return Cell(pending.id, pending.parameters.floats, certify=True, check=check)
 
     def raise_if_refuted(self) -> None:
-        """Raises RefutedError where a simulation gave something else than its certificate said: what that proves is a bug. To be called
-        when all that came back is committed."""
+        """Raises RefutedError if a simulation contradicts its certificate, which is a bug. Call it after the results are committed."""
         if self._refuted is not None:
             raise RefutedError(self._refuted)
 
@@ -241,7 +238,7 @@ class CellTracker:
     def _answer(
         self, cell: PendingEvaluation, result: Donor, answers: list[AnsweredCell], simulation: Completed | None = None
     ) -> None:
-        """Answers a cell by its own result, and the copies that waited for it."""
+        """Answers a cell with its own result, and the copies that waited for it."""
         for other in (cell, *self._copies.pop(cell.id, ())):
             own = simulation if other is cell else None
             certified = own is not None and own.result.proven_by is not None and own.result.agrees is None
@@ -267,7 +264,7 @@ class CellTracker:
     def _break_down(
         self, cell: PendingEvaluation, completion: Completed, answers: list[AnsweredCell]
     ) -> list[PendingEvaluation]:
-        """The cell has no result after all attempts. Copies of the same parameter set share its fate; the others are orphans."""
+        """Fails a cell without a result after all attempts. Copies of the same parameter set fail with it; other copies become orphans."""
         orphans: list[PendingEvaluation] = []
         detail = None if completion.result.detail is None else _storable(completion.result.detail)
         for other in (cell, *self._copies.pop(cell.id, ())):
@@ -338,5 +335,5 @@ def _refutation(cell: PendingEvaluation, completion: Completed) -> str:
 
 
 def _storable(words: str) -> str:
-    """What a worker said, as any database can store it."""
+    """Makes a worker's message storable in every database."""
     return words[:LONGEST_DETAIL].encode(errors="replace").decode().replace("\0", "\ufffd")

@@ -1,4 +1,4 @@
-"""Looks up what is stored for the cells of a population and plans how each is answered."""
+"""Looks up stored results for a population's cells and plans how each cell is answered."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class WantedCell:
 
 @dataclass(frozen=True)
 class View:
-    """What one campaign sees of the database: its own cells, and the runs up to its watermark."""
+    """A campaign's view of the database: its own cells, and the runs up to its watermark."""
 
     campaign: int
     """Its sequence."""
@@ -56,7 +56,7 @@ class View:
 
     @cached_property
     def keys(self) -> dict[str, ReferenceKeys]:
-        """How reference keys are computed, by scenario; empty without an influence map."""
+        """The reference key functions by scenario; empty without an influence map."""
         if self.influence_map is None:
             return {}
         return {scenario: ReferenceKeys(self.influence_map, scenario, self.names) for scenario in self.bench.scenarios}
@@ -68,9 +68,9 @@ def ensure_setups(connection: Connection, bench: Bench) -> dict[str, int]:
 
 
 def sync_reference_keys(database: Database, view: View) -> None:
-    """Gives every stored run that the campaign sees its key under the campaign's influence map: in bulk, once, resumable.
+    """Stores the reference key of every visible run under the campaign's influence map: in bulk, once, resumable.
 
-    The campaign's evaluator must have rated them before (`rerating`): what it cannot rate has no key.
+    The campaign's evaluator must have rated the runs before (`rerating`): unrated runs have no key.
     """
     if view.influence_map_sequence is None:
         return
@@ -90,7 +90,7 @@ def _keys_of(view: View, scenario: str, names: tuple[str, ...], values: npt.NDAr
 def plan_cells(
     connection: Connection, view: View, policy: Policy, stage: StageName, iteration: int, wanted: Sequence[WantedCell]
 ) -> list[NewEvaluation]:
-    """What answers each of the requested cells, in order."""
+    """Returns the planned answer of each requested cell, in order."""
     setup_ids = ensure_setups(connection, view.bench)
     sets = {cell.parameters: None for cell in wanted}
     set_ids = dict(zip(sets, parameter_sets.ensure(connection, list(sets)), strict=True))
@@ -138,7 +138,7 @@ def plan_cells(
 
 
 def _exact(connection: Connection, view: View, scenario: str, setup_id: int, set_ids: Sequence[int]) -> dict[int, Donor]:
-    """Results of earlier campaigns come first in the order of references, then the campaign's own."""
+    """Exact results: earlier campaigns come first in the order of references, then the campaign itself."""
     own = evaluations.own_exact(connection, view.campaign, scenario, setup_id, set_ids)
     return own | runs.look_up_exact(connection, setup_id, set_ids, view.bench.evaluator_id, view.watermark)
 

@@ -1,4 +1,4 @@
-"""Another evaluator's view of stored runs: their metrics are rated again, in bulk, instead of being simulated again."""
+"""Rates the metrics of stored runs with another evaluator, in bulk, instead of simulating the runs again."""
 
 from __future__ import annotations
 
@@ -21,12 +21,11 @@ CHUNK = 10_000
 
 
 def rate_stored_runs(database: Database, view: View, only: ParameterSet | None = None, chunk: int = CHUNK) -> int:
-    """Has the campaign's evaluator rate every run that the campaign sees and it has not rated yet; says how many it could rate.
+    """Rates every visible run that the campaign's evaluator has not rated; returns the number of new ratings.
 
-    With `only`, those of one parameter set. To be done before anything is planned: then the campaign sees a rating of every run that its
-    evaluator can rate, and what other campaigns do meanwhile adds none. Failed runs score 0 with every evaluator. Runs that lack what the
-    evaluator asks for stay without its rating, and are simulated when needed; so do all that did not fail where it needs their series.
-    Resumable: what is rated is not asked for again.
+    `only` limits this to one parameter set. Call it before planning: the campaign then sees every possible rating, and other campaigns add
+    none. Failed runs score 0 with every evaluator. Runs that lack the evaluator's metrics stay unrated and are simulated when needed; so do
+    successful runs if it needs time series. Resumable: rated runs are skipped.
     """
     with database.transaction() as connection:
         if ratings.are_all_by(connection, view.bench.evaluator_id):
@@ -62,8 +61,8 @@ def rate_stored_runs(database: Database, view: View, only: ParameterSet | None =
 
 
 def note_of(database: Database, view: View) -> str | None:
-    """What the campaign's evaluator makes of the stored runs of others, in words; None where there is nothing to say. To be asked when
-    they are rated (`rate_stored_runs`); the same whenever the campaign is taken up."""
+    """Describes how the campaign's evaluator rates the stored runs of others; None if there is nothing to report. Call it after
+    `rate_stored_runs`. The text stays the same when the campaign resumes."""
     bench = view.bench
     with database.transaction() as connection:
         if ratings.are_all_by(connection, bench.evaluator_id):
