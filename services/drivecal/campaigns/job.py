@@ -1,4 +1,4 @@
-"""Jobs: what the dispatcher carries out for one row of the campaigns."""
+"""Jobs: the work that the dispatcher does for a campaign's row."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Influence maps, posted or found by an analysis: checked, stored with the space that they speak of, and read back."""
+"""Influence maps, posted or made by an analysis: checked, stored with their space, and read back."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ EXPERT = "expert"
 
 @dataclass(frozen=True, slots=True)
 class PostedMap:
-    """A map from expert knowledge that was found to be right."""
+    """A valid map from expert knowledge."""
 
     specification: InfluenceMapSpecification
     influence_map: InfluenceMap
@@ -36,7 +36,7 @@ class PostedMap:
 
 
 def resolve_map(specification: InfluenceMapSpecification) -> PostedMap:
-    """The map that a user posted. Raises InvalidInputError naming every scenario, parameter and bound that does not fit."""
+    """Resolves a posted map. Raises InvalidInputError for every scenario, parameter and bound that does not fit."""
     function = registry.driving_function(specification.driving_function)
     scenarios = catalogue_scenarios(specification.catalogue)
     space = search_parameters(specification.parameters, function)
@@ -98,9 +98,9 @@ def _influence(given: InfluenceSpecification, parameter: Parameter, where: str) 
 
 
 def check_basis(stored: StoredInfluenceMap, problem: CalibrationProblem) -> None:
-    """Raises InvalidInputError where a map that an analysis made does not hold for a campaign: of another setup, evaluator or space.
+    """Raises InvalidInputError if an analysis's map is invalid for a campaign: another setup, evaluator or space.
 
-    Maps that users post rest on what they know, and are not checked here.
+    Posted maps rest on expert knowledge and are not checked here.
     """
     basis = stored.basis
     if basis is None:
@@ -145,7 +145,7 @@ def map_to_document(influence_map: InfluenceMap) -> dict[str, Any]:
 
 
 def analysis_to_document(analysis: Mapping[str, ScenarioInfluence]) -> dict[str, Any]:
-    """What an analysis found, as `map_to_document` writes it, with the measures of each parameter beside its bounds."""
+    """An analysis's result as `map_to_document` writes it, with each parameter's measures beside its bounds."""
     bounds = map_to_document(
         InfluenceMap(
             {
@@ -168,8 +168,8 @@ def analysis_to_document(analysis: Mapping[str, ScenarioInfluence]) -> dict[str,
 
 
 def smallest_s_rel(analysis: Mapping[str, ScenarioInfluence]) -> dict[str, dict[str, float | None]]:
-    """By scenario, of its intervals and of its global analysis: the smallest s_rel that is not 0, below which a threshold means any
-    change at all; None where all are 0."""
+    """The smallest nonzero s_rel by scenario, of its intervals and of its global analysis; None if all are 0. A threshold
+    below it counts every change."""
     return {
         scenario: {"intervals": result.smallest_interval_s_rel, "overall": result.smallest_overall_s_rel}
         for scenario, result in analysis.items()
@@ -177,7 +177,7 @@ def smallest_s_rel(analysis: Mapping[str, ScenarioInfluence]) -> dict[str, dict[
 
 
 def stored_map(stored: StoredInfluenceMap) -> InfluenceMap:
-    """A map as it was stored, with the ranges that it speaks of: those it was made in, or checked against."""
+    """A stored map with the ranges that it was made in or checked against."""
     held = {} if stored.basis is None else stored.basis["fixed"]
     ranges = _ranges(stored) | {name: (Decimal(value), Decimal(value)) for name, value in held.items()}
     return InfluenceMap(map_from_document(stored.scenarios).scenarios, ranges)

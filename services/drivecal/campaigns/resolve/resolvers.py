@@ -1,4 +1,4 @@
-"""The parts of what a user submitted, each resolved against what is installed; what is wrong with one becomes a finding."""
+"""Resolves each part of a specification against the installed plug-ins, and adds its problems to the diagnostics."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Optimization:
 
 
 def find_scenarios(catalogue: str | list[str], diagnostics: Diagnostics) -> dict[str, tuple[str, Scenario]]:
-    """By id, in the catalogues' order: (catalogue's name, scenario)."""
+    """Scenarios by id, in the catalogues' order: (catalogue's name, scenario)."""
     if isinstance(catalogue, str):
         try:
             loaded = registry.catalogue(catalogue)
@@ -62,7 +62,7 @@ def find_scenarios(catalogue: str | list[str], diagnostics: Diagnostics) -> dict
 
 
 def find_vehicle(specification: VehicleSpecification, diagnostics: Diagnostics) -> tuple[Vehicle | None, dict[str, float]]:
-    """The vehicle and its parameters: nominal where nothing else was given."""
+    """The vehicle and its parameters: nominal by default."""
     vehicle = diagnostics.attempt(lambda: registry.vehicle(specification.model))
     if vehicle is None:
         return None, {}
@@ -74,7 +74,7 @@ def find_vehicle(specification: VehicleSpecification, diagnostics: Diagnostics) 
 
 
 def note_vehicle(vehicle: Vehicle | None, values: Mapping[str, float]) -> tuple[str, ...]:
-    """What is unusual about a vehicle, and no mistake in any case: values beyond the bounds of its model, by a wrong unit perhaps."""
+    """Notes vehicle values beyond the bounds of the model: unusual but valid, perhaps a wrong unit."""
     if vehicle is None:
         return ()
     return tuple(
@@ -86,7 +86,7 @@ def note_vehicle(vehicle: Vehicle | None, values: Mapping[str, float]) -> tuple[
 
 
 def choose_optimizer(specification: CampaignSpecification, diagnostics: Diagnostics) -> Optimization | None:
-    """The optimizer with its checked settings; None where none is wanted."""
+    """The optimizer with its checked settings; None if none is requested."""
     wanted = specification.optimizer
     if wanted is None:
         others = (
@@ -119,7 +119,7 @@ def choose_optimizer(specification: CampaignSpecification, diagnostics: Diagnost
 def find_start_sets(
     specification: CampaignSpecification, baseline: ParameterSet | None, space: ParameterSpace | None, diagnostics: Diagnostics
 ) -> tuple[ParameterSet, ...]:
-    """What must be in the start population, each once: the baseline, then the sets from expert knowledge."""
+    """The sets that the start population must hold, each once: the baseline, then sets from expert knowledge."""
     wanted = specification.optimizer
     listed = [] if wanted is None else wanted.start_sets
     start_sets: list[ParameterSet | None] = []
@@ -142,7 +142,7 @@ def find_robust_sets(
     space: ParameterSpace | None,
     diagnostics: Diagnostics,
 ) -> tuple[ParameterSet, ...]:
-    """The sets that are examined in any case; finds what is wrong with the stage."""
+    """The sets that the robustness stage always examines; adds the stage's problems."""
     wanted = specification.robustness
     if wanted is None:
         return ()
@@ -161,7 +161,7 @@ def find_robust_sets(
 
 
 def check_validation(specification: CampaignSpecification, diagnostics: Diagnostics) -> None:
-    """Whether there is something to validate, with numbers that fit."""
+    """Adds a problem if there is no map to validate, or if the numbers do not fit."""
     wanted = specification.validation
     if wanted is None:
         return
@@ -173,7 +173,7 @@ def check_validation(specification: CampaignSpecification, diagnostics: Diagnost
 
 
 def plan_analysis(wanted: SensitivitySpecification, space: ParameterSpace, scenarios: Sequence[str]) -> SensitivityAnalysis:
-    """A fresh sensitivity analysis. Raises InvalidInputError where it cannot be made of this space."""
+    """Plans a new sensitivity analysis. Raises InvalidInputError if the space does not allow it."""
     threshold = wanted.threshold
     settings = SensitivitySettings(
         design=wanted.design,
@@ -190,7 +190,7 @@ def plan_analysis(wanted: SensitivitySpecification, space: ParameterSpace, scena
 def normalise_weights(
     given: Mapping[str, float], scenarios: Sequence[str], diagnostics: Diagnostics
 ) -> tuple[dict[str, float], tuple[str, ...]]:
-    """By scenario, of sum 1 and without those of weight 0 (Eq. 6), with a note that names these."""
+    """Positive weights by scenario, of sum 1 (Eq. 6), with a note that names the scenarios of weight 0."""
     for name in given:
         if scenarios and name not in scenarios:
             diagnostics.add(

@@ -1,4 +1,4 @@
-"""The search space of a campaign: which values its parameters may take."""
+"""The search space of a campaign: the values that its parameters may take."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def space_from_document(document: Sequence[Mapping[str, Any]]) -> tuple[Paramete
 def search_space(
     specification: CampaignSpecification, function: DrivingFunction, diagnostics: Diagnostics
 ) -> ParameterSpace | None:
-    """The space of a campaign with its fixed values; None where something is wrong with it, which `diagnostics` takes."""
+    """The space of a campaign with its fixed values; None if it is invalid, with its problems in `diagnostics`."""
     try:
         listed = search_parameters(specification.parameters, function)
     except InvalidInputError as error:
@@ -121,7 +121,7 @@ def search_space(
 def given_set(
     given: Mapping[str, float] | None, space: ParameterSpace | None, field: str, diagnostics: Diagnostics
 ) -> ParameterSet | None:
-    """A set that the user gave, on the grid; None where there is none or something is wrong with it, which `diagnostics` takes."""
+    """A user's set on the grid; None if it is missing or invalid, with its problems in `diagnostics`."""
     if given is None or space is None:
         return None
     try:
@@ -132,7 +132,7 @@ def given_set(
 
 
 def free_values(given: Mapping[str, float], function: DrivingFunction, diagnostics: Diagnostics) -> dict[str, Decimal]:
-    """Values between grid points, for a single evaluation: exact decimals by name, in the driving function's order."""
+    """Values between grid points for a single evaluation: exact decimals by name, in the driving function's order."""
     names = function_names(function)
     for name in given:
         if name not in names:

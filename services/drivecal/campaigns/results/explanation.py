@@ -1,4 +1,4 @@
-"""Why a cell was reused, or why it was not: looked up on demand, from what the campaign saw when it asked for the cell."""
+"""Explains why a cell was reused or not, from what the campaign saw when it requested the cell."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ LARGEST_AGREEMENT = 1
 
 @dataclass(frozen=True)
 class _Case:
-    """A cell with all that decided over it."""
+    """A cell with everything that decided its answer."""
 
     connection: Connection
     cell: StoredEvaluation
@@ -40,7 +40,7 @@ class _Case:
 
     @cached_property
     def specification(self) -> CampaignSpecification | None:
-        """Of the campaign; None of a single evaluation."""
+        """The campaign's specification; None for a single evaluation."""
         return None if self.campaign.kind == "evaluation" else CampaignSpecification.model_validate(self.campaign.spec)
 
     @cached_property
@@ -67,7 +67,7 @@ class _Case:
 
     @cached_property
     def evaluator(self) -> str:
-        """Who rated the campaign's cells: name and version."""
+        """Name and version of the campaign's evaluator."""
         return self._pinned.evaluator
 
     @cached_property
@@ -76,7 +76,7 @@ class _Case:
 
 
 def explain(connection: Connection, evaluation_id: int) -> Explanation:
-    """Why an evaluation was answered as it was. Raises NotFoundError."""
+    """Explains an evaluation's answer. Raises NotFoundError."""
     cell = results.by_id(connection, evaluation_id)
     case = _Case(connection, cell, campaigns.by_sequence(connection, cell.campaign_sequence))
     if cell.plan is Outcome.SIMULATED and not cell.audited and cell.outcome is not Outcome.CERTIFIED:
@@ -121,7 +121,7 @@ def _not_reused(case: _Case) -> Explanation:
 
 
 def _trusted(case: _Case) -> int | None:
-    """The reference that had answered a cell before it was simulated to confirm the best set; None of any other cell."""
+    """The reference that answered a cell before its simulation confirmed the best set; None for other cells."""
     cell, specification = case.cell, case.specification
     if specification is None or specification.optimizer is None or cell.stage is not StageName.CALIBRATION:
         return None
@@ -131,7 +131,7 @@ def _trusted(case: _Case) -> int | None:
 
 
 def _forbidden(case: _Case) -> tuple[Reason | None, tuple[int, AuditCount] | None]:
-    """Why nothing could be reused at all; where the self-check stopped it, after which iteration and by which audits."""
+    """Why no reuse was possible; if the self-check stopped it, after which iteration and by which audits."""
     specification, cell = case.specification, case.cell
     if specification is None:
         return "exact_only", None
@@ -155,8 +155,8 @@ def _forbidden(case: _Case) -> tuple[Reason | None, tuple[int, AuditCount] | Non
 
 
 def _nearest(case: _Case) -> tuple[Nearest | None, int]:
-    """The nearest of all sets that the campaign saw when it asked, and how many those were. References of earlier campaigns come before
-    its own."""
+    """The nearest set that the campaign saw when it requested the cell, and the number of these sets. References of earlier campaigns
+    precede its own."""
     cell, names = case.cell, tuple(case.cell.parameters)
     watermark = case.campaign.watermark or 0
     nearest: Nearest | None = None
@@ -225,7 +225,7 @@ def _audit(case: _Case, reference: Reference) -> Audit:
 
 
 def _proof(case: _Case) -> Proof | None:
-    """What a certificate says of a cell that something else answered; None where none is known."""
+    """The certificate for a cell that something else answered; None without a certificate."""
     cell = case.cell
     if cell.proven_by is None or cell.outcome not in {Outcome.REUSED, Outcome.SIMULATED}:
         return None

@@ -1,6 +1,6 @@
-"""Whether what is stored still means what it meant: documents, parameter sets and reference keys are read, and keys made anew.
+"""Checks the meaning of stored rows: reads documents, parameter sets and reference keys, and recomputes keys.
 
-Beside `storage.consistency` and `storage.invariants`, which know rows and not what they mean. Only reads.
+Complements `storage.consistency` and `storage.invariants`, which check rows without their meaning. Read-only.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _UNREADABLE = (DrivecalError, ValidationError, ValueError, KeyError, TypeError, 
 
 @dataclass(frozen=True, slots=True)
 class VerificationResult:
-    """What a check found; nothing where all is well."""
+    """The problems that a check reports; empty if all is well."""
 
     name: str
     problems: tuple[str, ...]
@@ -52,8 +52,11 @@ class VerificationResult:
 
 
 def verify(database: Database, *, full: bool) -> Iterator[VerificationResult]:
-    """Carries out all checks on one snapshot of a database at this drivecal's revision. Of parameter sets and reference keys a sample,
-    unless `full`. Where tables or storage are broken, the other checks are left out: they would stumble over the same."""
+    """Runs all checks on one snapshot of a database at this drivecal's revision.
+
+    Checks a sample of parameter sets and reference keys, unless `full`. If tables or storage are broken, the other checks are skipped,
+    because they would fail for the same reason.
+    """
     with database.read() as connection:
         checks: dict[str, Check] = {
             **CHECKS,
@@ -82,7 +85,7 @@ def _verdict(connection: Connection, name: str, check: Check) -> VerificationRes
 
 
 def _every(connection: Connection, column: Column[int], *, full: bool) -> int:
-    """How many rows stand for one that is looked at; a prime, so that no regularity of the rows hides anything."""
+    """The sampling interval of rows: a prime, so that no regularity of the rows hides a problem."""
     newest = connection.scalar(select(func.max(column))) or 0
     if full or newest <= SAMPLED:
         return 1
@@ -93,7 +96,7 @@ def _every(connection: Connection, column: Column[int], *, full: bool) -> int:
 
 
 def _check_meanings(connection: Connection) -> Iterator[str]:
-    """Specifications, resolutions, counters, maps and setups can be read; setups are stored under their fingerprints."""
+    """Checks that specifications, resolutions, counters, maps and setups are readable, and setups match their fingerprints."""
     yield from _unreadable(
         "campaign", connection.scalars(select(campaigns_table.c.id)), lambda identifier: _campaign(connection, identifier)
     )
@@ -127,7 +130,7 @@ def _campaign(connection: Connection, campaign_id: str) -> None:
 
 
 def _check_runs(connection: Connection, campaign: StoredCampaign) -> None:
-    """Raises ValueError where a comparison has other runs than its specification says."""
+    """Raises ValueError if a comparison's runs differ from its specification."""
     wanted = [run.specification.name for run in runs_of(ComparisonSpecification.model_validate(campaign.spec))]
     names = comparisons.names_of(connection, campaign.sequence)
     if names != wanted:
@@ -142,7 +145,7 @@ _SPECIFICATIONS: dict[campaigns.Kind, type[BaseModel]] = {
 
 
 def _check_reference_keys(connection: Connection, every: int) -> Iterator[str]:
-    """Reference keys are those that would be made from the runs today."""
+    """Compares stored reference keys with keys recomputed from the runs."""
     maps = {row.sequence: row.id for row in connection.execute(select(influence_maps_table))}
     scenarios = {row.id: row.scenario for row in connection.execute(select(setups))}
     for index in reference_keys.indexes(connection):
