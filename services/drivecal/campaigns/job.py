@@ -17,7 +17,7 @@ class Job(ABC):
     stage: StageName | None = None
     """The running stage, for the log; None before the first, and for a job without stages."""
     goes_on: bool = False
-    """Whether it has more to do without any result."""
+    """Whether work remains that needs no result."""
 
     @abstractmethod
     def work(self) -> list[Work]:

@@ -20,7 +20,7 @@ from drivecal.storage import campaigns
 from drivecal.storage.campaigns import StoredCampaign
 
 COMMON = {"population": "populations", "iterations": "iterations", "start": "start", "seed": "seeds"}
-"""What an optimizer does not choose for itself here, and where it is chosen."""
+"""Settings that the comparison chooses for every optimizer, and their fields."""
 
 CONFIRMED = 100
 """Sets of a run with reuse that are simulated after its search at most, where nothing else is asked for: a dozen is many. A run for which
@@ -155,9 +155,9 @@ def _campaign(
         "optimizer": chosen | {"seed": conditions.seed},
         "reduction": reduction.model_dump(),
     }
-    if reduction.mode == "influence":  # what a run found is to be true of its set
+    if reduction.mode == "influence":  # a run's score must hold for its own set
         document["reduction"]["confirm"] = reduction.confirm or CONFIRMED
-    else:  # of no use to it, and its cells would count
+    else:  # useless to the run, and its cells would count
         document["sensitivity"] = None
     return validated(CampaignSpecification, document)
 

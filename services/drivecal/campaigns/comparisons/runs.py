@@ -32,10 +32,10 @@ from drivecal.storage.comparisons import RunTally
 from drivecal.storage.engine.database import Database
 
 SECONDS_BETWEEN_SUMS = 1.0
-"""A comparison's own row is that much behind its runs at most."""
+"""Largest delay of a comparison's own row behind its runs."""
 MOST_NOTES = 20
 TOLD = 5
-"""Of the runs that failed, in the comparison's error."""
+"""Failed runs listed in the comparison's error."""
 
 log = logging.getLogger(__name__)
 
@@ -58,7 +58,7 @@ class ComparisonJob(Job):
         self._expected = problem.at_most
         self._take_up = take_up
         self._jobs: dict[int, Job] = {}
-        """Of the runs in work, by number."""
+        """The jobs of the running runs, by number."""
         self._homes: dict[int, int] = {}
         """The run of each cell at the workers."""
         with database.read() as connection:
@@ -216,7 +216,7 @@ class _Sum:
         self.baseline = self.baseline or run.baseline
         self.simulating_seconds += run.simulating_seconds
         self.begun += run.begun
-        for note in remarkable(run.notes):  # optima are told by the tables
+        for note in remarkable(run.notes):  # the tables show the optima
             self.notes.setdefault(note, []).append(run.name)
 
     def told(self) -> list[str]:

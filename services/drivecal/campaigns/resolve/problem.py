@@ -90,12 +90,12 @@ class CalibrationProblem:
     weights: Mapping[str, float]
     """Normalised to a sum of 1, by scenario; scenarios of weight 0 are left out (Eq. 6)."""
     optimization: Optimization | None
-    """None where only the sensitivity analysis is wanted."""
+    """None without a search."""
     baseline: ParameterSet | None
     start_sets: tuple[ParameterSet, ...]
-    """What must be in the start population, each once: the baseline, then the sets from expert knowledge."""
+    """The sets that the start population must hold, each once: the baseline, then sets from expert knowledge."""
     robust_sets: tuple[ParameterSet, ...]
-    """What the robustness stage examines in any case."""
+    """The sets that the robustness stage always examines."""
     notes: tuple[str, ...]
 
     def analysis(self) -> SensitivityAnalysis | None:

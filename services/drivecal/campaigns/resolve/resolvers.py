@@ -27,7 +27,7 @@ from drivecal.sensitivity.analysis import SensitivityAnalysis
 from drivecal.sensitivity.settings import SensitivitySettings
 
 MOST_WRONG_SETS = 200
-"""Findings after which further start sets are not looked at."""
+"""Problems after which further start sets are not checked."""
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,9 @@ from drivecal.storage.engine.database import Database
 from drivecal.storage.references import parameter_sets
 
 MOST_BEST = 10_000
-"""Of the sets with the best objective, so many are looked at, best rated first: the work grows with the square of their number."""
+"""Largest number of best sets to compare, best rated first: the work grows with its square."""
 MOST_WORSE = 20_000
-"""Sets of a lower objective among which the nearest is looked for."""
+"""Sets of a lower objective to search for the nearest."""
 
 
 def unit_cube(space: ParameterSpace, sets: Sequence[ParameterSet]) -> Floats:

@@ -36,9 +36,9 @@ from drivecal.storage.maintenance.invariants import INVARIANTS
 from drivecal.storage.references import influence_maps, reference_keys
 
 SAMPLED = 10_000
-"""Parameter sets, and runs of all keys, that are looked at where not all are."""
+"""Sample size of parameter sets, and of runs over all keys."""
 TOLD = 5
-"""Of the sentences of a check that found many."""
+"""Problems listed per check."""
 _UNREADABLE = (DrivecalError, ValidationError, ValueError, KeyError, TypeError, ArithmeticError, AttributeError)
 
 

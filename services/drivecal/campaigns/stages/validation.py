@@ -1,4 +1,4 @@
-"""The validation stage: are answers really the same where the influence map says so? (Section V of the paper)"""
+"""The validation stage: checks that answers are the same if the influence map says so (Section V of the paper)."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ LARGEST_AGREEING = 1
 
 
 def reducible_space(influence_map: InfluenceMap, scenario: str, space: ParameterSpace) -> ReducibleSpace:
-    """What the map takes for the same in a scenario, value by value: as the reference keys see it."""
+    """The values that the map treats as the same in a scenario, as in the reference keys."""
     names = [parameter.name for parameter in space.searched]
     keys = ReferenceKeys(influence_map, scenario, names)
     place = {name: column for column, name in enumerate(sorted(names))}
