@@ -77,9 +77,7 @@ def store_posted_map(connection: Connection, posted: PostedMap) -> StoredInfluen
 def _influence(given: InfluenceSpecification, parameter: Parameter, where: str) -> Influence:
     if not given.influential:
         if given.lower is not None or given.upper is not None:
-            raise InvalidInputError(
-                Problem(where, "bounds make no sense where nothing is influential", "leave lower and upper out")
-            )
+            raise InvalidInputError(Problem(where, "bounds need an influential parameter", "leave lower and upper out"))
         return Influence(influential=False)
     lower = None if given.lower is None else decimal(given.lower)
     upper = None if given.upper is None else decimal(given.upper)

@@ -151,14 +151,14 @@ def _check_reference_keys(connection: Connection, every: int) -> Iterator[str]:
     for index in reference_keys.indexes(connection):
         sequence = index.influence_map_sequence
         if sequence not in maps or index.setup_id not in scenarios:
-            yield f"reference keys {index.id} are of a map or setup that is not there"
+            yield f"reference keys {index.id} belong to a missing map or setup"
             continue
         scenario = scenarios[index.setup_id]
         try:
             influence_map = stored_map(influence_maps.get(connection, maps[sequence]))
             wrong = reference_keys.wrong_keys(connection, index, partial(_keys_of, influence_map, scenario), every)
         except _UNREADABLE as error:
-            yield f"reference keys of {scenario} under map {maps[sequence]} cannot be made anew: {_first_line(error)}"
+            yield f"reference keys of {scenario} under map {maps[sequence]} cannot be recomputed: {_first_line(error)}"
         else:
             if wrong:
                 yield f"{wrong:,} reference keys of {scenario} under map {maps[sequence]} are not those of their runs"
