@@ -329,7 +329,7 @@ def _refutation(cell: PendingEvaluation, completion: Completed) -> str:
     if completion.result.proven_by is None:
         return f"{where} is not deterministic on {completion.worker}: equal decisions led to different states. Its certificates are invalid"
     return (
-        f"{where} should repeat evaluation {completion.result.proven_by} bit for bit, but its simulation on {completion.worker}"
+        f"{where} was to repeat evaluation {completion.result.proven_by} bit for bit, but its simulation on {completion.worker}"
         " differs: the driving function's certificates are wrong. Set reduction.certified: false, and report this bug"
     )
 
