@@ -1,1 +1,1 @@
-"""Campaigns: resolved from a specification, worked through stage by stage, their cells tracked, their results read."""
+"""Campaigns: resolved from a specification, run stage by stage, with tracked cells and readable results."""

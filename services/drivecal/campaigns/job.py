@@ -1,4 +1,4 @@
-"""Jobs: what the dispatcher carries out for one row of the campaigns."""
+"""Jobs: the work that the dispatcher does for a campaign's row."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Job(ABC):
     stage: StageName | None = None
     """The running stage, for the log; None before the first, and for a job without stages."""
     goes_on: bool = False
-    """Whether it has more to do without any result."""
+    """Whether work remains that needs no result."""
 
     @abstractmethod
     def work(self) -> list[Work]:

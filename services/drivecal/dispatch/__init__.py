@@ -1,1 +1,1 @@
-"""The process that carries campaigns out."""
+"""The dispatcher process, which runs campaigns."""

@@ -50,10 +50,10 @@ def main() -> int:
 
 
 def serve(settings: Settings, stop: threading.Event) -> None:
-    """Is the database's dispatcher until `stop` is set. The database and Ray are waited for.
+    """Runs as the database's dispatcher until `stop` is set; waits for the database and Ray.
 
-    Raises DatabaseError where the database cannot be used, SupersededError where another dispatcher was elected, and BackendLostError
-    where Ray is gone: a new process does better.
+    Raises DatabaseError if the database cannot be used, SupersededError if another dispatcher was elected, and BackendLostError if Ray is
+    gone: a new process can recover.
     """
     database = Database.open(settings.database_url)
     lock = _awaited("the database", lambda: _take_lock(database, settings), stop)
@@ -110,7 +110,7 @@ def _take_lock(database: Database, settings: Settings) -> locks.ServerLock:
 def _awaited(
     what: str, attempt: Callable[[], T], stop: threading.Event, tell: Callable[[str], None] = lambda _: None
 ) -> T | None:
-    """What `attempt` gives once it does not raise UnavailableError any more; None where the process is to end first."""
+    """Returns what `attempt` returns as soon as it stops raising UnavailableError; None if the process must end first."""
     pause = 1.0
     while not stop.is_set():
         try:

@@ -1,7 +1,7 @@
-"""The dispatcher: takes campaigns out of the database, has their cells simulated and writes down what comes back.
+"""The dispatcher: starts campaigns from the database, has their cells simulated and stores the results.
 
-One thread does everything but the pulse, one dispatcher serves a database. What it holds in memory can be lost at any moment: after a
-crash, and after a transaction that failed, campaigns are taken up from their rows.
+One thread does everything except the heartbeat; each database has one dispatcher. Its memory may be lost at any moment: after a crash or a
+failed transaction, campaigns resume from their rows.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
 
 LOOK_SECONDS = 0.25
-"""How often new campaigns and requests are looked for."""
+"""Interval between checks for new campaigns and requests."""
 TELL_SECONDS = 0.5
 POLL_SECONDS = 0.1
 TIDY_SECONDS = 60.0
 TRACES_KEPT, MOST_TRACES = timedelta(days=1), 200
 RETRY_SECONDS = 5.0
-"""Until a campaign is taken up again whose cells somebody else seems to have."""
+"""Delay before a campaign resumes whose cells were answered or simulated elsewhere."""
 
 log = logging.getLogger(__name__)
 
 
 class Dispatcher:
-    """See the module. `tell` takes the workers and what is wrong, twice a second, and raises where the dispatcher has to end."""
+    """The dispatcher's loop. `tell` receives the workers and current problems twice a second, and raises if the dispatcher must end."""
 
     def __init__(
         self,
@@ -52,7 +52,7 @@ class Dispatcher:
         event_days: int = 30,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """`running_campaigns`: at most so many at a time, single evaluations not counted. `event_days`: how long events are kept."""
+        """`running_campaigns` limits concurrent campaigns, without single evaluations; `event_days` is how long events are kept."""
         self._database = database
         self._pool = pool
         self._tell = tell
@@ -63,9 +63,9 @@ class Dispatcher:
         self._next_look = self._next_tell = self._next_tidy = 0.0
 
     def run(self, stop: threading.Event) -> None:
-        """Works until `stop` is set. A database that does not answer is waited for; everything goes on when it is back.
+        """Works until `stop` is set. Waits for a database that does not answer, and continues when it is back.
 
-        Raises SupersededError and BackendLostError: somebody else goes on, or this process has to begin anew.
+        Raises SupersededError and BackendLostError: another dispatcher continues, or this process must restart.
         """
         pause = 0.5
         while not stop.is_set():
@@ -80,7 +80,7 @@ class Dispatcher:
                 pause = min(2 * pause, 10.0)
 
     def step(self) -> None:
-        """One round: report, look for campaigns and requests, feed the workers, write down what came back."""
+        """Runs one round: report, check campaigns and requests, feed the workers, store results."""
         if self._clock() >= self._next_tell:
             self._report()
             self._next_tell = self._clock() + TELL_SECONDS
@@ -107,12 +107,12 @@ class Dispatcher:
             traces.prune(connection, now() - TRACES_KEPT, MOST_TRACES)
 
     def _look(self) -> None:
-        """Starts what is queued, takes up what was running, does what was requested."""
+        """Starts queued campaigns, resumes running campaigns, and applies requested actions."""
         with self._database.read() as connection:
-            found = campaigns.active(connection)
+            headings = campaigns.active(connection)
         running = (CampaignState.RUNNING, CampaignState.CANCELLING)
-        # those that ran before a restart have their places, whatever is queued; all others in their order
-        for campaign in sorted(found, key=lambda one: one.state not in running):
+        # campaigns that ran before a restart keep their places; all others follow in order
+        for campaign in sorted(headings, key=lambda heading: heading.state not in running):
             with logs.about(campaign=campaign.id, campaign_name=campaign.name):
                 self._look_at(campaign)
 
@@ -125,11 +125,11 @@ class Dispatcher:
             self._stop(active, CampaignState.CANCELLED)
         elif campaign.requested_action == "pause":
             self._stop(active, CampaignState.PAUSED)
-        elif active.stopping is CampaignState.PAUSED:  # and resumed again before it rested
+        elif active.stopping is CampaignState.PAUSED:  # resumed before the pause took effect
             active.stopping = active.job = None
 
     def _welcome(self, campaign: CampaignHeading, *, cancelled: bool) -> None:
-        """Begins to look after a campaign that it did not look after so far. Those that ran before a restart go on in any case."""
+        """Starts or resumes a campaign. Campaigns that ran before a restart always continue."""
         match campaign.state:
             case CampaignState.QUEUED if self._has_room(campaign):
                 self._start(campaign)
@@ -139,12 +139,12 @@ class Dispatcher:
                 self._resume(campaign)
             case CampaignState.RUNNING | CampaignState.CANCELLING:
                 pause = CampaignState.PAUSED if campaign.requested_action == "pause" else None
-                stopping = CampaignState.CANCELLED if cancelled else pause  # before anything of it is sent
+                stopping = CampaignState.CANCELLED if cancelled else pause  # before any cell is sent
                 log.info("the campaign is taken up where it was")
                 self._active[campaign.sequence] = Active(campaign, stopping=stopping)
 
     def _has_room(self, campaign: CampaignHeading) -> bool:
-        """To be asked in the order in which campaigns are to be started."""
+        """Whether the campaign may start now. The caller asks in starting order."""
         running = sum(active.campaign.kind != "evaluation" for active in self._active.values())
         return campaign.kind == "evaluation" or running < self._running_campaigns
 
@@ -163,7 +163,7 @@ class Dispatcher:
             self._active[campaign.sequence] = Active(campaign)
 
     def _stop(self, active: Active, state: CampaignState) -> None:
-        """Sends nothing more of a campaign to workers; what is there already is still written down. A cancel overrules a pause."""
+        """Sends no more cells of a campaign to workers; stores results that are under way. A cancel overrides a pause."""
         if active.stopping is state:
             return
         active.stopping = state
@@ -178,7 +178,7 @@ class Dispatcher:
         self._guarded(active, lambda: self._move(active))
 
     def _guarded(self, active: Active, act: Callable[[], None]) -> None:
-        """What is wrong with one campaign, its rows included, fails that one and no other."""
+        """Confines an error, also in stored rows, to its own campaign."""
         try:
             act()
         except DamagedArraysError as error:  # waiting does not mend what a plug-in was shipped with, and others do not need it
@@ -214,10 +214,10 @@ class Dispatcher:
                 active.job, active.not_before = None, self._clock() + RETRY_SECONDS
 
     def _takes_up(self, active: Active) -> bool:
-        """Takes a campaign up from its rows; False where there is something to wait for first, or nothing more to do."""
+        """Resumes a campaign from its rows; False if it must wait first, or has nothing left to do."""
         if self._pool.held(active.tag) or self._clock() < active.not_before:
-            return False  # cells of a forgotten job; their results come first
-        if active.stopping is not None:  # nobody waits for its results any more; a resumed campaign asks for them again
+            return False  # cells of a dropped job: their results come first
+        if active.stopping is not None:  # results are dropped; a resumed campaign requests them again
             self._pool.give_back(active.unwritten)
             active.unwritten.clear()
             self._finish_stopping(active)
@@ -251,7 +251,7 @@ class Dispatcher:
         if paused:
             log.info("the campaign is paused")
             del self._active[active.campaign.sequence]
-        else:  # resumed or cancelled meanwhile: the next look sees which
+        else:  # resumed or cancelled meanwhile: the next check decides
             active.stopping = active.job = None
 
     def _end(self, active: Active, state: CampaignState, error: str | None = None) -> None:
@@ -262,7 +262,7 @@ class Dispatcher:
         self._active.pop(active.campaign.sequence, None)
 
     def _forget_jobs(self) -> None:
-        """A transaction failed, perhaps at its commit: what is in memory may differ from the rows, so jobs are taken up anew."""
+        """Drops jobs after a failed transaction: memory may differ from the rows, so each job resumes from its rows."""
         for active in self._active.values():
             active.job = None
             self._pool.withdraw(active.tag)
@@ -270,6 +270,6 @@ class Dispatcher:
 
 
 def _without(work: Sequence[Work], answered: Collection[int]) -> list[Work]:
-    """Work less the cells whose results are there already."""
+    """Returns the work without cells whose results have arrived."""
     left = (replace(batch, cells=tuple(cell for cell in batch.cells if cell.id not in answered)) for batch in work)
-    return [one for one in left if one.cells]
+    return [batch for batch in left if batch.cells]

@@ -1,4 +1,4 @@
-"""The dispatcher's pulse: a thread that says every second how it is, whatever the main thread is busy with."""
+"""The dispatcher's heartbeat: a thread that stores its state every second, also while the main thread is busy."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ from drivecal.storage.processes import DISPATCHER
 
 EVERY_SECONDS = 1.0
 STUCK_AFTER_SECONDS = 60.0
-"""Of one step of the main thread, before it is told: those that take up a campaign on a large reference table may take long."""
+"""Time limit of a main-thread step before it is reported; resuming a campaign on a large reference table may take long."""
 GRACE_SECONDS = 10.0
-"""For the main thread to end the process in peace, once there is no pulse any more."""
+"""Time for the main thread to end the process after the heartbeat has stopped."""
 
 log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
 class _Report:
-    """What the main thread said last: the workers, what is wrong in words, and when that was."""
+    """The main thread's latest report: workers, problems, and time."""
 
     workers: Sequence[WorkerInfo]
     trouble: str | None
@@ -42,7 +42,7 @@ class _Report:
 
 
 class Heartbeat:
-    """`with Pulse(...)` beats until the block is left. `tell` and `check` are the main thread's."""
+    """A context manager that beats until its block ends. The main thread calls `tell`."""
 
     def __init__(
         self,
@@ -51,7 +51,7 @@ class Heartbeat:
         renew_lock: Callable[[], None] = lambda: None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """`database`: fenced by the tenure. `renew_lock` raises where the right to be this database's dispatcher was lost."""
+        """`database` is fenced by the leadership; `renew_lock` raises if this process lost the right to be the dispatcher."""
         self._database = database
         self._leadership = leadership
         self._renew_lock = renew_lock
@@ -73,20 +73,19 @@ class Heartbeat:
         self._thread.join(GRACE_SECONDS)  # it may be waiting for the database
 
     def tell(self, workers: Sequence[WorkerInfo], trouble: str | None) -> None:
-        """The main thread lives, and this is how its workers are. Raises what ended the pulse, where it has ended."""
+        """Takes the main thread's report on its workers. Raises the error that ended the heartbeat, if any."""
         self._report = _Report(tuple(workers), trouble, self._clock(), now())
         if self._failure is not None:
             raise self._failure
 
     def wait_until_told(self) -> None:
-        """Returns when what was told last is written down, or after a while where that is not possible."""
+        """Returns when the latest report is stored, or after a timeout."""
         deadline = self._clock() + 3 * EVERY_SECONDS
         while self._written is not self._report and self._clock() < deadline:
             time.sleep(0.01)
 
     def beat(self) -> None:
-        """Writes down how the dispatcher is. Raises SupersededError, UnavailableError, and DatabaseError where another server has
-        the lock."""
+        """Stores the dispatcher's state. Raises SupersededError, UnavailableError, and DatabaseError if another server holds the lock."""
         self._renew_lock()
         report = self._report
         detail: dict[str, Any] = {
@@ -100,7 +99,7 @@ class Heartbeat:
             detail["stuck_since"] = report.at.isoformat(timespec="seconds")
         with self._database.transaction() as connection:
             processes.heartbeat(connection, DISPATCHER, os.getpid(), self._leadership.began_at, detail)
-        with self._database.transaction() as connection:  # apart: it may have to wait for what the main thread is writing
+        with self._database.transaction() as connection:  # separate: it may wait for the main thread's writes
             working = {CampaignState.RUNNING, CampaignState.CANCELLING}
             running = [campaign.sequence for campaign in campaigns.active(connection) if campaign.state in working]
             campaigns.degrade(connection, running, detail["degraded"])
@@ -114,7 +113,7 @@ class Heartbeat:
                 self._note_reachable(None)
             except UnavailableError as error:
                 self._note_reachable(error)
-            except Exception as error:  # noqa: BLE001  # whatever it is, a dispatcher without a pulse must not go on
+            except Exception as error:  # noqa: BLE001  # a dispatcher without a heartbeat must not continue
                 self._fail(error)
                 return
             self._stopped.wait(max(0.1, begun + EVERY_SECONDS - time.monotonic()))
@@ -127,7 +126,7 @@ class Heartbeat:
         self._reachable = error is None
 
     def _fail(self, error: Exception) -> None:
-        """Has the main thread end the process; where it is stuck, ends it without it."""
+        """Makes the main thread end the process; ends the process itself if the main thread is stuck."""
         log.error("the dispatcher ends: %s", error, exc_info=None if isinstance(error, DrivecalError) else error)
         self._failure = error
         if not self._stopped.wait(GRACE_SECONDS):

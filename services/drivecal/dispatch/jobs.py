@@ -1,4 +1,4 @@
-"""Takes campaigns up from their rows: those that begin, and those that somebody began before."""
+"""Starts and resumes campaigns from their rows."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ from drivecal.storage.campaigns import CampaignHeading, StoredCampaign
 from drivecal.storage.engine.database import Database
 
 EVALUATION_PRIORITY = 1000
-"""Somebody waits for a single evaluation; a campaign can wait a batch longer."""
+"""A user waits for a single evaluation; a campaign can wait a batch longer."""
 
 
 @dataclass(slots=True)
 class Active:
-    """A campaign in work. `job` is None until it is taken up from its rows; `unwritten` survives a failed transaction."""
+    """A campaign in work. `job` is None until it resumes from its rows; `unwritten` survives a failed transaction."""
 
     campaign: CampaignHeading
     job: Job | None = None
     unwritten: list[Completed] = field(default_factory=list)
     stopping: CampaignState | None = None
-    """Where it goes once nothing of it is at a worker: cancelled or paused."""
+    """State after the last cell leaves the workers: cancelled or paused."""
     not_before: float = 0.0
-    """When it may be taken up."""
+    """Earliest time to resume."""
 
     @property
     def tag(self) -> str:
-        """Under which the pool knows its cells."""
+        """The pool's tag for the campaign's cells."""
         return self.campaign.id
 
     @property
@@ -51,12 +51,12 @@ class Active:
 
     @property
     def priority(self) -> int:
-        """Of its cells."""
+        """The priority of the campaign's cells."""
         return EVALUATION_PRIORITY if self.campaign.kind == "evaluation" else self.campaign.priority
 
 
 def take_up(database: Database, sequence: int) -> Job:
-    """A job that goes on from the campaign's rows. Raises ConflictError if it was begun with another version of anything."""
+    """Returns a job that continues from the campaign's rows. Raises ConflictError if any version differs from its start."""
     with database.read() as connection:
         campaign = campaigns.by_sequence(connection, sequence)
     if campaign.kind == "comparison":
@@ -73,7 +73,7 @@ def take_up(database: Database, sequence: int) -> Job:
 
 
 def _pin(database: Database, campaign: StoredCampaign, resolution: Mapping[str, Any]) -> None:
-    """Writes down what a campaign is begun with; later, makes sure that it goes on with the same."""
+    """Stores the versions that a campaign starts with, or checks that they are unchanged."""
     if campaign.resolution is None:
         with database.transaction() as connection:
             campaigns.set_resolution(connection, campaign.sequence, resolution)

@@ -1,4 +1,4 @@
-"""The time in which a process is its database's dispatcher: from its election until another one is elected."""
+"""The leadership of a dispatcher, from its election until the next election."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from drivecal.storage.processes import DISPATCHER
 
 @dataclass(frozen=True, slots=True)
 class Leadership:
-    """Its number, `term`, and when it began."""
+    """A dispatcher's `term` number and start time."""
 
     term: int
     began_at: datetime
 
     @classmethod
     def begin(cls, database: Database) -> Leadership:
-        """Has this process elected; to be called by who holds the lock. From now on no other one writes anything."""
+        """Elects this process; from now on no other process writes. The caller must hold the lock."""
         began_at = now()
         with database.transaction() as connection:
             return cls(processes.elect(connection, DISPATCHER, os.getpid(), began_at), began_at)
 
     def fence(self, connection: Connection) -> None:
-        """Raises SupersededError where it is over; see `Database.fenced`."""
+        """Raises SupersededError if the leadership is over; see `Database.fenced`."""
         processes.confirm(connection, DISPATCHER, self.term)

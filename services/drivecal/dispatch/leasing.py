@@ -10,13 +10,13 @@ from drivecal.storage.engine.database import Database
 
 
 class StoredLeases:
-    """See `drivecal.execution.leasing.Leases`."""
+    """Implements `drivecal.execution.leasing.Leases`."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
 
     def exchange(self, returned: Mapping[int, int], wanted: Mapping[int, int], seconds: float) -> Mapping[int, int]:
-        """One transaction. Raises UnavailableError, and SupersededError where another dispatcher was elected."""
+        """Updates leases in one transaction. Raises UnavailableError, and SupersededError if another dispatcher was elected."""
         with MEASURES.timed("lease"), self._database.transaction() as connection:
             leases.give_back(connection, returned)
             return leases.take(connection, wanted, seconds)

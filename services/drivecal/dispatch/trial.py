@@ -1,4 +1,4 @@
-"""What a worker has to simulate before it counts as ready."""
+"""The trial cell that a worker simulates before it counts as ready."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from drivecal.contracts.work import Batch, Cell
 
 
 def trial() -> Batch:
-    """One cell of drivecal's own plug-ins: the middle of the space in the first scenario.
+    """Returns a cell of the built-in plug-ins: the middle of the space in the first scenario.
 
-    It compiles all kernels, which can take longer than any batch may, and a worker with another version or without a working SUMO
-    refuses it. Raises InvalidInputError where the coordinator itself lacks a plug-in.
+    It compiles all kernels, which can exceed a batch's time limit. A worker with another version or without a working SUMO refuses it.
+    Raises InvalidInputError if the coordinator lacks a plug-in.
     """
     problem = resolve(CampaignSpecification())
     middle = problem.space.parameter_set((problem.space.n_values // 2).tolist())

@@ -1,6 +1,6 @@
-"""Books the cells of one campaign that wait for their answers, and writes down what comes back.
+"""Tracks one campaign's cells that wait for answers, and stores the results.
 
-The rows in the database are the truth: a ledger is loaded from them after every assignment, and just so after a crash.
+The database rows are authoritative: a tracker is loaded from them after every assignment and after a crash.
 """
 
 from __future__ import annotations
@@ -28,17 +28,16 @@ from drivecal.storage.references import runs
 from drivecal.storage.references.runs import NewRun, StoredRun
 
 LONGEST_DETAIL = 2_000
-"""Characters of why a cell failed that are kept."""
+"""Characters kept of a cell's failure message."""
 
 log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
 class Work:
-    """Cells of one setup to simulate; a cell's id is that of its evaluation.
+    """Cells of one setup to simulate; a cell's id is its evaluation's id.
 
-    `exclusive`: each is simulated for itself, even where an identical one is under way. `breakdowns`: how often cells broke down so far,
-    by id, where they did.
+    `exclusive` simulates each cell separately, even if an identical cell is under way. `breakdowns` counts earlier breakdowns by cell id.
     """
 
     setup: SetupRequest
@@ -48,18 +47,18 @@ class Work:
 
 
 class CellTracker:
-    """Of one campaign. Every method that changes rows works inside the caller's transaction; the counts change with them, so a
-    ledger whose transaction failed is thrown away and loaded anew."""
+    """The cells of one campaign. Methods that change rows work inside the caller's transaction, and update the counts with them. After a
+    failed transaction, discard the tracker and load another."""
 
     def __init__(self, view: View, counts: Mapping[str, int], simulating_seconds: float) -> None:
-        """`counts`: the cells of the stage so far, as in `contracts.campaign`."""
+        """`counts` are the stage's cells so far, as in `contracts.campaign`."""
         self._view = view
         self._counts = Counter(counts)
         self._pending: dict[int, PendingEvaluation] = {}
         self._copies: dict[int, list[PendingEvaluation]] = {}
         self._breakdowns: Mapping[int, int] = {}
         self._proofs: dict[int, int] = {}
-        """What is known of reused cells that wait for their answer, see `_probes`."""
+        """Certificate probes for reused cells without an answer, see `_probes`."""
         self._requests: Mapping[int, SetupRequest] = {}
         self._refuted: str | None = None
         self._exclusive = False
@@ -69,7 +68,7 @@ class CellTracker:
 
     @property
     def counts(self) -> dict[str, int]:
-        """The cells by outcome, of the whole stage."""
+        """The stage's cells by outcome."""
         return dict(self._counts)
 
     @property
@@ -78,7 +77,7 @@ class CellTracker:
         return len(self._pending)
 
     def request(self, connection: Connection, cells: Sequence[NewEvaluation], carried_over: int) -> None:
-        """Stores a planned population. Copies of stored results have their answer at once."""
+        """Stores a planned population. Copies of stored results are answered at once."""
         evaluations.insert(connection, self._view.campaign, cells)
         self._counts["proposed"] += len(cells) + carried_over
         self._counts["carried_over"] += carried_over
@@ -89,11 +88,11 @@ class CellTracker:
                 self._counts["pending"] += 1
 
     def load(self, connection: Connection, *, share_runs: bool, benches: Sequence[Bench] = ()) -> list[Work]:
-        """Reads what waits for an answer; gives what is to be simulated.
+        """Loads the cells that wait for an answer, and returns the work to simulate.
 
-        With `share_runs`, a cell that another campaign has simulated meanwhile takes that run: it counts as simulated all the same, for
-        the campaign did not see it when it planned. Without it, every cell is simulated for this campaign alone. `benches`: on which
-        cells are driven besides the campaign's own.
+        With `share_runs`, a cell takes a run that another campaign simulated in the meantime. It still counts as simulated, because the
+        campaign did not see that run when it planned. Without it, every cell is simulated for this campaign alone. `benches` lists the
+        cells' benches besides the campaign's own.
         """
         self._requests = {
             setup_id: bench.requests[scenario]
@@ -113,9 +112,9 @@ class CellTracker:
         return self._work(simulated, self._probes(connection, simulated))
 
     def record(self, connection: Connection, completed: Sequence[Completed]) -> list[Work]:
-        """Writes down what became of simulated cells, and of those that waited for them; gives what has to be simulated instead.
+        """Stores the results of simulated cells and of their copies; returns the work to simulate instead.
 
-        Results whose lease is not the current one are late: somebody else has the cell, or had it. They change nothing.
+        Results without the current lease are late and change nothing: the cell was leased again.
         """
         answers: list[AnsweredCell] = []
         orphans: list[PendingEvaluation] = []
@@ -132,40 +131,39 @@ class CellTracker:
                 finished.append((cell, completion))
             else:
                 orphans += self._break_down(cell, completion, answers)
-        proofs = dict(pair for _, one in finished for pair in one.result.probed)
+        proofs = dict(pair for _, simulation in finished for pair in simulation.result.probed)
         self._proofs |= proofs
-        stored = runs.insert_results(connection, [self._new_run(cell, one) for cell, one in finished])
-        for (cell, one), run in zip(finished, stored, strict=True):
-            self._simulated(cell, one, run, answers)
-            if one.result.trace is not None:
-                traces.fill(connection, self._view.campaign, one.result.trace)
+        stored = runs.insert_results(connection, [self._new_run(cell, simulation) for cell, simulation in finished])
+        for (cell, simulation), run in zip(finished, stored, strict=True):
+            self._simulated(cell, simulation, run, answers)
+            if simulation.result.trace is not None:
+                traces.fill(connection, self._view.campaign, simulation.result.trace)
         evaluations.answer(connection, answers)
         evaluations.note_proofs(connection, proofs)
         evaluations.simulate_instead(connection, [orphan.id for orphan in orphans])
         return self._work([*again, *orphans])
 
     def _probes(self, connection: Connection, simulated: Sequence[PendingEvaluation]) -> dict[int, tuple[Probe, ...]]:
-        """Spreads the reused cells of an iteration over those of the same setup that are simulated: by their ids."""
+        """Distributes the reused cells of an iteration over simulated cells of the same setup, by cell id."""
         if self._view.checked_certificates is None or not simulated or not self._view.keys:
             return {}
-        found: dict[int, list[Probe]] = {}
+        probes: dict[int, list[Probe]] = {}
         place = simulated[0].stage, simulated[0].iteration
         waiting = [(cell.id, cell.setup_id, cell.parameters) for cell in self._pending.values() if cell.plan is Outcome.REUSED]
         for number, setup_id, parameters in [*evaluations.reused(connection, self._view.campaign, *place), *waiting]:
-            found.setdefault(setup_id, []).append(Probe(number, parameters.floats))
+            probes.setdefault(setup_id, []).append(Probe(number, parameters.floats))
         carriers: dict[int, list[int]] = {}
         for cell in simulated:
             carriers.setdefault(cell.setup_id, []).append(cell.id)
         return {
-            carrier: tuple(found[setup_id][position :: len(carrying)])
+            carrier: tuple(probes[setup_id][position :: len(carrying)])
             for setup_id, carrying in carriers.items()
-            if setup_id in found
+            if setup_id in probes
             for position, carrier in enumerate(carrying)
         }
 
     def _late(self, connection: Connection, completed: Sequence[Completed]) -> set[int]:
-        """The cells whose lease was over before their results arrived. A result that was obtained for another cell
-        has no lease of its own."""
+        """The cells whose lease expired before their results arrived. A result obtained for another cell has no lease of its own."""
         numbers = {
             completion.result.id: completion.lease
             for completion in completed
@@ -196,17 +194,16 @@ class CellTracker:
             for setup_id, listed in by_setup.items()
         ]
 
-    def _cell(self, one: PendingEvaluation) -> Cell:
-        """An audited cell is simulated in any case, and checks a certificate on the way."""
+    def _cell(self, pending: PendingEvaluation) -> Cell:
+        """Returns the cell to simulate. An audited cell is always simulated, and checks a certificate on the way."""
         share = self._view.checked_certificates
         if share is None:
-            return Cell(one.id, one.parameters.floats, trace=self._view.traced)
-        check = one.audited or is_checked(self._view.campaign, one.scenario, one.parameters.key, share)
-        return Cell(one.id, one.parameters.floats, certify=True, check=check)
+            return Cell(pending.id, pending.parameters.floats, trace=self._view.traced)
+        check = pending.audited or is_checked(self._view.campaign, pending.scenario, pending.parameters.key, share)
+        return Cell(pending.id, pending.parameters.floats, certify=True, check=check)
 
     def raise_if_refuted(self) -> None:
-        """Raises RefutedError where a simulation gave something else than its certificate said: what that proves is a bug. To be called
-        when all that came back is committed."""
+        """Raises RefutedError if a simulation contradicts its certificate, which is a bug. Call it after the results are committed."""
         if self._refuted is not None:
             raise RefutedError(self._refuted)
 
@@ -219,29 +216,29 @@ class CellTracker:
         for setup_id in sorted(runs.stocked(connection, wanted)):
             cells = wanted[setup_id]
             ids = [cell.parameter_set_id for cell in cells]
-            found = runs.look_up_exact(connection, setup_id, ids, self._evaluator_id, watermark=sys.maxsize)
+            stored = runs.look_up_exact(connection, setup_id, ids, self._evaluator_id, watermark=sys.maxsize)
             for cell in cells:
-                if cell.parameter_set_id in found:
-                    self._answer(cell, found[cell.parameter_set_id], answers)
+                if cell.parameter_set_id in stored:
+                    self._answer(cell, stored[cell.parameter_set_id], answers)
         evaluations.answer(connection, answers)
 
-    def _simulated(self, cell: PendingEvaluation, one: Completed, run: StoredRun, answers: list[AnsweredCell]) -> None:
-        if one.result.score is None or one.result.rating is None:
+    def _simulated(self, cell: PendingEvaluation, completion: Completed, run: StoredRun, answers: list[AnsweredCell]) -> None:
+        if completion.result.score is None or completion.result.rating is None:
             raise ValueError(f"the worker gave no score for evaluation {cell.id}")
         self._counts["unrepeatable"] += not run.agrees
-        if one.result.agrees is False:
-            self._refuted = _refutation(cell, one)
-        donor = Donor(cell.id, run.id, one.result.score, one.result.rating, one.result.failure)
-        if one.shared:  # counted where it was simulated
+        if completion.result.agrees is False:
+            self._refuted = _refutation(cell, completion)
+        donor = Donor(cell.id, run.id, completion.result.score, completion.result.rating, completion.result.failure)
+        if completion.shared:  # counted where it was simulated
             self._answer(cell, donor, answers)
         else:
-            self.simulating_seconds += one.result.milliseconds / 1000
-            self._answer(cell, donor, answers, one)
+            self.simulating_seconds += completion.result.milliseconds / 1000
+            self._answer(cell, donor, answers, completion)
 
     def _answer(
         self, cell: PendingEvaluation, result: Donor, answers: list[AnsweredCell], simulation: Completed | None = None
     ) -> None:
-        """Answers a cell by its own result, and the copies that waited for it."""
+        """Answers a cell with its own result, and the copies that waited for it."""
         for other in (cell, *self._copies.pop(cell.id, ())):
             own = simulation if other is cell else None
             certified = own is not None and own.result.proven_by is not None and own.result.agrees is None
@@ -264,15 +261,17 @@ class CellTracker:
             )
             self._close(other, outcome)
 
-    def _break_down(self, cell: PendingEvaluation, one: Completed, answers: list[AnsweredCell]) -> list[PendingEvaluation]:
-        """The cell has no result after all attempts. Copies of the same parameter set share its fate; the others are orphans."""
+    def _break_down(
+        self, cell: PendingEvaluation, completion: Completed, answers: list[AnsweredCell]
+    ) -> list[PendingEvaluation]:
+        """Fails a cell without a result after all attempts. Copies of the same parameter set fail with it; other copies become orphans."""
         orphans: list[PendingEvaluation] = []
-        detail = None if one.result.detail is None else _storable(one.result.detail)
+        detail = None if completion.result.detail is None else _storable(completion.result.detail)
         for other in (cell, *self._copies.pop(cell.id, ())):
             if other.plan is Outcome.REUSED:
                 orphans.append(other)
                 continue
-            own = other is cell and not one.shared
+            own = other is cell and not completion.shared
             answers.append(
                 AnsweredCell(
                     id=other.id,
@@ -280,10 +279,10 @@ class CellTracker:
                     score=None,
                     rating=None,
                     run_id=None,
-                    failure=one.result.breakdown,
-                    milliseconds=one.result.milliseconds if own else None,
-                    worker=one.worker if own else None,
-                    attempts=one.attempts if own else 0,
+                    failure=completion.result.breakdown,
+                    milliseconds=completion.result.milliseconds if own else None,
+                    worker=completion.worker if own else None,
+                    attempts=completion.attempts if own else 0,
                     detail=detail,
                 )
             )
@@ -303,19 +302,19 @@ class CellTracker:
         self._counts["requested"] += 1
         self._counts[outcome.value] += 1
 
-    def _new_run(self, cell: PendingEvaluation, one: Completed) -> NewRun:
-        if one.result.score is None or one.result.rating is None:
+    def _new_run(self, cell: PendingEvaluation, completion: Completed) -> NewRun:
+        if completion.result.score is None or completion.result.rating is None:
             raise ValueError(f"the worker gave no score for evaluation {cell.id}")
         return NewRun(
             setup_id=cell.setup_id,
             parameter_set_id=cell.parameter_set_id,
-            metrics=one.result.metrics,
-            failure=one.result.failure,
-            milliseconds=one.result.milliseconds,
-            worker=one.worker,
+            metrics=completion.result.metrics,
+            failure=completion.result.failure,
+            milliseconds=completion.result.milliseconds,
+            worker=completion.worker,
             evaluator=self._evaluator_id,
-            score=one.result.score,
-            rating=one.result.rating,
+            score=completion.result.score,
+            rating=completion.result.rating,
             evaluation_id=cell.id,
             campaign_sequence=self._view.campaign,
             stage=cell.stage,
@@ -325,16 +324,16 @@ class CellTracker:
         )
 
 
-def _refutation(cell: PendingEvaluation, one: Completed) -> str:
+def _refutation(cell: PendingEvaluation, completion: Completed) -> str:
     where = f"evaluation {cell.id} in {cell.scenario}"
-    if one.result.proven_by is None:
-        return f"{where} was not deterministic on {one.worker}: the same decisions led to another state. Nothing can be certified there"
+    if completion.result.proven_by is None:
+        return f"{where} is not deterministic on {completion.worker}: equal decisions led to different states. Its certificates are invalid"
     return (
-        f"{where} was to repeat evaluation {one.result.proven_by} bit for bit, but its simulation on {one.worker} gave something else: a"
-        " mistake of the driving function's certificates. Run it with reduction.certified: false, and report it"
+        f"{where} was to repeat evaluation {completion.result.proven_by} bit for bit, but its simulation on {completion.worker}"
+        " differs: the driving function's certificates are wrong. Set reduction.certified: false, and report this bug"
     )
 
 
 def _storable(words: str) -> str:
-    """What a worker said, as any database can store it."""
+    """Makes a worker's message storable in every database."""
     return words[:LONGEST_DETAIL].encode(errors="replace").decode().replace("\0", "\ufffd")

@@ -1,4 +1,4 @@
-"""Looks up what is stored for the cells of a population and plans how each is answered."""
+"""Looks up stored results for a population's cells and plans how each cell is answered."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class WantedCell:
 
 @dataclass(frozen=True)
 class View:
-    """What one campaign sees of the database: its own cells, and the runs up to its watermark."""
+    """A campaign's view of the database: its own cells, and the runs up to its watermark."""
 
     campaign: int
     """Its sequence."""
@@ -56,7 +56,7 @@ class View:
 
     @cached_property
     def keys(self) -> dict[str, ReferenceKeys]:
-        """How reference keys are computed, by scenario; empty without an influence map."""
+        """The reference key functions by scenario; empty without an influence map."""
         if self.influence_map is None:
             return {}
         return {scenario: ReferenceKeys(self.influence_map, scenario, self.names) for scenario in self.bench.scenarios}
@@ -68,9 +68,9 @@ def ensure_setups(connection: Connection, bench: Bench) -> dict[str, int]:
 
 
 def sync_reference_keys(database: Database, view: View) -> None:
-    """Gives every stored run that the campaign sees its key under the campaign's influence map: in bulk, once, resumable.
+    """Stores the reference key of every visible run under the campaign's influence map: in bulk, once, resumable.
 
-    The campaign's evaluator must have rated them before (`rerating`): what it cannot rate has no key.
+    The campaign's evaluator must have rated the runs before (`rerating`): unrated runs have no key.
     """
     if view.influence_map_sequence is None:
         return
@@ -90,7 +90,7 @@ def _keys_of(view: View, scenario: str, names: tuple[str, ...], values: npt.NDAr
 def plan_cells(
     connection: Connection, view: View, policy: Policy, stage: StageName, iteration: int, wanted: Sequence[WantedCell]
 ) -> list[NewEvaluation]:
-    """What answers each of the requested cells, in order."""
+    """Returns the planned answer of each requested cell, in order."""
     setup_ids = ensure_setups(connection, view.bench)
     sets = {cell.parameters: None for cell in wanted}
     set_ids = dict(zip(sets, parameter_sets.ensure(connection, list(sets)), strict=True))
@@ -105,14 +105,14 @@ def plan_cells(
             continue
         if scenario in view.keys:
             keys = view.keys[scenario].keys(billionths_matrix(here))
-            class_keys |= {(scenario, one): key for one, key in zip(here, keys, strict=True)}
+            class_keys |= {(scenario, asked): key for asked, key in zip(here, keys, strict=True)}
         if policy.mode != "off" and setup_id in stocked:
             by_id = {set_ids[parameter_set]: set_keys[parameter_set] for parameter_set in here}
             known = _exact(connection, view, scenario, setup_id, list(by_id))
             exact |= {(scenario, by_id[set_id]): donor for set_id, donor in known.items()}
         if policy.mode == "influence" and scenario in view.keys and setup_id in stocked:
-            found = _references(connection, view, scenario, setup_id, list(dict.fromkeys(keys)))
-            references |= {(scenario, key): donor for key, donor in found.items()}
+            stored = _references(connection, view, scenario, setup_id, list(dict.fromkeys(keys)))
+            references |= {(scenario, key): donor for key, donor in stored.items()}
     cells = [
         RequestedCell(
             cell.individual, cell.scenario, set_keys[cell.parameters], class_keys.get((cell.scenario, cell.parameters))
@@ -126,19 +126,19 @@ def plan_cells(
             individual=cell.individual,
             scenario=cell.scenario,
             setup_id=setup_ids[cell.scenario],
-            parameter_set_id=set_ids[one.parameters],
+            parameter_set_id=set_ids[asked.parameters],
             plan=assignment.plan,
             reference_key=cell.reference_key,
             donor=assignment.donor,
             leader=assignment.leader,
             audited=assignment.audited,
         )
-        for one, cell, assignment in zip(wanted, cells, assign(cells, policy, exact, references), strict=True)
+        for asked, cell, assignment in zip(wanted, cells, assign(cells, policy, exact, references), strict=True)
     ]
 
 
 def _exact(connection: Connection, view: View, scenario: str, setup_id: int, set_ids: Sequence[int]) -> dict[int, Donor]:
-    """Results of earlier campaigns come first in the order of references, then the campaign's own."""
+    """Exact results: earlier campaigns come first in the order of references, then the campaign itself."""
     own = evaluations.own_exact(connection, view.campaign, scenario, setup_id, set_ids)
     return own | runs.look_up_exact(connection, setup_id, set_ids, view.bench.evaluator_id, view.watermark)
 

@@ -1,4 +1,4 @@
-"""Another evaluator's view of stored runs: their metrics are rated again, in bulk, instead of being simulated again."""
+"""Rates the metrics of stored runs with another evaluator, in bulk, instead of simulating the runs again."""
 
 from __future__ import annotations
 
@@ -21,12 +21,11 @@ CHUNK = 10_000
 
 
 def rate_stored_runs(database: Database, view: View, only: ParameterSet | None = None, chunk: int = CHUNK) -> int:
-    """Has the campaign's evaluator rate every run that the campaign sees and it has not rated yet; says how many it could rate.
+    """Rates every visible run that the campaign's evaluator has not rated; returns the number of new ratings.
 
-    With `only`, those of one parameter set. To be done before anything is planned: then the campaign sees a rating of every run that its
-    evaluator can rate, and what other campaigns do meanwhile adds none. Failed runs score 0 whoever rates. Runs that lack what the
-    evaluator asks for stay without its rating, and are simulated when needed; so do all that did not fail where it needs their series.
-    Resumable: what is rated is not asked for again.
+    `only` limits this to one parameter set. Call it before planning: the campaign then sees every possible rating, and other campaigns add
+    none. Failed runs score 0 with every evaluator. Runs that lack the evaluator's metrics stay unrated and are simulated when needed; so do
+    successful runs if it needs time series. Resumable: rated runs are skipped.
     """
     with database.transaction() as connection:
         if ratings.are_all_by(connection, view.bench.evaluator_id):
@@ -40,7 +39,7 @@ def rate_stored_runs(database: Database, view: View, only: ParameterSet | None =
         reached = 0
         while True:
             with database.read() as connection:
-                found = ratings.unrated(
+                unrated = ratings.unrated(
                     connection,
                     setup_id,
                     evaluator_id,
@@ -50,43 +49,43 @@ def rate_stored_runs(database: Database, view: View, only: ParameterSet | None =
                     parameter_set_id=number,
                     only_failed=isinstance(evaluator, SeriesEvaluator),
                 )
-            if not found:
+            if not unrated:
                 break
-            rated = [(one.id, rating) for one in found if (rating := _rating(evaluator, manoeuvre, one)) is not None]
+            rated = [(run.id, rating) for run in unrated if (rating := _rating(evaluator, manoeuvre, run)) is not None]
             with database.transaction() as connection:
                 ratings.insert(connection, evaluator_id, rated)
-            total, missing, reached = total + len(rated), missing + len(found) - len(rated), found[-1].id
+            total, missing, reached = total + len(rated), missing + len(unrated) - len(rated), unrated[-1].id
     if total or missing:
         log.info("%s rated %d stored runs; %d lack what it asks for", evaluator_id, total, missing)
     return total
 
 
 def note_of(database: Database, view: View) -> str | None:
-    """What the campaign's evaluator makes of the stored runs of others, in words; None where there is nothing to say. To be asked when
-    they are rated (`rate_stored_runs`); the same whenever the campaign is taken up."""
+    """Describes how the campaign's evaluator rates the stored runs of others; None if there is nothing to report. Call it after
+    `rate_stored_runs`. The text stays the same when the campaign resumes."""
     bench = view.bench
     with database.transaction() as connection:
         if ratings.are_all_by(connection, bench.evaluator_id):
             return None
         setup_ids = list(ensure_setups(connection, bench).values())
-    with database.read() as connection:  # it counts all runs of the setups, and nobody has to wait for that
-        found = ratings.standing(connection, setup_ids, bench.evaluator_id, view.watermark)
+    with database.read() as connection:  # counts all runs of the setups: outside the write transaction
+        standing = ratings.standing(connection, setup_ids, bench.evaluator_id, view.watermark)
     parts = []
-    if found.anew:
-        parts.append(f"{found.anew:,} are rated by what is stored of them, without a simulation")
-    if found.again:
-        parts.append(f"{found.again:,} were simulated again for it by earlier campaigns")
-    if found.missing:
+    if standing.anew:
+        parts.append(f"{standing.anew:,} are rated by what is stored of them, without a simulation")
+    if standing.again:
+        parts.append(f"{standing.again:,} were simulated again for it by earlier campaigns")
+    if standing.missing:
         lacking = "it needs their time series, which is not stored"
         if not isinstance(bench.evaluator, SeriesEvaluator):
             lacking = "they lack metrics that it asks for"
         parts.append(
-            f"{found.missing:,} cannot be used ({lacking}); they cost nothing but where this campaign asks for the same cells, "
+            f"{standing.missing:,} cannot be used ({lacking}); they cost nothing but where this campaign asks for the same cells, "
             "which are then simulated again"
         )
     if not parts:
         return None
-    every = found.anew + found.again + found.missing
+    every = standing.anew + standing.again + standing.missing
     count = "1 stored run" if every == 1 else f"{every:,} stored runs"
     return f"all campaigns together left {count} of these setups that {bench.evaluator_id} did not rate at first: {'; '.join(parts)}"
 

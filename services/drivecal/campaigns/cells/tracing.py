@@ -1,4 +1,4 @@
-"""Has an evaluation driven once more for its time series: as a single evaluation, through the same queue and the same workers."""
+"""Repeats an evaluation for its time series, as a single evaluation through the same queue and workers."""
 
 from __future__ import annotations
 
@@ -22,32 +22,32 @@ from drivecal.storage.results import StoredEvaluation
 from drivecal.storage.traces import StoredTrace
 
 PASSING = (Breakdown.CRASH, Breakdown.HANG, Breakdown.MEMORY)
-"""Breakdowns that say more about the machine at that moment than about the cell. An exception, met on two workers, comes again."""
+"""Breakdowns caused by the machine, not the cell. An exception on two workers is lasting."""
 AGAIN_AFTER = timedelta(seconds=30)
-"""How long a trace that failed for a passing reason is not tried again: whoever polls is told why, and starts nothing by it."""
+"""Delay before a trace that failed for a passing reason is tried again; until then, requests return the reason."""
 
 
-def is_to_be_made(connection: Connection, found: StoredTrace | None) -> bool:
-    """Whether asking for a trace, which was `found`, has it driven: nobody did, or it may be tried again."""
-    if found is None:
+def is_to_be_made(connection: Connection, trace: StoredTrace | None) -> bool:
+    """Whether a request starts a simulation: no trace was requested before, or the failed request may be repeated."""
+    if trace is None:
         return True
-    if found.content is not None:
+    if trace.content is not None:
         return False
-    made = campaigns.by_sequence(connection, found.campaign_sequence)
+    made = campaigns.by_sequence(connection, trace.campaign_sequence)
     if made.state is CampaignState.CANCELLED:
         return True
     return _may_pass(made, _cell(connection, made)) and made.ended_at is not None and now() >= made.ended_at + AGAIN_AFTER
 
 
 def request_trace(connection: Connection, number: int) -> StoredCampaign:
-    """Queues the single evaluation that makes an evaluation's trace, unless that is queued or made already, or failed and would again.
+    """Queues the single evaluation for a trace, unless it is queued, finished, or failed for a lasting reason.
 
-    Raises NotFoundError, ConflictError where what it was driven with is another version by now: its time series cannot be had again.
+    Raises NotFoundError, and ConflictError if a version has changed since: the time series cannot be reproduced.
     """
-    found = traces.find(connection, number, for_update=True)
-    if found is not None:
-        if not is_to_be_made(connection, found):
-            return campaigns.by_sequence(connection, found.campaign_sequence)
+    trace = traces.find(connection, number, for_update=True)
+    if trace is not None:
+        if not is_to_be_made(connection, trace):
+            return campaigns.by_sequence(connection, trace.campaign_sequence)
         traces.forget(connection, number)
     specification = _specification(connection, number)
     made = campaigns.insert(
@@ -83,7 +83,7 @@ def _specification(connection: Connection, number: int) -> EvaluationSpecificati
 
 
 def no_trace(connection: Connection, made: StoredCampaign) -> str:
-    """Why a single evaluation that has ended left no trace, and whether it is worth asking again."""
+    """Why a finished single evaluation left no trace, and whether to request it again."""
     cell = _cell(connection, made)
     cause = made.error or (cell and (cell.detail or cell.failure)) or made.state.value
     text = f"it could not be driven again: {cause}"
@@ -98,6 +98,5 @@ def _cell(connection: Connection, made: StoredCampaign) -> StoredEvaluation | No
 
 
 def _may_pass(made: StoredCampaign, cell: StoredEvaluation | None) -> bool:
-    """Whether a single evaluation that left no trace could leave one at another time: it failed as a whole, or its simulation broke
-    down by something else than an exception."""
+    """Whether a failed trace may succeed later: the evaluation failed as a whole, or broke down without an exception."""
     return made.state is CampaignState.FAILED or (cell is not None and cell.failure in PASSING)

@@ -1,1 +1,1 @@
-"""Comparisons of optimizers and reductions: resolved into runs, carried out, and read."""
+"""Comparisons of optimizers and reductions: resolving, running and reading them."""

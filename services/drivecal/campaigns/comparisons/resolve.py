@@ -1,4 +1,4 @@
-"""Resolves a comparison into its runs: which campaigns it consists of, and what is wrong with it."""
+"""Resolves a comparison into its campaigns, and reports its problems."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from drivecal.storage import campaigns
 from drivecal.storage.campaigns import StoredCampaign
 
 COMMON = {"population": "populations", "iterations": "iterations", "start": "start", "seed": "seeds"}
-"""What an optimizer does not choose for itself here, and where it is chosen."""
+"""Settings that the comparison chooses for every optimizer, and their fields."""
 
 CONFIRMED = 100
 """Sets of a run with reuse that are simulated after its search at most, where nothing else is asked for: a dozen is many. A run for which
@@ -29,7 +29,7 @@ they were too few notes it."""
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One run: under which conditions, as what campaign."""
+    """A run: its conditions and its campaign."""
 
     conditions: Conditions
     specification: CampaignSpecification
@@ -37,7 +37,7 @@ class Run:
 
 @dataclass(frozen=True, slots=True)
 class ComparisonProblem:
-    """A comparison that can be carried out."""
+    """A comparison that can run."""
 
     specification: ComparisonSpecification
     runs: tuple[Run, ...]
@@ -46,7 +46,7 @@ class ComparisonProblem:
 
     @property
     def proposed(self) -> int:
-        """Cells that all runs together propose."""
+        """The cells that all runs together propose."""
         return len(self.specification.seeds) * sum(
             problem.expected_runs().calibration_proposed + problem.expected_runs().sensitivity_at_most
             for problem in self.problems
@@ -54,7 +54,7 @@ class ComparisonProblem:
 
     @property
     def at_most(self) -> int:
-        """Simulations that all runs together take where none has anything in common with another one."""
+        """The simulations of all runs together if they share no cell."""
         return len(self.specification.seeds) * sum(
             problem.expected_runs().calibration_at_most + problem.expected_runs().sensitivity_at_most
             for problem in self.problems
@@ -62,22 +62,22 @@ class ComparisonProblem:
 
 
 def runs_of(specification: ComparisonSpecification) -> list[Run]:
-    """The runs in their order: by optimizer, population, seed, reduction. A function of the specification alone."""
+    """The runs in order: by optimizer, population, seed, reduction. Depends on the specification alone."""
     labels = [optimizer.label or optimizer.kind for optimizer in specification.optimizers]
     reductions = [_reduction(reduction) for reduction in specification.reductions]
     several = len(reductions) > 1
-    found = []
+    runs = []
     for (label, optimizer), population, seed, reduction in product(
         zip(labels, specification.optimizers, strict=True), specification.populations, specification.seeds, reductions
     ):
         conditions = Conditions(label, population, seed, reduction_label(reduction))
         name = f"{label}, population {population}, seed {seed}{f', {conditions.reduction}' if several else ''}"
-        found.append(Run(conditions, _campaign(specification, name, optimizer, conditions, reduction)))
-    return found
+        runs.append(Run(conditions, _campaign(specification, name, optimizer, conditions, reduction)))
+    return runs
 
 
 def resolve_comparison(specification: ComparisonSpecification) -> ComparisonProblem:
-    """The comparison that a specification describes. Raises InvalidInputError with everything that is wrong, each at its field."""
+    """Resolves a comparison's specification. Raises InvalidInputError with every problem at its field."""
     diagnostics = Diagnostics()
     _check_lists(specification, diagnostics)
     diagnostics.raise_if_any()
@@ -103,9 +103,9 @@ def queue(
     idempotency_key: str | None = None,
     body_digest: str | None = None,
 ) -> StoredCampaign:
-    """Queues a comparison with its runs, or gives the one that an earlier request with the same key queued, as `campaigns.insert` does.
+    """Queues a comparison with its runs; returns the earlier comparison if the request key is known, as `campaigns.insert` does.
 
-    `influence_map_id`: of the map that it names.
+    `influence_map_id` identifies the map that the comparison names.
     """
     specification = problem.specification
     stored = campaigns.insert(
@@ -131,7 +131,7 @@ def queue(
 
 
 def reduction_label(reduction: ReductionSpecification) -> str:
-    """The mode, and the settings that are not its defaults."""
+    """The mode, with the settings that differ from its defaults."""
     others = {name: value for name, value in reduction.model_dump(exclude_defaults=True).items() if name != "mode"}
     return " ".join([reduction.mode, *(f"{name}={value}" for name, value in others.items())])
 
@@ -155,9 +155,9 @@ def _campaign(
         "optimizer": chosen | {"seed": conditions.seed},
         "reduction": reduction.model_dump(),
     }
-    if reduction.mode == "influence":  # what a run found is to be true of its set
+    if reduction.mode == "influence":  # a run's score must hold for its own set
         document["reduction"]["confirm"] = reduction.confirm or CONFIRMED
-    else:  # of no use to it, and its cells would count
+    else:  # useless to the run, and its cells would count
         document["sensitivity"] = None
     return validated(CampaignSpecification, document)
 
@@ -207,7 +207,7 @@ def _check_unique(field: str, values: Sequence[object], diagnostics: Diagnostics
 
 
 def _here(problem: Problem, optimizer: int, reduction: int) -> Problem:
-    """A finding about a run's campaign at the field of the comparison."""
+    """Moves a problem of a run's campaign to the field of the comparison."""
     field = re.sub(r"^optimizer(?=\.|$)", f"optimizers[{optimizer}]", problem.field)
     field = re.sub(r"^reduction(?=\.|$)", f"reductions[{reduction}]", field)
     return Problem(field, problem.message, problem.remedy)

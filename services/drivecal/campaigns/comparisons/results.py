@@ -1,4 +1,4 @@
-"""Reads what the runs of a comparison found: the rows of Table 5, of Figures 7 and 8, and of the pairs."""
+"""Reads the results of a comparison's runs: the rows of Table 5, of Figures 7 and 8, and of the pairs."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ MOST_REMEMBERED = 100_000
 
 @dataclass(frozen=True, slots=True)
 class ComparisonResults:
-    """The runs of a comparison with their courses, in their order."""
+    """The runs of a comparison with their courses, in order."""
 
     campaigns: Sequence[StoredCampaign]
     courses: Sequence[Course]
@@ -41,26 +41,26 @@ class ComparisonResults:
         return [ComparedGroup(**asdict(group)) for group in analysis.groups(self.courses)]
 
     def pairs(self) -> list[ComparedPair]:
-        """One row per pair of runs that differ in the reduction alone."""
-        ids = {course.conditions: one.id for one, course in zip(self.campaigns, self.courses, strict=True)}
+        """One row per pair of runs that differ only in the reduction."""
+        ids = {course.conditions: campaign.id for campaign, course in zip(self.campaigns, self.courses, strict=True)}
         return [pair_row(pair, ids[pair.run.conditions], ids[pair.base.conditions]) for pair in analysis.pairs(self.courses)]
 
     def effects(self) -> list[ReductionEffect]:
-        """What the pairs say together."""
+        """The effects over all pairs."""
         return [ReductionEffect(**asdict(effect)) for effect in analysis.effects(analysis.pairs(self.courses))]
 
 
 def compared(connection: Connection, comparison: StoredCampaign) -> ComparisonResults:
-    """What is known of a comparison so far."""
+    """The results of a comparison so far."""
     stored = campaigns.runs_of(connection, comparison.sequence)
     wanted = runs_of(validated(ComparisonSpecification, comparison.spec))
-    courses = [_course(connection, one, run.conditions) for one, run in zip(stored, wanted, strict=True)]
+    courses = [_course(connection, campaign, run.conditions) for campaign, run in zip(stored, wanted, strict=True)]
     return ComparisonResults(stored, courses)
 
 
 def _course(connection: Connection, run: StoredCampaign, conditions: analysis.Conditions) -> Course:
-    found, _ = generations.page(connection, run.sequence, limit=MOST_GENERATIONS)
-    figures = [one for _, one in found]
+    page, _ = generations.page(connection, run.sequence, limit=MOST_GENERATIONS)
+    figures = [figures for _, figures in page]
     reused = any(figure.reused for figure in figures)
     return Course(
         conditions=conditions,
@@ -77,21 +77,21 @@ def _course(connection: Connection, run: StoredCampaign, conditions: analysis.Co
 
 
 def _iterations(run: StoredCampaign) -> int:
-    """Of its search: what is beyond them confirms its best set."""
+    """The iterations of the search; later iterations confirm the best set."""
     wanted: int = run.spec["optimizer"]["iterations"]
     return wanted
 
 
 def _best_simulated(connection: Connection, run: StoredCampaign) -> float | None:
-    """See `results.best_simulated`; of a run that has ended it is looked for once: who follows a comparison asks every few seconds."""
+    """See `results.best_simulated`. Looks up an ended run only once: clients that follow a comparison ask every few seconds."""
     if run.id in _ended:
         return _ended[run.id]
-    found = results.best_simulated(connection, run.sequence, resolved_spec(run).weights)
+    best = results.best_simulated(connection, run.sequence, resolved_spec(run).weights)
     if run.state.ended:
-        _ended[run.id] = found
+        _ended[run.id] = best
         if len(_ended) > MOST_REMEMBERED:
             _ended.clear()
-    return found
+    return best
 
 
 _ended: dict[str, float | None] = {}
@@ -99,7 +99,7 @@ _ended: dict[str, float | None] = {}
 
 
 def _needed(figures: Figures | CellCounts) -> int:
-    """Cells without an answer among the campaign's own: they took a simulation, whoever made it, or failed to."""
+    """Requested cells without an answer from the campaign's own: simulated, by this or another campaign, or failed."""
     return figures.requested - figures.repeated - figures.reused
 
 
@@ -127,7 +127,7 @@ def _run(campaign: StoredCampaign, course: Course, best: float | None) -> Compar
 
 
 def pair_row(pair: Pair, run: str, base_run: str) -> ComparedPair:
-    """One pair as it is answered; `run` and `base_run` are the ids of its runs."""
+    """A pair's row in the response; `run` and `base_run` are the ids of its runs."""
     conditions = pair.run.conditions
     return ComparedPair(
         optimizer=conditions.optimizer,

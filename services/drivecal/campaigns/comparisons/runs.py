@@ -1,8 +1,8 @@
-"""Carries a comparison out: its runs, each an ordinary campaign, a few at a time.
+"""Runs a comparison: each run is an ordinary campaign, a few at a time.
 
-What a run finds and counts is its own affair: it sees the results of no other campaign, so neither their order nor what was stored
-before changes anything of it. Cells that several runs ask for, or that were simulated before, are not simulated again all the same
-(`cell_tracker`, `execution.scheduling.scheduler`): the workers gain by that, the counts do not show it.
+A run sees no results of other campaigns, so neither their order nor earlier results change its results or counts. Cells that several runs
+request, or that were simulated before, are still not simulated again (`cell_tracker`, `execution.scheduling.scheduler`): this saves work,
+but does not show in the counts.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ from drivecal.storage.comparisons import RunTally
 from drivecal.storage.engine.database import Database
 
 SECONDS_BETWEEN_SUMS = 1.0
-"""A comparison's own row is that much behind its runs at most."""
+"""Largest delay of a comparison's own row behind its runs."""
 MOST_NOTES = 20
 TOLD = 5
-"""Of the runs that failed, in the comparison's error."""
+"""Failed runs listed in the comparison's error."""
 
 log = logging.getLogger(__name__)
 
 
 class ComparisonJob(Job):
-    """A comparison as a job. All state is in the rows of its runs; that of its own row is the sum of theirs."""
+    """A comparison as a job. The rows of its runs hold all state; the comparison's own row is their sum."""
 
     def __init__(
         self,
@@ -51,14 +51,14 @@ class ComparisonJob(Job):
         take_up: Callable[[int], Job],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """`take_up` gives the job of a campaign by its number."""
+        """`take_up` returns the job of a campaign by its number."""
         self._database = database
         self._sequence = campaign.sequence
         self._at_a_time = problem.specification.at_a_time
         self._expected = problem.at_most
         self._take_up = take_up
         self._jobs: dict[int, Job] = {}
-        """Of the runs in work, by number."""
+        """The jobs of the running runs, by number."""
         self._homes: dict[int, int] = {}
         """The run of each cell at the workers."""
         with database.read() as connection:
@@ -70,7 +70,7 @@ class ComparisonJob(Job):
         self.finished = False
 
     def work(self) -> list[Work]:
-        """What to simulate next. Raises NoResultError at the end where runs failed; what the others found is there all the same."""
+        """Returns what to simulate next. Raises NoResultError at the end if runs failed; results of the others are kept."""
         work = self._go_on()
         over = not self._jobs and not self._waiting
         self.goes_on = not work and not self._homes and not over
@@ -81,7 +81,7 @@ class ComparisonJob(Job):
         return work
 
     def record(self, completed: Sequence[Completed]) -> list[Work]:
-        """Writes results down, run by run; gives what is to be simulated instead, or next."""
+        """Stores results, run by run; returns what to simulate instead or next."""
         by_run: dict[int, list[Completed]] = {}
         for completion in completed:
             home = self._homes.pop(completion.result.id, None)
@@ -96,8 +96,8 @@ class ComparisonJob(Job):
         return work
 
     def _go_on(self) -> list[Work]:
-        """Starts runs where there is room, and moves on those that wait for nothing. One that ends ends the turn, so that a comparison
-        whose answers are all there leaves the dispatcher time for others."""
+        """Starts runs if there is room, and advances runs that wait for nothing. Returns after one run finishes, so that an answered
+        comparison leaves the dispatcher time for other campaigns."""
         while self._waiting and len(self._jobs) < self._at_a_time:
             self._begin(self._waiting.pop(0))
         work: list[Work] = []
@@ -114,8 +114,7 @@ class ComparisonJob(Job):
         self._guarded(number, None)
 
     def _guarded(self, number: int, act: Callable[[Job], list[Work]] | None) -> list[Work]:
-        """Takes a run up, or does something with it. What is wrong with one run fails that one and no other; but a refuted proof casts
-        doubt on all."""
+        """Confines an error to its own run; but a refuted certificate casts doubt on all runs."""
         try:
             if act is None:
                 self._jobs[number] = self._take_up(number)
@@ -164,27 +163,27 @@ class ComparisonJob(Job):
             self.sum_up()
 
     def sum_up(self) -> None:
-        """Sums up in the comparison's own row what its runs count."""
+        """Stores the sums over the runs in the comparison's own row."""
         self._next_sum = self._clock() + SECONDS_BETWEEN_SUMS
         with self._database.transaction() as connection:
-            found = _Sum.over(comparisons.tallies(connection, self._sequence))
+            total = _Sum.over(comparisons.tallies(connection, self._sequence))
             snapshot = Snapshot(
                 stage=StageName.CALIBRATION,
                 iteration=None,
-                cells={stage: campaign_stages.counts(found.stages, stage) for stage in found.stages},
-                progress=self._eta.progress(found.done, max(self._expected, found.done)),
-                error_rate={scenario: _rate(audits) for scenario, audits in found.audits.items() if audits["audited"]},
-                best=found.best,
-                baseline=found.baseline,
-                simulating_seconds=found.simulating_seconds,
-                notes=found.told(),
+                cells={stage: campaign_stages.counts(total.stages, stage) for stage in total.stages},
+                progress=self._eta.progress(total.done, max(self._expected, total.done)),
+                error_rate={scenario: _rate(audits) for scenario, audits in total.audits.items() if audits["audited"]},
+                best=total.best,
+                baseline=total.baseline,
+                simulating_seconds=total.simulating_seconds,
+                notes=total.told(),
             )
             campaigns.save_progress(connection, self._sequence, snapshot)
 
 
 @dataclass(slots=True)
 class _Sum:
-    """Of what the runs count, one after the other: their number bounds nothing that is kept."""
+    """Totals over the runs, in constant memory."""
 
     stages: dict[StageName, Counter[str]] = field(default_factory=dict)
     audits: dict[str, Counter[str]] = field(default_factory=dict)
@@ -198,30 +197,30 @@ class _Sum:
 
     @classmethod
     def over(cls, runs: Iterable[RunTally]) -> Self:
-        found = cls()
+        total = cls()
         for run in runs:
-            found._add(run)
-        return found
+            total._add(run)
+        return total
 
     @property
     def done(self) -> int:
         return sum(cells["requested"] for cells in self.stages.values())
 
-    def _add(self, one: RunTally) -> None:
-        for stage, cells in one.stages.items():
+    def _add(self, run: RunTally) -> None:
+        for stage, cells in run.stages.items():
             self.stages.setdefault(stage, Counter()).update(cells)
-        for scenario, rate in one.error_rate.items():
+        for scenario, rate in run.error_rate.items():
             self.audits.setdefault(scenario, Counter()).update(rate.model_dump(exclude={"upper_95"}))
-        if one.best is not None and (self.best is None or one.best.objective > self.best.objective):
-            self.best = one.best
-        self.baseline = self.baseline or one.baseline
-        self.simulating_seconds += one.simulating_seconds
-        self.begun += one.begun
-        for note in remarkable(one.notes):  # optima are told by the tables
-            self.notes.setdefault(note, []).append(one.name)
+        if run.best is not None and (self.best is None or run.best.objective > self.best.objective):
+            self.best = run.best
+        self.baseline = self.baseline or run.baseline
+        self.simulating_seconds += run.simulating_seconds
+        self.begun += run.begun
+        for note in remarkable(run.notes):  # the tables show the optima
+            self.notes.setdefault(note, []).append(run.name)
 
     def told(self) -> list[str]:
-        """What the runs note: once where all do, else with the run's name, of very many the first."""
+        """The notes of the runs: once if all runs share a note, else with run names, and only the first of very many."""
         lines = [
             line
             for note, names in self.notes.items()

@@ -1,4 +1,4 @@
-"""Collects what is wrong with a specification, so that a user sees all of it at once."""
+"""Collects all problems of a specification, so that a user sees them at once."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ MOST_FINDINGS = 1_000
 
 
 class Diagnostics:
-    """Problems in the order in which they were found."""
+    """Problems in order of discovery."""
 
     def __init__(self) -> None:
         self.problems: list[Problem] = []
 
     def add(self, field: str, message: str, remedy: str = "") -> None:
-        """Notes one thing that is wrong, unless there are so many already that nobody would read it."""
+        """Adds a problem, up to a limit."""
         if len(self.problems) < MOST_FINDINGS:
             self.problems.append(Problem(field, message, remedy))
 
     def attempt(self, make: Callable[[], T]) -> T | None:
-        """What `make` gives; None where it raised InvalidInputError, whose problems are noted."""
+        """Returns what `make` returns; None if it raises InvalidInputError, whose problems are added."""
         try:
             return make()
         except InvalidInputError as error:
@@ -32,6 +32,6 @@ class Diagnostics:
             return None
 
     def raise_if_any(self) -> None:
-        """Raises InvalidInputError with everything that was noted."""
+        """Raises InvalidInputError with all problems."""
         if self.problems:
             raise InvalidInputError(*self.problems)

@@ -1,4 +1,4 @@
-"""Influence maps, posted or found by an analysis: checked, stored with the space that they speak of, and read back."""
+"""Influence maps, posted or made by an analysis: checked, stored with their space, and read back."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ EXPERT = "expert"
 
 @dataclass(frozen=True, slots=True)
 class PostedMap:
-    """A map from expert knowledge that was found to be right."""
+    """A valid map from expert knowledge."""
 
     specification: InfluenceMapSpecification
     influence_map: InfluenceMap
@@ -36,30 +36,30 @@ class PostedMap:
 
 
 def resolve_map(specification: InfluenceMapSpecification) -> PostedMap:
-    """The map that a user posted. Raises InvalidInputError naming every scenario, parameter and bound that does not fit."""
+    """Resolves a posted map. Raises InvalidInputError for every scenario, parameter and bound that does not fit."""
     function = registry.driving_function(specification.driving_function)
     scenarios = catalogue_scenarios(specification.catalogue)
     space = search_parameters(specification.parameters, function)
     parameters = {parameter.name: parameter for parameter in space}
     problems: list[Problem] = []
-    found: dict[str, dict[str, Influence]] = {}
+    influences: dict[str, dict[str, Influence]] = {}
     for scenario, listed in specification.scenarios.items():
         if scenario not in scenarios:
             problems.append(Problem(f"scenarios.{scenario}", "there is no such scenario", f"one of {', '.join(scenarios)}"))
             continue
-        found[scenario] = {}
+        influences[scenario] = {}
         for name, given in listed.items():
             where = f"scenarios.{scenario}.{name}"
             if name not in parameters:
                 problems.append(Problem(where, "there is no such parameter", f"one of {', '.join(parameters)}"))
                 continue
             try:
-                found[scenario][name] = _influence(given, parameters[name], where)
+                influences[scenario][name] = _influence(given, parameters[name], where)
             except InvalidInputError as error:
                 problems.extend(error.problems)
     if problems:
         raise InvalidInputError(*problems)
-    return PostedMap(specification, InfluenceMap(found), space)
+    return PostedMap(specification, InfluenceMap(influences), space)
 
 
 def store_posted_map(connection: Connection, posted: PostedMap) -> StoredInfluenceMap:
@@ -77,9 +77,7 @@ def store_posted_map(connection: Connection, posted: PostedMap) -> StoredInfluen
 def _influence(given: InfluenceSpecification, parameter: Parameter, where: str) -> Influence:
     if not given.influential:
         if given.lower is not None or given.upper is not None:
-            raise InvalidInputError(
-                Problem(where, "bounds make no sense where nothing is influential", "leave lower and upper out")
-            )
+            raise InvalidInputError(Problem(where, "bounds need an influential parameter", "leave lower and upper out"))
         return Influence(influential=False)
     lower = None if given.lower is None else decimal(given.lower)
     upper = None if given.upper is None else decimal(given.upper)
@@ -98,31 +96,35 @@ def _influence(given: InfluenceSpecification, parameter: Parameter, where: str) 
 
 
 def check_basis(stored: StoredInfluenceMap, problem: CalibrationProblem) -> None:
-    """Raises InvalidInputError where a map that an analysis made does not hold for a campaign: of another setup, evaluator or space.
+    """Raises InvalidInputError if an analysis's map is invalid for a campaign: another setup, evaluator or space.
 
-    Maps that users post rest on what they know, and are not checked here.
+    Posted maps rest on expert knowledge and are not checked here.
     """
     basis = stored.basis
     if basis is None:
         return
-    found: list[str] = []
+    reasons: list[str] = []
     fingerprints = {scenario: setup.fingerprint for scenario, setup in problem.bench.setups.items()}
-    other = [one for one, fingerprint in fingerprints.items() if basis["setups"].get(one, fingerprint) != fingerprint]
+    other = [
+        scenario for scenario, fingerprint in fingerprints.items() if basis["setups"].get(scenario, fingerprint) != fingerprint
+    ]
     if other:
-        found.append(f"it was made with another setup (version, vehicle or simulator) of {', '.join(other)}")
+        reasons.append(f"it was made with another setup (version, vehicle or simulator) of {', '.join(other)}")
     if basis["evaluator"] != problem.bench.evaluator_id:
-        found.append(f"it was made for the evaluator {basis['evaluator']}, not {problem.bench.evaluator_id}")
+        reasons.append(f"it was made for the evaluator {basis['evaluator']}, not {problem.bench.evaluator_id}")
     for name, value in basis["fixed"].items():
         if name not in problem.space.fixed or text(problem.space.fixed[name]) != value:
-            found.append(f"it was made with {name} held at {value}")
+            reasons.append(f"it was made with {name} held at {value}")
     ranges = _ranges(stored)
     for parameter in problem.space.searched:
         lower, upper = ranges.get(parameter.name, (parameter.lower, parameter.upper))
         if parameter.lower < lower or parameter.upper > upper:
-            found.append(f"it covers {parameter.name} from {text(lower)} to {text(upper)} only")
-    if found:
+            reasons.append(f"it covers {parameter.name} from {text(lower)} to {text(upper)} only")
+    if reasons:
         remedy = "name another map, or leave `map` out to have one made"
-        raise InvalidInputError(*(Problem("sensitivity.map", f"the map does not hold here: {one}", remedy) for one in found))
+        raise InvalidInputError(
+            *(Problem("sensitivity.map", f"the map does not hold here: {reason}", remedy) for reason in reasons)
+        )
 
 
 def map_to_document(influence_map: InfluenceMap) -> dict[str, Any]:
@@ -140,19 +142,22 @@ def map_to_document(influence_map: InfluenceMap) -> dict[str, Any]:
     }
 
 
-def analysis_to_document(found: Mapping[str, ScenarioInfluence]) -> dict[str, Any]:
-    """What an analysis found, as `map_to_document` writes it, with the measures of each parameter beside its bounds."""
+def analysis_to_document(analysis: Mapping[str, ScenarioInfluence]) -> dict[str, Any]:
+    """An analysis's result as `map_to_document` writes it, with each parameter's measures beside its bounds."""
     bounds = map_to_document(
         InfluenceMap(
-            {scenario: {name: one.influence for name, one in found[scenario].parameters.items()} for scenario in found}
+            {
+                scenario: {name: parameter.influence for name, parameter in analysis[scenario].parameters.items()}
+                for scenario in analysis
+            }
         )
     )
-    for scenario, listed in found.items():
-        for name, one in listed.parameters.items():
-            overall = None if one.overall is None else one.overall.measures
+    for scenario, listed in analysis.items():
+        for name, parameter in listed.parameters.items():
+            overall = None if parameter.overall is None else parameter.overall.measures
             bounds[scenario][name] |= {
                 "unknown": listed.unknown,
-                "s_rel_intervals": [finite(value) for value in one.s_rel_intervals],
+                "s_rel_intervals": [finite(value) for value in parameter.s_rel_intervals],
                 "mu": None if overall is None else finite(overall.mu),
                 "sigma": None if overall is None else finite(overall.sigma),
                 "mu_star": None if overall is None else finite(overall.mu_star),
@@ -160,17 +165,17 @@ def analysis_to_document(found: Mapping[str, ScenarioInfluence]) -> dict[str, An
     return bounds
 
 
-def smallest_s_rel(found: Mapping[str, ScenarioInfluence]) -> dict[str, dict[str, float | None]]:
-    """By scenario, of its intervals and of its global analysis: the smallest s_rel that is not 0, below which a threshold means any
-    change at all; None where all are 0."""
+def smallest_s_rel(analysis: Mapping[str, ScenarioInfluence]) -> dict[str, dict[str, float | None]]:
+    """The smallest nonzero s_rel by scenario, of its intervals and of its global analysis; None if all are 0. A threshold
+    below it counts every change."""
     return {
-        scenario: {"intervals": one.smallest_interval_s_rel, "overall": one.smallest_overall_s_rel}
-        for scenario, one in found.items()
+        scenario: {"intervals": result.smallest_interval_s_rel, "overall": result.smallest_overall_s_rel}
+        for scenario, result in analysis.items()
     }
 
 
 def stored_map(stored: StoredInfluenceMap) -> InfluenceMap:
-    """A map as it was stored, with the ranges that it speaks of: those it was made in, or checked against."""
+    """A stored map with the ranges that it was made in or checked against."""
     held = {} if stored.basis is None else stored.basis["fixed"]
     ranges = _ranges(stored) | {name: (Decimal(value), Decimal(value)) for name, value in held.items()}
     return InfluenceMap(map_from_document(stored.scenarios).scenarios, ranges)
@@ -189,7 +194,8 @@ def map_from_document(document: Mapping[str, Mapping[str, Mapping[str, Any]]]) -
     return InfluenceMap(
         {
             scenario: {
-                name: Influence(one["influential"], bound(one["lower"]), bound(one["upper"])) for name, one in listed.items()
+                name: Influence(entry["influential"], bound(entry["lower"]), bound(entry["upper"]))
+                for name, entry in listed.items()
             }
             for scenario, listed in document.items()
         }

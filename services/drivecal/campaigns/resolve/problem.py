@@ -1,7 +1,7 @@
-"""Resolves what a user submitted against what is installed: the one place that decides whether a campaign can run.
+"""Resolves a specification against the installed plug-ins: the only place that decides whether a campaign can run.
 
-`POST /campaigns`, `?validate_only=true`, `submit --dry-run` and the dispatcher all go through here. Everything wrong with a
-specification is reported at once, each with its field and what would be right.
+`POST /campaigns`, `?validate_only=true`, `submit --dry-run` and the dispatcher use it. It reports every problem at once, each with its
+field and a remedy.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def evaluator_id(evaluator: Evaluator) -> str:
 
 @dataclass(frozen=True)
 class Bench:
-    """Everything besides the parameter set: which scenarios are driven by what, in which vehicle, rated by whom."""
+    """Everything except the parameter set: scenarios, driving function, vehicle and evaluator."""
 
     scenarios: Mapping[str, tuple[str, Scenario]]
     """By scenario id, in the catalogue's order: (catalogue's name, scenario)."""
@@ -45,7 +45,7 @@ class Bench:
     evaluator: Evaluator
 
     def __post_init__(self) -> None:
-        """Raises UnavailableError where a part lacks what it was shipped with: reading its version, it finds out."""
+        """Raises UnavailableError if a plug-in lacks a shipped file, which reading its version reveals."""
         self.driving_function.version, self.vehicle.version, self.evaluator.version  # noqa: B018  reading is what may fail
 
     @cached_property
@@ -58,7 +58,7 @@ class Bench:
 
     @cached_property
     def requests(self) -> dict[str, SetupRequest]:
-        """What a worker is asked to run, by scenario."""
+        """A worker's run request by scenario."""
         return {
             name: SetupRequest(
                 catalogue=catalogue,
@@ -90,16 +90,16 @@ class CalibrationProblem:
     weights: Mapping[str, float]
     """Normalised to a sum of 1, by scenario; scenarios of weight 0 are left out (Eq. 6)."""
     optimization: Optimization | None
-    """None where only the sensitivity analysis is wanted."""
+    """None without a search."""
     baseline: ParameterSet | None
     start_sets: tuple[ParameterSet, ...]
-    """What must be in the start population, each once: the baseline, then the sets from expert knowledge."""
+    """The sets that the start population must hold, each once: the baseline, then sets from expert knowledge."""
     robust_sets: tuple[ParameterSet, ...]
-    """What the robustness stage examines in any case."""
+    """The sets that the robustness stage always examines."""
     notes: tuple[str, ...]
 
     def analysis(self) -> SensitivityAnalysis | None:
-        """A fresh sensitivity analysis; None where a map is named or none is wanted."""
+        """A new sensitivity analysis; None if the specification names a map or wants no analysis."""
         wanted = self.specification.sensitivity
         if not isinstance(wanted, SensitivitySpecification):
             return None
@@ -107,17 +107,17 @@ class CalibrationProblem:
 
     @property
     def checked_certificates(self) -> float | None:
-        """The share of certified cells that are simulated all the same, to check the certificates; None where none are used."""
+        """The share of certified cells that are still simulated, to check certificates; None without certificates."""
         wanted = self.specification.reduction
         return wanted.audit if wanted.certified and self.bench.driving_function.certifiable else None
 
     @property
     def scenarios(self) -> tuple[str, ...]:
-        """The ids of the scenarios that are simulated, in the catalogue's order."""
+        """The ids of the simulated scenarios, in the catalogue's order."""
         return tuple(self.weights)
 
     def expected_runs(self) -> ExpectedRuns:
-        """What the campaign costs if no cell could be answered without a simulation."""
+        """The number of simulations if no cell can be answered without one."""
         chosen, analysis = self.optimization, self.analysis()
         proposed = requested = 0
         if chosen is not None:
@@ -160,7 +160,7 @@ class CalibrationProblem:
 
 @dataclass(frozen=True)
 class EvaluationProblem:
-    """One parameter set to be driven in one or more scenarios."""
+    """A parameter set to simulate in one or more scenarios."""
 
     bench: Bench
     parameter_set: ParameterSet
@@ -179,7 +179,7 @@ def _resolution(bench: Bench, space: Sequence[Parameter]) -> dict[str, Any]:
 
 
 def resolve(specification: CampaignSpecification) -> CalibrationProblem:
-    """The problem that a specification describes. Raises InvalidInputError with everything that is wrong."""
+    """Resolves a campaign's specification. Raises InvalidInputError with every problem."""
     diagnostics = Diagnostics()
     scenarios = resolvers.find_scenarios(specification.catalogue, diagnostics)
     function = diagnostics.attempt(lambda: registry.driving_function(specification.driving_function))
@@ -209,7 +209,7 @@ def resolve(specification: CampaignSpecification) -> CalibrationProblem:
 
 
 def resolve_evaluation(specification: EvaluationSpecification) -> EvaluationProblem:
-    """The cells that a single evaluation asks for. Values need not lie on a grid, only within the driving function's limits."""
+    """Resolves a single evaluation. Its values may lie between grid points, within the driving function's limits."""
     diagnostics = Diagnostics()
     scenarios = resolvers.find_scenarios(specification.catalogue, diagnostics)
     if specification.scenario is not None:
@@ -229,8 +229,8 @@ def resolve_evaluation(specification: EvaluationSpecification) -> EvaluationProb
 
 
 def catalogue_scenarios(catalogue: str | list[str]) -> dict[str, tuple[str, Scenario]]:
-    """The scenarios of a catalogue, or those listed: id to (catalogue's name, scenario). Raises InvalidInputError."""
+    """The scenarios of a catalogue, or of a list: id to (catalogue's name, scenario). Raises InvalidInputError."""
     diagnostics = Diagnostics()
-    found = resolvers.find_scenarios(catalogue, diagnostics)
+    scenarios = resolvers.find_scenarios(catalogue, diagnostics)
     diagnostics.raise_if_any()
-    return found
+    return scenarios

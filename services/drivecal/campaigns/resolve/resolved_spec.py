@@ -1,4 +1,4 @@
-"""What a campaign was taken up with: enough to read what it found, whatever is installed by now."""
+"""The resolved specification of a started campaign: enough to read its results, whatever is installed today."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from drivecal.storage.campaigns import StoredCampaign
 
 @dataclass(frozen=True, slots=True)
 class ResolvedSpec:
-    """`evaluator` is its name with its version; `space`: of a single evaluation that of its driving function."""
+    """`evaluator` is a name with a version; a single evaluation's `space` is its driving function's."""
 
     evaluator: str
     space: ParameterSpace
@@ -28,16 +28,16 @@ class ResolvedSpec:
 
 
 def problem_of(campaign: StoredCampaign) -> CalibrationProblem | EvaluationProblem:
-    """What a campaign means today. Raises InvalidInputError where it cannot be resolved any more."""
+    """Resolves a campaign against today's plug-ins. Raises InvalidInputError if that fails."""
     if campaign.kind == "evaluation":
         return resolve_evaluation(validated(EvaluationSpecification, campaign.spec))
     return resolve(validated(CampaignSpecification, campaign.spec))
 
 
 def resolved_spec(campaign: StoredCampaign) -> ResolvedSpec:
-    """What a campaign was taken up with; of one that is still queued, what it would be taken up with today.
+    """The specification that a campaign started with; a queued campaign's is resolved today.
 
-    Raises InvalidInputError where that cannot be resolved.
+    Raises InvalidInputError if it cannot be resolved.
     """
     resolution: Mapping[str, Any] = campaign.resolution or problem_of(campaign).resolution()
     fixed = {name: Decimal(value) for name, value in resolution.get("fixed", {}).items()}

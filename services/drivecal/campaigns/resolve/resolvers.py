@@ -1,4 +1,4 @@
-"""The parts of what a user submitted, each resolved against what is installed; what is wrong with one becomes a finding."""
+"""Resolves each part of a specification against the installed plug-ins, and adds its problems to the diagnostics."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from drivecal.sensitivity.analysis import SensitivityAnalysis
 from drivecal.sensitivity.settings import SensitivitySettings
 
 MOST_WRONG_SETS = 200
-"""Findings after which further start sets are not looked at."""
+"""Problems after which further start sets are not checked."""
 
 
 @dataclass(frozen=True)
@@ -42,14 +42,14 @@ class Optimization:
 
 
 def find_scenarios(catalogue: str | list[str], diagnostics: Diagnostics) -> dict[str, tuple[str, Scenario]]:
-    """By id, in the catalogues' order: (catalogue's name, scenario)."""
+    """Scenarios by id, in the catalogues' order: (catalogue's name, scenario)."""
     if isinstance(catalogue, str):
         try:
-            found = registry.catalogue(catalogue)
+            loaded = registry.catalogue(catalogue)
         except InvalidInputError as error:
             diagnostics.problems.extend(error.problems)
             return {}
-        return {name: (found.name, scenario) for name, scenario in found.scenarios.items()}
+        return {name: (loaded.name, scenario) for name, scenario in loaded.scenarios.items()}
     every = {
         name: (catalogue.name, scenario)
         for catalogue in registry.catalogues()
@@ -62,7 +62,7 @@ def find_scenarios(catalogue: str | list[str], diagnostics: Diagnostics) -> dict
 
 
 def find_vehicle(specification: VehicleSpecification, diagnostics: Diagnostics) -> tuple[Vehicle | None, dict[str, float]]:
-    """The vehicle and its parameters: nominal where nothing else was given."""
+    """The vehicle and its parameters: nominal by default."""
     vehicle = diagnostics.attempt(lambda: registry.vehicle(specification.model))
     if vehicle is None:
         return None, {}
@@ -74,7 +74,7 @@ def find_vehicle(specification: VehicleSpecification, diagnostics: Diagnostics) 
 
 
 def note_vehicle(vehicle: Vehicle | None, values: Mapping[str, float]) -> tuple[str, ...]:
-    """What is unusual about a vehicle, and no mistake in any case: values beyond the bounds of its model, by a wrong unit perhaps."""
+    """Notes vehicle values beyond the bounds of the model: unusual but valid, perhaps a wrong unit."""
     if vehicle is None:
         return ()
     return tuple(
@@ -86,7 +86,7 @@ def note_vehicle(vehicle: Vehicle | None, values: Mapping[str, float]) -> tuple[
 
 
 def choose_optimizer(specification: CampaignSpecification, diagnostics: Diagnostics) -> Optimization | None:
-    """The optimizer with its checked settings; None where none is wanted."""
+    """The optimizer with its checked settings; None if none is requested."""
     wanted = specification.optimizer
     if wanted is None:
         others = (
@@ -119,15 +119,15 @@ def choose_optimizer(specification: CampaignSpecification, diagnostics: Diagnost
 def find_start_sets(
     specification: CampaignSpecification, baseline: ParameterSet | None, space: ParameterSpace | None, diagnostics: Diagnostics
 ) -> tuple[ParameterSet, ...]:
-    """What must be in the start population, each once: the baseline, then the sets from expert knowledge."""
+    """The sets that the start population must hold, each once: the baseline, then sets from expert knowledge."""
     wanted = specification.optimizer
     listed = [] if wanted is None else wanted.start_sets
-    found: list[ParameterSet | None] = []
-    for index, one in enumerate(listed):
+    start_sets: list[ParameterSet | None] = []
+    for index, given in enumerate(listed):
         if len(diagnostics.problems) > MOST_WRONG_SETS:
             break  # who has so many to mend begins with them
-        found.append(given_set(one, space, f"optimizer.start_sets[{index}]", diagnostics))
-    together = tuple(dict.fromkeys(parameter_set for parameter_set in (baseline, *found) if parameter_set is not None))
+        start_sets.append(given_set(given, space, f"optimizer.start_sets[{index}]", diagnostics))
+    together = tuple(dict.fromkeys(parameter_set for parameter_set in (baseline, *start_sets) if parameter_set is not None))
     if wanted is not None and len(together) > wanted.population:
         message = f"{len(together)} sets, the baseline included, do not fit into a population of {wanted.population}"
         diagnostics.add("optimizer.start_sets", message, "give fewer, or a larger population")
@@ -142,7 +142,7 @@ def find_robust_sets(
     space: ParameterSpace | None,
     diagnostics: Diagnostics,
 ) -> tuple[ParameterSet, ...]:
-    """The sets that are examined in any case; finds what is wrong with the stage."""
+    """The sets that the robustness stage always examines; adds the stage's problems."""
     wanted = specification.robustness
     if wanted is None:
         return ()
@@ -156,12 +156,12 @@ def find_robust_sets(
         diagnostics.add("robustness.eta", message, f"one number, or one for each of {', '.join(scenarios)}")
     if vehicle is not None:
         diagnostics.attempt(lambda: check_nominal(vehicle.parameters, nominal))
-    found = [given_set(one, space, f"robustness.sets[{index}]", diagnostics) for index, one in enumerate(wanted.sets)]
-    return tuple(dict.fromkeys(one for one in found if one is not None))
+    named = [given_set(given, space, f"robustness.sets[{index}]", diagnostics) for index, given in enumerate(wanted.sets)]
+    return tuple(dict.fromkeys(parameter_set for parameter_set in named if parameter_set is not None))
 
 
 def check_validation(specification: CampaignSpecification, diagnostics: Diagnostics) -> None:
-    """Whether there is something to validate, with numbers that fit."""
+    """Adds a problem if there is no map to validate, or if the numbers do not fit."""
     wanted = specification.validation
     if wanted is None:
         return
@@ -173,7 +173,7 @@ def check_validation(specification: CampaignSpecification, diagnostics: Diagnost
 
 
 def plan_analysis(wanted: SensitivitySpecification, space: ParameterSpace, scenarios: Sequence[str]) -> SensitivityAnalysis:
-    """A fresh sensitivity analysis. Raises InvalidInputError where it cannot be made of this space."""
+    """Plans a new sensitivity analysis. Raises InvalidInputError if the space does not allow it."""
     threshold = wanted.threshold
     settings = SensitivitySettings(
         design=wanted.design,
@@ -190,7 +190,7 @@ def plan_analysis(wanted: SensitivitySpecification, space: ParameterSpace, scena
 def normalise_weights(
     given: Mapping[str, float], scenarios: Sequence[str], diagnostics: Diagnostics
 ) -> tuple[dict[str, float], tuple[str, ...]]:
-    """By scenario, of sum 1 and without those of weight 0 (Eq. 6), with a note that names these."""
+    """Positive weights by scenario, of sum 1 (Eq. 6), with a note that names the scenarios of weight 0."""
     for name in given:
         if scenarios and name not in scenarios:
             diagnostics.add(

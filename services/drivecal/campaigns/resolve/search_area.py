@@ -1,4 +1,4 @@
-"""Which part of its space a campaign searches: a function of its specification and its influence map alone, so that it can be resumed."""
+"""The part of its space that a campaign searches. It depends only on specification and influence map, so a campaign can resume."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from drivecal.reduction.narrowing import SearchArea, common_area, full_area
 
 
 def search_area(problem: CalibrationProblem, influence_map: InfluenceMap | None) -> SearchArea:
-    """The common area where `reduction.narrow` asks for it, widened to hold the start sets; else the whole space."""
+    """The common area if `reduction.narrow` requests it, widened to hold the start sets; else the whole space."""
     if influence_map is None or not problem.specification.reduction.narrow:
         return full_area(problem.space)
     return common_area(problem.space, influence_map, problem.scenarios, given_indices(problem))

@@ -1,4 +1,4 @@
-"""The search space of a campaign: which values its parameters may take."""
+"""The search space of a campaign: the values that its parameters may take."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ def search_parameters(
             raise InvalidInputError(Problem(field, f"{function.name} has no parameter space {parameters!r}", remedy))
         return function.spaces[parameters]
     diagnostics = Diagnostics()
-    found: list[Parameter] = []
+    grids: list[Parameter] = []
     known = function_names(function)
     for index, listed in enumerate(parameters):
         where = f"{field}[{index}]"
         if listed.name not in known:
             diagnostics.add(f"{where}.name", f"{function.name} has no parameter {listed.name!r}", f"one of {', '.join(known)}")
             continue
-        if any(listed.name == other.name for other in found):
+        if any(listed.name == other.name for other in grids):
             diagnostics.add(f"{where}.name", f"{listed.name} is listed twice", "list each parameter once")
             continue
         try:
@@ -44,9 +44,9 @@ def search_parameters(
             continue
         _within_limits(function, listed.name, parameter.lower, f"{where}.lower", diagnostics)
         _within_limits(function, listed.name, parameter.upper, f"{where}.upper", diagnostics)
-        found.append(parameter)
+        grids.append(parameter)
     diagnostics.raise_if_any()
-    return tuple(sorted(found, key=lambda parameter: known.index(parameter.name)))
+    return tuple(sorted(grids, key=lambda parameter: known.index(parameter.name)))
 
 
 def function_names(function: DrivingFunction) -> tuple[str, ...]:
@@ -71,14 +71,15 @@ def space_to_document(space: Sequence[Parameter]) -> list[dict[str, Any]]:
 def space_from_document(document: Sequence[Mapping[str, Any]]) -> tuple[Parameter, ...]:
     """The inverse of `space_to_document`."""
     return tuple(
-        Parameter(one["name"], Decimal(one["lower"]), Decimal(one["upper"]), one["n_values"], one["unit"]) for one in document
+        Parameter(entry["name"], Decimal(entry["lower"]), Decimal(entry["upper"]), entry["n_values"], entry["unit"])
+        for entry in document
     )
 
 
 def search_space(
     specification: CampaignSpecification, function: DrivingFunction, diagnostics: Diagnostics
 ) -> ParameterSpace | None:
-    """The space of a campaign with its fixed values; None where something is wrong with it, which `diagnostics` takes."""
+    """The space of a campaign with its fixed values; None if it is invalid, with its problems in `diagnostics`."""
     try:
         listed = search_parameters(specification.parameters, function)
     except InvalidInputError as error:
@@ -103,10 +104,12 @@ def search_space(
         fixed[name] = value
     missing = [name for name in names if name not in by_name and name not in fixed]
     if missing:
-        one = len(missing) == 1
-        needed = f"{function.name} needs {'a value' if one else 'values'} of {', '.join(missing)}"
-        it = "it" if one else "them"
-        diagnostics.add(f"fixed.{missing[0]}" if one else "fixed", needed, f"list {it} in `parameters` or hold {it} in `fixed`")
+        single = len(missing) == 1
+        needed = f"{function.name} needs {'a value' if single else 'values'} of {', '.join(missing)}"
+        it = "it" if single else "them"
+        diagnostics.add(
+            f"fixed.{missing[0]}" if single else "fixed", needed, f"list {it} in `parameters` or hold {it} in `fixed`"
+        )
     if by_name and set(by_name) <= set(fixed):
         diagnostics.add("fixed", "every parameter is held, so there is nothing to search", "leave at least one parameter free")
     if diagnostics.problems:
@@ -118,7 +121,7 @@ def search_space(
 def given_set(
     given: Mapping[str, float] | None, space: ParameterSpace | None, field: str, diagnostics: Diagnostics
 ) -> ParameterSet | None:
-    """A set that the user gave, on the grid; None where there is none or something is wrong with it, which `diagnostics` takes."""
+    """A user's set on the grid; None if it is missing or invalid, with its problems in `diagnostics`."""
     if given is None or space is None:
         return None
     try:
@@ -129,7 +132,7 @@ def given_set(
 
 
 def free_values(given: Mapping[str, float], function: DrivingFunction, diagnostics: Diagnostics) -> dict[str, Decimal]:
-    """Values between grid points, for a single evaluation: exact decimals by name, in the driving function's order."""
+    """Values between grid points for a single evaluation: exact decimals by name, in the driving function's order."""
     names = function_names(function)
     for name in given:
         if name not in names:

@@ -1,4 +1,4 @@
-"""Why a cell was reused, or why it was not: looked up on demand, from what the campaign saw when it asked for the cell."""
+"""Explains why a cell was reused or not, from what the campaign saw when it requested the cell."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ LARGEST_AGREEMENT = 1
 
 @dataclass(frozen=True)
 class _Case:
-    """A cell with all that decided over it."""
+    """A cell with everything that decided its answer."""
 
     connection: Connection
     cell: StoredEvaluation
@@ -40,7 +40,7 @@ class _Case:
 
     @cached_property
     def specification(self) -> CampaignSpecification | None:
-        """Of the campaign; None of a single evaluation."""
+        """The campaign's specification; None for a single evaluation."""
         return None if self.campaign.kind == "evaluation" else CampaignSpecification.model_validate(self.campaign.spec)
 
     @cached_property
@@ -67,7 +67,7 @@ class _Case:
 
     @cached_property
     def evaluator(self) -> str:
-        """Who rated the campaign's cells: name and version."""
+        """Name and version of the campaign's evaluator."""
         return self._pinned.evaluator
 
     @cached_property
@@ -76,7 +76,7 @@ class _Case:
 
 
 def explain(connection: Connection, evaluation_id: int) -> Explanation:
-    """Why an evaluation was answered as it was. Raises NotFoundError."""
+    """Explains an evaluation's answer. Raises NotFoundError."""
     cell = results.by_id(connection, evaluation_id)
     case = _Case(connection, cell, campaigns.by_sequence(connection, cell.campaign_sequence))
     if cell.plan is Outcome.SIMULATED and not cell.audited and cell.outcome is not Outcome.CERTIFIED:
@@ -106,22 +106,22 @@ def _not_reused(case: _Case) -> Explanation:
     reason, stop = _forbidden(case)
     if reason is not None:
         return _explanation(case, reason, stop=stop)
-    found, stored = _nearest(case)
-    if found is None:
+    reference_set, stored = _nearest(case)
+    if reference_set is None:
         return _explanation(case, "nothing_stored", stored=0)
-    reference, differences = _reference(case, found.evaluation)
+    reference, differences = _reference(case, reference_set.evaluation)
     return _explanation(
         case,
-        "blocked" if found.blocking else "unanswered",
+        "blocked" if reference_set.blocking else "unanswered",
         reference=reference,
         differences=differences,
-        distance=found.distance,
+        distance=reference_set.distance,
         stored=stored,
     )
 
 
 def _trusted(case: _Case) -> int | None:
-    """The reference that had answered a cell before it was simulated to confirm the best set; None of any other cell."""
+    """The reference that answered a cell before its simulation confirmed the best set; None for other cells."""
     cell, specification = case.cell, case.specification
     if specification is None or specification.optimizer is None or cell.stage is not StageName.CALIBRATION:
         return None
@@ -131,7 +131,7 @@ def _trusted(case: _Case) -> int | None:
 
 
 def _forbidden(case: _Case) -> tuple[Reason | None, tuple[int, AuditCount] | None]:
-    """Why nothing could be reused at all; where the self-check stopped it, after which iteration and by which audits."""
+    """Why no reuse was possible; if the self-check stopped it, after which iteration and by which audits."""
     specification, cell = case.specification, case.cell
     if specification is None:
         return "exact_only", None
@@ -155,8 +155,8 @@ def _forbidden(case: _Case) -> tuple[Reason | None, tuple[int, AuditCount] | Non
 
 
 def _nearest(case: _Case) -> tuple[Nearest | None, int]:
-    """The nearest of all sets that the campaign saw when it asked, and how many those were. References of earlier campaigns come before
-    its own."""
+    """The nearest set that the campaign saw when it requested the cell, and the number of these sets. References of earlier campaigns
+    precede its own."""
     cell, names = case.cell, tuple(case.cell.parameters)
     watermark = case.campaign.watermark or 0
     nearest: Nearest | None = None
@@ -170,9 +170,9 @@ def _nearest(case: _Case) -> tuple[Nearest | None, int]:
         for sets in source:
             stored += len(sets.values)
             places = np.insert(sets.places, 0, rank, axis=1)
-            found = case.comparison.nearest(sets.values, places, sets.evaluations)
-            if found is not None and (nearest is None or found.order < nearest.order):
-                nearest = found
+            candidate = case.comparison.nearest(sets.values, places, sets.evaluations)
+            if candidate is not None and (nearest is None or candidate.order < nearest.order):
+                nearest = candidate
     return nearest, stored
 
 
@@ -198,17 +198,17 @@ def _reference(case: _Case, evaluation_id: int) -> tuple[Reference, list[Differe
     return reference, [_difference(difference) for difference in case.comparison.differences(values)]
 
 
-def _difference(one: explanation.ParameterDifference) -> Difference:
-    influence = one.influence
+def _difference(difference: explanation.ParameterDifference) -> Difference:
+    influence = difference.influence
     return Difference(
-        parameter=one.parameter,
-        value=float(from_billionths(one.value)),
-        reference_value=float(from_billionths(one.reference_value)),
-        region=one.region,
-        reference_region=one.reference_region,
+        parameter=difference.parameter,
+        value=float(from_billionths(difference.value)),
+        reference_value=float(from_billionths(difference.reference_value)),
+        region=difference.region,
+        reference_region=difference.reference_region,
         lower=None if influence.lower is None else float(influence.lower),
         upper=None if influence.upper is None else float(influence.upper),
-        blocks=one.blocks,
+        blocks=difference.blocks,
     )
 
 
@@ -225,7 +225,7 @@ def _audit(case: _Case, reference: Reference) -> Audit:
 
 
 def _proof(case: _Case) -> Proof | None:
-    """What a certificate says of a cell that something else answered; None where none is known."""
+    """The certificate for a cell that something else answered; None without a certificate."""
     cell = case.cell
     if cell.proven_by is None or cell.outcome not in {Outcome.REUSED, Outcome.SIMULATED}:
         return None
@@ -254,7 +254,7 @@ def _explanation(
     stop: tuple[int, AuditCount] | None = None,
 ) -> Explanation:
     cell = case.cell
-    found = Explanation(
+    answer = Explanation(
         evaluation=cell.id,
         campaign=case.campaign.id,
         stage=cell.stage,
@@ -273,4 +273,4 @@ def _explanation(
         distance=distance,
         stored=stored,
     )
-    return found.model_copy(update={"sentence": sentence(found, stop)})
+    return answer.model_copy(update={"sentence": sentence(answer, stop)})

@@ -1,4 +1,4 @@
-"""The sets that share a campaign's best objective: the regions in which they lie, and how far the next worse set is."""
+"""The sets that share a campaign's best objective: their regions, and the distance to the next worse set."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from drivecal.storage.engine.database import Database
 from drivecal.storage.references import parameter_sets
 
 MOST_BEST = 10_000
-"""Of the sets with the best objective, so many are looked at, best rated first: the work grows with the square of their number."""
+"""Largest number of best sets to compare, best rated first: the work grows with its square."""
 MOST_WORSE = 20_000
-"""Sets of a lower objective among which the nearest is looked for."""
+"""Sets of a lower objective to search for the nearest."""
 
 
 def unit_cube(space: ParameterSpace, sets: Sequence[ParameterSet]) -> Floats:
@@ -33,7 +33,7 @@ def unit_cube(space: ParameterSpace, sets: Sequence[ParameterSet]) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class Alternatives:
-    """Sets that share the best objective, in the order of their ranks, and the next worse ones, as points of the unit cube."""
+    """The sets that share the best objective, by rank, and the next worse sets, as points of the unit cube."""
 
     best: Floats
     worse: Floats
@@ -43,14 +43,14 @@ class Alternatives:
         return len(self.best)
 
     def shown(self, start: int, stop: int) -> list[Optimum]:
-        """What is known of some; the distances, which take most of the time, are computed for these alone."""
+        """The optima of a slice. Distances take most of the time and are computed for the slice alone."""
         away = to_nearest(self.best[start:stop], self.worse)
-        return [Optimum(int(region), one) for region, one in zip(self.regions[start:stop], away, strict=True)]
+        return [Optimum(int(region), distance) for region, distance in zip(self.regions[start:stop], away, strict=True)]
 
 
 def alternatives(database: Database, ranking: Sequence[EvaluatedSet], space: ParameterSpace) -> Alternatives:
-    """The first of a `ranking`, best first: those that share the objective of the very first one, at most MOST_BEST."""
-    equal = sum(1 for _ in takewhile(lambda one: one.objective >= ranking[0].objective - EQUAL, ranking))
+    """The first sets of a `ranking`, best first, that share the best objective: at most MOST_BEST."""
+    equal = sum(1 for _ in takewhile(lambda solution: solution.objective >= ranking[0].objective - EQUAL, ranking))
     best, worse = ranking[: min(equal, MOST_BEST)], ranking[equal : equal + MOST_WORSE]
     with database.read() as connection:
         sets = parameter_sets.load(connection, [solution.parameter_set for solution in (*best, *worse)])

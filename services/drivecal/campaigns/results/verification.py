@@ -1,6 +1,6 @@
-"""Whether what is stored still means what it meant: documents, parameter sets and reference keys are read, and keys made anew.
+"""Checks the meaning of stored rows: reads documents, parameter sets and reference keys, and recomputes keys.
 
-Beside `storage.consistency` and `storage.invariants`, which know rows and not what they mean. Only reads.
+Complements `storage.consistency` and `storage.invariants`, which check rows without their meaning. Read-only.
 """
 
 from __future__ import annotations
@@ -36,15 +36,15 @@ from drivecal.storage.maintenance.invariants import INVARIANTS
 from drivecal.storage.references import influence_maps, reference_keys
 
 SAMPLED = 10_000
-"""Parameter sets, and runs of all keys, that are looked at where not all are."""
+"""Sample size of parameter sets, and of runs over all keys."""
 TOLD = 5
-"""Of the sentences of a check that found many."""
+"""Problems listed per check."""
 _UNREADABLE = (DrivecalError, ValidationError, ValueError, KeyError, TypeError, ArithmeticError, AttributeError)
 
 
 @dataclass(frozen=True, slots=True)
 class VerificationResult:
-    """What a check found; nothing where all is well."""
+    """The problems that a check reports; empty if all is well."""
 
     name: str
     problems: tuple[str, ...]
@@ -52,15 +52,20 @@ class VerificationResult:
 
 
 def verify(database: Database, *, full: bool) -> Iterator[VerificationResult]:
-    """Carries out all checks on one snapshot of a database at this drivecal's revision. Of parameter sets and reference keys a sample,
-    unless `full`. Where tables or storage are broken, the other checks are left out: they would stumble over the same."""
+    """Runs all checks on one snapshot of a database at this drivecal's revision.
+
+    Checks a sample of parameter sets and reference keys, unless `full`. If tables or storage are broken, the other checks are skipped,
+    because they would fail for the same reason.
+    """
     with database.read() as connection:
         checks: dict[str, Check] = {
             **CHECKS,
             **INVARIANTS,
             "campaigns, setups and maps": _check_meanings,
-            "parameter sets": lambda one: check_parameter_sets(one, _every(one, parameter_sets.c.id, full=full)),
-            "reference keys": lambda one: _check_reference_keys(one, _every(one, runs.c.id, full=full)),
+            "parameter sets": lambda connection: check_parameter_sets(
+                connection, _every(connection, parameter_sets.c.id, full=full)
+            ),
+            "reference keys": lambda connection: _check_reference_keys(connection, _every(connection, runs.c.id, full=full)),
         }
         for name, check in checks.items():
             verdict = _verdict(connection, name, check)
@@ -71,16 +76,16 @@ def verify(database: Database, *, full: bool) -> Iterator[VerificationResult]:
 
 def _verdict(connection: Connection, name: str, check: Check) -> VerificationResult:
     started = time.perf_counter()
-    found = check(connection)
-    told = list(islice(found, TOLD))
-    more = sum(1 for _ in found)
+    sentences = check(connection)
+    first = list(islice(sentences, TOLD))
+    more = sum(1 for _ in sentences)
     if more:
-        told.append(f"and {more:,} more")
-    return VerificationResult(name, tuple(told), time.perf_counter() - started)
+        first.append(f"and {more:,} more")
+    return VerificationResult(name, tuple(first), time.perf_counter() - started)
 
 
 def _every(connection: Connection, column: Column[int], *, full: bool) -> int:
-    """How many rows stand for one that is looked at; a prime, so that no regularity of the rows hides anything."""
+    """The sampling interval of rows: a prime, so that no regularity of the rows hides a problem."""
     newest = connection.scalar(select(func.max(column))) or 0
     if full or newest <= SAMPLED:
         return 1
@@ -91,10 +96,12 @@ def _every(connection: Connection, column: Column[int], *, full: bool) -> int:
 
 
 def _check_meanings(connection: Connection) -> Iterator[str]:
-    """Specifications, resolutions, counters, maps and setups can be read; setups are stored under their fingerprints."""
-    yield from _unreadable("campaign", connection.scalars(select(campaigns_table.c.id)), lambda one: _campaign(connection, one))
+    """Checks that specifications, resolutions, counters, maps and setups are readable, and setups match their fingerprints."""
+    yield from _unreadable(
+        "campaign", connection.scalars(select(campaigns_table.c.id)), lambda identifier: _campaign(connection, identifier)
+    )
     ids = connection.scalars(select(influence_maps_table.c.id))
-    yield from _unreadable("influence map", ids, lambda one: stored_map(influence_maps.get(connection, one)))
+    yield from _unreadable("influence map", ids, lambda identifier: stored_map(influence_maps.get(connection, identifier)))
     for row in connection.execute(select(setups)):
         try:
             fingerprint = Setup.from_document(row.document).fingerprint
@@ -123,11 +130,11 @@ def _campaign(connection: Connection, campaign_id: str) -> None:
 
 
 def _check_runs(connection: Connection, campaign: StoredCampaign) -> None:
-    """Raises ValueError where a comparison has other runs than its specification says."""
+    """Raises ValueError if a comparison's runs differ from its specification."""
     wanted = [run.specification.name for run in runs_of(ComparisonSpecification.model_validate(campaign.spec))]
-    found = comparisons.names_of(connection, campaign.sequence)
-    if found != wanted:
-        raise ValueError(f"it has {len(found):,} runs, and its specification says {len(wanted):,}, or others")
+    names = comparisons.names_of(connection, campaign.sequence)
+    if names != wanted:
+        raise ValueError(f"it has {len(names):,} runs, and its specification says {len(wanted):,}, or others")
 
 
 _SPECIFICATIONS: dict[campaigns.Kind, type[BaseModel]] = {
@@ -138,20 +145,20 @@ _SPECIFICATIONS: dict[campaigns.Kind, type[BaseModel]] = {
 
 
 def _check_reference_keys(connection: Connection, every: int) -> Iterator[str]:
-    """Reference keys are those that would be made from the runs today."""
+    """Compares stored reference keys with keys recomputed from the runs."""
     maps = {row.sequence: row.id for row in connection.execute(select(influence_maps_table))}
     scenarios = {row.id: row.scenario for row in connection.execute(select(setups))}
     for index in reference_keys.indexes(connection):
         sequence = index.influence_map_sequence
         if sequence not in maps or index.setup_id not in scenarios:
-            yield f"reference keys {index.id} are of a map or setup that is not there"
+            yield f"reference keys {index.id} belong to a missing map or setup"
             continue
         scenario = scenarios[index.setup_id]
         try:
-            found = stored_map(influence_maps.get(connection, maps[sequence]))
-            wrong = reference_keys.wrong_keys(connection, index, partial(_keys_of, found, scenario), every)
+            influence_map = stored_map(influence_maps.get(connection, maps[sequence]))
+            wrong = reference_keys.wrong_keys(connection, index, partial(_keys_of, influence_map, scenario), every)
         except _UNREADABLE as error:
-            yield f"reference keys of {scenario} under map {maps[sequence]} cannot be made anew: {_first_line(error)}"
+            yield f"reference keys of {scenario} under map {maps[sequence]} cannot be recomputed: {_first_line(error)}"
         else:
             if wrong:
                 yield f"{wrong:,} reference keys of {scenario} under map {maps[sequence]} are not those of their runs"

@@ -1,1 +1,1 @@
-"""The stages of a campaign, in their order, and the loop that runs them."""
+"""The stages of a campaign, in order, and the loop that runs them."""

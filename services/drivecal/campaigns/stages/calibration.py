@@ -1,7 +1,7 @@
-"""The calibration stage: asks the optimizer, plans the population, books the answers, tells the optimizer; iteration by iteration.
+"""The calibration stage: asks the optimizer, plans the population, stores the answers and returns them to the optimizer, by iteration.
 
-Where it is asked for, the best set is confirmed afterwards (`confirmation`): its cells belong to the stage as well, numbered on from the
-last iteration, but to no generation.
+On request, later rounds confirm the best set (`confirmation`). Their cells belong to the stage and continue its iteration numbers, but
+belong to no generation.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _COUNTED = ("proposed", "carried_over", "requested", "repeated", "reused", "cert
 
 
 class Calibration(CampaignStage):
-    """The search of one campaign: a round is a generation of the optimizer, and after the last one a set to confirm."""
+    """The search of a campaign: a round is a generation of the optimizer, and after the last generation a set to confirm."""
 
     name = StageName.CALIBRATION
     uses_map = True
@@ -100,7 +100,7 @@ class Calibration(CampaignStage):
             )
 
     def _resume(self) -> list[Work]:
-        """Takes up the last generation as it was, or starts with the first."""
+        """Resumes the last generation, or starts with the first."""
         problem = self._problem
         sync_reference_keys(self._database, self._view)
         with self._database.transaction() as connection:
@@ -150,7 +150,7 @@ class Calibration(CampaignStage):
         return Policy(reduction.mode, reduction.audit, self._optimization.seed, stopped)
 
     def _store(self, connection: Connection, asked: Round) -> None:
-        """Commits a generation with the optimizer's state beside its cells; a set to confirm belongs to none."""
+        """Commits a generation with the optimizer's state beside its cells; a set to confirm belongs to no generation."""
         if self._optimizer is None or self._proposal is None or asked.number != self._iteration:
             return
         generations.insert(
@@ -166,8 +166,7 @@ class Calibration(CampaignStage):
             self._tell_beginning(connection)
 
     def _confirm(self) -> Round | None:
-        """The best set in the scenarios where its scores are references', after the answers of the one before were taken in; None when
-        none is left."""
+        """The best set in the scenarios with scores copied from references, after the previous answers; None when no set is left."""
         sequence, first = self._campaign.sequence, self._optimization.iterations
         limit, best = self._problem.specification.reduction.confirm, self._ranking.best()
         if limit == 0 or best is None:
@@ -195,7 +194,7 @@ class Calibration(CampaignStage):
         return Round(first + len(tried) - 1, [(self._problem.bench, wanted)], Policy("exact"))
 
     def _give_verdict(self, connection: Connection, confirmation: Confirmation) -> None:
-        """Adds the verdict of the confirmation, once; its simulations may contradict others."""
+        """Stores the verdict of the confirmation, once; its simulations may contradict others."""
         best = self._ranking.best()
         if confirmation.tried and best is not None:
             self._check_reuse(connection, self._optimization.iterations - 1)
@@ -224,14 +223,14 @@ class Calibration(CampaignStage):
         self._proposal = None
 
     def _check_reuse(self, connection: Connection, iteration: int) -> None:
-        """What the audits of this and all earlier iterations say, and which results contradict each other."""
+        """Evaluates the audits of this and all earlier iterations, and results that contradict each other."""
         view, sequence, evaluator = self._view, self._campaign.sequence, self._view.bench.evaluator_id
         audits.settle(connection, sequence, self.name, iteration, evaluator)
-        found = audits.contradictions(connection, sequence, view.influence_map_sequence, evaluator, view.watermark)
+        contradictions = audits.contradictions(connection, sequence, view.influence_map_sequence, evaluator, view.watermark)
         limit = self._problem.specification.reduction.max_error
         counts = audits.count(connection, sequence, evaluator)
         before = self._error_rate
-        self._error_rate = error_rates(counts, before, self._problem.scenarios, limit, found)
+        self._error_rate = error_rates(counts, before, self._problem.scenarios, limit, contradictions)
         for scenario, rate in self._error_rate.items():
             if rate.stopped and not (scenario in before and before[scenario].stopped):
                 told = {"scenario": scenario, "wrong": rate.wrong, "audited": rate.audited}
@@ -285,9 +284,9 @@ class Calibration(CampaignStage):
         return CellCounts(**total)
 
     def _describe_best(self, connection: Connection) -> None:
-        found = self._ranking.best()
-        if found is not None:
-            solution, alternatives = found
+        best = self._ranking.best()
+        if best is not None:
+            solution, alternatives = best
             parameters = parameter_sets.load(connection, [solution.parameter_set])[solution.parameter_set]
             before = self._best
             self._best = Best(

@@ -1,4 +1,4 @@
-"""A whole campaign: its stages one after the other, each taken up from the database."""
+"""A whole campaign: its stages in sequence, each resumed from the database."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from drivecal.storage.engine.database import Database
 from drivecal.storage.references import influence_maps
 
 STAGES: tuple[type[CampaignStage], ...] = (Sensitivity, Calibration, RobustnessStage, ValidationStage)
-"""In the order in which they run."""
+"""In running order."""
 
 
 class StagedCampaign(Job):
-    """Gives and takes work as its stages do, in their order. The sensitivity stage is over when the campaign has an influence map."""
+    """Delegates work and results to its stages, in order. The sensitivity stage ends when the campaign has an influence map."""
 
     def __init__(self, database: Database, campaign: StoredCampaign, problem: CalibrationProblem) -> None:
         self._database = database
@@ -40,11 +40,11 @@ class StagedCampaign(Job):
         names = [kind.name for kind in STAGES]
         self._ahead = list(STAGES if campaign.stage is None else STAGES[names.index(campaign.stage) :])
         self.stage = campaign.stage
-        """In which it is, None before the first."""
+        """The current stage; None before the first."""
         self._stage: Stage | None = None
 
     def work(self) -> list[Work]:
-        """What to simulate next; empty where answers are awaited or everything is `finished`."""
+        """Returns what to simulate next; empty while answers are awaited, and when the campaign is `finished`."""
         if not self._begun:
             self._begin()
         while self._stage is not None:
@@ -68,7 +68,7 @@ class StagedCampaign(Job):
             return campaigns.by_sequence(connection, self._sequence)
 
     def record(self, completed: Sequence[Completed]) -> list[Work]:
-        """Writes results down; gives what is to be simulated instead."""
+        """Stores results; returns what to simulate in their place."""
         return [] if self._stage is None else self._stage.record(completed)
 
     def _next(self, campaign: StoredCampaign) -> Stage | None:

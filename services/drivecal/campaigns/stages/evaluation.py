@@ -14,8 +14,8 @@ from drivecal.storage.engine.database import Database
 
 
 class SingleEvaluation(Stage):
-    """One parameter set in one or more scenarios. Answers come from equal parameter sets or from a simulation, never by reuse; from a
-    simulation of its own if its time series are wanted."""
+    """One parameter set in one or more scenarios. Answers come from equal parameter sets or a simulation, never by reuse; with time series,
+    always from a new simulation."""
 
     name = StageName.CALIBRATION
 
@@ -42,4 +42,4 @@ class SingleEvaluation(Stage):
         return Round(0, [(bench, cells)], Policy("off" if self._view.traced else "exact"))
 
     def _tell(self, asked: Round) -> None:
-        """Its answers are in its rows."""
+        """Does nothing: the rows hold the answers."""

@@ -1,4 +1,4 @@
-"""The robustness stage: drives the best sets in other vehicles (Section IV-D of the paper) and ranks them by what they bear."""
+"""The robustness stage: simulates the best sets with other vehicles (Section IV-D of the paper) and ranks them by what they tolerate."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from drivecal.storage.references import parameter_sets
 
 @dataclass(frozen=True, slots=True)
 class Examined:
-    """A set of the study: its region among the examined ones, and how far the nearest worse set that was evaluated lies."""
+    """An examined set: its region among the examined sets, and the distance to the nearest evaluated worse set."""
 
     parameters: ParameterSet
     region: int
@@ -39,7 +39,7 @@ class Examined:
 
 
 def settings_of(wanted: RobustnessSpecification) -> RobustnessSettings:
-    """The pure study's settings."""
+    """The settings of the pure study."""
     return RobustnessSettings(
         delta=wanted.delta,
         steps=wanted.steps,
@@ -52,7 +52,7 @@ def settings_of(wanted: RobustnessSpecification) -> RobustnessSettings:
 
 
 def check_source(connection: Connection, problem: CalibrationProblem) -> None:
-    """Raises InvalidInputError where the campaign whose best sets are to be examined is not there, has not ended or is of another kind."""
+    """Raises InvalidInputError if the campaign with the sets to examine is missing, has not ended or is of another kind."""
     wanted, function = problem.specification.robustness, problem.specification.driving_function
     if wanted is None or wanted.of is None:
         return
@@ -75,7 +75,7 @@ def check_source(connection: Connection, problem: CalibrationProblem) -> None:
 
 
 class RobustnessStage(StudyStage):
-    """Round 0 drives the sets in the nominal vehicle, where their scores are references' or not known; round k the k-th box."""
+    """Round 0 simulates the sets with the nominal vehicle if their scores are references' or unknown; round k simulates box k."""
 
     name = StageName.ROBUSTNESS
 
@@ -91,7 +91,7 @@ class RobustnessStage(StudyStage):
         self._study: RobustnessStudy | None = None
 
     def _choose(self) -> list[Examined]:
-        """The sets that were named, then the best ones that the calibration found, one of each region first."""
+        """The named sets, then the best sets of the calibration, one of each region first."""
         standing, of = Ranking(self._problem.weights), self._wanted.of
         with self._database.read() as connection:
             source = self._campaign if of is None else campaigns.get(connection, of)
@@ -102,8 +102,8 @@ class RobustnessStage(StudyStage):
             best, worse = ranking[: min(enough, MOST_BEST)], ranking[enough : enough + MOST_WORSE]
             sets = parameter_sets.load(connection, [solution.parameter_set for solution in (*best, *worse)])
         named = list(self._problem.robust_sets)
-        found = [sets[solution.parameter_set] for solution in best]
-        listed = named + [parameter_set for parameter_set in found if parameter_set not in named]
+        best_sets = [sets[solution.parameter_set] for solution in best]
+        listed = named + [parameter_set for parameter_set in best_sets if parameter_set not in named]
         space = self._problem.space
         known = optima(unit_cube(space, listed), unit_cube(space, [sets[solution.parameter_set] for solution in worse]))
         regions = np.array([solution.region for solution in known[len(named) :]], dtype=np.int64)
@@ -127,8 +127,8 @@ class RobustnessStage(StudyStage):
         bench, scenarios = self._problem.bench, self._problem.scenarios
         if self._study is None:
             cells = [
-                WantedCell(index, scenario, one.parameters)
-                for index, one in enumerate(self._examined)
+                WantedCell(index, scenario, examined.parameters)
+                for index, examined in enumerate(self._examined)
                 for scenario in scenarios
             ]
             return Round(0, [(bench, cells)], self._exact) if cells else None
@@ -169,28 +169,34 @@ class RobustnessStage(StudyStage):
         self._study.tell(scores)
 
     def _outcome(self) -> dict[str, Any]:
-        """The examined sets, the most robust first."""
+        """The examined sets, most robust first."""
         known = self._study.result() if self._study is not None else [Robustness(0, False, 0.0, ())] * len(self._examined)
         weights = np.array(list(self._problem.weights.values()))
         objectives, ratings = self._scores @ weights, self._ratings @ weights
         order = sorted(
             range(len(known)),
-            key=lambda one: (-known[one].degree, -_known(objectives[one]), -known[one].radius, -_known(ratings[one]), one),
+            key=lambda number: (
+                -known[number].degree,
+                -_known(objectives[number]),
+                -known[number].radius,
+                -_known(ratings[number]),
+                number,
+            ),
         )
         recommended = self._recommend(objectives, ratings, known)
         rows = [
-            self._row(rank, one, float(objectives[one]), float(ratings[one]), known[one], recommended)
-            for rank, one in enumerate(order, start=1)
+            self._row(rank, number, float(objectives[number]), float(ratings[number]), known[number], recommended)
+            for rank, number in enumerate(order, start=1)
         ]
         return {"items": rows, "settings": self._wanted.model_dump(mode="json", exclude={"sets"})}
 
     def _recommend(self, objectives: Floats, ratings: Floats, known: Sequence[Robustness]) -> tuple[int, str] | None:
-        """Of the sets with the best objective the one that bears most, and why."""
+        """The most robust of the sets with the best objective, and the reason."""
         if self._study is None or np.isnan(objectives).all():
             return None
         best = float(np.nanmax(objectives))
         equal = [position for position in range(len(known)) if objectives[position] >= best - EQUAL]
-        chosen = max(equal, key=lambda one: (known[one].degree, known[one].radius, ratings[one], -one))
+        chosen = max(equal, key=lambda number: (known[number].degree, known[number].radius, ratings[number], -number))
         degree = f"{known[chosen].degree}{' or more' if known[chosen].at_least else ''}"
         return (
             chosen,
@@ -206,19 +212,19 @@ class RobustnessStage(StudyStage):
         known: Robustness,
         recommended: tuple[int, str] | None,
     ) -> dict[str, Any]:
-        scenarios, one = self._problem.scenarios, self._examined[solution]
+        scenarios, examined = self._problem.scenarios, self._examined[solution]
         is_recommended = recommended is not None and recommended[0] == solution
         return {
             "rank": rank,
             "objective": None if np.isnan(objective) else objective,
             "rating": None if np.isnan(rating) else rating,
-            "parameters": one.parameters.floats,
+            "parameters": examined.parameters.floats,
             "scores": {
                 scenario: None if np.isnan(score) else int(score)
                 for scenario, score in zip(scenarios, self._scores[solution].tolist(), strict=True)
             },
-            "region": one.region,
-            "to_worse": one.to_worse,
+            "region": examined.region,
+            "to_worse": examined.to_worse,
             "degree": known.degree,
             "at_least": known.at_least,
             "radius": known.radius,

@@ -1,4 +1,4 @@
-"""The sensitivity stage: has the runs of an analysis made, phase by phase, and turns what it finds into the campaign's influence map."""
+"""The sensitivity stage: simulates the runs of an analysis by phase, and makes the campaign's influence map from them."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ KEYS_AT_ONCE = 10_000
 
 
 class Sensitivity(CampaignStage):
-    """The analysis of one campaign; a phase of it is a round.
+    """The analysis of a campaign; each phase is a round.
 
-    Its runs are answered by equal parameter sets or simulated, never reused: the map that would allow it is what they are made for.
+    Runs are answered by equal parameter sets or simulated, never reused: reuse needs the map that they produce.
     """
 
     name = StageName.SENSITIVITY
@@ -76,7 +76,7 @@ class Sensitivity(CampaignStage):
         self._tell_progress(connection)
 
     def _tell_progress(self, connection: Connection) -> None:
-        """The beginning of the stage, or the end of the phase before; in the transaction that follows it, so that it is told once."""
+        """Adds the event of the stage's start or of the previous phase's end, once: in the transaction that follows it."""
         sequence, done = self._campaign.sequence, self._finished_phase
         if done is not None:
             counts = StageCellCounts(**self._tracker.counts).model_dump(exclude={"proposed", "pending"})
@@ -112,8 +112,8 @@ class Sensitivity(CampaignStage):
         self._finished_phase = phase
 
     def _conclude(self) -> None:
-        """Stores the map, and gives the stage's runs their keys under it, so that they are references from the first population on."""
-        found = self._analysis.result()
+        """Stores the map, and the reference keys of the stage's runs under it, so that they are references for the first population."""
+        analysis = self._analysis.result()
         with self._database.transaction() as connection:
             stored = influence_maps.insert(
                 connection,
@@ -121,8 +121,8 @@ class Sensitivity(CampaignStage):
                 source=self._campaign.id,
                 driving_function=self._problem.bench.driving_function.name,
                 parameters=space_to_document(self._problem.space.searched),
-                scenarios=analysis_to_document(found),
-                basis=self._basis(found),
+                scenarios=analysis_to_document(analysis),
+                basis=self._basis(analysis),
             )
             influence_map = stored_map(stored)
             campaigns.set_influence_map(connection, self._campaign.sequence, stored.id)
@@ -144,15 +144,15 @@ class Sensitivity(CampaignStage):
                     connection, {number: key for (number, _), key in zip(portion, made, strict=True)}
                 )
 
-    def _basis(self, found: Mapping[str, ScenarioInfluence]) -> dict[str, Any]:
-        """What the map rests on, so that it is not used for something else, and how fine its measures are."""
+    def _basis(self, analysis: Mapping[str, ScenarioInfluence]) -> dict[str, Any]:
+        """The conditions of the map, so that other campaigns cannot misuse it, and the resolution of its measures."""
         bench, space = self._problem.bench, self._problem.space
         return {
             "sensitivity": self._problem.specification.model_dump(mode="json")["sensitivity"],
             "fixed": {name: text(value) for name, value in space.fixed.items()},
             "setups": {scenario: setup.fingerprint for scenario, setup in bench.setups.items()},
             "evaluator": bench.evaluator_id,
-            "smallest_s_rel": smallest_s_rel(found),
+            "smallest_s_rel": smallest_s_rel(analysis),
             "runs": self._tracker.counts.get("requested", 0),
             "simulated": self._tracker.counts.get("simulated", 0),
         }
@@ -162,7 +162,7 @@ class Sensitivity(CampaignStage):
 
 
 def _influential(influence_map: InfluenceMap) -> dict[str, list[str]]:
-    """The parameters that matter, by scenario."""
+    """The influential parameters by scenario."""
     return {
         scenario: [name for name, influence in parameters.items() if influence.influential]
         for scenario, parameters in influence_map.scenarios.items()

@@ -1,4 +1,4 @@
-"""The loop of every stage: asks for cells round by round, plans and records them, and passes their answers on."""
+"""The loop of every stage: requests cells round by round, plans and stores them, and passes their answers on."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from drivecal.storage.engine.database import Database
 
 @dataclass(frozen=True, slots=True)
 class Round:
-    """Cells that a stage asks for together, by the bench that drives them, and what may answer them."""
+    """Cells that a stage requests together, with their bench and the permitted kinds of answer."""
 
     number: int
     cells: Sequence[tuple[Bench, Sequence[WantedCell]]]
@@ -35,10 +35,10 @@ class Round:
 
 
 class Stage(Job):
-    """One stage of a campaign: `work` gives cells to simulate, `record` takes their results, until the stage is `finished`.
+    """A stage of a campaign: `work` returns cells to simulate, `record` takes their results, until the stage is `finished`.
 
-    All state is in the database after every call: a new object on the same campaign goes on exactly as this one would. By default it asks
-    for the finished rounds again and is told their stored answers.
+    The database holds all state after every call, so a new object continues exactly as this object would. By default it requests the
+    finished rounds again and receives their stored answers.
     """
 
     name: ClassVar[StageName]
@@ -62,28 +62,28 @@ class Stage(Job):
 
     @abstractmethod
     def _tell(self, asked: Round) -> None:
-        """Takes in the answers of a round: every cell has one."""
+        """Takes the answers of a completely answered round."""
 
     @property
     @abstractmethod
     def _at_most(self) -> int:
-        """The number of cells that the stage may ask for in all, as far as it is known."""
+        """The largest number of cells that the stage may request, as far as known."""
 
     def _resume(self) -> list[Work]:
-        """Goes on from stored rows if the stage does not ask for its finished rounds again."""
+        """Resumes from stored rows if the stage does not request its finished rounds again."""
         return []
 
     def _announce(self, connection: Connection, asked: Round) -> None:  # a hook
         """Adds the events that precede a new round."""
 
     def _store(self, connection: Connection, asked: Round) -> None:  # a hook
-        """Stores what belongs to a new round besides its cells."""
+        """Stores the data of a new round besides its cells."""
 
     def _conclude(self) -> None:  # a hook
         """Stores the outcome of the stage."""
 
     def _snapshot(self, connection: Connection) -> Snapshot:
-        """The progress to store; a subclass adds what it knows."""
+        """The progress to store; subclasses extend it."""
         del connection
         counts = campaign_stages.counts({self.name: self._tracker.counts}, self.name)
         return Snapshot(
@@ -126,7 +126,7 @@ class Stage(Job):
         return work
 
     def _request(self, asked: Round) -> list[Work]:
-        """Commits the cells of a round before any is dispatched; takes them up as they are if an earlier process did so."""
+        """Commits the cells of a round before any is dispatched; resumes them unchanged if an earlier process committed them."""
         sequence = self._campaign.sequence
         with self._database.transaction() as connection:
             is_new = not results.has_iteration(connection, sequence, self.name, asked.number)
@@ -173,5 +173,5 @@ class CampaignStage(Stage):
 
     @property
     def _exact(self) -> Policy:
-        """Answers by equal parameter sets only; by none if the campaign reuses nothing."""
+        """Answers by equal parameter sets only; by no stored result if the campaign reuses nothing."""
         return Policy("off" if self._problem.specification.reduction.mode == "off" else "exact")

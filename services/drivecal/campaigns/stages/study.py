@@ -1,4 +1,4 @@
-"""Stages after the calibration: pure studies that are asked for cells round by round, and store one document."""
+"""Stages after the calibration: pure studies that request cells round by round and store one document."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from drivecal.storage.engine.database import Database
 
 
 class StudyStage(CampaignStage):
-    """A study of one campaign. Its cells are answered by equal parameter sets or simulated, never reused."""
+    """A study of a campaign. Its cells are answered by equal parameter sets or simulated, never reused."""
 
     def __init__(self, database: Database, campaign: StoredCampaign, problem: CalibrationProblem, view: View) -> None:
         super().__init__(database, campaign, problem, replace(view, influence_map=None, influence_map_sequence=None))
 
     @abstractmethod
     def _take(self, number: int, answers: Sequence[CellScore]) -> None:
-        """Takes in the answers of a round."""
+        """Takes the answers of a round."""
 
     @abstractmethod
     def _outcome(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The validation stage: are answers really the same where the influence map says so? (Section V of the paper)"""
+"""The validation stage: checks that answers are the same if the influence map says so (Section V of the paper)."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ LARGEST_AGREEING = 1
 
 
 def reducible_space(influence_map: InfluenceMap, scenario: str, space: ParameterSpace) -> ReducibleSpace:
-    """What the map takes for the same in a scenario, value by value: as the reference keys see it."""
+    """The values that the map treats as the same in a scenario, as in the reference keys."""
     names = [parameter.name for parameter in space.searched]
     keys = ReferenceKeys(influence_map, scenario, names)
     place = {name: column for column, name in enumerate(sorted(names))}
@@ -73,16 +73,16 @@ class ValidationStage(StudyStage):
 
     @property
     def _at_most(self) -> int:
-        return sum(len(one.bases) * (1 + self._references) for one in self._designs.values() if one is not None)
+        return sum(len(pairs.bases) * (1 + self._references) for pairs in self._designs.values() if pairs is not None)
 
     def _ask(self) -> Round | None:
         if self._histograms is not None:
             return None
         space, cells = self._problem.space, []
-        for scenario, one in self._designs.items():
-            if one is None:
+        for scenario, pairs in self._designs.items():
+            if pairs is None:
                 continue
-            together = np.concatenate([one.bases[:, None], one.variants], axis=1).reshape(-1, one.bases.shape[1])
+            together = np.concatenate([pairs.bases[:, None], pairs.variants], axis=1).reshape(-1, pairs.bases.shape[1])
             cells += [WantedCell(number, scenario, each) for number, each in enumerate(space.parameter_sets(together))]
         return Round(0, [(self._problem.bench, cells)], self._exact) if cells else None
 
@@ -90,18 +90,20 @@ class ValidationStage(StudyStage):
         del number
         width = 1 + self._references
         scores = {
-            scenario: np.full((len(one.bases), width), np.nan) for scenario, one in self._designs.items() if one is not None
+            scenario: np.full((len(pairs.bases), width), np.nan)
+            for scenario, pairs in self._designs.items()
+            if pairs is not None
         }
         for answer in answers:
             if answer.score is not None:
                 scores[answer.scenario][divmod(answer.individual, width)] = answer.score
         self._histograms = {
-            scenario: Counter((found[:, 1:] - found[:, :1])[~np.isnan(found[:, 1:] - found[:, :1])].astype(int).tolist())
-            for scenario, found in scores.items()
+            scenario: Counter((values[:, 1:] - values[:, :1])[~np.isnan(values[:, 1:] - values[:, :1])].astype(int).tolist())
+            for scenario, values in scores.items()
         }
 
     def _outcome(self) -> dict[str, Any]:
-        rows = [self._row(scenario, one) for scenario, one in self._designs.items()]
+        rows = [self._row(scenario, pairs) for scenario, pairs in self._designs.items()]
         notes = [
             f"nothing to validate in {row['scenario']}: no parameter has a region in which it does not matter"
             for row in rows
@@ -109,18 +111,18 @@ class ValidationStage(StudyStage):
         ]
         return {"items": rows, "notes": notes}
 
-    def _row(self, scenario: str, one: ValidationDesign | None) -> dict[str, Any]:
+    def _row(self, scenario: str, pairs: ValidationDesign | None) -> dict[str, Any]:
         histogram = {} if self._histograms is None else dict(sorted(self._histograms.get(scenario, Counter()).items()))
         compared = sum(histogram.values())
         wrong = sum(count for points, count in histogram.items() if abs(points) > LARGEST_AGREEING)
         lower, upper = clopper_pearson(wrong, compared) if compared else (None, None)
         return {
             "scenario": scenario,
-            "reducible": 0 if one is None else one.coverage.reducible,
-            "effects": 0 if one is None else one.coverage.effects,
-            "covered": 0 if one is None else one.coverage.covered,
-            "drawn": 0 if one is None else one.drawn,
-            "bases": 0 if one is None else len(one.bases),
+            "reducible": 0 if pairs is None else pairs.coverage.reducible,
+            "effects": 0 if pairs is None else pairs.coverage.effects,
+            "covered": 0 if pairs is None else pairs.coverage.covered,
+            "drawn": 0 if pairs is None else pairs.drawn,
+            "bases": 0 if pairs is None else len(pairs.bases),
             "references": self._references,
             "compared": compared,
             "wrong": wrong,
