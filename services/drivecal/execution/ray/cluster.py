@@ -101,7 +101,7 @@ class Cluster:
 
     def check(self) -> None:
         """Raises BackendLostError where Ray is gone for good: left alone, it would end this process a minute later."""
-        node = self.ray._private.worker._global_node  # noqa: SLF001  # Ray tells nobody else
+        node = self.ray._private.worker._global_node  # noqa: SLF001  # no public interface
         dead = sorted({kind for kind, _ in node.dead_processes()} & _VITAL) if node else ["connection"]
         if dead:
             raise BackendLostError(f"Ray's {' and '.join(dead)} ended unexpectedly")
@@ -167,7 +167,7 @@ _SPARE = ("start_monitor", "start_log_monitor", "start_api_server")
 
 @contextmanager
 def _spare_processes_left_out() -> Iterator[None]:
-    """A local Ray without autoscaler, log monitor and dashboard (which `include_dashboard=False` makes smaller, no more): nobody uses
+    """A local Ray without autoscaler, log monitor and dashboard (which `include_dashboard=False` makes smaller, no more): nothing uses
     them here, and they take a third of what starting Ray costs, and 160 MB. `ray.init` has no switch for them."""
     from ray._private.node import Node
 

@@ -168,7 +168,7 @@ def check_key_copies(connection: Connection) -> Iterator[str]:
 
 
 def check_comparisons(connection: Connection) -> Iterator[str]:
-    """Runs are calibrations of a comparison, which see nobody else's results, and rest and end with it; it has some, and counts what they
+    """Runs are calibrations of a comparison, which see no other results, and rest and end with it; it has some, and counts what they
     do once it has succeeded."""
     run, comparison = campaigns.alias("run"), campaigns.alias("comparison")
     joined = run.outerjoin(comparison, comparison.c.sequence == run.c.parent_sequence)

@@ -54,19 +54,19 @@ class Sums:
 
     def plus(self, rows: Iterable[Any]) -> Sums:
         """These and some campaigns more."""
-        found = Sums(self.campaigns.copy(), self.cells.copy(), self.pending.copy())
+        sums = Sums(self.campaigns.copy(), self.cells.copy(), self.pending.copy())
         seconds = self.simulating_seconds
         for row in rows:
-            found.campaigns[CampaignKey(row.kind, row.state)] += 1
+            sums.campaigns[CampaignKey(row.kind, row.state)] += 1
             if row.kind == "comparison":  # which sums up what its runs count
                 continue
             seconds += row.simulating_seconds
             for stage, counts in _counts(row):
                 for outcome in Outcome:
-                    found.cells[CellKey(stage, outcome)] += counts.get(outcome, 0)
+                    sums.cells[CellKey(stage, outcome)] += counts.get(outcome, 0)
                 if row.ended_at is None:
-                    found.pending[stage] += counts.get("pending", 0)
-        return Sums(found.campaigns, found.cells, found.pending, seconds)
+                    sums.pending[stage] += counts.get("pending", 0)
+        return Sums(sums.campaigns, sums.cells, sums.pending, seconds)
 
 
 @dataclass(frozen=True, slots=True)
