@@ -1,4 +1,4 @@
-"""What the pool tells of its work: to the log, to the measures, and of each worker."""
+"""Reports of the pool's work: in the log, in the measures and for each worker."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from drivecal.execution.scheduling.activity import Activity
 from drivecal.execution.scheduling.scheduler import Completed, Dispatch
 
 FAILURES_TOLD = 20
-"""Of a campaign, before only the 32nd, 64th, 128th ... are."""
+"""Failures of a campaign that are logged in full; after these only the 32nd, 64th, 128th and so on."""
 
 log = logging.getLogger(__name__)
 

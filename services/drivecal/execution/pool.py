@@ -41,7 +41,7 @@ class WorkPool:
         self._clock = clock
         self._sent: dict[int, Dispatch] = {}
         self._numbers: dict[int, int] = {}
-        """Of the leases of cells at workers."""
+        """Lease numbers of cells at workers."""
         self._returned: dict[int, int] = {}
         """Breakdowns of the cells whose leases are to be given back with the next exchange."""
         self._completed: list[Completed] = []

@@ -27,7 +27,7 @@ from drivecal.storage.references import runs
 
 Kind = Literal["calibration", "comparison", "evaluation"]
 Listed = Literal["calibration", "evaluation"]
-"""What is listed together: campaigns, comparisons among them, and single evaluations."""
+"""Kinds listed together: campaigns with comparisons, and single evaluations."""
 LONGEST_LISTED = 20_000
 """Characters of a specification that a list still carries: a page of a thousand has 20 MB at most, where it could have had a GB."""
 

@@ -48,7 +48,7 @@ def follow(connection: Connection, sequence: int, state: CampaignState) -> None:
 
 @dataclass(frozen=True, slots=True)
 class RunTally:
-    """What a comparison sums up of a run."""
+    """Summary of a run in its comparison."""
 
     name: str
     begun: bool
@@ -85,7 +85,7 @@ def open_runs(connection: Connection, sequence: int) -> list[int]:
 
 
 def names_of(connection: Connection, sequence: int) -> list[str]:
-    """What the runs are called, in their order."""
+    """Returns the names of the runs, in their order."""
     query = select(campaigns.c.name).where(campaigns.c.parent_sequence == sequence).order_by(campaigns.c.sequence)
     return list(connection.scalars(query))
 

@@ -1,4 +1,4 @@
-"""What the cells of a campaign cost, summed up by how they were answered."""
+"""Cost of a campaign's cells, summed by how they were answered."""
 
 from __future__ import annotations
 

@@ -64,7 +64,7 @@ class PendingEvaluation:
 
 @dataclass(frozen=True, slots=True)
 class AnsweredCell:
-    """What answers a pending cell. `failure` is a `Failure` of a run or a `Breakdown` of the attempts, whose cause `detail` says in words;
+    """Answer of a pending cell. `failure` is a `Failure` of a run or a `Breakdown` of the attempts, whose cause `detail` says in words;
     `agrees`: of an audited cell."""
 
     id: int

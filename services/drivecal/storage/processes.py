@@ -73,7 +73,7 @@ def heartbeat(connection: Connection, name: str, pid: int, started_at: datetime,
 
 
 def read(connection: Connection, name: str) -> StoredProcess | None:
-    """What a process last said; None where it never did."""
+    """Returns the last message of a process; None before the first."""
     row = connection.execute(select(processes).where(processes.c.name == name)).one_or_none()
     if row is None:
         return None

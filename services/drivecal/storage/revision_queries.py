@@ -22,7 +22,7 @@ from drivecal.storage.processes import DISPATCHER
 
 @dataclass(frozen=True, slots=True)
 class CampaignRevision:
-    """What tells whether a campaign has changed: nothing of it does without its `revision`."""
+    """State of a campaign for change detection: every change raises its `revision`."""
 
     sequence: int
     id: str

@@ -194,7 +194,7 @@ class RayBackend:
         actor.deadline = time.monotonic() + self._options.start_seconds
 
     def _collect(self, timeout: float) -> list[Finished | Lost]:
-        """What came back from the calls that are running; waits for the first of them."""
+        """Returns what came back from running calls; waits for the first."""
         waiting = {actor.waited_for: actor for actor in self._actors if actor.waited_for is not None}
         if not waiting:
             time.sleep(timeout)

@@ -27,7 +27,7 @@ from drivecal.execution.ray.watch import ClusterWatch, StartedAnewError
 LONGEST_FOLDER = 40
 """Ray's sockets lie 65 characters deep, and a Unix socket's path ends at 107."""
 ANSWER_SECONDS = 1.0
-"""What the store of Ray's state may take to answer."""
+"""Time limit for an answer of Ray's state store."""
 A_MOMENT = 60.0
 """Between making a folder and locking it, s, amply."""
 
@@ -112,7 +112,7 @@ class Cluster:
             raise BackendLostError(lost)
 
     def trouble(self) -> str | None:
-        """That Ray does not answer at the moment, in words; None where it does."""
+        """Returns a message while Ray does not answer, else None."""
         return None if self._watch is None else self._watch.trouble()
 
     def answered_since(self, moment: float) -> bool:

@@ -34,7 +34,7 @@ def fits(node: Node, version: str) -> bool:
 
 
 def complaint(nodes: Sequence[Node], version: str, cluster: str) -> str | None:
-    """What is wrong with the nodes, in words; None where nothing is."""
+    """Returns a message about unusable nodes, or None."""
     working = [node for node in nodes if node.cpus > 0]
     others = [node for node in working if not fits(node, version)]
     if others:

@@ -1,4 +1,4 @@
-"""What each worker is doing, since when, and how fast it is: from what was sent to it and what came back."""
+"""Activity and speed of each worker, from batches sent and returned."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ RECENT_BATCHES = 20
 
 @dataclass(slots=True)
 class _Desk:
-    """What lies at one worker. The first of `batches` (id and scenario) is in work since `since`, the others wait behind it."""
+    """Work at one worker. The first of `batches` (id and scenario) is in work since `since`, the others wait behind it."""
 
     batches: dict[int, str] = field(default_factory=dict)
     since: float = 0.0

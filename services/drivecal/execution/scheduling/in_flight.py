@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 from drivecal.contracts.work import Cell, SetupRequest
 
 SetupKey = tuple[str, str, str, str]
-"""What two requests have in common that run and rate the same."""
+"""Key shared by requests that run and rate the same."""
 Identity = tuple[SetupKey, tuple[str, ...], bytes]
-"""What two cells have in common whose results are the same, bit by bit."""
+"""Key shared by cells whose results are the same, bit by bit."""
 
 WITNESSES = 2
 """Workers that must have seen an exception: it is deterministic, unless a worker or an earlier cell of the batch is to blame."""

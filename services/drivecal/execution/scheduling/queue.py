@@ -1,4 +1,4 @@
-"""Who is next: claims to simulations that wait for a worker, in lines of one campaign. Pure.
+"""The queue: claims to simulations that wait for a worker, in lines of one campaign. Pure.
 
 A higher priority goes first. Among campaigns of equal priority it is the turn of the one that has had the least worker time
 (start-time fair queueing, Goyal, Vin and Cheng 1996): one that comes, or comes back after it had nothing waiting, starts level with
@@ -58,7 +58,7 @@ class FairQueue:
         self._turns: dict[int, list[tuple[float, int, Line]]] = {}
         """The lines with waiting cells by priority, in their order."""
         self._groups: dict[Claim, ClaimGroup] = {}
-        """Where each claim waits."""
+        """The line of each waiting claim."""
         self._simulations: dict[int, Counter[SetupKey]] = {}
         """How many wait, by setup, each at the highest priority at which it is claimed."""
         self._counted: dict[PendingSimulation, int] = {}

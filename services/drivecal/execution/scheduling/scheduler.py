@@ -58,7 +58,7 @@ class Dispatch:
     expected_seconds: float | None
     alone: bool
     breakdowns: Mapping[int, int]
-    """Of each cell of the batch, by its id: how often it broke down so far."""
+    """Breakdowns so far of each cell of the batch, by its id."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -292,7 +292,7 @@ class Scheduler:
         return Dispatch(sent.worker, batch_id, batch, expected, sent.alone, breakdowns)
 
     def _charge(self, sent: _Sent, seconds: float) -> None:
-        """What a batch costs its line by now."""
+        """Returns the cost of a batch to its line by now."""
         self._queue.charge(sent.line, seconds - sent.charged)
         sent.charged = seconds
 

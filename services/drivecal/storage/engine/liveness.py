@@ -35,7 +35,7 @@ def mind_absence(connection: psycopg.Connection[Any]) -> None:
 
 
 class ServerLiveness:
-    """What is known of one server: whether it answers, and if not, when the next caller may try. Threads share it."""
+    """State of one server: whether it answers, and if not, when the next caller may try. Threads share it."""
 
     def __init__(self, database: str, clock: Callable[[], float] = time.monotonic) -> None:
         self._database = database

@@ -32,7 +32,7 @@ PASSING = ("processes",)
 
 @dataclass(frozen=True, slots=True)
 class Copied:
-    """What a backup or a restored database holds."""
+    """Contents of a backup or a restored database."""
 
     revision: str
     rows: dict[str, int]

@@ -42,7 +42,7 @@ from drivecal.storage.references.runs import largest_id
 
 ENDED = tuple(state for state in CampaignState if state.ended)
 ROWS = 100
-"""That are in memory at a time."""
+"""Rows in memory at a time."""
 
 
 def check_counters(connection: Connection) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""What is going on in the whole database, cheaply: asked for every few seconds, and never reads a table in full.
+"""Cheap statistics of the whole database: read every few seconds, never a full table.
 
 What has ended never changes, so it is added up once and carried along in a `Tally`; from one look to the next only campaigns that are
 open, or new, are read.
@@ -80,7 +80,7 @@ class Tally:
 
 @dataclass(frozen=True, slots=True)
 class Statistics:
-    """Of the whole database at one moment."""
+    """Statistics of the whole database at one moment."""
 
     sums: Sums
     leases: int

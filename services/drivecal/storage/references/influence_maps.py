@@ -31,7 +31,7 @@ class StoredInfluenceMap:
     scenarios: Mapping[str, Any]
     """By scenario and parameter, as a JSON document."""
     basis: Mapping[str, Any] | None
-    """What an analysis rests on: fixed values, setups, evaluator, settings; None where a user posted the map."""
+    """Basis of the analysis: fixed values, setups, evaluator, settings; None for a map that a user posted."""
     created_at: datetime
 
 

@@ -72,7 +72,7 @@ class RatingCoverage:
 
 
 def standing(connection: Connection, setup_ids: Sequence[int], evaluator: str, watermark: int) -> RatingCoverage:
-    """Of the runs in these setups and their ratings by `evaluator` ("name version"), both up to `watermark`."""
+    """Counts the runs in these setups and their ratings by `evaluator` ("name version"), both up to `watermark`."""
     seen, later = ratings.c.since <= watermark, ratings.c.since > 0
     joined = runs.outerjoin(ratings, (ratings.c.run_id == runs.c.id) & (ratings.c.evaluator == evaluator) & seen)
     query = (

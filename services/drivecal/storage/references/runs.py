@@ -77,7 +77,7 @@ def largest_id(connection: Connection) -> int:
 
 
 def stocked(connection: Connection, setup_ids: Collection[int]) -> set[int]:
-    """Those of some setups of which there are runs at all: one look for what would be a look-up for each."""
+    """Returns the setups that have runs: one query instead of a look-up for each."""
     seen: set[int] = set()
     for condition in among(connection, setups.c.id, sorted(setup_ids)):
         any_run = select(runs.c.id).where(runs.c.setup_id == setups.c.id).exists()

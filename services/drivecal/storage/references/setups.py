@@ -65,7 +65,7 @@ def by_id(connection: Connection, setup_id: int) -> StoredSetup:
 
 
 def documents(connection: Connection, fingerprints: Sequence[str]) -> dict[str, Mapping[str, Any]]:
-    """What setups were made of, by fingerprint; those that are not stored are left out."""
+    """Returns the documents of stored setups, by fingerprint."""
     documents: dict[str, Mapping[str, Any]] = {}
     for condition in among(connection, setups.c.fingerprint, fingerprints):
         documents.update(
