@@ -79,10 +79,10 @@ class Backend(Protocol):
         happens to the worker is known to be its doing). `expected_seconds` sets the deadline; None is unknown."""
 
     def wait(self, timeout: float) -> list[Finished | Lost]:
-        """What came back, after at most `timeout` seconds. Dead workers are replaced on the way. Raises BackendLostError."""
+        """Returns what came back, after at most `timeout` seconds. Dead workers are replaced on the way. Raises BackendLostError."""
 
     def slots(self) -> list[Slot]:
-        """Who can be sent a batch now, idle workers first. Workers that are still starting cannot."""
+        """Returns the workers with room for a batch, idle workers first. Workers that are still starting cannot."""
 
     def workers(self) -> list[WorkerInfo]:
         """All workers, in a stable order."""

@@ -13,6 +13,6 @@ class Leases(Protocol):
         """Gives back the leases of the cells in `returned`, then leases those in `wanted` for so many `seconds`, all or nothing.
 
         Both say by cell id how often the cell broke down so far. Gives the number of the lease of each cell that was granted: the others
-        are somebody else's or have their answer. Raises UnavailableError where it cannot be told whether that was done: to be done again
+        belong to another process or have an answer. Raises UnavailableError if the outcome is unknown: to be done again
         with what was wanted given back.
         """

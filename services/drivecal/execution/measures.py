@@ -32,7 +32,7 @@ KINDS: dict[Happening, tuple[str, ...]] = {
     "retries": tuple(Breakdown),
     "late_results": ("",),
 }
-"""What is shown as 0 from the beginning."""
+"""Series shown as 0 from the start."""
 BOUNDS = (0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0)
 """Upper ends of the buckets, s, each inclusive; one more bucket holds what is longer."""
 
@@ -74,4 +74,4 @@ class Measures:
 
 
 MEASURES = Measures()
-"""Of this process."""
+"""The measures of this process."""

@@ -1,4 +1,4 @@
-"""What the pool tells of its work: to the log, to the measures, and of each worker."""
+"""Reports of the pool's work: in the log, in the measures and for each worker."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from drivecal.execution.scheduling.activity import Activity
 from drivecal.execution.scheduling.scheduler import Completed, Dispatch
 
 FAILURES_TOLD = 20
-"""Of a campaign, before only the 32nd, 64th, 128th ... are."""
+"""Failures of a campaign that are logged in full; after these only the 32nd, 64th, 128th and so on."""
 
 log = logging.getLogger(__name__)
 
@@ -42,9 +42,9 @@ class Observer:
             self._activity.finished(dispatch.worker, dispatch.batch_id, len(result.results), result.seconds, result.remembered)
             if result.refusal is None:
                 MEASURES.observe("batch", result.seconds)
-            for one in result.results:
-                if one.breakdown is None:
-                    MEASURES.observe("evaluation", one.milliseconds / 1000)
+            for answer in result.results:
+                if answer.breakdown is None:
+                    MEASURES.observe("evaluation", answer.milliseconds / 1000)
             for kind in broken.values():
                 MEASURES.count("breakdowns", kind)
         else:
@@ -58,15 +58,22 @@ class Observer:
             if failed.result.breakdown is not None:
                 self._tell_failure(failed)
 
-    def _tell_failure(self, one: Completed) -> None:
+    def _tell_failure(self, completed: Completed) -> None:
         """All of a campaign's first failures, then fewer and fewer: thousands may be alike."""
-        self._failures[one.tag] += 1
-        count = self._failures[one.tag]
+        self._failures[completed.tag] += 1
+        count = self._failures[completed.tag]
         if count <= FAILURES_TOLD or count.bit_count() == 1:
             log.warning(
                 "cell %d has no result after %d attempts (%s, at last on %s; failure %d of this campaign): %s",
-                *(one.result.id, one.attempts, one.result.breakdown, one.worker, count, one.result.detail),
-                extra={"campaign": one.tag},
+                *(
+                    completed.result.id,
+                    completed.attempts,
+                    completed.result.breakdown,
+                    completed.worker,
+                    count,
+                    completed.result.detail,
+                ),
+                extra={"campaign": completed.tag},
             )
 
 
@@ -77,6 +84,6 @@ def breakdowns(dispatch: Dispatch, event: Finished | Lost) -> Mapping[int, str]:
     result: BatchResult = event.result
     if result.refusal is not None:
         return {}
-    answered = {one.id: one.breakdown for one in result.results}
+    answered = {answer.id: answer.breakdown for answer in result.results}
     kinds = ((cell, answered.get(cell, Breakdown.ERROR.value)) for cell in dispatch.breakdowns)
     return {cell: kind for cell, kind in kinds if kind is not None}

@@ -24,7 +24,7 @@ log = logging.getLogger(__name__)
 class WorkPool:
     """Simulates cells on a backend's workers, in batches, retrying what gets lost. One thread calls it all.
 
-    Results come in the order in which they arrive; whoever needs another order sorts by the cell's id.
+    Results come in the order in which they arrive; callers that need another order sort by the cell's id.
     """
 
     def __init__(
@@ -34,14 +34,14 @@ class WorkPool:
         policy: BatchPolicy | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """`leases`: None where nobody else can have the cells, and nobody asks later how often they broke down."""
+        """`leases`: None if no other process can lease the cells and breakdowns are not counted."""
         self._backend = backend
         self._leases = leases
         self._scheduler = Scheduler(policy or BatchPolicy())
         self._clock = clock
         self._sent: dict[int, Dispatch] = {}
         self._numbers: dict[int, int] = {}
-        """Of the leases of cells at workers."""
+        """Lease numbers of cells at workers."""
         self._returned: dict[int, int] = {}
         """Breakdowns of the cells whose leases are to be given back with the next exchange."""
         self._completed: list[Completed] = []
@@ -99,8 +99,10 @@ class WorkPool:
         return self._scheduler.held(tag) + sum(completion.tag == tag for completion in self._completed)
 
     def give_back(self, unwanted: Sequence[Completed]) -> None:
-        """Results that nobody writes down: their cells may be leased again."""
-        self._returned |= {one.result.id: one.attempts - 1 for one in unwanted if one.lease is not None and not one.shared}
+        """Returns results that are not stored: their cells may be leased again."""
+        self._returned |= {
+            entry.result.id: entry.attempts - 1 for entry in unwanted if entry.lease is not None and not entry.shared
+        }
 
     def close(self) -> None:
         """Ends the workers; what has no answer is dropped."""
@@ -109,14 +111,16 @@ class WorkPool:
     def _take_in(self, event: Finished | Lost) -> list[Completed]:
         if isinstance(event, Finished):
             self._note_refusal(event.result)
-            found = self._scheduler.finished(event.batch_id, event.result)
+            finished = self._scheduler.finished(event.batch_id, event.result)
         else:
-            found = self._scheduler.lost(event.batch_id, event.worker, event.breakdown, event.detail, event.seconds)
+            finished = self._scheduler.lost(event.batch_id, event.worker, event.breakdown, event.detail, event.seconds)
         dispatch = self._sent.pop(event.batch_id, None)
         if dispatch is None:  # it came back before, and the scheduler has taken no notice of it either
             return []
         numbers = {cell: self._numbers.pop(cell, None) for cell in dispatch.breakdowns}
-        completed = [replace(one, lease=numbers[one.result.id if one.leader is None else one.leader]) for one in found]
+        completed = [
+            replace(entry, lease=numbers[entry.result.id if entry.leader is None else entry.leader]) for entry in finished
+        ]
         self._note_returned(dispatch, event, {completion.result.id for completion in completed})
         self._observer.came_back(dispatch, event, completed)
         return completed

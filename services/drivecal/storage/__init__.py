@@ -1,1 +1,1 @@
-"""What drivecal keeps: SQLAlchemy Core tables, their migrations, and one module of functions per noun that take a Connection."""
+"""The database of drivecal: SQLAlchemy Core tables, their migrations, and one module of functions per noun that take a Connection."""

@@ -1,4 +1,4 @@
-"""Whether there is room for one more in the queue, or among the maps of users."""
+"""Limits of the queue and of the users' influence maps."""
 
 from __future__ import annotations
 

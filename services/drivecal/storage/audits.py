@@ -43,7 +43,7 @@ def settle(connection: Connection, campaign_sequence: int, stage: StageName, ite
 
 
 def count(connection: Connection, campaign_sequence: int, evaluator: str) -> list[AuditCount]:
-    """What the self-check of a campaign found so far, by scenario: simulated scores against those of the donors."""
+    """Returns the audit of a campaign so far, by scenario: simulated scores against the donors' scores."""
     query = (
         select(evaluations.c.scenario, *_CHANGES)
         .select_from(_audited(evaluator))

@@ -27,7 +27,7 @@ from drivecal.storage.references import runs
 
 Kind = Literal["calibration", "comparison", "evaluation"]
 Listed = Literal["calibration", "evaluation"]
-"""What is listed together: campaigns, comparisons among them, and single evaluations."""
+"""Kinds listed together: campaigns with comparisons, and single evaluations."""
 LONGEST_LISTED = 20_000
 """Characters of a specification that a list still carries: a page of a thousand has 20 MB at most, where it could have had a GB."""
 
@@ -192,9 +192,9 @@ def page(
     """
     short = case((func.length(cast(campaigns.c.spec, Text)) <= LONGEST_LISTED, campaigns.c.spec)).label("spec")
     columns = [short if column is campaigns.c.spec else column for column in campaigns.c] + [by_stage()]
-    found = [_campaign(row) for row in connection.execute(listed(columns, kind, state, limit + 1, cursor))]
-    following = cursors.encode(found[limit - 1].sequence) if len(found) > limit else None
-    return found[:limit], following
+    page = [_campaign(row) for row in connection.execute(listed(columns, kind, state, limit + 1, cursor))]
+    following = cursors.encode(page[limit - 1].sequence) if len(page) > limit else None
+    return page[:limit], following
 
 
 def listed(
@@ -275,7 +275,7 @@ def change_state(connection: Connection, sequence: int, expected: Collection[Cam
 def start(connection: Connection, sequence: int) -> StoredCampaign | None:
     """Takes a queued campaign up: running from now on, with its watermark. None where it is not queued any more.
 
-    A run of a comparison sees the results of nobody else, so that what it needs does not depend on what was there before.
+    A run of a comparison sees no other results, so that what it needs does not depend on what was there before.
     """
     watermark = case((campaigns.c.parent_sequence.is_(None), runs.largest_id(connection)), else_=0)
     statement = (

@@ -48,7 +48,7 @@ def follow(connection: Connection, sequence: int, state: CampaignState) -> None:
 
 @dataclass(frozen=True, slots=True)
 class RunTally:
-    """What a comparison sums up of a run."""
+    """Summary of a run in its comparison."""
 
     name: str
     begun: bool
@@ -85,7 +85,7 @@ def open_runs(connection: Connection, sequence: int) -> list[int]:
 
 
 def names_of(connection: Connection, sequence: int) -> list[str]:
-    """What the runs are called, in their order."""
+    """Returns the names of the runs, in their order."""
     query = select(campaigns.c.name).where(campaigns.c.parent_sequence == sequence).order_by(campaigns.c.sequence)
     return list(connection.scalars(query))
 
@@ -107,14 +107,14 @@ def failed_runs(connection: Connection, sequence: int, most: int) -> tuple[int, 
 
 
 def refuse_run(connection: Connection, campaign_id: str, parent_sequence: int | None, action: str) -> None:
-    """Raises ConflictError where a campaign, by the number of its comparison, is a run of one."""
+    """Raises ConflictError if a campaign belongs to a comparison."""
     comparison = comparison_of(connection, parent_sequence)
     if comparison is not None:
         raise ConflictError(f"campaign {campaign_id} is a run of the comparison {comparison}: {action} that")
 
 
 def comparison_of(connection: Connection, parent_sequence: int | None) -> str | None:
-    """The id of a comparison by its number; None for campaigns that are no run of one."""
+    """The id of a comparison by its number; None for a campaign outside comparisons."""
     if parent_sequence is None:
         return None
     return connection.scalar(select(campaigns.c.id).where(campaigns.c.sequence == parent_sequence))

@@ -1,4 +1,4 @@
-"""What the cells of a campaign cost, summed up by how they were answered."""
+"""Cost of a campaign's cells, summed by how they were answered."""
 
 from __future__ import annotations
 
@@ -46,6 +46,6 @@ def recent_milliseconds(connection: Connection, fingerprints: Sequence[str]) -> 
             newest = select(runs.c.milliseconds, runs.c.evaluation_id).where(runs.c.setup_id == setup)
             recent = newest.order_by(runs.c.id.desc()).limit(RECENT_RUNS).subquery()
             simulated = select(recent.c.milliseconds).join(evaluations, evaluations.c.id == recent.c.evaluation_id)
-            found = connection.scalars(simulated.where(evaluations.c.proven_by.is_(None))).all()
-            means += [fmean(found)] if found else []
+            times = connection.scalars(simulated.where(evaluations.c.proven_by.is_(None))).all()
+            means += [fmean(times)] if times else []
     return fmean(means) if fingerprints and len(means) == len(fingerprints) else None

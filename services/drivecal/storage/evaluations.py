@@ -64,7 +64,7 @@ class PendingEvaluation:
 
 @dataclass(frozen=True, slots=True)
 class AnsweredCell:
-    """What answers a pending cell. `failure` is a `Failure` of a run or a `Breakdown` of the attempts, whose cause `detail` says in words;
+    """Answer of a pending cell. `failure` is a `Failure` of a run or a `Breakdown` of the attempts, whose cause `detail` says in words;
     `agrees`: of an audited cell."""
 
     id: int
@@ -91,8 +91,8 @@ def insert(connection: Connection, campaign_sequence: int, cells: Sequence[NewEv
     statement = evaluations.insert().returning(evaluations.c.id, sort_by_parameter_order=True)
     ids = list(connection.scalars(statement, [_row(campaign_sequence, cell) for cell in cells]))
     led = [
-        {"evaluation": one, "leading": ids[cell.leader]}
-        for one, cell in zip(ids, cells, strict=True)
+        {"evaluation": evaluation, "leading": ids[cell.leader]}
+        for evaluation, cell in zip(ids, cells, strict=True)
         if cell.leader is not None
     ]
     if led:
@@ -152,7 +152,7 @@ def reused(
 def note_proofs(connection: Connection, proofs: Mapping[int, int]) -> None:
     """Which run reused cells would repeat, as the evaluation that it is of, by the cells' ids."""
     statement = update(evaluations).where(evaluations.c.id == bindparam("evaluation"), evaluations.c.outcome == Outcome.REUSED)
-    rows = [{"evaluation": one, "proof": proof} for one, proof in proofs.items()]
+    rows = [{"evaluation": evaluation, "proof": proof} for evaluation, proof in proofs.items()]
     if rows:
         connection.execute(statement.values(proven_by=bindparam("proof")), rows)
 
@@ -167,9 +167,11 @@ def answer(connection: Connection, answers: Sequence[AnsweredCell]) -> int:
         .where(evaluations.c.id == bindparam("evaluation"), evaluations.c.outcome.is_(None))
         .values({name: bindparam(f"new_{name}") for name in _ANSWER})
     )
-    rows = [{"evaluation": one.id} | {f"new_{name}": getattr(one, name) for name in _ANSWER} for one in answers]
+    rows = [{"evaluation": answer.id} | {f"new_{name}": getattr(answer, name) for name in _ANSWER} for answer in answers]
     answered = connection.execute(statement, rows).rowcount
-    leases.end(connection, [one.id for one in answers])  # of an earlier attempt too, where another cell's run is the answer
+    leases.end(
+        connection, [answer.id for answer in answers]
+    )  # of an earlier attempt too, where another cell's run is the answer
     return answered
 
 
@@ -177,7 +179,7 @@ _ANSWER = tuple(field.name for field in fields(AnsweredCell) if field.name != "i
 
 
 def simulate_instead(connection: Connection, evaluation_ids: Sequence[int]) -> None:
-    """Plans a simulation for pending copies whose leader has no result, and so can answer nobody."""
+    """Plans a simulation for pending copies whose leader has no result, and so answers no copy."""
     statement = update(evaluations).where(evaluations.c.id == bindparam("evaluation"), evaluations.c.outcome.is_(None))
     rows = [{"evaluation": identifier} for identifier in evaluation_ids]
     if rows:
@@ -188,15 +190,15 @@ def set_reference_keys(connection: Connection, keys: Mapping[int, bytes]) -> Non
     """Gives evaluations, by id, the keys under a map that was not known when they were asked for."""
     statement = update(evaluations).where(evaluations.c.id == bindparam("evaluation")).values(reference_key=bindparam("key"))
     if keys:
-        connection.execute(statement, [{"evaluation": one, "key": key} for one, key in keys.items()])
+        connection.execute(statement, [{"evaluation": evaluation, "key": key} for evaluation, key in keys.items()])
 
 
 def own_references(
     connection: Connection, campaign_sequence: int, scenario: str, setup_id: int, keys: Sequence[bytes]
 ) -> dict[bytes, Donor]:
     """The campaign's own first answers in one setup by reference key: simulated or certified, first by stage, iteration, individual."""
-    found = _own(connection, campaign_sequence, scenario, setup_id, evaluations.c.reference_key, list(keys))
-    return dict(found)
+    pairs = _own(connection, campaign_sequence, scenario, setup_id, evaluations.c.reference_key, list(keys))
+    return dict(pairs)
 
 
 def own_exact(

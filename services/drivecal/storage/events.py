@@ -1,7 +1,7 @@
-"""What happened to campaigns: few, meaningful events, each written in the transaction of what it tells.
+"""Events of campaigns: few and meaningful, each written in the transaction of its change.
 
 A reader that has seen all events of a campaign up to some id never misses one by asking for those after it: ids of one campaign grow in the
-order of commits. SQLite has one writer at a time; on PostgreSQL, where a number is drawn long before its transaction ends, whoever adds
+order of commits. SQLite has one writer at a time. PostgreSQL draws a number long before its transaction ends: there a writer that adds
 an event holds the lock of the campaign's row from before the number is drawn until the commit.
 """
 

@@ -15,7 +15,7 @@ from drivecal.storage.engine.types import finite
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """What a generation asked for and found. Cells count as in `contracts.campaign.CellCounts`; `alternatives` as in its Generation."""
+    """Requests and results of a generation. Cells count as in `contracts.campaign.CellCounts`; `alternatives` as in its Generation."""
 
     proposed: int = 0
     carried_over: int = 0
@@ -89,7 +89,7 @@ def finish(
     figures: Figures,
     objectives: Sequence[float | None],
 ) -> None:
-    """Stores what a generation found; NaN among `objectives` becomes None."""
+    """Stores the results of a generation; NaN among `objectives` becomes None."""
     connection.execute(
         update(generations)
         .where(generations.c.campaign_sequence == campaign_sequence, generations.c.iteration == iteration)
@@ -135,9 +135,9 @@ def page(
     if cursor is not None:
         (after,) = cursors.decode(cursor, int)
         query = query.where(generations.c.iteration > after)
-    found = [(row.iteration, _figures(row)) for row in connection.execute(query)]
-    following = cursors.encode(found[limit - 1][0]) if len(found) > limit else None
-    return found[:limit], following
+    page = [(row.iteration, _figures(row)) for row in connection.execute(query)]
+    following = cursors.encode(page[limit - 1][0]) if len(page) > limit else None
+    return page[:limit], following
 
 
 def _figures(row: Row[Any]) -> Figures:

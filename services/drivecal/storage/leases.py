@@ -26,7 +26,7 @@ def take(connection: Connection, breakdowns: Mapping[int, int], seconds: float) 
     how often each broke down so far.
 
     Not granted are those that have their answer, those under a lease of this term that has neither expired nor been given back, and, on
-    PostgreSQL, those that somebody is leasing at this moment: they are skipped, nobody waits.
+    PostgreSQL, cells that another transaction is leasing: they are skipped without waiting.
     """
     free: list[int] = []
     for condition in among(connection, evaluations.c.id, list(breakdowns)):
@@ -57,18 +57,22 @@ def give_back(connection: Connection, breakdowns: Mapping[int, int]) -> None:
         .where(leases.c.evaluation_id == bindparam("evaluation"), leases.c.term == term_in_office(connection))
         .values(attempts=bindparam("breakdowns"), expires_at=now())
     )
-    connection.execute(statement, [{"evaluation": one, "breakdowns": count} for one, count in sorted(breakdowns.items())])
+    connection.execute(
+        statement, [{"evaluation": evaluation, "breakdowns": count} for evaluation, count in sorted(breakdowns.items())]
+    )
 
 
 def current(connection: Connection, numbers: Mapping[int, int]) -> set[int]:
-    """The evaluations whose lease of that number, by id, is the current one. The results of the others are late: somebody else has, or
+    """The evaluations whose lease of that number, by id, is the current one. The results of the others are late: another process has, or
     had, the cell."""
     term = term_in_office(connection)
-    found: set[int] = set()
+    current: set[int] = set()
     for condition in among(connection, leases.c.evaluation_id, list(numbers)):
         query = select(leases.c.evaluation_id, leases.c.number).where(condition, leases.c.term == term)
-        found.update(one for one, number in connection.execute(query.with_for_update()) if numbers[one] == number)
-    return found
+        current.update(
+            evaluation for evaluation, number in connection.execute(query.with_for_update()) if numbers[evaluation] == number
+        )
+    return current
 
 
 def end(connection: Connection, evaluation_ids: Sequence[int]) -> None:
@@ -79,11 +83,11 @@ def end(connection: Connection, evaluation_ids: Sequence[int]) -> None:
 
 def breakdowns(connection: Connection, evaluation_ids: Sequence[int]) -> dict[int, int]:
     """How often evaluations broke down so far, by id; those that never did are left out."""
-    found: dict[int, int] = {}
+    counts: dict[int, int] = {}
     for condition in among(connection, leases.c.evaluation_id, list(evaluation_ids)):
         query = select(leases.c.evaluation_id, leases.c.attempts).where(condition, leases.c.attempts > 0)
-        found.update((one, count) for one, count in connection.execute(query))
-    return found
+        counts.update((evaluation, count) for evaluation, count in connection.execute(query))
+    return counts
 
 
 def forget(connection: Connection, campaign_sequence: int) -> None:

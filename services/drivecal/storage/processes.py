@@ -49,15 +49,15 @@ def elect(connection: Connection, name: str, pid: int, started_at: datetime) -> 
 def confirm(connection: Connection, name: str, term: int) -> None:
     """Makes sure that a process may write: to be the first statement of each of its transactions.
 
-    Nobody else is elected before the transaction has ended. Raises SupersededError where somebody was.
+    No other process is elected before the transaction has ended. Raises SupersededError if one was.
     """
-    found = connection.scalar(_term(name).with_for_update(read=True, key_share=True))
-    if found != term:
-        raise SupersededError(f"another {name} was elected (term {found}, this one had {term}); this one writes nothing more")
+    current = connection.scalar(_term(name).with_for_update(read=True, key_share=True))
+    if current != term:
+        raise SupersededError(f"another {name} was elected (term {current}, this one had {term}); this one writes nothing more")
 
 
 def term_in_office(connection: Connection, name: str = DISPATCHER) -> int:
-    """The current term; 0 where nobody was elected yet."""
+    """The current term; 0 before the first election."""
     return connection.scalar(_term(name)) or 0
 
 
@@ -73,7 +73,7 @@ def heartbeat(connection: Connection, name: str, pid: int, started_at: datetime,
 
 
 def read(connection: Connection, name: str) -> StoredProcess | None:
-    """What a process last said; None where it never did."""
+    """Returns the last message of a process; None before the first."""
     row = connection.execute(select(processes).where(processes.c.name == name)).one_or_none()
     if row is None:
         return None

@@ -1,4 +1,4 @@
-"""What campaigns have found: their evaluations, read for pages, exports and rankings."""
+"""Evaluations of campaigns, read for pages, exports and rankings."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class StoredEvaluation:
     worker: str | None
     attempts: int
     detail: str | None
-    """Why it failed, in the words of whoever saw it."""
+    """The reason of the failure, as reported by the worker or the pool."""
     proven_by: int | None
     """The evaluation whose run a certificate says that it repeats, whatever answered it: known of certified cells and of those simulated to
     check a certificate, and of reused ones by chance."""
@@ -95,11 +95,11 @@ def page(
         # Typed one by one: a tuple does not hand its types on, and stages are stored as numbers.
         typed = (literal(value, column.type) for value, column in zip(place, _PLACE, strict=True))
         query = query.where(tuple_(*_PLACE) > tuple_(*typed))
-    found = [_evaluation(row) for row in connection.execute(query)]
-    if len(found) <= limit:
-        return found, None
-    last = found[limit - 1]
-    return found[:limit], cursors.encode(ORDER[last.stage], last.iteration, last.individual, last.scenario)
+    page = [_evaluation(row) for row in connection.execute(query)]
+    if len(page) <= limit:
+        return page, None
+    last = page[limit - 1]
+    return page[:limit], cursors.encode(ORDER[last.stage], last.iteration, last.individual, last.scenario)
 
 
 def stream(connection: Connection, campaign_sequence: int) -> Iterator[StoredEvaluation]:
@@ -156,8 +156,8 @@ def best_simulated(connection: Connection, campaign_sequence: int, weights: Mapp
         .having(func.count() == len(weights))
         .subquery()
     )
-    found: float | None = connection.scalar(select(func.max(objectives.c.objective)))
-    return found
+    maximum: float | None = connection.scalar(select(func.max(objectives.c.objective)))
+    return maximum
 
 
 def sets_since(connection: Connection, campaign_sequence: int, stage: StageName, iteration: int) -> list[int]:

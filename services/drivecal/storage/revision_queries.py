@@ -22,7 +22,7 @@ from drivecal.storage.processes import DISPATCHER
 
 @dataclass(frozen=True, slots=True)
 class CampaignRevision:
-    """What tells whether a campaign has changed: nothing of it does without its `revision`."""
+    """State of a campaign for change detection: every change raises its `revision`."""
 
     sequence: int
     id: str
@@ -56,7 +56,7 @@ _CAMPAIGN = select(*_REVISION, _HEARTBEAT.scalar_subquery().label("heartbeat_at"
 
 
 def heartbeat(connection: Connection) -> datetime | None:
-    """When the dispatcher was last heard of; None where there never was one."""
+    """Returns the time of the dispatcher's last heartbeat; None before the first."""
     return connection.scalar(_HEARTBEAT)
 
 
@@ -79,20 +79,20 @@ def page(
 
 def revisions(connection: Connection, sequences: Collection[int]) -> dict[int, int]:
     """The revisions of campaigns, by number."""
-    found: dict[int, int] = {}
+    revisions: dict[int, int] = {}
     for condition in among(connection, campaigns.c.sequence, list(sequences)):
         query = select(campaigns.c.sequence, campaigns.c.revision).where(condition)
-        found.update((row.sequence, row.revision) for row in connection.execute(query))
-    return found
+        revisions.update((row.sequence, row.revision) for row in connection.execute(query))
+    return revisions
 
 
 def snapshots(connection: Connection, sequences: Collection[int]) -> list[ProgressSnapshot]:
     """How far campaigns are."""
-    found: list[ProgressSnapshot] = []
+    snapshots: list[ProgressSnapshot] = []
     for condition in among(connection, campaigns.c.sequence, list(sequences)):
         rows = connection.execute(select(*_PROGRESS).where(condition)).mappings()
-        found += [ProgressSnapshot(**{**row, "state": CampaignState(row["state"])}) for row in rows]
-    return found
+        snapshots += [ProgressSnapshot(**{**row, "state": CampaignState(row["state"])}) for row in rows]
+    return snapshots
 
 
 def _revision(row: Any) -> CampaignRevision:

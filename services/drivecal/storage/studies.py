@@ -1,4 +1,4 @@
-"""What the stages after the calibration found, as one document each."""
+"""Results of the stages after the calibration, one document each."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from drivecal.storage.engine.tables import campaigns, studies
 
 
 def save(connection: Connection, campaign_sequence: int, stage: StageName, document: Mapping[str, Any]) -> None:
-    """Stores what a campaign's stage found so far, in the place of what was stored before."""
+    """Stores the results of a campaign's stage so far, in place of earlier ones."""
     statement = insert(connection, studies).values(campaign_sequence=campaign_sequence, stage=stage, document=dict(document))
     connection.execute(
         statement.on_conflict_do_update(index_elements=["campaign_sequence", "stage"], set_={"document": dict(document)})
@@ -23,7 +23,7 @@ def save(connection: Connection, campaign_sequence: int, stage: StageName, docum
 
 
 def get(connection: Connection, campaign_sequence: int, stage: StageName) -> dict[str, Any] | None:
-    """What a stage found so far; None where it has not begun."""
+    """Returns the results of a stage so far; None before it begins."""
     query = select(studies.c.document).where(studies.c.campaign_sequence == campaign_sequence, studies.c.stage == stage)
     return connection.execute(query).scalar_one_or_none()
 
@@ -43,7 +43,7 @@ class StoredStudy:
 
 
 def about(connection: Connection, campaign_id: str, campaign_sequence: int, influence_map_id: str | None) -> list[StoredStudy]:
-    """The studies of a campaign's best sets and of the map that it uses, whoever made them, the newest first."""
+    """The studies of a campaign's best sets and of the map that it uses, by any campaign, the newest first."""
     own = campaigns.c.sequence == campaign_sequence
     of_its_sets = and_(studies.c.stage == StageName.ROBUSTNESS, campaigns.c.spec["robustness", "of"].as_string() == campaign_id)
     of_its_map = and_(studies.c.stage == StageName.VALIDATION, campaigns.c.influence_map_id == influence_map_id)

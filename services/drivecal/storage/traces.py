@@ -1,4 +1,4 @@
-"""Time series of evaluations that somebody asked for: made once more by a single evaluation, and kept for a while."""
+"""Time series of evaluations, simulated again on demand and kept for a while."""
 
 from __future__ import annotations
 
@@ -20,8 +20,10 @@ class StoredTrace:
 
 
 def find(connection: Connection, evaluation_id: int, *, for_update: bool = False) -> StoredTrace | None:
-    """The trace of an evaluation, None where nobody asked for it lately. `for_update`: until the end of the transaction nobody else
-    finds out."""
+    """Returns the trace of an evaluation; None without a recent request.
+
+    `for_update` blocks other readers for update until the transaction ends.
+    """
     if for_update:
         connection.execute(select(evaluations.c.id).where(evaluations.c.id == evaluation_id).with_for_update())
     row = connection.execute(select(traces).where(traces.c.evaluation_id == evaluation_id)).one_or_none()

@@ -29,11 +29,11 @@ class Call:
 
 @dataclass(slots=True)
 class Actor:
-    """What is known of one worker: where it belongs, its process, its calls, and how it has fared."""
+    """State of one worker: its node, process, calls and record."""
 
     index: int
     home: Node | None = None
-    """Where it belongs; None in a local Ray."""
+    """Its node; None in a local Ray."""
     incarnation: int = 0
     handle: Any = None
     warming: Any = None
@@ -49,7 +49,7 @@ class Actor:
     faults: int = 0
     """Replacements since the last result."""
     reason: str = ""
-    """What was wrong at last; empty once it has started, or given a result after a fault."""
+    """The last fault; empty once it has started, or given a result after a fault."""
     node: str = ""
     pid: int | None = None
     cells: int = 0

@@ -108,8 +108,8 @@ class RayBackend:
 
     def slots(self) -> list[Slot]:
         """See `Backend`."""
-        found = [Slot(actor.name, not actor.calls) for actor in self._actors if actor.room(alone=False)]
-        return sorted(found, key=lambda slot: not slot.idle)
+        slots = [Slot(actor.name, not actor.calls) for actor in self._actors if actor.room(alone=False)]
+        return sorted(slots, key=lambda slot: not slot.idle)
 
     def workers(self) -> list[WorkerInfo]:
         """See `Backend`."""
@@ -131,15 +131,15 @@ class RayBackend:
         """See `Backend`."""
         starting = [actor for actor in self._actors if actor.failed_starts]
         failing = [actor for actor in self._actors if actor.faults and not actor.failed_starts]
-        found = [self._cluster.trouble()]
+        complaints = [self._cluster.trouble()]
         if self._options.address is not None:
-            found.append(complaint(self._nodes, self._version, self._cluster.name))
-        found += [
+            complaints.append(complaint(self._nodes, self._version, self._cluster.name))
+        complaints += [
             f"{len(actors)} of {len(self._actors)} workers {words}: {actors[0].reason}"
             for actors, words in ((starting, "do not start"), (failing, "give no results"))
             if actors
         ]
-        return "; ".join(filter(None, found)) or None
+        return "; ".join(filter(None, complaints)) or None
 
     def close(self) -> None:
         """See `Backend`."""
@@ -194,7 +194,7 @@ class RayBackend:
         actor.deadline = time.monotonic() + self._options.start_seconds
 
     def _collect(self, timeout: float) -> list[Finished | Lost]:
-        """What came back from the calls that are running; waits for the first of them."""
+        """Returns what came back from running calls; waits for the first."""
         waiting = {actor.waited_for: actor for actor in self._actors if actor.waited_for is not None}
         if not waiting:
             time.sleep(timeout)
@@ -236,7 +236,7 @@ class RayBackend:
         call = actor.next_call()
         actor.cells += call.cells
         result: BatchResult = value
-        if any(one.breakdown is None for one in result.results):
+        if any(answer.breakdown is None for answer in result.results):
             actor.faults, actor.reason = 0, ""
         return [Finished(call.batch_id, result)]
 

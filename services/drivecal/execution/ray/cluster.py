@@ -27,7 +27,7 @@ from drivecal.execution.ray.watch import ClusterWatch, StartedAnewError
 LONGEST_FOLDER = 40
 """Ray's sockets lie 65 characters deep, and a Unix socket's path ends at 107."""
 ANSWER_SECONDS = 1.0
-"""What the store of Ray's state may take to answer."""
+"""Time limit for an answer of Ray's state store."""
 A_MOMENT = 60.0
 """Between making a folder and locking it, s, amply."""
 
@@ -101,7 +101,7 @@ class Cluster:
 
     def check(self) -> None:
         """Raises BackendLostError where Ray is gone for good: left alone, it would end this process a minute later."""
-        node = self.ray._private.worker._global_node  # noqa: SLF001  # Ray tells nobody else
+        node = self.ray._private.worker._global_node  # noqa: SLF001  # no public interface
         dead = sorted({kind for kind, _ in node.dead_processes()} & _VITAL) if node else ["connection"]
         if dead:
             raise BackendLostError(f"Ray's {' and '.join(dead)} ended unexpectedly")
@@ -112,7 +112,7 @@ class Cluster:
             raise BackendLostError(lost)
 
     def trouble(self) -> str | None:
-        """That Ray does not answer at the moment, in words; None where it does."""
+        """Returns a message while Ray does not answer, else None."""
         return None if self._watch is None else self._watch.trouble()
 
     def answered_since(self, moment: float) -> bool:
@@ -167,7 +167,7 @@ _SPARE = ("start_monitor", "start_log_monitor", "start_api_server")
 
 @contextmanager
 def _spare_processes_left_out() -> Iterator[None]:
-    """A local Ray without autoscaler, log monitor and dashboard (which `include_dashboard=False` makes smaller, no more): nobody uses
+    """A local Ray without autoscaler, log monitor and dashboard (which `include_dashboard=False` makes smaller, no more): nothing uses
     them here, and they take a third of what starting Ray costs, and 160 MB. `ray.init` has no switch for them."""
     from ray._private.node import Node
 

@@ -17,15 +17,15 @@ def missing(nodes: Sequence[Node], placed: Collection[str], most: int | None, ve
     room = {node.id: node.cpus for node in nodes if fits(node, version)}
     by_id = {node.id: node for node in nodes}
     taken = Counter(identifier for identifier in placed if identifier in room)
-    found: list[Node] = []
+    added: list[Node] = []
     while most is None or taken.total() < most:
         free = [identifier for identifier, cpus in room.items() if taken[identifier] < cpus]
         if not free:
             break
         chosen = min(free, key=lambda identifier: taken[identifier])
         taken[chosen] += 1
-        found.append(by_id[chosen])
-    return found
+        added.append(by_id[chosen])
+    return added
 
 
 def fits(node: Node, version: str) -> bool:
@@ -34,7 +34,7 @@ def fits(node: Node, version: str) -> bool:
 
 
 def complaint(nodes: Sequence[Node], version: str, cluster: str) -> str | None:
-    """What is wrong with the nodes, in words; None where nothing is."""
+    """Returns a message about unusable nodes, or None."""
     working = [node for node in nodes if node.cpus > 0]
     others = [node for node in working if not fits(node, version)]
     if others:

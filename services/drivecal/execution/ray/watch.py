@@ -37,7 +37,7 @@ class ClusterWatch:
         self._thread.start()
 
     def trouble(self) -> str | None:
-        """That it does not answer, in words; None while it does."""
+        """Returns a message while it does not answer, else None."""
         if self._clock() - self._answered <= PATIENCE_SECONDS:
             return None
         return f"{self._name} has not answered since {self._answered_at:%H:%M:%S} UTC"

@@ -1,4 +1,4 @@
-"""What each worker is doing, since when, and how fast it is: from what was sent to it and what came back."""
+"""Activity and speed of each worker, from batches sent and returned."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ RECENT_BATCHES = 20
 
 @dataclass(slots=True)
 class _Desk:
-    """What lies at one worker. The first of `batches` (id and scenario) is in work since `since`, the others wait behind it."""
+    """Work at one worker. The first of `batches` (id and scenario) is in work since `since`, the others wait behind it."""
 
     batches: dict[int, str] = field(default_factory=dict)
     since: float = 0.0
@@ -54,7 +54,7 @@ class Activity:
         self._take(worker, batch_id)
 
     def describe(self, workers: Collection[WorkerInfo]) -> list[WorkerInfo]:
-        """The workers with what they do. Those that are not among them any more are forgotten."""
+        """Returns the workers with their activity, and forgets workers that have left."""
         self._desks = {worker.id: self._desks[worker.id] for worker in workers if worker.id in self._desks}
         return [self._describe(worker) for worker in workers]
 
@@ -72,7 +72,7 @@ class Activity:
         kept = desk.remembered
         if kept is not None:
             worker = replace(worker, states=kept.states, state_mb=kept.bytes / 2**20, state_mb_at_most=kept.limit / 2**20)
-        cells, seconds = sum(one for one, _ in desk.recent), sum(one for _, one in desk.recent)
+        cells, seconds = sum(count for count, _ in desk.recent), sum(spent for _, spent in desk.recent)
         speed = cells / seconds if seconds else None
         if not desk.batches:
             return replace(worker, cells_per_second=speed)

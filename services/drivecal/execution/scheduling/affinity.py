@@ -43,9 +43,11 @@ class SetupAffinity:
                 del self._home[next(iter(self._home))]
 
     def choose(self, worker: str, to_do: Mapping[SetupKey, float]) -> SetupKey | None:
-        """Of setups, with the seconds that there are to do: the one that the worker has loaded, or the one with most to do for each
-        worker that is at it, first of those at home with it or with nobody. Where nobody is at a setup, one of several who are at the
-        same moves there, so that none is left to the end and then to a single worker."""
+        """Returns the setup that the worker has loaded, or the setup with the most seconds to do per worker at it.
+
+        Prefers setups assigned to this worker or unassigned. If no worker is at a setup, one of several workers at another setup moves
+        there, so that no setup is left to the end and to a single worker.
+        """
         last = self._last.get(worker)
         if last is not None and last in to_do and (self._workers[last] == 1 or all(self._workers[setup] for setup in to_do)):
             return last

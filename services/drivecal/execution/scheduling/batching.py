@@ -29,7 +29,7 @@ MOST_SETUPS = 1_000
 K = TypeVar("K")
 V = TypeVar("V")
 Kind = tuple[str, ...]
-"""What setups have in common whose cells cost about the same."""
+"""Key shared by setups whose cells cost about the same."""
 
 
 def kind_of(setup: SetupRequest) -> Kind:
@@ -62,7 +62,7 @@ class CellCosts:
             _note(self._medians, name, sorted(measured)[(len(measured) - 1) // 2])
 
     def seconds_per_cell(self, setup: SetupKey) -> float | None:
-        """What a cell of this setup costs; None before the first measurement of its kind."""
+        """Returns the cost of a cell of this setup; None before the first measurement of its kind."""
         return self._medians.get(setup, self._medians.get(self._kinds.get(setup, ())))
 
     def seconds(self, cells: Mapping[SetupKey, int]) -> float:

@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 from drivecal.contracts.work import Cell, SetupRequest
 
 SetupKey = tuple[str, str, str, str]
-"""What two requests have in common that run and rate the same."""
+"""Key shared by requests that run and rate the same."""
 Identity = tuple[SetupKey, tuple[str, ...], bytes]
-"""What two cells have in common whose results are the same, bit by bit."""
+"""Key shared by cells whose results are the same, bit by bit."""
 
 WITNESSES = 2
 """Workers that must have seen an exception: it is deterministic, unless a worker or an earlier cell of the batch is to blame."""
@@ -28,7 +28,7 @@ class PendingSimulation:
     setup: SetupRequest
     key: SetupKey
     identity: Identity | None
-    """None for one that is not shared."""
+    """None if the simulation is not shared."""
     claims: list[Claim] = field(default_factory=list)
     leader: Claim | None = None
     """Under whose cell it is at a worker; None while it waits."""
@@ -109,7 +109,7 @@ class InFlightCells:
         return self._by_tag.get(tag, {}).values()
 
     def setups(self) -> Mapping[SetupKey, SetupRequest]:
-        """Those that cells are outstanding of."""
+        """Returns the setups with unanswered cells."""
         return {key: setup for key, (setup, _) in self._setups.items()}
 
     def _claim(self, setup: SetupRequest, key: SetupKey, cell: Cell, tag: str, priority: int, *, exclusive: bool) -> Claim:

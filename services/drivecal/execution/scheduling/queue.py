@@ -1,4 +1,4 @@
-"""Who is next: claims to simulations that wait for a worker, in lines of one campaign. Pure.
+"""The queue: claims to simulations that wait for a worker, in lines of one campaign. Pure.
 
 A higher priority goes first. Among campaigns of equal priority it is the turn of the one that has had the least worker time
 (start-time fair queueing, Goyal, Vin and Cheng 1996): one that comes, or comes back after it had nothing waiting, starts level with
@@ -28,7 +28,7 @@ class ClaimGroup:
     avoid: Avoid | None
     """None: no suspects."""
     entries: deque[Claim] = field(default_factory=deque)
-    """Those that wait elsewhere by now, or not at all, are passed over: that is cheaper than to search for them."""
+    """Skips entries that wait elsewhere by now, or no longer wait: that is cheaper than a search."""
     waiting: int = 0
 
 
@@ -56,9 +56,9 @@ class FairQueue:
         self._lines: dict[int, dict[str, Line]] = {}
         self._made = 0
         self._turns: dict[int, list[tuple[float, int, Line]]] = {}
-        """By priority, the lines in which somebody waits, in their order."""
+        """The lines with waiting cells by priority, in their order."""
         self._groups: dict[Claim, ClaimGroup] = {}
-        """Where each claim waits."""
+        """The line of each waiting claim."""
         self._simulations: dict[int, Counter[SetupKey]] = {}
         """How many wait, by setup, each at the highest priority at which it is claimed."""
         self._counted: dict[PendingSimulation, int] = {}
@@ -107,7 +107,7 @@ class FairQueue:
         return taken
 
     def in_turn(self) -> Iterator[Line]:
-        """The lines in which somebody waits, the one whose turn it is first. The queue must not change meanwhile."""
+        """Yields the lines with waiting cells, the next in turn first. The queue must not change meanwhile."""
         for priority in sorted(self._turns, reverse=True):
             for _, _, line in self._turns[priority]:
                 yield line
@@ -131,7 +131,7 @@ class FairQueue:
         return self._simulations.get(priority, {})
 
     def setups(self) -> Collection[SetupKey]:
-        """Those that something waits of."""
+        """Returns the setups with waiting cells."""
         return {setup for counted in self._simulations.values() for setup in counted}
 
     def avoiding(self, worker: str) -> Iterable[ClaimGroup]:

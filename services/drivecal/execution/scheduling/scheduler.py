@@ -6,7 +6,7 @@ alone, to an idle worker with nothing behind it, so that a poison cell takes no 
 failed; innocent cells succeed at once.
 
 A worker that lives and reports a breakdown may itself be to blame. Its cells are suspects as well, but go to another worker, or to
-the process that replaces the only one. A worker that refuses a setup says nothing about the cells: they wait for somebody else.
+the process that replaces the only one. A worker that refuses a setup says nothing about the cells: they wait for another worker.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Completed:
     leader: int | None = None
     """The id of the identical cell that was sent in its place; None where it was sent itself."""
     lease: int | None = None
-    """The number of the lease under which the result was obtained (the leader's, where there is one); whoever leases fills it in."""
+    """The number of the lease under which the result was obtained (the leader's, if there is one); the lessor fills it in."""
 
     @property
     def shared(self) -> bool:
@@ -58,7 +58,7 @@ class Dispatch:
     expected_seconds: float | None
     alone: bool
     breakdowns: Mapping[int, int]
-    """Of each cell of the batch, by its id: how often it broke down so far."""
+    """Breakdowns so far of each cell of the batch, by its id."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,7 +177,7 @@ class Scheduler:
 
     def replacement(self, worker: str) -> Replacement | None:
         """Whether an idle worker for which there is no batch is to be replaced: because it never has results, or because a cell broke
-        down at it and there is nobody else to try."""
+        down at it and no other worker can try."""
         fault = self._worker_health.fault(worker)
         return Replacement(worker, fault) if fault is not None or self._is_alone(worker) else None
 
@@ -191,7 +191,7 @@ class Scheduler:
         refusals = self._worker_health.refusals(setups)
         if not refusals:
             return None
-        scenarios = sorted({one.scenario for setup, one in setups.items() if self._worker_health.refusals({setup})})
+        scenarios = sorted({cell.scenario for setup, cell in setups.items() if self._worker_health.refusals({setup})})
         worker, reason = next(iter(refusals.items()))
         number = f"{len(refusals)} workers refuse" if len(refusals) > 1 else f"{worker} refuses"
         return f"{number} {', '.join(scenarios)}: {reason}"
@@ -209,10 +209,10 @@ class Scheduler:
         self._charge(sent, result.seconds)
         if result.results:
             self._costs.observe(setup, len(sent.leaders), result.seconds)
-        found = {answer.id: answer for answer in result.results}
+        answers = {answer.id: answer for answer in result.results}
         completed = []
         for leader in sent.leaders:
-            answer = found.get(leader.cell.id) or _broken(
+            answer = answers.get(leader.cell.id) or _broken(
                 leader, Breakdown.ERROR, "the worker returned no result for this cell"
             )
             if answer.breakdown is None:
@@ -292,7 +292,7 @@ class Scheduler:
         return Dispatch(sent.worker, batch_id, batch, expected, sent.alone, breakdowns)
 
     def _charge(self, sent: _Sent, seconds: float) -> None:
-        """What a batch costs its line by now."""
+        """Returns the cost of a batch to its line by now."""
         self._queue.charge(sent.line, seconds - sent.charged)
         sent.charged = seconds
 
@@ -342,8 +342,8 @@ class Scheduler:
         self._changed.pop(claim.cell.id, None)
 
     def _is_alone(self, worker: str) -> bool:
-        """True where a cell broke down at this worker and there is nobody else to try."""
-        return any(self._worker_health.nobody_may_try(one.setup, one.avoid or ()) for one in self._queue.avoiding(worker))
+        """Whether a cell broke down at this worker and no other worker can try it."""
+        return any(self._worker_health.no_worker_left(cell.setup, cell.avoid or ()) for cell in self._queue.avoiding(worker))
 
 
 def _broken(leader: Claim, breakdown: Breakdown, detail: str) -> CellResult:

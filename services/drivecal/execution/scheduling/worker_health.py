@@ -1,7 +1,7 @@
 """What the workers have shown so far: whose word counts when a cell breaks down, who is to be replaced, who refuses what. Pure.
 
 A worker that answers every cell with an error at once is always the idle one. Left alone it would take most of the work, and most of
-the second attempts at what it spoilt. So nobody's word counts alone, a worker with results is asked before one without, and one
+the second attempts at what it spoilt. So no single worker's word counts, a worker with results is asked before one without, and one
 that never has any is replaced.
 """
 
@@ -22,7 +22,7 @@ class Trust(IntEnum):
     """In a worker's errors, by what it did since it started."""
 
     DOUBTED = 0
-    """It had no result in its last batch, and nobody else has confirmed that its cells are to blame."""
+    """The last batch had no result, and no other worker has confirmed that its cells are to blame."""
     UNKNOWN = 1
     PROVEN = 2
     """It has given results."""
@@ -64,7 +64,7 @@ class WorkerHealth:
 
     def meet(self, ready: Sequence[str]) -> None:
         """Tells which workers have started. What the others have shown is forgotten, but not what they refused: it holds until
-        somebody else answers."""
+        another worker answers."""
         if self._ready == (now := frozenset(ready)):
             return
         self._ready = now
@@ -79,7 +79,7 @@ class WorkerHealth:
             still[worker] = result.refusal
         if still:
             self._refusals[setup] = still
-        if any(one.breakdown is None for one in result.results):
+        if any(answer.breakdown is None for answer in result.results):
             self._note(worker, _Shown(proven=True))
         elif result.refusal is None:
             self.failed(worker, (result.results[-1].detail if result.results else None) or "it says nothing")
@@ -105,8 +105,8 @@ class WorkerHealth:
         own = self._trust(worker)
         return not avoid or not any(self._any_able(trust, setup, avoid) for trust in Trust if trust > own)
 
-    def nobody_may_try(self, setup: Hashable, avoid: Collection[str]) -> bool:
-        """True where there is nobody to ask but those in `avoid` and those who refuse."""
+    def no_worker_left(self, setup: Hashable, avoid: Collection[str]) -> bool:
+        """Whether every worker is in `avoid` or refuses the setup."""
         return not any(self._any_able(trust, setup, avoid) for trust in Trust)
 
     def on_probation(self, worker: str) -> bool:

@@ -36,9 +36,9 @@ class Patience:
 
 
 PATIENT = Patience(lock=30, connect=5, statement=None, watched=False)
-"""Of those for whom nobody waits: an outage is waited for, and a statement may take long."""
+"""Background work: it waits for an outage to end, and a statement may take long."""
 PROMPT = Patience(lock=4, connect=2, statement=30, watched=True)
-"""Of those for whom somebody waits: requests."""
+"""Requests: a client waits for them."""
 
 
 class Database:
@@ -61,7 +61,10 @@ class Database:
         return cls(parsed, make_engine(parsed, patience))
 
     def fenced(self, fence: Callable[[Connection], None]) -> Database:
-        """The same database for somebody who may lose the right to write: every transaction begins with `fence`, which raises then."""
+        """Returns the same database for a process that may lose the right to write.
+
+        Every transaction begins with `fence`, which raises once the right is lost.
+        """
         return Database(self.url, self._engine, fence)
 
     @contextmanager

@@ -1,4 +1,4 @@
-"""Connections to PostgreSQL that notice when the server does not answer any more: for those who have somebody waiting.
+"""Connections to PostgreSQL that notice when the server does not answer any more, for requests with a waiting client.
 
 A server that was stopped, or whose machine hangs, still accepts connections and never closes one; no timeout that it keeps itself ever
 fires. So while a statement is silent, the server is asked for a new connection: one that is only busy gives it, and the statement may
@@ -35,7 +35,7 @@ def mind_absence(connection: psycopg.Connection[Any]) -> None:
 
 
 class ServerLiveness:
-    """What is known of one server: whether it answers, and if not, when the next caller may try. Threads share it."""
+    """State of one server: whether it answers, and if not, when the next caller may try. Threads share it."""
 
     def __init__(self, database: str, clock: Callable[[], float] = time.monotonic) -> None:
         self._database = database
@@ -61,7 +61,7 @@ class ServerLiveness:
         return connection
 
     def silent(self, reason: str) -> None:
-        """Somebody found that the server does not answer."""
+        """Marks the server as not answering."""
         with self._lock:
             news, self._reason = self._reason is None, reason
             self._next_try = self._clock() + TRY_AGAIN_SECONDS

@@ -68,8 +68,8 @@ def refuse_unmigrated(connection: Connection, database: str) -> None:
     """Raises DatabaseError where the database is not at this drivecal's revision."""
     revision, head = revision_of(connection), known_revisions()[0]
     if revision != head:
-        found = "is empty" if revision is None else f"is at revision {revision}, this drivecal needs {head}"
-        raise DatabaseError(f"{database} {found}; run `drivecal db upgrade`")
+        state = "is empty" if revision is None else f"is at revision {revision}, this drivecal needs {head}"
+        raise DatabaseError(f"{database} {state}; run `drivecal db upgrade`")
 
 
 def use_write_ahead_log(url: URL) -> None:

@@ -275,7 +275,7 @@ leases = Table(  # cells at workers, and those that broke down there before; a c
     Column("expires_at", UtcDateTime, nullable=False),
 )
 
-studies = Table(  # what the stages after the calibration found
+studies = Table(  # results of the stages after the calibration
     "studies",
     metadata,
     Column("campaign_sequence", Identity, ForeignKey("campaigns.sequence"), primary_key=True, autoincrement=False),

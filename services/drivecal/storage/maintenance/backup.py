@@ -32,7 +32,7 @@ PASSING = ("processes",)
 
 @dataclass(frozen=True, slots=True)
 class Copied:
-    """What a backup or a restored database holds."""
+    """Contents of a backup or a restored database."""
 
     revision: str
     rows: dict[str, int]
@@ -188,8 +188,8 @@ def _dangling(connection: Connection) -> list[tuple[str, int, str, int]]:
 
 def _refuse_rows(connection: Connection, name: str) -> None:
     schema.refuse_foreign(connection, name)
-    found = count_rows(connection, tables_of(connection))
-    there = [f"{count:,} in {table}" for table, count in found.items() if count and table not in PASSING]
+    counts = count_rows(connection, tables_of(connection))
+    there = [f"{count:,} in {table}" for table, count in counts.items() if count and table not in PASSING]
     if there:
         raise DatabaseError(f"{name} has rows already ({', '.join(there)}); name an empty database")
 
@@ -204,7 +204,9 @@ def _make_anew(connection: Connection, name: str, revision: str) -> None:
 
 
 def _compare(connection: Connection, rows: dict[str, int], name: str) -> None:
-    found = count_rows(connection, tables_of(connection))
-    different = [f"{found.get(table)} and not {count} in {table}" for table, count in rows.items() if found.get(table) != count]
+    counts = count_rows(connection, tables_of(connection))
+    different = [
+        f"{counts.get(table)} and not {count} in {table}" for table, count in rows.items() if counts.get(table) != count
+    ]
     if different:
-        raise DatabaseError(f"{name} has other rows than were copied ({'; '.join(different)}); check the disk and try again")
+        raise DatabaseError(f"{name}: row counts differ after copying ({'; '.join(different)}); check the disk and try again")

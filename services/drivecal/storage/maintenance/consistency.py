@@ -44,7 +44,7 @@ def check_tables(connection: Connection) -> Iterator[str]:
     context = MigrationContext.configure(connection, opts={"version_table": REVISION_TABLE, "compare_type": True})
     for difference in compare_metadata(context, metadata):
         step = difference[0] if isinstance(difference, list) else difference
-        # Tables of somebody else are none of our business.
+        # Ignores tables of other applications.
         if step[0] != "remove_table" and not (step[0] == "remove_index" and step[1].table.name not in metadata.tables):
             yield f"{str(step[0]).replace('_', ' ')} {getattr(step[-1], 'name', step[-1])} is what a new database does and this one did not"
 
@@ -52,8 +52,8 @@ def check_tables(connection: Connection) -> Iterator[str]:
 def check_storage(connection: Connection) -> Iterator[str]:
     """The backend itself finds its file, indexes and foreign keys in order."""
     if connection.dialect.name == "sqlite":
-        found = connection.exec_driver_sql("PRAGMA integrity_check(5)").scalars()
-        yield from (f"SQLite says: {one}" for one in found if one != "ok")
+        messages = connection.exec_driver_sql("PRAGMA integrity_check(5)").scalars()
+        yield from (f"SQLite reports: {message}" for message in messages if message != "ok")
         for table, row, parent, _ in connection.exec_driver_sql("PRAGMA foreign_key_check").fetchmany(5):
             yield f"row {row} of {table} points to a row of {parent} that is not there"
         return

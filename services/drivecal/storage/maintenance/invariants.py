@@ -42,7 +42,7 @@ from drivecal.storage.references.runs import largest_id
 
 ENDED = tuple(state for state in CampaignState if state.ended)
 ROWS = 100
-"""That are in memory at a time."""
+"""Rows in memory at a time."""
 
 
 def check_counters(connection: Connection) -> Iterator[str]:
@@ -168,7 +168,7 @@ def check_key_copies(connection: Connection) -> Iterator[str]:
 
 
 def check_comparisons(connection: Connection) -> Iterator[str]:
-    """Runs are calibrations of a comparison, which see nobody else's results, and rest and end with it; it has some, and counts what they
+    """Runs are calibrations of a comparison, which see no other results, and rest and end with it; it has some, and counts what they
     do once it has succeeded."""
     run, comparison = campaigns.alias("run"), campaigns.alias("comparison")
     joined = run.outerjoin(comparison, comparison.c.sequence == run.c.parent_sequence)

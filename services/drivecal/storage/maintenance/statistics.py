@@ -1,4 +1,4 @@
-"""What is going on in the whole database, cheaply: asked for every few seconds, and never reads a table in full.
+"""Cheap statistics of the whole database: read every few seconds, never a full table.
 
 What has ended never changes, so it is added up once and carried along in a `Tally`; from one look to the next only campaigns that are
 open, or new, are read.
@@ -54,19 +54,19 @@ class Sums:
 
     def plus(self, rows: Iterable[Any]) -> Sums:
         """These and some campaigns more."""
-        found = Sums(self.campaigns.copy(), self.cells.copy(), self.pending.copy())
+        sums = Sums(self.campaigns.copy(), self.cells.copy(), self.pending.copy())
         seconds = self.simulating_seconds
         for row in rows:
-            found.campaigns[CampaignKey(row.kind, row.state)] += 1
+            sums.campaigns[CampaignKey(row.kind, row.state)] += 1
             if row.kind == "comparison":  # which sums up what its runs count
                 continue
             seconds += row.simulating_seconds
             for stage, counts in _counts(row):
                 for outcome in Outcome:
-                    found.cells[CellKey(stage, outcome)] += counts.get(outcome, 0)
+                    sums.cells[CellKey(stage, outcome)] += counts.get(outcome, 0)
                 if row.ended_at is None:
-                    found.pending[stage] += counts.get("pending", 0)
-        return Sums(found.campaigns, found.cells, found.pending, seconds)
+                    sums.pending[stage] += counts.get("pending", 0)
+        return Sums(sums.campaigns, sums.cells, sums.pending, seconds)
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +80,7 @@ class Tally:
 
 @dataclass(frozen=True, slots=True)
 class Statistics:
-    """Of the whole database at one moment."""
+    """Statistics of the whole database at one moment."""
 
     sums: Sums
     leases: int

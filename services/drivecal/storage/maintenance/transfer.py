@@ -93,7 +93,7 @@ def _read(connection: Connection, table: Table) -> Iterator[tuple[Any, ...]]:
         yield from driver.execute(f"SELECT {names} FROM {table.name} ORDER BY {order}")  # noqa: S608  # the database's own names
         return
     columns = [_neutral(column) for column in table.columns]
-    query = f"SELECT {', '.join(one for one, _ in columns)} FROM {table.name} ORDER BY {order}"  # noqa: S608  # the same
+    query = f"SELECT {', '.join(name for name, _ in columns)} FROM {table.name} ORDER BY {order}"  # noqa: S608  # the same
     with driver.cursor() as cursor, cursor.copy(f"COPY ({query}) TO STDOUT (FORMAT BINARY)") as copy:
         copy.set_types([kind for _, kind in columns])
         yield from copy.rows()
@@ -126,17 +126,17 @@ def _write(connection: Connection, table: Table, rows: Sequence[tuple[Any, ...]]
 
 def last_numbers(connection: Connection, tables: Sequence[Table]) -> dict[str, int]:
     """The last number that was given out, by table. Numbers of rows that are gone (events) must not come again."""
-    found: dict[str, int] = {}
+    numbers: dict[str, int] = {}
     for table in tables:
         if connection.dialect.name == "postgresql":
             sequence = _postgresql_sequence(connection, table.name)
             if sequence is not None:
                 last, called = connection.execute(text(f"SELECT last_value, is_called FROM {sequence}")).one()  # noqa: S608  # its own
-                found[table.name] = last if called else 0
+                numbers[table.name] = last if called else 0
         elif _counts(connection):
             query = text("SELECT seq FROM sqlite_sequence WHERE name = :name")
-            found[table.name] = connection.scalar(query, {"name": table.name}) or 0
-    return {name: last for name, last in found.items() if last}
+            numbers[table.name] = connection.scalar(query, {"name": table.name}) or 0
+    return {name: last for name, last in numbers.items() if last}
 
 
 def _set_sequences(connection: Connection, last: dict[str, int]) -> None:
@@ -157,8 +157,8 @@ def _postgresql_sequence(connection: Connection, table: str) -> str | None:
         "SELECT pg_get_serial_sequence(:table, attname) FROM pg_attribute WHERE attrelid = CAST(:table AS regclass) AND attnum > 0"
         " AND NOT attisdropped AND pg_get_serial_sequence(:table, attname) IS NOT NULL"
     )
-    found: str | None = connection.scalar(query, {"table": table})
-    return found
+    sequence: str | None = connection.scalar(query, {"table": table})
+    return sequence
 
 
 def _counts(connection: Connection) -> bool:

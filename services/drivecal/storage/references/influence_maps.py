@@ -31,7 +31,7 @@ class StoredInfluenceMap:
     scenarios: Mapping[str, Any]
     """By scenario and parameter, as a JSON document."""
     basis: Mapping[str, Any] | None
-    """What an analysis rests on: fixed values, setups, evaluator, settings; None where a user posted the map."""
+    """Basis of the analysis: fixed values, setups, evaluator, settings; None for a map that a user posted."""
     created_at: datetime
 
 
@@ -75,9 +75,9 @@ def page(connection: Connection, *, limit: int = 50, cursor: str | None = None) 
     if cursor is not None:
         (before,) = cursors.decode(cursor, int)
         query = query.where(influence_maps.c.sequence < before)
-    found = [_influence_map(row) for row in connection.execute(query)]
-    following = cursors.encode(found[limit - 1].sequence) if len(found) > limit else None
-    return found[:limit], following
+    page = [_influence_map(row) for row in connection.execute(query)]
+    following = cursors.encode(page[limit - 1].sequence) if len(page) > limit else None
+    return page[:limit], following
 
 
 def _influence_map(row: Row[Any]) -> StoredInfluenceMap:

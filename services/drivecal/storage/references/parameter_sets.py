@@ -16,12 +16,12 @@ from drivecal.storage.engine.tables import parameter_sets
 
 def ensure(connection: Connection, given: Sequence[ParameterSet]) -> list[int]:
     """The ids of parameter sets, in order; those that are new are stored. Safe beside others that store the same sets."""
-    keys = [one.key for one in given]
+    keys = [parameter_set.key for parameter_set in given]
     ids = _ids(connection, list(dict.fromkeys(keys)))
     missing: dict[bytes, str] = {}
-    for key, one in zip(keys, given, strict=True):
+    for key, parameter_set in zip(keys, given, strict=True):
         if key not in ids and key not in missing:
-            missing[key] = one.to_json()
+            missing[key] = parameter_set.to_json()
     if missing:
         # Sorted, so that two transactions that store the same sets wait for each other instead of deadlocking.
         rows = [{"key": key, "parameter_values": missing[key]} for key in sorted(missing)]
@@ -32,12 +32,12 @@ def ensure(connection: Connection, given: Sequence[ParameterSet]) -> list[int]:
 
 def load(connection: Connection, ids: Sequence[int]) -> dict[int, ParameterSet]:
     """Parameter sets by id. Ids that are not stored are left out."""
-    found: dict[int, ParameterSet] = {}
+    sets: dict[int, ParameterSet] = {}
     columns = select(parameter_sets.c.id, parameter_sets.c.parameter_values)
     for condition in among(connection, parameter_sets.c.id, [int(identifier) for identifier in ids]):
         for row in connection.execute(columns.where(condition)):
-            found[row.id] = ParameterSet.from_json(row.parameter_values)
-    return found
+            sets[row.id] = ParameterSet.from_json(row.parameter_values)
+    return sets
 
 
 def parse(texts: Sequence[str]) -> Iterator[tuple[tuple[str, ...], list[int], npt.NDArray[np.int64]]]:
@@ -56,8 +56,8 @@ def parse(texts: Sequence[str]) -> Iterator[tuple[tuple[str, ...], list[int], np
 
 
 def _ids(connection: Connection, keys: Sequence[bytes]) -> dict[bytes, int]:
-    found: dict[bytes, int] = {}
+    ids: dict[bytes, int] = {}
     for condition in among(connection, parameter_sets.c.key, keys):
         rows = connection.execute(select(parameter_sets.c.key, parameter_sets.c.id).where(condition))
-        found.update((row.key, row.id) for row in rows)
-    return found
+        ids.update((row.key, row.id) for row in rows)
+    return ids

@@ -72,7 +72,7 @@ class RatingCoverage:
 
 
 def standing(connection: Connection, setup_ids: Sequence[int], evaluator: str, watermark: int) -> RatingCoverage:
-    """Of the runs in these setups and their ratings by `evaluator` ("name version"), both up to `watermark`."""
+    """Counts the runs in these setups and their ratings by `evaluator` ("name version"), both up to `watermark`."""
     seen, later = ratings.c.since <= watermark, ratings.c.since > 0
     joined = runs.outerjoin(ratings, (ratings.c.run_id == runs.c.id) & (ratings.c.evaluator == evaluator) & seen)
     query = (
@@ -94,9 +94,9 @@ def standing(connection: Connection, setup_ids: Sequence[int], evaluator: str, w
     return RatingCoverage(anew, again, missing)
 
 
-def insert(connection: Connection, evaluator: str, found: Sequence[tuple[int, Rating]]) -> None:
+def insert(connection: Connection, evaluator: str, rated: Sequence[tuple[int, Rating]]) -> None:
     """Stores an evaluator's ratings of runs by their id; one that is there already stays."""
-    rows = [{"run_id": one, "evaluator": evaluator, "score": rating.score, "rating": rating.rating} for one, rating in found]
+    rows = [{"run_id": run, "evaluator": evaluator, "score": rating.score, "rating": rating.rating} for run, rating in rated]
     if rows:
         statement = insert_into(connection, ratings).on_conflict_do_nothing(index_elements=["run_id", "evaluator"])
         connection.execute(statement, rows)

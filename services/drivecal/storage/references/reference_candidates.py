@@ -90,7 +90,7 @@ def _chunks(connection: Connection, query: Select[Any], names: Sequence[str], ch
 
 def _parsed(rows: Sequence[Row[Any]], names: Sequence[str]) -> Iterator[ReferenceCandidates]:
     heads = np.array([row[:-1] for row in rows], dtype=np.int64)
-    for found, positions, values in parse([row[-1] for row in rows]):
-        if set(found) == set(names):
-            order = [found.index(name) for name in names]
+    for present, positions, values in parse([row[-1] for row in rows]):
+        if set(present) == set(names):
+            order = [present.index(name) for name in names]
             yield ReferenceCandidates(values[:, order], heads[positions, 1:], heads[positions, 0])

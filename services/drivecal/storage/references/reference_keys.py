@@ -53,11 +53,11 @@ def look_up(
     newest: dict[bytes, tuple[int, Donor]] = {}
     if index is None:
         return {}
-    one = reference_keys.c
-    for condition in among(connection, one.key, sorted(keys)):  # in the order of the tree
-        query = select(one.key, one.since, one.evaluation_id, one.run_id, one.score, one.rating, one.failure).where(
-            one.index_id == index, condition, one.run_id <= watermark, one.since <= watermark
-        )
+    table = reference_keys.c
+    for condition in among(connection, table.key, sorted(keys)):  # in the order of the tree
+        query = select(
+            table.key, table.since, table.evaluation_id, table.run_id, table.score, table.rating, table.failure
+        ).where(table.index_id == index, condition, table.run_id <= watermark, table.since <= watermark)
         for key, since, *donor in connection.execute(query).all():
             number = since or donor[1]
             if key not in newest or number > newest[key][0]:
@@ -99,7 +99,7 @@ def wrong_keys(connection: Connection, index: Row[Any], key_function: KeyFunctio
 
     A run has to have its row where no run of a smaller number comes earlier in the order of origins under the same key, and none elsewhere.
     """
-    wrong = found = after = 0
+    wrong = known = after = 0
     while rows := _rated(connection, index.setup_id, index.evaluator, after, index.run_id, chunk, every):
         keys = _keys(rows, key_function)
         stored = _stored(connection, index.id, sorted(set(keys)))
@@ -108,10 +108,10 @@ def wrong_keys(connection: Connection, index: Row[Any], key_function: KeyFunctio
             number = _number(row)
             first = all(at > number or place < earlier for other, (at, earlier) in others.items() if other != row.id)
             wrong += first != (row.id in others)
-            found += row.id in others
+            known += row.id in others
         after = _number(rows[-1])
     there = select(func.count()).where(reference_keys.c.index_id == index.id, reference_keys.c.run_id % every == 0)
-    return wrong + abs(connection.execute(there).scalar_one() - found)
+    return wrong + abs(connection.execute(there).scalar_one() - known)
 
 
 def _sync_chunk(
@@ -173,9 +173,9 @@ def _index(influence_map: int, setup_id: int, evaluator: str) -> Select[int]:
 
 
 def _ensure_index(connection: Connection, influence_map: int, setup_id: int, evaluator: str) -> int:
-    found = connection.scalar(_index(influence_map, setup_id, evaluator))
-    if found is not None:
-        return found
+    existing = connection.scalar(_index(influence_map, setup_id, evaluator))
+    if existing is not None:
+        return existing
     row = {"influence_map_sequence": influence_map, "setup_id": setup_id, "evaluator": evaluator, "run_id": 0}
     connection.execute(insert(connection, reference_indexes).on_conflict_do_nothing(), row)
     return connection.execute(_index(influence_map, setup_id, evaluator)).scalar_one()
@@ -203,7 +203,7 @@ def _first(connection: Connection, index: int, keys: Sequence[bytes]) -> dict[by
 
 def _stored(connection: Connection, index: int, keys: Sequence[bytes]) -> dict[bytes, dict[int, tuple[int, tuple[int, ...]]]]:
     """The numbers and origins of keys that are there already, by key and run."""
-    found: dict[bytes, dict[int, tuple[int, tuple[int, ...]]]] = {}
+    origins: dict[bytes, dict[int, tuple[int, tuple[int, ...]]]] = {}
     for condition in among(connection, reference_keys.c.key, keys):
         query = (
             select(reference_keys.c.key, reference_keys.c.since, runs.c.id, *_ORIGIN)
@@ -211,8 +211,8 @@ def _stored(connection: Connection, index: int, keys: Sequence[bytes]) -> dict[b
             .where(reference_keys.c.index_id == index, condition)
         )
         for key, since, run_id, *origin in connection.execute(query):
-            found.setdefault(key, {})[run_id] = since or run_id, tuple(origin)
-    return found
+            origins.setdefault(key, {})[run_id] = since or run_id, tuple(origin)
+    return origins
 
 
 def _insert(connection: Connection, rows: Sequence[tuple[Any, ...]]) -> None:

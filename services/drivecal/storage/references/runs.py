@@ -55,14 +55,14 @@ def insert_results(connection: Connection, results: Sequence[NewRun]) -> list[St
     """Stores results exactly once and says for each, in order, what is stored for its cell. The first result of a cell stays.
 
     A rating is stored together with its run, or it follows from the run's stored metrics (`ratings`): then a campaign that sees the run
-    sees it too, whoever simulates what meanwhile. Only a rating `from_series` can be had by simulating a stored run again; where that gave
-    the stored bits, it is kept with a number of its own, so that campaigns see it which begin from now on, and no other.
+    sees it too, whatever other campaigns simulate meanwhile. Only a rating `from_series` needs a stored run to be simulated again; if
+    that gave the stored bits, it is kept with a number of its own, so that campaigns see it which begin from now on, and no other.
     """
     if not results:
         return []
     new = _insert(connection, results)
-    _insert_ratings(connection, {(run, one.evaluator): one for run, one in new.values()}, repeat(0))
-    ids = {id(one): run for run, one in new.values()}
+    _insert_ratings(connection, {(run, result.evaluator): result for run, result in new.values()}, repeat(0))
+    ids = {id(result): run for run, result in new.values()}
     compared = iter(_compare(connection, [result for result in results if id(result) not in ids]))
     return [
         StoredRun(ids[id(result)], result.evaluation_id, agrees=True) if id(result) in ids else next(compared)
@@ -77,19 +77,19 @@ def largest_id(connection: Connection) -> int:
 
 
 def stocked(connection: Connection, setup_ids: Collection[int]) -> set[int]:
-    """Those of some setups of which there are runs at all: one look for what would be a look-up for each."""
-    found: set[int] = set()
+    """Returns the setups that have runs: one query instead of a look-up for each."""
+    seen: set[int] = set()
     for condition in among(connection, setups.c.id, sorted(setup_ids)):
         any_run = select(runs.c.id).where(runs.c.setup_id == setups.c.id).exists()
-        found.update(connection.scalars(select(setups.c.id).where(condition, any_run)))
-    return found
+        seen.update(connection.scalars(select(setups.c.id).where(condition, any_run)))
+    return seen
 
 
 def look_up_exact(
     connection: Connection, setup_id: int, parameter_set_ids: Sequence[int], evaluator: str, watermark: int
 ) -> dict[int, Donor]:
     """The stored results of parameter sets in one setup, by parameter set id; of runs that `evaluator` rated, both up to `watermark`."""
-    found: dict[int, Donor] = {}
+    donors: dict[int, Donor] = {}
     for condition in among(connection, runs.c.parameter_set_id, sorted(int(identifier) for identifier in parameter_set_ids)):
         query = (
             select(runs.c.parameter_set_id, runs.c.id, runs.c.evaluation_id, runs.c.failure, ratings.c.score, ratings.c.rating)
@@ -97,8 +97,8 @@ def look_up_exact(
             .where(runs.c.setup_id == setup_id, condition, runs.c.id <= watermark, ratings.c.since <= watermark)
         )
         for parameter_set_id, run, evaluation, failure, score, rating in connection.execute(query).all():
-            found[parameter_set_id] = Donor(evaluation, run, score, rating, failure)
-    return found
+            donors[parameter_set_id] = Donor(evaluation, run, score, rating, failure)
+    return donors
 
 
 def scores(connection: Connection, run_ids: Sequence[int], evaluator: str) -> dict[int, int]:
@@ -108,11 +108,11 @@ def scores(connection: Connection, run_ids: Sequence[int], evaluator: str) -> di
 
 def metrics(connection: Connection, run_ids: Sequence[int]) -> dict[int, dict[str, float | None]]:
     """The measured metrics of runs by id, None for what was not finite. Ids that are not stored are left out."""
-    found: dict[int, dict[str, float | None]] = {}
+    by_run: dict[int, dict[str, float | None]] = {}
     for condition in among(connection, runs.c.id, [int(run_id) for run_id in run_ids]):
         for row in connection.execute(select(runs.c.id, runs.c.metrics).where(condition)):
-            found[row.id] = row.metrics
-    return found
+            by_run[row.id] = row.metrics
+    return by_run
 
 
 def _insert(connection: Connection, results: Sequence[NewRun]) -> dict[tuple[int, int], tuple[int, NewRun]]:
@@ -136,53 +136,54 @@ def _compare(connection: Connection, results: Sequence[NewRun]) -> list[StoredRu
     known = _stored(connection, results)
     stored = [known[_key(result)] for result in results]
     repeats = [
-        run.failure == one.failure and run.metrics == finite(dict(one.metrics))
-        for run, one in zip(stored, results, strict=True)
+        run.failure == result.failure and run.metrics == finite(dict(result.metrics))
+        for run, result in zip(stored, results, strict=True)
     ]
     late: dict[tuple[int, str], NewRun] = {}
-    for run, one, same in zip(stored, results, repeats, strict=True):
-        if one.from_series and same and one.failure is None:
-            late.setdefault((run.id, one.evaluator), one)
+    for run, result, same in zip(stored, results, repeats, strict=True):
+        if result.from_series and same and result.failure is None:
+            late.setdefault((run.id, result.evaluator), result)
     standing = _ratings(connection, sorted({run.id for run in stored}))
-    missing = {key: one for key, one in late.items() if key not in standing}
+    missing = {key: result for key, result in late.items() if key not in standing}
     _insert_ratings(connection, missing, _numbers(connection, len(missing)))
-    standing |= {key: (one.score, one.rating) for key, one in missing.items()}
+    standing |= {key: (result.score, result.rating) for key, result in missing.items()}
     return [
         StoredRun(
             id=run.id,
             evaluation_id=run.evaluation_id,
-            agrees=same and standing.get((run.id, one.evaluator), (one.score, one.rating)) == (one.score, one.rating),
+            agrees=same
+            and standing.get((run.id, result.evaluator), (result.score, result.rating)) == (result.score, result.rating),
         )
-        for run, one, same in zip(stored, results, repeats, strict=True)
+        for run, result, same in zip(stored, results, repeats, strict=True)
     ]
 
 
-def _key(one: NewRun) -> tuple[int, int]:
-    return one.setup_id, one.parameter_set_id
+def _key(run: NewRun) -> tuple[int, int]:
+    return run.setup_id, run.parameter_set_id
 
 
-def _row(one: NewRun, created_at: Any) -> dict[str, Any]:
+def _row(run: NewRun, created_at: Any) -> dict[str, Any]:
     return {
-        "setup_id": one.setup_id,
-        "parameter_set_id": one.parameter_set_id,
-        "metrics": dict(one.metrics),
-        "failure": one.failure,
-        "milliseconds": float(one.milliseconds),
-        "worker": one.worker,
-        "evaluation_id": one.evaluation_id,
-        "campaign_sequence": one.campaign_sequence,
-        "stage": one.stage,
-        "iteration": int(one.iteration),
-        "individual": int(one.individual),
+        "setup_id": run.setup_id,
+        "parameter_set_id": run.parameter_set_id,
+        "metrics": dict(run.metrics),
+        "failure": run.failure,
+        "milliseconds": float(run.milliseconds),
+        "worker": run.worker,
+        "evaluation_id": run.evaluation_id,
+        "campaign_sequence": run.campaign_sequence,
+        "stage": run.stage,
+        "iteration": int(run.iteration),
+        "individual": int(run.individual),
         "created_at": created_at,
     }
 
 
-def _insert_ratings(connection: Connection, found: Mapping[tuple[int, str], NewRun], since: Iterable[int]) -> None:
+def _insert_ratings(connection: Connection, new: Mapping[tuple[int, str], NewRun], since: Iterable[int]) -> None:
     """`since`: of each, in order."""
     rows = [
-        {"run_id": run, "evaluator": evaluator, "score": int(one.score), "rating": float(one.rating), "since": number}
-        for ((run, evaluator), one), number in zip(found.items(), since, strict=False)
+        {"run_id": run, "evaluator": evaluator, "score": int(result.score), "rating": float(result.rating), "since": number}
+        for ((run, evaluator), result), number in zip(new.items(), since, strict=False)
     ]
     if rows:
         connection.execute(insert(connection, ratings).on_conflict_do_nothing(index_elements=["run_id", "evaluator"]), rows)
@@ -205,17 +206,17 @@ def _stored(connection: Connection, results: Sequence[NewRun]) -> dict[tuple[int
     for result in results:
         wanted.setdefault(result.setup_id, []).append(result.parameter_set_id)
     columns = select(runs.c.setup_id, runs.c.parameter_set_id, runs.c.id, runs.c.evaluation_id, runs.c.failure, runs.c.metrics)
-    found: dict[tuple[int, int], Any] = {}
+    stored: dict[tuple[int, int], Any] = {}
     for setup_id, ids in wanted.items():
         for condition in among(connection, runs.c.parameter_set_id, ids):
             for row in connection.execute(columns.where(runs.c.setup_id == setup_id, condition)):
-                found[row.setup_id, row.parameter_set_id] = row
-    return found
+                stored[row.setup_id, row.parameter_set_id] = row
+    return stored
 
 
 def _ratings(connection: Connection, run_ids: Sequence[int]) -> dict[tuple[int, str], tuple[int, float]]:
-    found: dict[tuple[int, str], tuple[int, float]] = {}
+    stored: dict[tuple[int, str], tuple[int, float]] = {}
     for condition in among(connection, ratings.c.run_id, run_ids):
         for row in connection.execute(select(ratings).where(condition)):
-            found[row.run_id, row.evaluator] = (row.score, row.rating)
-    return found
+            stored[row.run_id, row.evaluator] = (row.score, row.rating)
+    return stored

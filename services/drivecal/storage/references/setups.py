@@ -65,20 +65,20 @@ def by_id(connection: Connection, setup_id: int) -> StoredSetup:
 
 
 def documents(connection: Connection, fingerprints: Sequence[str]) -> dict[str, Mapping[str, Any]]:
-    """What setups were made of, by fingerprint; those that are not stored are left out."""
-    found: dict[str, Mapping[str, Any]] = {}
+    """Returns the documents of stored setups, by fingerprint."""
+    documents: dict[str, Mapping[str, Any]] = {}
     for condition in among(connection, setups.c.fingerprint, fingerprints):
-        found.update(
+        documents.update(
             (row.fingerprint, row.document)
             for row in connection.execute(select(setups.c.fingerprint, setups.c.document).where(condition))
         )
-    return found
+    return documents
 
 
 def _ids(connection: Connection, fingerprints: Sequence[str]) -> dict[str, int]:
-    found: dict[str, int] = {}
+    ids: dict[str, int] = {}
     for condition in among(connection, setups.c.fingerprint, fingerprints):
-        found.update(
+        ids.update(
             (row.fingerprint, row.id) for row in connection.execute(select(setups.c.fingerprint, setups.c.id).where(condition))
         )
-    return found
+    return ids
