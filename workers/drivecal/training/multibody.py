@@ -72,7 +72,7 @@ class _ChatteringError(Exception):
 
 
 def record(manoeuvre: OpenLoopManoeuvre) -> Recording | None:
-    """Drives a manoeuvre; None where it cannot be integrated in reasonable time. Raises ArithmeticError where the integration fails."""
+    """Drives a manoeuvre; None if it cannot be integrated in reasonable time. Raises ArithmeticError if the integration fails."""
     p = vehicle()
     steering, pull = manoeuvre.steering, manoeuvre.pull
 

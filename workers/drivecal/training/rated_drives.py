@@ -153,7 +153,7 @@ def _trajectory(offset: Floats, speed: Floats, road: Floats) -> Floats:
 
 
 def synthetic(manoeuvre: Manoeuvre, number: int, seed: int) -> RatedDrive | None:
-    """A profile of offset, speed and curvature drawn at random and followed by the single-track vehicle for 12 to 22 s; None where that
+    """A profile of offset, speed and curvature drawn at random and followed by the single-track vehicle for 12 to 22 s; None if that
     is beyond it."""
     rng = np.random.default_rng([seed, list(Manoeuvre).index(manoeuvre), number])
     steps = round(rng.uniform(12.0, 22.0) / STEP)

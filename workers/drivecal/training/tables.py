@@ -18,7 +18,7 @@ def _mark(name: str) -> re.Pattern[str]:
 
 
 def read_table(card: Path, name: str) -> str:
-    """What stands between the marks. Raises ValueError where the card has no such place."""
+    """What stands between the marks. Raises ValueError if the card has no such place."""
     found = _mark(name).search(card.read_text(encoding="utf-8"))
     if found is None:
         raise ValueError(f"{card.name} has no place for {name}")
@@ -26,7 +26,7 @@ def read_table(card: Path, name: str) -> str:
 
 
 def write_table(card: Path, name: str, content: str) -> None:
-    """Puts a table in its place. Raises ValueError where the card has none."""
+    """Puts a table in its place. Raises ValueError if the card has none."""
     read_table(card, name)
     text = card.read_text(encoding="utf-8")
     card.write_text(_mark(name).sub(lambda match: f"{match[1]}{content}\n{match[3]}", text), encoding="utf-8")
