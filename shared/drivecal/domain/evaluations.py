@@ -107,7 +107,7 @@ class CellScore:
 
 @dataclass(frozen=True, slots=True)
 class AuditCount:
-    """The self-check of one scenario: `different`: any change of the score; `wrong`: by more than 1 (Eq. 8 of the paper)."""
+    """Audited cells of one scenario: `different` ones changed their score, `wrong` ones by more than 1 (Eq. 8 of the paper)."""
 
     scenario: str
     audited: int

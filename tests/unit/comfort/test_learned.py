@@ -154,9 +154,8 @@ def waves() -> str:
     """The ratings of a drive to and fro, in hexadecimal."""
     time = np.arange(1600) / 100.0
     dynamics = np.column_stack([30 + 0 * time] + [np.sin(k * time) for k in (0.5, 0.7, 0.9, 1.1)])
-    return " ".join(
-        LEARNED.rate_series(manoeuvre, Series(dynamics, np.cos(time[::10]))).rating.hex() for manoeuvre in Manoeuvre
-    )  # type: ignore[attr-defined]
+    run = Series(dynamics, np.cos(time[::10]))
+    return " ".join(LEARNED.rate_series(manoeuvre, run).rating.hex() for manoeuvre in Manoeuvre)  # type: ignore[attr-defined]
 
 
 PROGRAM = f"""
