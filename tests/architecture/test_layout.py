@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import importlib
 from collections import Counter
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -78,12 +79,25 @@ def test_whatever_is_public_is_documented(path: Path) -> None:
     assert missing == []
 
 
+@cache
+def documented_methods() -> Counter[str]:
+    """How many classes of the three roots document a method of each name."""
+    classes = (node for path in modules() for node in ast.walk(parsed(path)) if isinstance(node, ast.ClassDef))
+    functions = (child for node in classes for child in node.body if isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef)))
+    return Counter(child.name for child in functions if ast.get_docstring(child))
+
+
+def is_described_elsewhere(node: ast.Module | ast.ClassDef, name: str) -> bool:
+    """Whether a method overrides or implements one that another class documents, or that a library does."""
+    return isinstance(node, ast.ClassDef) and (name in HOOKS or (bool(node.bases) and documented_methods()[name] > 0))
+
+
 def undocumented(node: ast.Module | ast.ClassDef, prefix: str) -> list[str]:
     """Public classes, functions and methods without a docstring; what is inside a function or starts with _ is nobody's business."""
     found: list[str] = []
     for child in node.body:
         if isinstance(child, (ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)) and not child.name.startswith("_"):
-            if not ast.get_docstring(child) and child.name not in HOOKS:
+            if not ast.get_docstring(child) and not (is_described_elsewhere(node, child.name)):
                 found.append(prefix + child.name)
             if isinstance(child, ast.ClassDef):
                 found += undocumented(child, f"{prefix}{child.name}.")

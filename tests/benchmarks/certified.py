@@ -25,7 +25,7 @@ from drivecal.cli.commands.demo.coordinator import coordinator, fresh_folder
 from drivecal.client.client import Client
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.inventory import WorkerAnswer
-from drivecal.domain.campaigns import Stage
+from drivecal.domain.campaigns import StageName
 from drivecal.planner.candidates import lateral_ends, longitudinal_ends
 from drivecal.planner.planner import PERIOD
 from drivecal.storage.engine.types import STAGES
@@ -84,7 +84,7 @@ def ask(home: Path, query: str) -> list[tuple[Any, ...]]:
         return list(connection.execute(query))
 
 
-def by_scenario(home: Path, stage: Stage) -> dict[str, dict[str, float]]:
+def by_scenario(home: Path, stage: StageName) -> dict[str, dict[str, float]]:
     """Counts of one stage: cells by outcome, audited, checked, different; mean milliseconds of a walk and of a simulation."""
     table: dict[str, dict[str, float]] = {}
     for position, scenario, outcome, cells, milliseconds, audited, checked, different, both, spent, seeing in ask(home, CELLS):
@@ -169,9 +169,9 @@ def main() -> int:
         f"{chosen.population} individuals, {chosen.iterations} iterations, {chosen.samples} samples per interval;"
         f" a plan every {PERIOD} s among {candidates}"
     )
-    both = Stage.SENSITIVITY, Stage.CALIBRATION
+    both = StageName.SENSITIVITY, StageName.CALIBRATION
     stages, without = ({stage: by_scenario(each.home, stage) for stage in both} for each in (one, other))
-    names = {Stage.SENSITIVITY: f"sensitivity stage, design {paper['sensitivity'].get('design', 'lines')}"}
+    names = {StageName.SENSITIVITY: f"sensitivity stage, design {paper['sensitivity'].get('design', 'lines')}"}
     for stage, rows in stages.items():
         title = (
             f"{names.get(stage, f'{stage} stage')}; a plan every {PERIOD} s among {candidates}; shares of the requested cells"
@@ -190,7 +190,7 @@ def main() -> int:
     rows_of = [ask(each.home, FOUND) for each in (one, other)]
     differences = sum(first != second for first, second in zip(*rows_of, strict=False)) + abs(len(rows_of[0]) - len(rows_of[1]))
     print(f"cells whose result is not the same to the bit with and without certificates: {differences} of {len(rows_of[0]):,}")
-    analysis, search = summed(stages[Stage.SENSITIVITY]), summed(stages[Stage.CALIBRATION])
+    analysis, search = summed(stages[StageName.SENSITIVITY]), summed(stages[StageName.CALIBRATION])
     checked, wrong = analysis["checked"] + search["checked"], analysis["different"] + search["different"]
     reached = {
         f"cells of the search answered without a simulation, {ANSWERED:.0%} wanted": (

@@ -10,6 +10,7 @@ from tests.support.computed import ComputedBackend
 from tests.support.runs import WITH_ANALYSIS, dispatcher, get, influenced, nothing_matters, post_map, run, submit
 
 from drivecal.contracts.specification import CampaignSpecification
+from drivecal.domain.campaigns import StageName
 from drivecal.storage import campaigns, events, generations
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -42,7 +43,7 @@ def test_a_campaign_tells_its_stages_its_generations_and_every_better_set(databa
     assert [one["stage"] for one in by_kind["stage"]] == ["sensitivity", "calibration"]
     assert kinds.index("phase") < kinds.index("influence_map") < len(kinds) - 1 - kinds[::-1].index("stage")
     assert [one["phase"] for one in by_kind["phase"]] == list(range(len(by_kind["phase"])))
-    assert by_kind["phase"][-1]["requested"] == ended.sensitivity_cells.requested
+    assert by_kind["phase"][-1]["requested"] == ended.counts(StageName.SENSITIVITY).requested
     assert by_kind["influence_map"][0]["id"] == ended.influence_map_id
     assert "P4" not in by_kind["influence_map"][0]["influential"]["S1"]
     with database.read() as connection:

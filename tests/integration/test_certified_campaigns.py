@@ -14,7 +14,7 @@ from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.results.explanation import explain
 from drivecal.campaigns.results.verification import verify
 from drivecal.contracts.work import Cell
-from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.evaluations import Outcome
 from drivecal.storage import audits, generations, results
 from drivecal.storage.campaigns import StoredCampaign
@@ -121,7 +121,7 @@ def test_no_result_changes_by_a_bit_when_certification_is_switched_on_or_off(tmp
 
 def test_in_the_sensitivity_stage_most_runs_are_certified(database: Database) -> None:
     ended = run(database, submit(database, **WITH_ANALYSIS), certifying())
-    cells = ended.sensitivity_cells
+    cells = ended.counts(StageName.SENSITIVITY)
     assert cells.requested == cells.repeated + cells.certified + cells.simulated
     assert cells.certified > cells.simulated
     assert ended.influence_map_id is not None

@@ -21,7 +21,7 @@ from drivecal.contracts.work import Cell, CellResult
 from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.leadership import Leadership
 from drivecal.dispatch.leasing import StoredLeases
-from drivecal.domain.campaigns import Stage
+from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome
 from drivecal.execution.pool import WorkPool
 from drivecal.storage import campaigns, events, generations, results
@@ -137,7 +137,7 @@ def test_what_confirms_is_counted_and_told_apart_from_the_search(
     assert all(audits[0].values())
     assert campaign.progress.done == campaign.cells.requested <= campaign.progress.total
     with database.read() as connection:
-        counted = results.counted_since(connection, campaign.sequence, Stage.CALIBRATION, ITERATIONS)
+        counted = results.counted_since(connection, campaign.sequence, StageName.CALIBRATION, ITERATIONS)
     assert counted == {name: sum(row.scenario == name for row in added) for name in MATTERS}
     assert [one for one in verify(database, full=True) if one.problems] == []
 
@@ -236,7 +236,7 @@ def step_until(database: Database, campaign: StoredCampaign, iteration: int, wor
     """Until an iteration of the stage was asked for."""
     for _ in range(1_000):
         with database.read() as connection:
-            if results.has_iteration(connection, campaign.sequence, Stage.CALIBRATION, iteration):
+            if results.has_iteration(connection, campaign.sequence, StageName.CALIBRATION, iteration):
                 return
         working.step()
     raise AssertionError(f"iteration {iteration} was never asked for")

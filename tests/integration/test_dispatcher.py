@@ -12,7 +12,7 @@ from tests.support.runs import dispatcher, everything, nothing_matters, post_map
 
 from drivecal.contracts.specification import EvaluationSpecification
 from drivecal.contracts.work import Cell, CellResult
-from drivecal.domain.campaigns import CampaignState, Stage
+from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.evaluations import Outcome
 from drivecal.storage import campaigns, generations, results
 from drivecal.storage.campaigns import StoredCampaign
@@ -283,5 +283,5 @@ def test_a_baseline_is_evaluated_first_and_shown(database: Database) -> None:
     assert ended.baseline.objective is not None
     with database.read() as connection:
         first = next(iter(results.stream(connection, campaign.sequence)))
-    assert first.stage is Stage.CALIBRATION
+    assert first.stage is StageName.CALIBRATION
     assert (first.iteration, first.individual, first.parameters) == (0, 0, middle)

@@ -13,7 +13,7 @@ import pytest
 from tests.support.found import ANALYSIS, analyse
 from tests.support.server import RunningApi, serving
 
-from drivecal.contracts.inventory import InfluenceRow
+from drivecal.contracts.tables import InfluenceRow
 
 
 @pytest.fixture(scope="module")

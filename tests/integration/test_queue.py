@@ -339,7 +339,8 @@ def test_a_campaign_whose_rows_are_damaged_fails_alone(databases: Callable[[], D
     before, during, sound = (submit(database, **TINY) for _ in range(3))
     with database.transaction() as connection:
         campaigns.start(connection, during.sequence)
-        damage = text('UPDATE campaigns SET cells = \'{"proposed": "many"}\' WHERE sequence < :sequence')
+        counts = """SELECT sequence, 2, '{"proposed": "many"}' FROM campaigns WHERE sequence < :sequence"""
+        damage = text(f"INSERT INTO campaign_stages {counts}")
         connection.execute(damage, {"sequence": sound.sequence})
     assert finish(database, sound, dispatcher(database)).state is CampaignState.SUCCEEDED
     with database.read() as connection:

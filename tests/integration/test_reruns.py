@@ -22,7 +22,7 @@ from drivecal.configuration.settings import load_settings
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, RerunSpecification
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.actions import Action
-from drivecal.domain.campaigns import CampaignState, Stage
+from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.evaluations import Outcome, Rating
 from drivecal.domain.scenarios import Manoeuvre
@@ -93,7 +93,7 @@ def test_a_narrowed_campaign_searches_where_some_scenario_is_influenced(database
     assert 0.5 <= found["P2"].upper <= 0.7
     assert 0.2 <= found["P3"].lower <= 0.4
     with database.read() as connection:
-        rows = [row for row in results.stream(connection, narrow.sequence) if row.stage is Stage.CALIBRATION]
+        rows = [row for row in results.stream(connection, narrow.sequence) if row.stage is StageName.CALIBRATION]
     for name, one in found.items():
         assert all(one.lower <= row.parameters[name] <= one.upper for row in rows)
     assert any("narrowed" in note and "P4 held at 0.5" in note for note in narrow.notes)
@@ -141,7 +141,7 @@ def test_expert_sets_are_in_the_start_population_after_the_baseline(database: Da
     for reduction in ({}, {"narrow": True}):
         ended = _run(database, baseline=baseline, optimizer=optimizer, reduction=reduction)
         with database.read() as connection:
-            rows = [row for row in results.stream(connection, ended.sequence) if row.stage is Stage.CALIBRATION]
+            rows = [row for row in results.stream(connection, ended.sequence) if row.stage is StageName.CALIBRATION]
         first = {row.individual: row.parameters for row in rows if row.iteration == 0}
         given = [{name: first[place][name] for name in baseline} for place in range(3)]
         assert given == [baseline, experts[0], experts[2]], "each once"
@@ -175,7 +175,7 @@ def test_a_rerun_of_a_subset_of_the_scenarios_simulates_those_alone(database: Da
     backend = ComputedBackend(answer=influenced)
     again = _rerun(database, first, backend, weights={"S1": 0})
     assert again.influence_map_id == first.influence_map_id
-    assert again.sensitivity_cells.requested == 0
+    assert again.counts(StageName.SENSITIVITY).requested == 0
     assert set(again.error_rate) == {"S2"}
     assert {scenario for scenario, _ in backend.sent} <= {"S2"}
     assert any("S1" in note for note in again.notes)
@@ -189,7 +189,7 @@ def test_another_evaluator_rates_stored_runs_and_simulates_only_what_is_new(data
     again = _rerun(database, first, backend, evaluator="strict")
     assert again.spec["evaluator"] == "strict"
     assert again.influence_map_id != first.influence_map_id, "the map was made from the other ratings"
-    assert again.sensitivity_cells.repeated > 0.7 * again.sensitivity_cells.requested
+    assert again.counts(StageName.SENSITIVITY).repeated > 0.7 * again.counts(StageName.SENSITIVITY).requested
     assert again.cells.repeated + again.cells.reused > 0
     with database.read() as connection:
         rows = list(results.stream(connection, again.sequence))
@@ -202,13 +202,13 @@ def test_another_evaluator_rates_stored_runs_and_simulates_only_what_is_new(data
             expected = strict_answer(row.scenario, Cell(1, row.parameters))
             assert (row.score, row.rating, row.failure) == (expected.score, expected.rating, expected.failure)
     assert any(row.failure == "collision" and row.score == 0 and row.outcome is Outcome.REPEATED for row in rows)
-    assert len(backend.sent) == again.cells.simulated + again.sensitivity_cells.simulated
+    assert len(backend.sent) == again.cells.simulated + again.counts(StageName.SENSITIVITY).simulated
     for rate in again.error_rate.values():
         assert rate.wrong == rate.different == 0
     third = _rerun(database, again, weights={"S1": 3}, evaluator="strict")
     assert third.influence_map_id == again.influence_map_id
     back = _rerun(database, again, evaluator="reference")
-    assert back.sensitivity_cells.simulated == 0
+    assert back.counts(StageName.SENSITIVITY).simulated == 0
     assert back.best == first.best
 
 

@@ -11,7 +11,7 @@ from tests.support.runs import EXPERT_SPACE, SMALL, nothing_matters, post_map, r
 from drivecal.campaigns.results.explanation import explain
 from drivecal.contracts.explanation import Explanation
 from drivecal.contracts.work import Cell, CellResult
-from drivecal.domain.campaigns import Stage
+from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome
 from drivecal.storage import results
 from drivecal.storage.campaigns import StoredCampaign
@@ -174,5 +174,5 @@ def test_cells_of_an_analysis_and_those_it_answers_are_explained(database: Datab
     for row in rows:
         found = _explain(database, row)
         assert found.sentence.endswith((".", "]"))
-        if row.stage is Stage.SENSITIVITY:
+        if row.stage is StageName.SENSITIVITY:
             assert found.reason in {"analysis", "repeated"}

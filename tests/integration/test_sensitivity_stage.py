@@ -14,7 +14,7 @@ from tests.support.runs import WITH_ANALYSIS, dispatcher
 from drivecal.campaigns.resolve.maps import map_from_document
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.contracts.work import Cell, CellResult
-from drivecal.domain.campaigns import CampaignState, Stage
+from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.influence import InfluenceMap
 from drivecal.storage import campaigns, results
@@ -41,7 +41,7 @@ def _submit(database: Database, **changes: Any) -> StoredCampaign:
 def _get(database: Database, campaign: StoredCampaign) -> StoredCampaign:
     with database.read() as connection:
         found = campaigns.get(connection, campaign.id)
-    counts = found.sensitivity_cells
+    counts = found.counts(StageName.SENSITIVITY)
     assert counts.proposed == counts.pending + counts.requested
     assert counts.requested == counts.repeated + counts.certified + counts.simulated + counts.failed
     return found
@@ -73,8 +73,8 @@ def test_the_stage_finds_where_parameters_matter_and_the_calibration_uses_it(dat
     assert p3.lower is not None
     assert 0.2 <= float(p3.lower) <= 0.4
     assert ended.cells.reused > 0
-    assert ended.sensitivity_cells.simulated > 0
-    assert ended.cells.simulated < ended.sensitivity_cells.simulated
+    assert ended.counts(StageName.SENSITIVITY).simulated > 0
+    assert ended.cells.simulated < ended.counts(StageName.SENSITIVITY).simulated
     assert set(ended.error_rate) == {"S1", "S2"}
     for rate in ended.error_rate.values():
         assert rate.audited > 0
@@ -99,8 +99,8 @@ def test_the_runs_of_the_analysis_are_references_from_the_first_population_on(da
     with database.read() as connection:
         rows = {row.id: row for row in results.stream(connection, ended.sequence)}
     stages = {row.id: row.stage for row in rows.values()}
-    first = [row for row in rows.values() if row.stage is Stage.CALIBRATION and row.iteration == 0]
-    assert any(row.outcome is Outcome.REUSED and stages[row.reference or 0] is Stage.SENSITIVITY for row in first)
+    first = [row for row in rows.values() if row.stage is StageName.CALIBRATION and row.iteration == 0]
+    assert any(row.outcome is Outcome.REUSED and stages[row.reference or 0] is StageName.SENSITIVITY for row in first)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -123,7 +123,7 @@ def test_a_campaign_killed_in_its_analysis_ends_like_one_that_was_not(tmp_path: 
                 (row.stage, row.iteration, row.individual, row.scenario, row.outcome, row.score, row.audited, row.agrees)
                 for row in results.stream(connection, campaign.sequence)
             ]
-        found.append((cells, ended.cells, ended.sensitivity_cells, ended.best, _map(opened, ended)))
+        found.append((cells, ended.cells, ended.counts(StageName.SENSITIVITY), ended.best, _map(opened, ended)))
         opened.dispose()
     assert found[0] == found[1]
 
@@ -139,10 +139,10 @@ def test_an_analysis_of_its_own_ends_with_a_map_that_a_later_campaign_names(data
             connection, name="later", spec=named.model_dump(mode="json"), influence_map_id=alone.influence_map_id
         )
     ended = _run(database, later)
-    assert ended.sensitivity_cells.requested == 0
+    assert ended.counts(StageName.SENSITIVITY).requested == 0
     assert ended.cells.reused > 0
     together = _run(database, _submit(database))
-    assert together.sensitivity_cells.simulated == 0, "the same analysis repeats what is stored"
+    assert together.counts(StageName.SENSITIVITY).simulated == 0, "the same analysis repeats what is stored"
     assert together.best == ended.best
 
 
@@ -154,7 +154,7 @@ def test_failed_runs_cost_their_effects_and_not_the_analysis(database: Database)
 
     ended = _run(database, _submit(database), ComputedBackend(answer=broken))
     assert ended.state is CampaignState.SUCCEEDED
-    assert ended.sensitivity_cells.failed > 0
+    assert ended.counts(StageName.SENSITIVITY).failed > 0
     assert _map(database, ended).influence("S2", "P3").influential
 
 

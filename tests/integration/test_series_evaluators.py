@@ -16,7 +16,7 @@ from drivecal.campaigns.results.verification import verify
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.specification import CampaignSpecification, RerunSpecification
 from drivecal.contracts.work import Cell, CellResult
-from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.evaluations import Rating
 from drivecal.domain.scenarios import Manoeuvre
 from drivecal.plugins import registry
@@ -78,7 +78,7 @@ def test_runs_are_simulated_again_for_it_once_and_nothing_is_for_who_rates_by_me
     specification = CampaignSpecification.model_validate(MAPPED)
     first = run(database, submission.submit(database, LIMITS, specification, None), ComputedBackend(answer=influenced))
     again = rerun(database, first, "seeing", ComputedBackend(answer=seen))
-    asked = again.cells.simulated + again.sensitivity_cells.simulated
+    asked = again.cells.simulated + again.counts(StageName.SENSITIVITY).simulated
     assert asked > 100
     assert again.cells.unrepeatable == 0
     [note] = again.notes
@@ -93,7 +93,7 @@ def test_runs_are_simulated_again_for_it_once_and_nothing_is_for_who_rates_by_me
     assert third.best.objective == again.best.objective
     assert "were simulated again for it by earlier campaigns" in third.notes[0]
     back = rerun(database, again, "reference", ComputedBackend(answer=influenced))
-    assert back.sensitivity_cells.simulated == 0
+    assert back.counts(StageName.SENSITIVITY).simulated == 0
     assert back.best == first.best
     assert [verdict for verdict in verify(database, full=True) if verdict.problems] == []
 

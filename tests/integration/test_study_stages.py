@@ -13,7 +13,7 @@ from tests.support.runs import SMALL, dispatcher, get, influenced, nothing_matte
 from drivecal.campaigns.resolve.problem import resolve
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.contracts.work import Cell, CellResult, SetupRequest
-from drivecal.domain.campaigns import CampaignState, Stage
+from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.evaluations import Outcome
 from drivecal.storage import results, studies
@@ -32,7 +32,7 @@ def heavy(setup: SetupRequest, cell: Cell) -> CellResult:
     return CellResult(cell.id, rating, int(rating), {"rating": rating}, None, 5.0)
 
 
-def study(database: Database, campaign: StoredCampaign, stage: Stage = Stage.ROBUSTNESS) -> dict[str, Any]:
+def study(database: Database, campaign: StoredCampaign, stage: StageName = StageName.ROBUSTNESS) -> dict[str, Any]:
     with database.read() as connection:
         found = studies.get(connection, campaign.sequence, stage)
     assert found is not None
@@ -55,7 +55,7 @@ def test_sets_are_ranked_by_what_vehicles_they_bear(database: Database) -> None:
     assert not failing["holds"]
     assert failing["deviations"] == {"S1": 2.0, "S2": 2.0, "S3": 2.0}
     # nominal runs, then 5, 3 and 1 boxes
-    assert ended.robustness_cells.requested == 3 * 3 + (5 + 3 + 1) * 8 * 3
+    assert ended.counts(StageName.ROBUSTNESS).requested == 3 * 3 + (5 + 3 + 1) * 8 * 3
     assert ended.cells.requested == 0
 
 
@@ -70,12 +70,12 @@ def test_every_vehicle_has_a_setup_of_its_own_in_the_reference_table(database: D
         counted = setups.counts(connection)
         rows = list(results.stream(connection, ended.sequence))
     assert len(counted) == 3 * (1 + 2 * 8)
-    assert sum(one.runs for one in counted) == len(rows) == ended.robustness_cells.simulated
-    assert {row.stage for row in rows} == {Stage.ROBUSTNESS}
+    assert sum(one.runs for one in counted) == len(rows) == ended.counts(StageName.ROBUSTNESS).simulated
+    assert {row.stage for row in rows} == {StageName.ROBUSTNESS}
     again = run(
         database, submit(database, optimizer=None, robustness=campaign.spec["robustness"]), ComputedBackend(driven=heavy)
     )
-    assert again.robustness_cells.repeated == again.robustness_cells.requested
+    assert again.counts(StageName.ROBUSTNESS).repeated == again.counts(StageName.ROBUSTNESS).requested
     assert study(database, again)["items"] == study(database, ended)["items"]
 
 
@@ -87,7 +87,7 @@ def test_the_best_sets_of_a_calibration_are_examined_one_of_each_region_first(da
     assert len(found) == 5
     assert {row["objective"] for row in found} == {ended.best.objective}
     assert max(row["region"] for row in found) >= 1
-    assert ended.stage is Stage.ROBUSTNESS
+    assert ended.stage is StageName.ROBUSTNESS
 
 
 def test_scores_that_were_references_are_simulated_in_the_nominal_vehicle_first(database: Database) -> None:
@@ -96,7 +96,9 @@ def test_scores_that_were_references_are_simulated_in_the_nominal_vehicle_first(
     ended = run(database, campaign, ComputedBackend(driven=heavy))
     with database.read() as connection:
         first = [
-            row for row in results.stream(connection, ended.sequence) if row.stage is Stage.ROBUSTNESS and row.iteration == 0
+            row
+            for row in results.stream(connection, ended.sequence)
+            if row.stage is StageName.ROBUSTNESS and row.iteration == 0
         ]
     assert {row.outcome for row in first} == {Outcome.SIMULATED, Outcome.REPEATED}
 
@@ -113,7 +115,7 @@ def test_a_vehicle_without_a_result_ends_the_growing_of_boxes(database: Database
     row = study(database, ended)["items"][0]
     assert row["degree"] == 2
     assert row["trials"][-1]["deviations"] == {"S1": None}
-    assert ended.robustness_cells.failed > 0
+    assert ended.counts(StageName.ROBUSTNESS).failed > 0
 
 
 def test_a_campaign_whose_calibration_found_nothing_has_nothing_to_examine(database: Database) -> None:
@@ -145,8 +147,10 @@ def test_a_campaign_killed_in_its_studies_ends_like_one_that_was_not(tmp_path: P
                 (row.stage, row.iteration, row.individual, row.scenario, row.outcome, row.score)
                 for row in results.stream(connection, campaign.sequence)
             ]
-        both = [study(opened, ended, stage) for stage in (Stage.ROBUSTNESS, Stage.VALIDATION)]
-        found.append((cells, ended.cells, ended.robustness_cells, ended.validation_cells, ended.best, both))
+        both = [study(opened, ended, stage) for stage in (StageName.ROBUSTNESS, StageName.VALIDATION)]
+        found.append(
+            (cells, ended.cells, ended.counts(StageName.ROBUSTNESS), ended.counts(StageName.VALIDATION), ended.best, both)
+        )
         opened.dispose()
     assert found[0] == found[1]
 
@@ -163,7 +167,7 @@ def test_validation_counts_variants_that_differ_where_the_map_says_that_they_can
         validation={"samples": 20, "references": 5},
     )
     ended = run(database, campaign, ComputedBackend(answer=influenced))
-    one, two = study(database, ended, Stage.VALIDATION)["items"]
+    one, two = study(database, ended, StageName.VALIDATION)["items"]
     assert (one["scenario"], two["scenario"]) == ("S1", "S2")
     assert one["reducible"] == 10
     assert one["covered"] == one["effects"] == 2**10 - 1
@@ -173,14 +177,14 @@ def test_validation_counts_variants_that_differ_where_the_map_says_that_they_can
     assert two["error_rate"] == 0.0
     assert two["histogram"] == {"0": two["compared"]}
     assert 0 < two["upper_95"] < 0.1
-    assert ended.validation_cells.requested == sum(row["bases"] * 6 for row in (one, two))
+    assert ended.counts(StageName.VALIDATION).requested == sum(row["bases"] * 6 for row in (one, two))
 
 
 def test_where_everything_matters_there_is_nothing_to_validate(database: Database) -> None:
     stored_map = post_map(database, {"S1": {"P1": {"influential": True}}})
     campaign = submit(database, stored_map=stored_map, optimizer=None, validation={"samples": 20})
     ended = run(database, campaign)
-    found = study(database, ended, Stage.VALIDATION)
+    found = study(database, ended, StageName.VALIDATION)
     assert ended.state is CampaignState.SUCCEEDED
     assert all("nothing to validate" in note for note in found["notes"])
     assert len(found["notes"]) == 3

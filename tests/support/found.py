@@ -12,10 +12,10 @@ from sqlalchemy import Connection
 from drivecal.campaigns.resolve.maps import analysis_to_document, smallest_s_rel
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve, resolve_evaluation
 from drivecal.campaigns.resolve.spaces import space_to_document
-from drivecal.contracts.campaign import Best, CellCounts, ErrorRate, Progress, StageCellCounts
+from drivecal.contracts.campaign import Best, CellCounts, ErrorRate, Progress
 from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
-from drivecal.domain.campaigns import CampaignState, Stage
+from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.parameters import ParameterSet, text
 from drivecal.storage import campaigns, evaluations, generations
@@ -61,11 +61,10 @@ def carry_out(database: Database, campaign_id: str, individuals: int = 5, *, end
         generations.finish(connection, campaign.sequence, 0, figures, [3.0] * individuals)
         best = Best(objective=3.5, parameters=sets[-1].floats, scores=dict.fromkeys(problem.scenarios, 3), alternatives=1)
         snapshot = Snapshot(
-            stage=Stage.CALIBRATION,
+            stage=StageName.CALIBRATION,
             iteration=0,
-            cells=CellCounts(proposed=cells, requested=cells, simulated=cells),
+            cells={StageName.CALIBRATION: CellCounts(proposed=cells, requested=cells, simulated=cells)},
             progress=Progress(done=cells, total=cells, eta_seconds=0.0),
-            sensitivity_cells=StageCellCounts(),
             error_rate={name: ErrorRate() for name in problem.scenarios},
             best=best,
             baseline=None,
@@ -88,7 +87,7 @@ def _simulate(connection: Connection, campaign: StoredCampaign, problem: Calibra
     )
     ids = parameter_sets.ensure(connection, sets)
     cells = [
-        NewEvaluation(Stage.CALIBRATION, 0, individual, scenario, setup_ids[scenario], parameter_set, Outcome.SIMULATED)
+        NewEvaluation(StageName.CALIBRATION, 0, individual, scenario, setup_ids[scenario], parameter_set, Outcome.SIMULATED)
         for individual, parameter_set in enumerate(ids)
         for scenario in problem.scenarios
     ]
@@ -142,7 +141,7 @@ def carry_out_evaluation(database: Database, evaluation_id: str) -> None:
         setup_ids = setups.ensure(connection, list(problem.bench.setups.values()))
         [parameter_set] = parameter_sets.ensure(connection, [problem.parameter_set])
         cells = [
-            NewEvaluation(Stage.CALIBRATION, 0, 0, name, setup, parameter_set, Outcome.SIMULATED)
+            NewEvaluation(StageName.CALIBRATION, 0, 0, name, setup, parameter_set, Outcome.SIMULATED)
             for name, setup in zip(names, setup_ids, strict=True)
         ]
         ids = evaluations.insert(connection, campaign.sequence, cells)

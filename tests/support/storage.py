@@ -8,7 +8,7 @@ from decimal import Decimal
 
 from sqlalchemy import Connection
 
-from drivecal.domain.campaigns import Stage
+from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.parameters import ParameterSet
 from drivecal.domain.setups import Setup
@@ -59,7 +59,7 @@ def new_run(
     *,
     evaluation: int = 1,
     campaign_sequence: int = 1,
-    stage: Stage = Stage.CALIBRATION,
+    stage: StageName = StageName.CALIBRATION,
     iteration: int = 0,
     individual: int = 0,
     score: int = 5,

@@ -77,7 +77,7 @@ class Course:
 
 def best_of_all(courses: Iterable[Course]) -> float | None:
     """The best optimum that any run found; None where none has one."""
-    return max((one.optimum for one in courses if one.optimum is not None), default=None)
+    return max((course.optimum for course in courses if course.optimum is not None), default=None)
 
 
 def succeeds(course: Course, best: float | None) -> bool:
@@ -109,16 +109,16 @@ def groups(courses: Sequence[Course]) -> list[RunGroup]:
     """Runs with equal optimizer, population and reduction together, in the order of the first of each."""
     best = best_of_all(courses)
     found: dict[tuple[str, int, str], list[Course]] = {}
-    for one in courses:
-        conditions = one.conditions
-        found.setdefault((conditions.optimizer, conditions.population, conditions.reduction), []).append(one)
+    for course in courses:
+        conditions = course.conditions
+        found.setdefault((conditions.optimizer, conditions.population, conditions.reduction), []).append(course)
     return [_group(*key, members, best) for key, members in found.items()]
 
 
 def _group(optimizer: str, population: int, reduction: str, members: Sequence[Course], best: float | None) -> RunGroup:
-    optima = [one.optimum for one in members if one.optimum is not None]
-    begun = [one for one in members if one.best]
-    converged = [one for one in members if one.converged_at is not None]
+    optima = [member.optimum for member in members if member.optimum is not None]
+    begun = [member for member in members if member.best]
+    converged = [member for member in members if member.converged_at is not None]
     return RunGroup(
         optimizer=optimizer,
         population=population,
@@ -127,13 +127,13 @@ def _group(optimizer: str, population: int, reduction: str, members: Sequence[Co
         best=max(optima, default=None),
         mean=_mean(optima),
         minimum=min(optima, default=None),
-        rating=_mean([one.ratings[-1] for one in begun if one.ratings[-1] is not None]),
-        alternatives=_mean([one.alternatives[-1] for one in begun]),
-        simulations=_mean([one.simulated for one in begun]),
+        rating=_mean([run.ratings[-1] for run in begun if run.ratings[-1] is not None]),
+        alternatives=_mean([run.alternatives[-1] for run in begun]),
+        simulations=_mean([run.simulated for run in begun]),
         converged=len(converged),
-        iterations_to_converge=_mean([one.converged_at or 0 for one in converged]),
-        simulations_to_converge=_mean([one.simulations_to_converge or 0 for one in converged]),
-        successes=sum(succeeds(one, best) for one in members),
+        iterations_to_converge=_mean([course.converged_at or 0 for course in converged]),
+        simulations_to_converge=_mean([course.simulations_to_converge or 0 for course in converged]),
+        successes=sum(succeeds(member, best) for member in members),
     )
 
 
@@ -166,7 +166,7 @@ def pairs(courses: Sequence[Course]) -> list[Pair]:
     if not courses:
         return []
     first = courses[0].conditions.reduction
-    whole = {one.conditions: one for one in courses if one.ended and one.optimum is not None}
+    whole = {course.conditions: course for course in courses if course.ended and course.optimum is not None}
     return [
         Pair(one, whole[base])
         for conditions, one in whole.items()
@@ -199,29 +199,29 @@ class Effect:
 def effects(found: Sequence[Pair]) -> list[Effect]:
     """By reduction, optimizer and population, and, where there are several such, of each reduction over all of them."""
     wanted: dict[tuple[str, str | None, int | None], list[Pair]] = {}
-    for one in found:
-        conditions = one.run.conditions
-        wanted.setdefault((conditions.reduction, conditions.optimizer, conditions.population), []).append(one)
-    for reduction in dict.fromkeys(one.run.conditions.reduction for one in found):
+    for course in found:
+        conditions = course.run.conditions
+        wanted.setdefault((conditions.reduction, conditions.optimizer, conditions.population), []).append(course)
+    for reduction in dict.fromkeys(course.run.conditions.reduction for course in found):
         parts = [listed for key, listed in wanted.items() if key[0] == reduction]
         if len(parts) > 1:
-            wanted[reduction, None, None] = [one for listed in parts for one in listed]
+            wanted[reduction, None, None] = [course for listed in parts for course in listed]
     return [_effect(*key, listed) for key, listed in wanted.items()]
 
 
 def _effect(reduction: str, optimizer: str | None, population: int | None, listed: Sequence[Pair]) -> Effect:
     from scipy import stats  # more than a second, which only those pay who compare
 
-    differences = [one.difference for one in listed]
-    better = sum(one > EQUAL for one in differences)
-    worse = sum(one < -EQUAL for one in differences)
+    differences = [course.difference for course in listed]
+    better = sum(difference > EQUAL for difference in differences)
+    worse = sum(difference < -EQUAL for difference in differences)
     different, mean = better + worse, fmean(differences)
     margin = None
     if len(differences) > 1:
         quantile = float(stats.t.ppf((1 + CONFIDENCE) / 2, len(differences) - 1))
         margin = quantile * stdev(differences) / len(differences) ** 0.5
     interval = stats.binomtest(different, len(differences)).proportion_ci(CONFIDENCE, method="exact")
-    with_it, without = (sum(one.simulated for one in runs) for runs in zip(*((p.run, p.base) for p in listed), strict=True))
+    with_it, without = (sum(run.simulated for run in runs) for runs in zip(*((p.run, p.base) for p in listed), strict=True))
     return Effect(
         optimizer=optimizer,
         population=population,

@@ -45,12 +45,12 @@ def check_nominal(parameters: Sequence[VehicleParameter], nominal: Mapping[str, 
     """Raises InvalidInputError for each nominal value outside its bounds: no box can be put around it."""
     problems = [
         Problem(
-            f"vehicle.parameters.{one.name}",
-            f"{nominal[one.name]} {one.unit} is outside the bounds of the robustness analysis",
-            f"between {one.minimum} and {one.maximum} {one.unit}, or robustness: null",
+            f"vehicle.parameters.{parameter.name}",
+            f"{nominal[parameter.name]} {parameter.unit} is outside the bounds of the robustness analysis",
+            f"between {parameter.minimum} and {parameter.maximum} {parameter.unit}, or robustness: null",
         )
-        for one in parameters
-        if not one.minimum <= nominal[one.name] <= one.maximum
+        for parameter in parameters
+        if not parameter.minimum <= nominal[parameter.name] <= parameter.maximum
     ]
     if problems:
         raise InvalidInputError(*problems)
@@ -160,7 +160,7 @@ class RobustnessStudy:
                 return None
             number = self._boxes + 1
             points = directions(len(self._parameters), self._settings.samples, self._settings.seed, number)
-            drawn = {one: vehicles(self._parameters, self._nominal, one, points) for one in set(radius.values())}
+            drawn = {solution: vehicles(self._parameters, self._nominal, solution, points) for solution in set(radius.values())}
             self._asked = Box(number, radius, {solution: drawn[one] for solution, one in radius.items()})
         return self._asked
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from scipy.stats import kendalltau
 
-from drivecal.contracts.studies import RobustnessRow
+from drivecal.contracts.tables import RobustnessRow
 
 
 @dataclass(frozen=True, slots=True)

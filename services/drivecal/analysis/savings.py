@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from math import ceil
 
 from drivecal.contracts.accounting import Accounting, BreakEven, MapCost, ScenarioAccount, SensitivityCost
-from drivecal.domain.campaigns import Stage
+from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import AuditCount, Outcome, OutcomeCosts
 
 ROUNDING = 1e-9
@@ -40,11 +40,11 @@ def account(
 ) -> Accounting:
     """The account of a campaign from its `costs`; `scenarios` in the order in which they are to be listed; `proofs`: what certificates say
     of reused cells; `confirmed`: how many of those were simulated after the search, by scenario."""
-    proved = {one.scenario: one for one in proofs}
+    proved = {proof.scenario: proof for proof in proofs}
     rows = [
         _scenario(
             name,
-            [one for one in costs if one.stage is Stage.CALIBRATION and one.scenario == name],
+            [cost for cost in costs if cost.stage is StageName.CALIBRATION and cost.scenario == name],
             proved.get(name, _NOTHING),
             (confirmed or {}).get(name, 0),
         )
@@ -52,9 +52,9 @@ def account(
     ]
     sensitivity = sensitivity_cost(costs)
     used = None if origin is None else _map_cost(origin, campaign)
-    requested, reused = sum(one.requested for one in rows), sum(one.reused for one in rows)
-    answered = sum(one.repeated + one.reused + one.certified for one in rows)
-    totals = {name: sum(getattr(one, name) for one in rows) for name in _SECONDS}
+    requested, reused = sum(row.requested for row in rows), sum(row.reused for row in rows)
+    answered = sum(row.repeated + row.reused + row.certified for row in rows)
+    totals = {name: sum(getattr(row, name) for row in rows) for name in _SECONDS}
     saved = totals["repeated_saved_seconds"] + totals["reused_saved_seconds"] + totals["certified_saved_seconds"]
     found = Accounting(
         campaign=campaign,
@@ -64,8 +64,8 @@ def account(
         scenarios=rows,
         requested=requested,
         answered_without_simulation=answered,
-        simulated=sum(one.simulated for one in rows),
-        audited=sum(one.audited for one in rows),
+        simulated=sum(row.simulated for row in rows),
+        audited=sum(row.audited for row in rows),
         share_without_simulation=answered / requested if requested else None,
         share_reused=reused / requested if requested else None,
         **totals,
@@ -84,7 +84,7 @@ _SECONDS = ("simulated_seconds", "audited_seconds", "repeated_saved_seconds", "r
 
 def sensitivity_cost(costs: Iterable[OutcomeCosts]) -> SensitivityCost:
     """What the sensitivity stage among `costs` took."""
-    stage = [one for one in costs if one.stage is Stage.SENSITIVITY]
+    stage = [cost for cost in costs if cost.stage is StageName.SENSITIVITY]
     cells = _cells(stage)
     return SensitivityCost(
         requested=sum(cells.values()),
@@ -92,7 +92,7 @@ def sensitivity_cost(costs: Iterable[OutcomeCosts]) -> SensitivityCost:
         certified=cells[Outcome.CERTIFIED],
         simulated=cells[Outcome.SIMULATED],
         failed=cells[Outcome.FAILED],
-        seconds=sum(one.seconds for one in stage),
+        seconds=sum(cost.seconds for cost in stage),
     )
 
 
@@ -110,11 +110,11 @@ def break_even(map_seconds: float, reused_saved_seconds: float, requested: int) 
 
 def _scenario(name: str, costs: Sequence[OutcomeCosts], proved: AuditCount, confirmed: int) -> ScenarioAccount:
     cells = _cells(costs)
-    simulated = [one for one in costs if one.outcome is Outcome.SIMULATED]
+    simulated = [cost for cost in costs if cost.outcome is Outcome.SIMULATED]
     mean = _mean_seconds(simulated)
     if mean is None:
         mean = _mean_seconds(costs)
-    audited = [one for one in simulated if one.audited]
+    audited = [cell for cell in simulated if cell.audited]
     worth = mean or 0.0
     return ScenarioAccount(
         scenario=name,
@@ -124,11 +124,11 @@ def _scenario(name: str, costs: Sequence[OutcomeCosts], proved: AuditCount, conf
         certified=cells[Outcome.CERTIFIED],
         simulated=cells[Outcome.SIMULATED],
         failed=cells[Outcome.FAILED],
-        audited=sum(one.cells for one in audited),
+        audited=sum(cost.cells for cost in audited),
         confirmed=confirmed,
         mean_seconds=mean,
-        simulated_seconds=sum(one.seconds for one in simulated),
-        audited_seconds=sum(one.seconds for one in audited),
+        simulated_seconds=sum(cell.seconds for cell in simulated),
+        audited_seconds=sum(cost.seconds for cost in audited),
         repeated_saved_seconds=cells[Outcome.REPEATED] * worth,
         reused_saved_seconds=(cells[Outcome.REUSED] - confirmed) * worth,
         certified_saved_seconds=cells[Outcome.CERTIFIED] * worth,
@@ -140,14 +140,14 @@ def _scenario(name: str, costs: Sequence[OutcomeCosts], proved: AuditCount, conf
 
 def _cells(costs: Iterable[OutcomeCosts]) -> Mapping[Outcome, int]:
     cells = dict.fromkeys(Outcome, 0)
-    for one in costs:
-        cells[one.outcome] += one.cells
+    for cost in costs:
+        cells[cost.outcome] += cost.cells
     return cells
 
 
 def _mean_seconds(costs: Sequence[OutcomeCosts]) -> float | None:
-    count = sum(one.runs for one in costs)
-    return sum(one.run_seconds for one in costs) / count if count else None
+    count = sum(cost.runs for cost in costs)
+    return sum(cost.run_seconds for cost in costs) / count if count else None
 
 
 def _map_cost(origin: MapOrigin, campaign: str) -> MapCost:

@@ -66,13 +66,13 @@ class Ranking:
         if not self._solutions:
             return None
         best = min(self._solutions.values(), key=lambda solution: solution.order)
-        equal = sum(1 for one in self._solutions.values() if abs(one.objective - best.objective) <= EQUAL)
+        equal = sum(1 for solution in self._solutions.values() if abs(solution.objective - best.objective) <= EQUAL)
         return best, equal
 
     def doubtful(self, tried: Collection[int] = ()) -> EvaluatedSet | None:
         """The best of the solutions that owe a score to a reference and rank before every one that owes none, but for those `tried`, by
         their ids; None where there is none."""
-        surest = min((one.order for one in self._solutions.values() if not one.reused), default=None)
+        surest = min((solution.order for solution in self._solutions.values() if not solution.reused), default=None)
         found = [
             one
             for number, one in self._solutions.items()

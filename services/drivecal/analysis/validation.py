@@ -26,10 +26,10 @@ class ReducibleSpace:
     def __init__(self, classes: Sequence[npt.NDArray[np.int64]]) -> None:
         """`classes`: for each parameter the class of every grid value, shape (n_values,), as the reference keys code them: values of one
         class answer for each other."""
-        self.n_values: Indices = np.array([len(one) for one in classes], dtype=np.int64)
+        self.n_values: Indices = np.array([len(class_) for class_ in classes], dtype=np.int64)
         self._members: list[list[Indices]] = []
-        for one in classes:
-            _, inverse = np.unique(one, return_inverse=True)
+        for class_ in classes:
+            _, inverse = np.unique(class_, return_inverse=True)
             order = np.argsort(inverse, kind="stable")
             groups = np.split(order, np.cumsum(np.bincount(inverse))[:-1])
             self._members.append([groups[number] for number in inverse])
@@ -42,7 +42,7 @@ class ReducibleSpace:
 
     def variable(self, points: Indices) -> npt.NDArray[np.bool_]:
         """Which values could be another one of the same region, shape (n, n_searched)."""
-        sizes = [np.array([len(one) for one in members]) for members in self._members]
+        sizes = [np.array([len(member) for member in members]) for members in self._members]
         return np.column_stack([size[column] > 1 for size, column in zip(sizes, points.T, strict=True)])
 
     def variant(self, point: Indices, columns: Indices, generator: np.random.Generator) -> Indices:

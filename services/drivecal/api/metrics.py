@@ -19,7 +19,7 @@ from prometheus_client.utils import floatToGoString
 from sqlalchemy.exc import SQLAlchemyError
 
 from drivecal.api.live.dispatcher_health import judge, silent_seconds
-from drivecal.domain.campaigns import CampaignState, Stage
+from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import DrivecalError
 from drivecal.domain.evaluations import Outcome
 from drivecal.execution.measures import BOUNDS, DURATIONS, KINDS, Duration, Happening
@@ -100,7 +100,7 @@ def _of_database(found: Statistics) -> Iterator[Any]:
     yield campaigns
     cells = CounterMetricFamily("drivecal_cells", "Answered cells of all campaigns", labels=["stage", "outcome"])
     pending = GaugeMetricFamily("drivecal_cells_pending", "Cells of open campaigns without an answer", labels=["stage"])
-    for stage in (*Stage, "evaluation"):
+    for stage in (*StageName, "evaluation"):
         for outcome in Outcome:
             cells.add_metric([stage, outcome.value], sums.cells[CellKey(stage, outcome)])
         pending.add_metric([stage], sums.pending[stage])
@@ -123,7 +123,7 @@ def _of_dispatcher(dispatcher: StoredProcess | None) -> Iterator[Any]:
     yield GaugeMetricFamily("drivecal_dispatcher_heartbeat_age_seconds", "Since the dispatcher was last heard of", silent)
     yield CounterMetricFamily("drivecal_dispatcher_elections", "How many dispatchers this database has had", dispatcher.term)
     workers = GaugeMetricFamily("drivecal_workers", "Workers by state; none where the dispatcher is silent", labels=["state"])
-    states = [] if readiness.silent else [one.get("state") for one in dispatcher.detail.get("workers", [])]
+    states = [] if readiness.silent else [worker.get("state") for worker in dispatcher.detail.get("workers", [])]
     for state in WORKER_STATES:
         workers.add_metric([state], states.count(state))
     yield workers

@@ -8,8 +8,9 @@ from datetime import datetime
 from typing import Any
 
 from drivecal.api.live.dispatcher_health import degraded
-from drivecal.contracts.campaign import Campaign, Seconds
+from drivecal.contracts.campaign import Campaign, CellCounts, Seconds
 from drivecal.contracts.evaluation import EvaluatedCell, Evaluation
+from drivecal.contracts.tables import PLACE, EvaluationRow, parameter_column
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import ConflictError
 from drivecal.domain.setups import digest
@@ -33,11 +34,6 @@ TABLES = (
 """What a campaign links to below itself; and `events`."""
 COMPARISON_TABLES = ("comparison", "comparison-groups", "comparison-pairs", "comparison-effects")
 """What a comparison links to below itself in their place."""
-BEFORE_PARAMETERS = ("id", "stage", "iteration", "individual", "scenario")
-AFTER_PARAMETERS = (
-    *("outcome", "score", "rating", "reference", "audited", "agrees", "failure", "milliseconds", "worker"),
-    *("proven_by", "proof_agrees"),
-)
 
 
 def campaign_answer(stored: StoredCampaign, now: datetime, silent: str | None, comparison: str | None = None) -> Campaign:
@@ -55,10 +51,7 @@ def campaign_answer(stored: StoredCampaign, now: datetime, silent: str | None, c
         stage=stored.stage,
         iteration=stored.iteration,
         progress=stored.progress,
-        cells=stored.cells,
-        sensitivity_cells=stored.sensitivity_cells,
-        robustness_cells=stored.robustness_cells,
-        validation_cells=stored.validation_cells,
+        stages={stage: CellCounts(**cells) for stage, cells in stored.stages.items()},
         error_rate=dict(stored.error_rate),
         best=stored.best,
         baseline=stored.baseline,
@@ -89,7 +82,7 @@ def etag(seen: CampaignRevision, silent: str | None) -> str:
 
 def list_etag(seen: Sequence[CampaignRevision], silent: str | None) -> str:
     """As `etag`, of a page."""
-    return f'W/"{digest("".join(f"{one.id}-{_version(one, silent)} " for one in seen).encode())}"'
+    return f'W/"{digest("".join(f"{revision.id}-{_version(revision, silent)} " for revision in seen).encode())}"'
 
 
 def _version(seen: CampaignRevision, silent: str | None) -> str:
@@ -101,7 +94,7 @@ def matches(if_none_match: str | None, tag: str) -> bool:
     """Whether a client has the answer with this ETag: the weak comparison of RFC 9110, 8.8.3.2."""
     if if_none_match is None:
         return False
-    given = {one.strip().removeprefix("W/") for one in if_none_match.split(",")}
+    given = {tag.strip().removeprefix("W/") for tag in if_none_match.split(",")}
     return "*" in given or tag.removeprefix("W/") in given
 
 
@@ -119,15 +112,11 @@ def _links(stored: StoredCampaign) -> dict[str, str]:
 
 
 def evaluation_row(stored: StoredEvaluation) -> dict[str, Any]:
-    """One row of the table `evaluations`: parameters are columns of their own."""
-    row: dict[str, Any] = {name: getattr(stored, name) for name in BEFORE_PARAMETERS}
+    """One row of the table `evaluations`."""
+    names = list(EvaluationRow.model_fields)
+    row: dict[str, Any] = {name: getattr(stored, name) for name in names[:PLACE]}
     row |= {parameter_column(name): value for name, value in stored.parameters.items()}
-    return row | {name: getattr(stored, name) for name in AFTER_PARAMETERS}
-
-
-def parameter_column(name: str) -> str:
-    """The column of a parameter, out of the way of the table's own columns."""
-    return f"parameter_{name}" if name in BEFORE_PARAMETERS or name in AFTER_PARAMETERS else name
+    return row | {name: getattr(stored, name) for name in names[PLACE:]}
 
 
 def evaluated_cell(stored: StoredEvaluation, metrics: Mapping[str, float | None] | None) -> EvaluatedCell:

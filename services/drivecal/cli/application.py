@@ -164,7 +164,7 @@ def full_map_id(client: Client, identifier: str) -> str:
     """As `full_id`, of an influence map."""
     if len(identifier) >= 32 or not identifier:
         return identifier
-    return _beginning("influence map", [one.id for one in client.influence_maps(limit=200).items], identifier)
+    return _beginning("influence map", [item.id for item in client.influence_maps(limit=200).items], identifier)
 
 
 def with_full_ids(client: Client, specification: dict[str, Any]) -> dict[str, Any]:

@@ -18,14 +18,15 @@ from drivecal.client.answers import raise_for, unreachable
 from drivecal.client.event_stream import EventParser, ServerSentEvent
 from drivecal.client.following import READ_SECONDS, Following, Sent, Told
 from drivecal.contracts.accounting import Accounting
-from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns, SolutionPage
+from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns
 from drivecal.contracts.comparison import ComparedGroup, ComparedPair, ComparedRun, ExpectedComparison, ReductionEffect
 from drivecal.contracts.evaluation import Evaluation, TraceAnswer
 from drivecal.contracts.events import PROGRESS, CampaignEvent, CampaignProgress
 from drivecal.contracts.explanation import Explanation
-from drivecal.contracts.inventory import InfluenceMapAnswer, InfluenceMapPage, InfluenceRow, ScenarioPage, WorkerPage
+from drivecal.contracts.inventory import InfluenceMapAnswer, InfluenceMapPage, ScenarioPage, WorkerPage
 from drivecal.contracts.setup import CampaignSetup
-from drivecal.contracts.studies import OptimumRow, RobustnessRow, StudyPage, ValidationRow
+from drivecal.contracts.studies import StudyPage
+from drivecal.contracts.tables import InfluenceRow, OptimumRow, RobustnessRow, SolutionPage, ValidationRow
 from drivecal.domain.errors import OverloadError, UnavailableError
 
 Action = Literal["pause", "resume", "cancel"]
@@ -127,7 +128,7 @@ class Client:
                 raise_for(response, "campaign", identifier)
                 parser = EventParser()
                 for chunk in response.iter_bytes():
-                    found = [self._sent(one) for one in parser.feed(chunk)]
+                    found = [self._sent(follower) for follower in parser.feed(chunk)]
                     yield from found or [None]
         except httpx.TransportError as error:
             raise unreachable(self.url, error) from error

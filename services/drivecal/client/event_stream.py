@@ -34,7 +34,7 @@ class EventParser:
         # What has no end yet waits for the rest, and so does a \r that may be the first half of a \r\n.
         self._rest = lines.pop() if lines and not lines[-1].endswith(b"\n") else b""
         taken = (self._take(line.rstrip(b"\r\n").decode("utf-8", errors="replace")) for line in lines)
-        return [one for one in taken if one is not None]
+        return [field for field in taken if field is not None]
 
     def _take(self, line: str) -> ServerSentEvent | None:
         if not line:

@@ -94,9 +94,9 @@ class Dispatcher:
             with logs.about(campaign=active.campaign.id, campaign_name=active.campaign.name, stage=active.stage):
                 self._advance(active)
         by_tag = {active.tag: active for active in self._active.values()}
-        for one in self._pool.poll(POLL_SECONDS):
-            if one.tag in by_tag:
-                by_tag[one.tag].unwritten.append(one)
+        for completion in self._pool.poll(POLL_SECONDS):
+            if completion.tag in by_tag:
+                by_tag[completion.tag].unwritten.append(completion)
 
     def _report(self) -> None:
         self._tell(self._pool.workers(), self._pool.trouble())
@@ -209,7 +209,7 @@ class Dispatcher:
             self._submit(active, work)
             if job.finished:
                 self._end(active, CampaignState.SUCCEEDED)
-            elif not work and not active.goes_on:
+            elif not work and not job.goes_on:
                 log.warning("cells of the campaign are answered or simulated elsewhere; it is taken up again")
                 active.job, active.not_before = None, self._clock() + RETRY_SECONDS
 
@@ -223,25 +223,26 @@ class Dispatcher:
             self._finish_stopping(active)
             return False
         active.job = take_up(self._database, active.campaign.sequence)
-        self._submit(active, _without(active.job.work(), {one.result.id for one in active.unwritten}))
+        self._submit(active, _without(active.job.work(), {completion.result.id for completion in active.unwritten}))
         return True
 
     def _submit(self, active: Active, work: Sequence[Work]) -> None:
         if active.stopping is None:
-            for one in work:
+            for batch in work:
                 self._pool.submit(
-                    one.setup,
-                    one.cells,
+                    batch.setup,
+                    batch.cells,
                     tag=active.tag,
                     priority=active.priority,
-                    exclusive=one.exclusive,
-                    breakdowns=one.breakdowns,
+                    exclusive=batch.exclusive,
+                    breakdowns=batch.breakdowns,
                 )
 
     def _finish_stopping(self, active: Active) -> None:
         if self._pool.held(active.tag) or active.unwritten:
             return
-        active.sum_up()
+        if active.job is not None:
+            active.job.sum_up()
         if active.stopping is CampaignState.CANCELLED:
             self._end(active, CampaignState.CANCELLED)
             return
@@ -270,5 +271,5 @@ class Dispatcher:
 
 def _without(work: Sequence[Work], answered: Collection[int]) -> list[Work]:
     """Work less the cells whose results are there already."""
-    left = (replace(one, cells=tuple(cell for cell in one.cells if cell.id not in answered)) for one in work)
+    left = (replace(batch, cells=tuple(cell for cell in batch.cells if cell.id not in answered)) for batch in work)
     return [one for one in left if one.cells]

@@ -102,7 +102,7 @@ class Heartbeat:
             processes.heartbeat(connection, DISPATCHER, os.getpid(), self._leadership.began_at, detail)
         with self._database.transaction() as connection:  # apart: it may have to wait for what the main thread is writing
             working = {CampaignState.RUNNING, CampaignState.CANCELLING}
-            running = [one.sequence for one in campaigns.active(connection) if one.state in working]
+            running = [campaign.sequence for campaign in campaigns.active(connection) if campaign.state in working]
             campaigns.degrade(connection, running, detail["degraded"])
         self._written = report
 

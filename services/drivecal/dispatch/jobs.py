@@ -9,13 +9,14 @@ from typing import Any
 from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.comparisons.resolve import resolve_comparison
 from drivecal.campaigns.comparisons.runs import ComparisonJob
-from drivecal.campaigns.resolve.problem import EvaluationProblem
+from drivecal.campaigns.job import Job
+from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.resolve.resolved_spec import problem_of
 from drivecal.campaigns.stages.campaign import StagedCampaign
 from drivecal.campaigns.stages.evaluation import SingleEvaluation
 from drivecal.contracts.comparison import ComparisonSpecification
 from drivecal.contracts.input_errors import validated
-from drivecal.domain.campaigns import CampaignState, Stage
+from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import ConflictError
 from drivecal.execution.scheduling.scheduler import Completed
 from drivecal.storage import campaigns, traces
@@ -24,8 +25,6 @@ from drivecal.storage.engine.database import Database
 
 EVALUATION_PRIORITY = 1000
 """Somebody waits for a single evaluation; a campaign can wait a batch longer."""
-
-Job = StagedCampaign | SingleEvaluation | ComparisonJob
 
 
 @dataclass(slots=True)
@@ -46,19 +45,9 @@ class Active:
         return self.campaign.id
 
     @property
-    def stage(self) -> Stage | None:
-        """In which it is, for the log; None where that is not known yet, and of a single evaluation."""
-        return self.job.stage if isinstance(self.job, StagedCampaign) else None
-
-    @property
-    def goes_on(self) -> bool:
-        """Whether it has more to do without any result."""
-        return isinstance(self.job, ComparisonJob) and self.job.goes_on
-
-    def sum_up(self) -> None:
-        """Has the row of a comparison say what its runs count, where it rests or is cancelled: no later sum would."""
-        if isinstance(self.job, ComparisonJob):
-            self.job.sum_up()
+    def stage(self) -> StageName | None:
+        """The running stage, for the log."""
+        return None if self.job is None else self.job.stage
 
     @property
     def priority(self) -> int:
@@ -67,31 +56,20 @@ class Active:
 
 
 def take_up(database: Database, sequence: int) -> Job:
-    """A job that goes on from the campaign's rows. Raises ConflictError where it was begun with another version of anything."""
+    """A job that goes on from the campaign's rows. Raises ConflictError if it was begun with another version of anything."""
     with database.read() as connection:
         campaign = campaigns.by_sequence(connection, sequence)
     if campaign.kind == "comparison":
-        compared = resolve_comparison(validated(ComparisonSpecification, campaign.spec))
-        return ComparisonJob(database, campaign, compared, lambda number: _staged(database, number))
-    return _alone(database, campaign)
-
-
-def _staged(database: Database, sequence: int) -> StagedCampaign:
-    job = take_up(database, sequence)
-    if not isinstance(job, StagedCampaign):
-        raise TypeError(f"campaign {sequence} cannot be a run of a comparison")
-    return job
-
-
-def _alone(database: Database, campaign: StoredCampaign) -> StagedCampaign | SingleEvaluation:
+        resolved = resolve_comparison(validated(ComparisonSpecification, campaign.spec))
+        return ComparisonJob(database, campaign, resolved, lambda number: take_up(database, number))
     problem = problem_of(campaign)
     _pin(database, campaign, problem.resolution())
-    if isinstance(problem, EvaluationProblem):
-        with database.read() as connection:
-            traced = traces.is_made_by(connection, campaign.sequence)
-        view = View(campaign.sequence, campaign.watermark or 0, problem.bench, traced=traced)
-        return SingleEvaluation(database, campaign, problem, view)
-    return StagedCampaign(database, campaign, problem)
+    if isinstance(problem, CalibrationProblem):
+        return StagedCampaign(database, campaign, problem)
+    with database.read() as connection:
+        traced = traces.is_made_by(connection, campaign.sequence)
+    view = View(campaign.sequence, campaign.watermark or 0, problem.bench, traced=traced)
+    return SingleEvaluation(database, campaign, problem, view)
 
 
 def _pin(database: Database, campaign: StoredCampaign, resolution: Mapping[str, Any]) -> None:

@@ -50,7 +50,7 @@ class Observer:
         else:
             self._activity.lost(dispatch.worker, dispatch.batch_id)
             MEASURES.count("breakdowns", event.breakdown)
-        final = {one.result.id for one in completed}
+        final = {completion.result.id for completion in completed}
         for cell, kind in broken.items():
             if cell not in final:
                 MEASURES.count("retries", kind)

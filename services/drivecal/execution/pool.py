@@ -96,7 +96,7 @@ class WorkPool:
 
     def held(self, tag: str) -> int:
         """Cells of `tag` that have not come back."""
-        return self._scheduler.held(tag) + sum(one.tag == tag for one in self._completed)
+        return self._scheduler.held(tag) + sum(completion.tag == tag for completion in self._completed)
 
     def give_back(self, unwanted: Sequence[Completed]) -> None:
         """Results that nobody writes down: their cells may be leased again."""
@@ -117,7 +117,7 @@ class WorkPool:
             return []
         numbers = {cell: self._numbers.pop(cell, None) for cell in dispatch.breakdowns}
         completed = [replace(one, lease=numbers[one.result.id if one.leader is None else one.leader]) for one in found]
-        self._note_returned(dispatch, event, {one.result.id for one in completed})
+        self._note_returned(dispatch, event, {completion.result.id for completion in completed})
         self._observer.came_back(dispatch, event, completed)
         return completed
 
@@ -141,7 +141,7 @@ class WorkPool:
         self._refusing_since = {worker: since for worker, since in self._refusing_since.items() if worker in ready}
         while True:
             wanted = [self._scheduler.next_batch(slot.worker, idle=slot.idle) for slot in self._backend.slots()]
-            dispatches = [one for one in wanted if one is not None]
+            dispatches = [cell for cell in wanted if cell is not None]
             for dispatch in self._lease(dispatches):
                 self._backend.submit(
                     dispatch.worker, dispatch.batch_id, dispatch.batch, dispatch.expected_seconds, alone=dispatch.alone

@@ -80,7 +80,7 @@ class ParticleSwarm:
         self._velocities = np.array(state["velocities"], dtype=np.float64)
         self._best_positions = np.array(state["best_individuals"], dtype=np.float64)
         columns = [load_floats(column) for column in state["best_fitness"]]
-        self._best_fitness = np.nan_to_num(np.column_stack([one for one in columns if one is not None]), nan=-np.inf)
+        self._best_fitness = np.nan_to_num(np.column_stack([column for column in columns if column is not None]), nan=-np.inf)
         self._changed = np.array(state["changed"], dtype=np.bool_)
         self._told = bool(state["told"])
         self._generator = load_generator(state["generator"])

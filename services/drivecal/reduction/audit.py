@@ -1,10 +1,10 @@
-"""The self-check of reuse: a share of reused cells is simulated all the same, and wrong answers are counted per scenario. Pure."""
+"""The audit of reuse: a share of reused cells is simulated, and wrong answers are counted by scenario. Pure."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from scipy.stats import binomtest
+from scipy.special import betaincinv
 
 from drivecal.contracts.campaign import ErrorRate
 from drivecal.domain.evaluations import AuditCount
@@ -14,10 +14,10 @@ CONFIDENCE = 0.95
 
 def clopper_pearson(wrong: int, audited: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
     """The exact two-sided confidence interval of a proportion (Clopper, Pearson 1934). (0, 1) where nothing was audited."""
-    if not audited:
-        return 0.0, 1.0
-    interval = binomtest(wrong, audited).proportion_ci(confidence)
-    return float(interval.low), float(interval.high)
+    tail = (1 - confidence) / 2  # closed form: scipy's binomtest searches the same limits to 1e-11
+    lower = 0.0 if wrong == 0 else float(betaincinv(wrong, audited - wrong + 1, tail))
+    upper = 1.0 if wrong == audited else float(betaincinv(wrong + 1, audited - wrong, 1 - tail))
+    return lower, upper
 
 
 def error_rates(

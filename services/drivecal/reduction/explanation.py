@@ -62,11 +62,15 @@ class CellComparison:
         self._values = values
         self._ranges = ranges
         covered = [influence_map.ranges.get(name) for name in names]
-        self._lowest = np.array([_NONE_BELOW if one is None else billionths(one[0]) for one in covered])
-        self._highest = np.array([_NONE_ABOVE if one is None else billionths(one[1]) for one in covered])
-        self._matters = np.array([one.influential for one in self._influences])
-        self._lower = np.array([_NONE_BELOW if one.lower is None else billionths(one.lower) for one in self._influences])
-        self._upper = np.array([_NONE_ABOVE if one.upper is None else billionths(one.upper) for one in self._influences])
+        self._lowest = np.array([_NONE_BELOW if effect is None else billionths(effect[0]) for effect in covered])
+        self._highest = np.array([_NONE_ABOVE if effect is None else billionths(effect[1]) for effect in covered])
+        self._matters = np.array([influence.influential for influence in self._influences])
+        self._lower = np.array(
+            [_NONE_BELOW if influence.lower is None else billionths(influence.lower) for influence in self._influences]
+        )
+        self._upper = np.array(
+            [_NONE_ABOVE if influence.upper is None else billionths(influence.upper) for influence in self._influences]
+        )
 
     def blocking(self, stored: Integers) -> npt.NDArray[np.bool_]:
         """Which parameters of which stored sets forbid reuse, shape (n, n_p), for `stored` in billionths, shape (n, n_p)."""
@@ -101,7 +105,7 @@ class CellComparison:
         counts, distances = blocking.sum(axis=1), self.distances(stored, blocking)
         columns = [places[:, column] for column in reversed(range(places.shape[1]))]
         first = int(np.lexsort([*columns, distances, counts])[0])
-        place = tuple(int(one) for one in places[first])
+        place = tuple(int(place) for place in places[first])
         return Nearest(int(counts[first]), float(distances[first]), place, int(evaluations[first]))
 
     def differences(self, stored: Integers) -> list[ParameterDifference]:

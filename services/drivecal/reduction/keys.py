@@ -29,11 +29,15 @@ class ReferenceKeys:
         influences = [influence_map.influence(scenario, name) for name in ordered]
         self._header = "\0".join([scenario, *ordered]).encode()
         ranges = [influence_map.ranges.get(name) for name in ordered]
-        self._lowest = np.array([BELOW if one is None else billionths(one[0]) for one in ranges], dtype=np.int64)
-        self._highest = np.array([ABOVE if one is None else billionths(one[1]) for one in ranges], dtype=np.int64)
+        self._lowest = np.array([BELOW if bounds is None else billionths(bounds[0]) for bounds in ranges], dtype=np.int64)
+        self._highest = np.array([ABOVE if bounds is None else billionths(bounds[1]) for bounds in ranges], dtype=np.int64)
         self._matters = np.array([influence.influential for influence in influences])
-        self._lower = np.array([BELOW if one.lower is None else billionths(one.lower) for one in influences], dtype=np.int64)
-        self._upper = np.array([ABOVE if one.upper is None else billionths(one.upper) for one in influences], dtype=np.int64)
+        self._lower = np.array(
+            [BELOW if influence.lower is None else billionths(influence.lower) for influence in influences], dtype=np.int64
+        )
+        self._upper = np.array(
+            [ABOVE if influence.upper is None else billionths(influence.upper) for influence in influences], dtype=np.int64
+        )
 
     def codes(self, values: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
         """The class of every value, shape (n, n_p), for `values` in billionths in the order of `names`, shape (n, n_p).
@@ -61,4 +65,6 @@ class ReferenceKeys:
 
 def billionths_matrix(parameter_sets: Sequence[ParameterSet]) -> npt.NDArray[np.int64]:
     """The values of parameter sets with the same names, shape (n, n_p)."""
-    return np.array([one.billionths for one in parameter_sets], dtype=np.int64).reshape(len(parameter_sets), -1)
+    return np.array([parameter_set.billionths for parameter_set in parameter_sets], dtype=np.int64).reshape(
+        len(parameter_sets), -1
+    )

@@ -9,8 +9,9 @@ from importlib.metadata import version
 from pathlib import Path
 
 from drivecal.client.client import Client
-from drivecal.contracts.campaign import Campaign, Generation
+from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.comparison import ComparedGroup, ComparedPair, ComparedRun, ReductionEffect
+from drivecal.contracts.tables import Generation
 from drivecal.report.figures.comparison import effects_figure, optima_figure, search_figures
 from drivecal.report.folder import writable
 from drivecal.report.markup import Number, contents, document, files, heading, paragraph, section, table, verbatim
@@ -55,7 +56,7 @@ def collect_comparison(client: Client, campaign: Campaign) -> ComparisonData:
         groups=client.compared_groups(campaign.id),
         pairs=client.compared_pairs(campaign.id),
         effects=client.reduction_effects(campaign.id),
-        generations={one.run: [Generation.model_validate(row) for row in client.rows(one.run, "generations")] for one in runs},
+        generations={run.run: [Generation.model_validate(row) for row in client.rows(run.run, "generations")] for run in runs},
     )
 
 
@@ -63,8 +64,8 @@ def write_comparison(found: ComparisonData, tables: Mapping[str, Iterable[bytes]
     """Writes page, figures, the `tables` (CSV by name, in pieces) and the comparison as it was submitted; returns what was written, the
     page last. Raises InvalidInputError where it cannot be written."""
     with writable(folder) as target:
-        searches = [target.draw(one) for one in search_figures(found.runs, found.generations)]
-        searches.append(target.draw(optima_figure(found.runs)) if any(one.best is not None for one in found.runs) else "")
+        searches = [target.draw(figure) for figure in search_figures(found.runs, found.generations)]
+        searches.append(target.draw(optima_figure(found.runs)) if any(run.best is not None for run in found.runs) else "")
         reduced = target.draw(effects_figure(found.pairs, found.effects)) if found.pairs else ""
         for name, pieces in tables.items():
             target.write(f"tables/{name}.csv", pieces)
@@ -76,8 +77,8 @@ def write_comparison(found: ComparisonData, tables: Mapping[str, Iterable[bytes]
 
 def _page(found: ComparisonData, searches: Sequence[str], reduced: str, names: Sequence[str]) -> str:
     campaign = found.campaign
-    several = len({one.reduction for one in found.groups}) > 1
-    doubted = any(one.best != one.simulated_best or one.confirmations for one in found.runs)
+    several = len({group.reduction for group in found.groups}) > 1
+    doubted = any(run.best != run.simulated_best or run.confirmations for run in found.runs)
     believed = [paragraph(BELIEVED)] if doubted else []
     sections = {
         "Summary": [paragraph(text, "key") for text in summary(found)],
@@ -104,12 +105,12 @@ def _page(found: ComparisonData, searches: Sequence[str], reduced: str, names: S
 def summary(found: ComparisonData) -> list[str]:
     """What the comparison says, in sentences."""
     told = []
-    best = max((one.simulated_best for one in found.runs if one.simulated_best is not None), default=None)
+    best = max((run.simulated_best for run in found.runs if run.simulated_best is not None), default=None)
     if best is not None:
         groups: dict[str, list[ComparedRun]] = {}
-        for one in found.runs:
-            groups.setdefault(one.optimizer, []).append(one)
-        shares = ", ".join(f"{name} in {sum(one.success for one in runs)} of {len(runs)} runs" for name, runs in groups.items())
+        for run in found.runs:
+            groups.setdefault(run.optimizer, []).append(run)
+        shares = ", ".join(f"{name} in {sum(run.success for run in runs)} of {len(runs)} runs" for name, runs in groups.items())
         told.append(f"The best objective that any run found is {best:.4f}: {shares}.")
     for effect in found.effects:
         overall = effect.optimizer is None or sum(one.reduction == effect.reduction for one in found.effects) == 1
@@ -156,13 +157,13 @@ def _table_5(groups: Sequence[ComparedGroup], *, several: bool) -> str:
     header += ["simulations", "converged", "in iteration", "after simulations", "as good as any"]
     rows = [
         [
-            *(one.optimizer, one.population, *([one.reduction] if several else [])),
-            *(_number(value, 4) for value in (one.best, one.mean, one.minimum)),
-            *(_number(one.rating, 3), _number(one.alternatives, 1), _number(one.simulations, 0)),
-            *(f"{one.converged} of {one.seeds}", _number(one.iterations_to_converge, 1)),
-            *(_number(one.simulations_to_converge, 0), f"{one.successes} of {one.seeds}"),
+            *(group.optimizer, group.population, *([group.reduction] if several else [])),
+            *(_number(value, 4) for value in (group.best, group.mean, group.minimum)),
+            *(_number(group.rating, 3), _number(group.alternatives, 1), _number(group.simulations, 0)),
+            *(f"{group.converged} of {group.seeds}", _number(group.iterations_to_converge, 1)),
+            *(_number(group.simulations_to_converge, 0), f"{group.successes} of {group.seeds}"),
         ]
-        for one in groups
+        for group in groups
     ]
     return table(header, rows, "Table 5: final optima over the seeds, by population size, and what they took", wrap_header=True)
 
@@ -171,13 +172,21 @@ def _effects(effects: Sequence[ReductionEffect]) -> str:
     header = ["optimizer", "size", "reduction", "pairs", "difference", "95 % interval", "better", "equal", "worse"]
     rows = [
         [
-            *(one.optimizer or "all", one.population or "all", f"{one.reduction} - {one.base}", one.pairs),
-            Number(f"{one.mean_difference:+.4f}"),
-            None if one.lower_95 is None or one.upper_95 is None else Number(f"{one.lower_95:+.4f} to {one.upper_95:+.4f}"),
-            *(one.better, one.equal, one.worse, Number(f"{one.sign_test:.3g}"), Number(f"{one.different_upper_95:.1%}")),
-            *(one.base_simulations - one.simulations, Number(f"{one.saved_share:.1%}")),
+            *(effect.optimizer or "all", effect.population or "all", f"{effect.reduction} - {effect.base}", effect.pairs),
+            Number(f"{effect.mean_difference:+.4f}"),
+            None
+            if effect.lower_95 is None or effect.upper_95 is None
+            else Number(f"{effect.lower_95:+.4f} to {effect.upper_95:+.4f}"),
+            *(
+                effect.better,
+                effect.equal,
+                effect.worse,
+                Number(f"{effect.sign_test:.3g}"),
+                Number(f"{effect.different_upper_95:.1%}"),
+            ),
+            *(effect.base_simulations - effect.simulations, Number(f"{effect.saved_share:.1%}")),
         ]
-        for one in effects
+        for effect in effects
     ]
     header += ["p", "differ at most", "saved", "share"]
     caption = (
@@ -202,18 +211,18 @@ def _pairs(pairs: Sequence[ComparedPair]) -> str:
     ]
     rows = [
         [
-            *(one.optimizer, one.population, one.seed, one.reduction, _number(one.base_best, 4), _number(one.best, 4)),
-            *(Number(f"{one.difference:+.4f}"), one.base_simulations, one.simulations, one.saved),
+            *(pair.optimizer, pair.population, pair.seed, pair.reduction, _number(pair.base_best, 4), _number(pair.best, 4)),
+            *(Number(f"{pair.difference:+.4f}"), pair.base_simulations, pair.simulations, pair.saved),
         ]
-        for one in pairs
+        for pair in pairs
     ]
     return table(header, rows, "All pairs", wrap_header=True)
 
 
 def _runs(runs: Sequence[ComparedRun], *, several: bool) -> str:
     """As narrow as they allow: what is the same of all, or nothing, has no column."""
-    believed = any(one.best != one.simulated_best for one in runs)
-    failed, analysed = any(one.state != "succeeded" for one in runs), any(one.analysis for one in runs)
+    believed = any(run.best != run.simulated_best for run in runs)
+    failed, analysed = any(run.state != "succeeded" for run in runs), any(run.analysis for run in runs)
     columns: list[tuple[str, Callable[[ComparedRun], object]]] = [
         ("optimizer", lambda one: one.optimizer),
         ("size", lambda one: one.population),
@@ -226,13 +235,13 @@ def _runs(runs: Sequence[ComparedRun], *, several: bool) -> str:
         ("sets", lambda one: one.alternatives),
         ("mean", lambda one: _number(one.mean, 3)),
         ("simulations", lambda one: one.simulations),
-        *([("confirming", _confirming)] if any(one.confirmations for one in runs) else []),
+        *([("confirming", _confirming)] if any(run.confirmations for run in runs) else []),
         *([("analysis", _analysis)] if analysed else []),
         ("converged", lambda one: one.converged_at),
         ("after", lambda one: one.simulations_to_converge),
         ("run", lambda one: one.run[:8]),
     ]
-    rows = [[tell(one) for _, tell in columns] for one in runs]
+    rows = [[tell(run) for _, tell in columns] for run in runs]
     caption = (
         "All runs; each is a campaign of its own, by whose id all of it can be read. Rating: of the best set, and sets: with the best "
         "objective, as the search believed; mean: of the last "

@@ -9,10 +9,10 @@ from typing import Any, Generic, Literal, TypeVar
 
 from drivecal.client.client import Client
 from drivecal.contracts.accounting import Accounting
-from drivecal.contracts.campaign import Campaign, Generation, Solution
-from drivecal.contracts.inventory import InfluenceRow
+from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.setup import CampaignSetup
-from drivecal.contracts.studies import OptimumRow, RobustnessRow, Study, ValidationRow
+from drivecal.contracts.studies import Study
+from drivecal.contracts.tables import Generation, InfluenceRow, OptimumRow, RobustnessRow, Solution, ValidationRow
 
 RANKED = 1000
 """The best sets that are looked at; all of them are in the table."""

@@ -17,7 +17,7 @@ def figures(findings: ReportData) -> Iterator[Drawn]:
     if findings.generations:
         baseline = findings.campaign.baseline
         yield population.drawn(findings.generations, None if baseline is None else baseline.objective)
-    if any(one.requested for one in findings.generations):
+    if any(generation.requested for generation in findings.generations):
         yield cells.drawn(findings.generations)
     if findings.optima:
         chosen = findings.recommended

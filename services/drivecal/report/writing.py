@@ -18,7 +18,7 @@ def write_report(findings: ReportData, tables: Mapping[str, Iterable[bytes]], fo
     """Writes the page, the figures, the `tables` (CSV by name, in pieces) and the campaign as it was submitted; returns what was written,
     the page last. Raises InvalidInputError where it cannot be written."""
     with writable(folder) as target:
-        drawn = {one.name: target.draw(one) for one in figures(findings)}
+        drawn = {figure.name: target.draw(figure) for figure in figures(findings)}
         for name, pieces in tables.items():
             target.write(f"tables/{name}.csv", pieces)
         if findings.robustness:

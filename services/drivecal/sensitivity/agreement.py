@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from drivecal.contracts.inventory import InfluenceRow
+from drivecal.contracts.tables import InfluenceRow
 
 Pair = tuple[str, str]
 """Scenario and parameter."""
@@ -53,12 +53,12 @@ class Agreement:
             "share": self.share,
             "differences": [
                 {
-                    "scenario": one.first.scenario,
-                    "parameter": one.first.parameter,
-                    "first": side(one.first),
-                    "second": side(one.second),
+                    "scenario": difference.first.scenario,
+                    "parameter": difference.first.parameter,
+                    "first": side(difference.first),
+                    "second": side(difference.second),
                 }
-                for one in self.differences
+                for difference in self.differences
             ],
             "only_first": [list(pair) for pair in self.only_first],
             "only_second": [list(pair) for pair in self.only_second],

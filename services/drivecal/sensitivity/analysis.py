@@ -58,7 +58,7 @@ class SensitivityAnalysis:
         self._space = space
         self._settings = settings
         self._edges = [interval_edges(n, settings.intervals) for n in space.n_values.tolist()]
-        self._states = {one: ScenarioState(space, self._edges, settings.threshold) for one in scenarios}
+        self._states = {scenario: ScenarioState(space, self._edges, settings.threshold) for scenario in scenarios}
         self._number = 0
         self._name: PhaseName | None = "intervals"
         self._designs: dict[str, Design] | None = None
@@ -136,7 +136,7 @@ class SensitivityAnalysis:
         if self._name == "confirmation":
             tag = _FIRST_CONFIRMATION + self._number
             regions = {
-                scenario: [(one.column, *state.bounds(one)) for one in state.waiting]
+                scenario: [(box.column, *state.bounds(box)) for box in state.waiting]
                 for scenario, state in self._states.items()
                 if state.waiting
             }

@@ -40,7 +40,7 @@ class ParameterInfluence:
     @property
     def s_rel_intervals(self) -> tuple[float, ...]:
         """s_rel of each interval; NaN where fewer than two effects are known."""
-        return tuple(one.measures.s_rel for one in self.intervals)
+        return tuple(interval.measures.s_rel for interval in self.intervals)
 
 
 @dataclass(frozen=True, slots=True)

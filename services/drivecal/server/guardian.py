@@ -92,4 +92,4 @@ def _die_with_parent() -> None:
 
 if __name__ == "__main__":
     _, seconds, descriptors, *words = sys.argv
-    sys.exit(guard(words, float(seconds), [int(one) for one in descriptors.split(",") if one]))
+    sys.exit(guard(words, float(seconds), [int(descriptor) for descriptor in descriptors.split(",") if descriptor]))

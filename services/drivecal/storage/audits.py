@@ -11,7 +11,7 @@ from typing import Any
 
 from sqlalchemy import Connection, FromClause, case, func, select, update
 
-from drivecal.domain.campaigns import Stage
+from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import AuditCount, Outcome
 from drivecal.storage.engine.tables import evaluations, ratings, reference_indexes, reference_keys
 from drivecal.storage.evaluations import DONORS
@@ -20,7 +20,7 @@ _donor = evaluations.alias("donor")
 _trusted = ratings.alias("trusted")
 
 
-def settle(connection: Connection, campaign_sequence: int, stage: Stage, iteration: int, evaluator: str) -> None:
+def settle(connection: Connection, campaign_sequence: int, stage: StageName, iteration: int, evaluator: str) -> None:
     """Writes down for the audited cells of a finished iteration whether the donor that was not trusted had the same score."""
     score = (
         select(_TRUSTED)

@@ -10,13 +10,14 @@ from typing import Any, Literal
 
 from sqlalchemy import ColumnElement, Connection, Row, Select, Text, Update, bindparam, case, cast, func, select, update
 
-from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, Narrowed, Progress, StageCellCounts
+from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, Narrowed, Progress
 from drivecal.domain.actions import Action
 from drivecal.domain.actions import change as change_by
-from drivecal.domain.campaigns import CampaignState, Stage
+from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import ConflictError, NotFoundError
 from drivecal.domain.events import EventKind
-from drivecal.storage import comparisons, events, leases
+from drivecal.storage import campaign_stages, comparisons, events, leases
+from drivecal.storage.campaign_stages import Counts, CountsByStage, by_stage
 from drivecal.storage.engine import cursors
 from drivecal.storage.engine.bulk import insert as insert_into
 from drivecal.storage.engine.identifiers import is_identifier
@@ -51,7 +52,7 @@ class StoredCampaign(CampaignHeading):
 
     revision: int
     """Grows with every change of the row."""
-    stage: Stage | None
+    stage: StageName | None
     iteration: int | None
     spec: Mapping[str, Any]
     """The specification with its defaults filled in; empty where it is too long for a `page`."""
@@ -66,10 +67,8 @@ class StoredCampaign(CampaignHeading):
     degraded: str | None
     error: str | None
     notes: tuple[str, ...]
-    cells: CellCounts
-    sensitivity_cells: StageCellCounts
-    robustness_cells: StageCellCounts
-    validation_cells: StageCellCounts
+    stages: CountsByStage
+    """Cells by outcome of the stages that have begun."""
     progress: Progress
     error_rate: Mapping[str, ErrorRate]
     best: Best | None
@@ -81,21 +80,32 @@ class StoredCampaign(CampaignHeading):
     started_at: datetime | None
     ended_at: datetime | None
 
+    @property
+    def cells(self) -> CellCounts:
+        """The counts of the calibration, of a single evaluation, or of a comparison's runs."""
+        return CellCounts(**self.stages.get(StageName.CALIBRATION, {}))
+
+    def counts(self, stage: StageName) -> Counts:
+        """The counts of a stage, zeros if it has not begun."""
+        return campaign_stages.counts(self.stages, stage)
+
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """How far a running campaign is: all that `save_progress` writes, in one statement."""
+    """Progress of a running campaign, as `save_progress` writes it; what is None stays as it is stored."""
 
-    stage: Stage | None
+    stage: StageName | None
     iteration: int | None
-    cells: CellCounts
-    sensitivity_cells: StageCellCounts
+    cells: Mapping[StageName, Counts]
     progress: Progress
-    error_rate: Mapping[str, ErrorRate]
-    best: Best | None
-    baseline: Baseline | None
     simulating_seconds: float
-    notes: Collection[str]
+    error_rate: Mapping[str, ErrorRate] | None = None
+    best: Best | None = None
+    baseline: Baseline | None = None
+    notes: Collection[str] | None = None
+
+
+_SELECT = select(campaigns, by_stage())
 
 
 def insert(
@@ -128,20 +138,18 @@ def insert(
         "idempotency_key": idempotency_key,
         "body_digest": body_digest,
         "notes": [],
-        "cells": CellCounts().model_dump(mode="json"),
-        "sensitivity_cells": StageCellCounts().model_dump(mode="json"),
         "progress": Progress().model_dump(mode="json"),
         "error_rate": {},
         "simulating_seconds": 0.0,
         "created_at": now(),
     }
     statement = insert_into(connection, campaigns).on_conflict_do_nothing(index_elements=["idempotency_key"])
-    inserted = connection.execute(statement.values(row).returning(campaigns)).one_or_none()
+    inserted = connection.scalar(statement.values(row).returning(campaigns.c.sequence))
     if inserted is not None:
-        queued = _campaign(inserted)
+        queued = by_sequence(connection, inserted)
         _tell(connection, queued.sequence, EventKind.QUEUED, CampaignState.QUEUED, name=name)
         return queued
-    earlier = connection.execute(select(campaigns).where(campaigns.c.idempotency_key == idempotency_key)).one()
+    earlier = connection.execute(_SELECT.where(campaigns.c.idempotency_key == idempotency_key)).one()
     if earlier.body_digest != body_digest:
         raise ConflictError(
             f"the Idempotency-Key was used for another request, which made campaign {earlier.id}; use a new key for a new request"
@@ -153,13 +161,13 @@ def get(connection: Connection, campaign_id: str) -> StoredCampaign:
     """A campaign by its id. Raises NotFoundError."""
     row = None
     if is_identifier(campaign_id):
-        row = connection.execute(select(campaigns).where(campaigns.c.id == campaign_id)).one_or_none()
+        row = connection.execute(_SELECT.where(campaigns.c.id == campaign_id)).one_or_none()
     if row is None:
         raise NotFoundError("campaign", campaign_id)
     return _campaign(row)
 
 
-_BY_SEQUENCE = select(campaigns).where(campaigns.c.sequence == bindparam("number"))
+_BY_SEQUENCE = _SELECT.where(campaigns.c.sequence == bindparam("number"))
 
 
 def by_sequence(connection: Connection, sequence: int) -> StoredCampaign:
@@ -183,7 +191,7 @@ def page(
     Of a specification that is longer than LONGEST_LISTED characters, which only many start sets make it, nothing is read: `get` gives it.
     """
     short = case((func.length(cast(campaigns.c.spec, Text)) <= LONGEST_LISTED, campaigns.c.spec)).label("spec")
-    columns = [short if column is campaigns.c.spec else column for column in campaigns.c]
+    columns = [short if column is campaigns.c.spec else column for column in campaigns.c] + [by_stage()]
     found = [_campaign(row) for row in connection.execute(listed(columns, kind, state, limit + 1, cursor))]
     following = cursors.encode(found[limit - 1].sequence) if len(found) > limit else None
     return found[:limit], following
@@ -209,7 +217,7 @@ def active(connection: Connection) -> list[CampaignHeading]:
     """The campaigns that have not ended, in the order in which they are to be started: what the dispatcher looks after. (Comparisons look
     after their runs.)"""
     states = [state for state in CampaignState if not state.ended]
-    columns = [campaigns.c[one.name] for one in fields(CampaignHeading)]
+    columns = [campaigns.c[field.name] for field in fields(CampaignHeading)]
     query = select(*columns).where(campaigns.c.ended_at.is_(None), campaigns.c.state.in_(states))
     query = query.where(campaigns.c.parent_sequence.is_(None))
     return [
@@ -226,7 +234,7 @@ def request_action(connection: Connection, campaign_id: str, action: Action) -> 
     """
     row = None
     if is_identifier(campaign_id):
-        query = select(campaigns).where(campaigns.c.id == campaign_id).with_for_update()
+        query = _SELECT.where(campaigns.c.id == campaign_id).with_for_update(of=campaigns)
         row = connection.execute(query).one_or_none()
     if row is None:
         raise NotFoundError("campaign", campaign_id)
@@ -274,30 +282,27 @@ def start(connection: Connection, sequence: int) -> StoredCampaign | None:
         _of(sequence)
         .where(campaigns.c.state == CampaignState.QUEUED)
         .values(state=CampaignState.RUNNING, started_at=now(), watermark=watermark)
-        .returning(campaigns)
     )
-    row = connection.execute(statement).one_or_none()
-    if row is None:
+    if connection.execute(statement).rowcount == 0:
         return None
     _tell(connection, sequence, EventKind.RUNNING, CampaignState.RUNNING)
-    return _campaign(row)
+    return by_sequence(connection, sequence)
 
 
 def save_progress(connection: Connection, sequence: int, snapshot: Snapshot) -> None:
-    """Writes how far a campaign is."""
-    statement = _of(sequence).values(
-        stage=snapshot.stage,
-        iteration=snapshot.iteration,
-        cells=snapshot.cells.model_dump(mode="json"),
-        sensitivity_cells=snapshot.sensitivity_cells.model_dump(mode="json"),
-        progress=snapshot.progress.model_dump(mode="json"),
-        error_rate={scenario: rate.model_dump(mode="json") for scenario, rate in snapshot.error_rate.items()},
-        best=None if snapshot.best is None else snapshot.best.model_dump(mode="json"),
-        baseline=None if snapshot.baseline is None else snapshot.baseline.model_dump(mode="json"),
-        simulating_seconds=snapshot.simulating_seconds,
-        notes=list(snapshot.notes),
-    )
-    connection.execute(statement)
+    """Writes the progress of a campaign."""
+    values: dict[str, Any] = {name: getattr(snapshot, name) for name in ("stage", "iteration", "simulating_seconds")}
+    values |= {
+        name: getattr(snapshot, name).model_dump(mode="json")
+        for name in ("progress", "best", "baseline")
+        if getattr(snapshot, name)
+    }
+    if snapshot.error_rate is not None:
+        values["error_rate"] = {scenario: rate.model_dump(mode="json") for scenario, rate in snapshot.error_rate.items()}
+    if snapshot.notes is not None:
+        values["notes"] = list(snapshot.notes)
+    connection.execute(_of(sequence).values(values))
+    campaign_stages.save(connection, sequence, snapshot.cells)
 
 
 def set_resolution(connection: Connection, sequence: int, resolution: Mapping[str, Any]) -> None:
@@ -325,7 +330,7 @@ def set_influence_map(connection: Connection, sequence: int, influence_map_id: s
 
 def set_narrowed(connection: Connection, sequence: int, narrowed: Collection[Narrowed]) -> None:
     """Notes what the common reduction left out of the search space."""
-    connection.execute(_of(sequence).values(narrowed=[one.model_dump(mode="json") for one in narrowed]))
+    connection.execute(_of(sequence).values(narrowed=[parameter.model_dump(mode="json") for parameter in narrowed]))
 
 
 def degrade(connection: Connection, sequences: Collection[int], reason: str | None) -> None:
@@ -345,7 +350,7 @@ def degrade(connection: Connection, sequences: Collection[int], reason: str | No
 
 def end(connection: Connection, sequence: int, state: CampaignState, error: str | None = None) -> bool:
     """Ends a campaign as `state`; False where it has ended already."""
-    open_states = [one for one in CampaignState if not one.ended]
+    open_states = [state for state in CampaignState if not state.ended]
     statement = (
         _of(sequence)
         .where(campaigns.c.state.in_(open_states))
@@ -360,7 +365,7 @@ def end(connection: Connection, sequence: int, state: CampaignState, error: str 
 
 def runs_of(connection: Connection, sequence: int) -> list[StoredCampaign]:
     """The runs of a comparison, in their order; none of any other campaign."""
-    query = select(campaigns).where(campaigns.c.parent_sequence == sequence).order_by(campaigns.c.sequence)
+    query = _SELECT.where(campaigns.c.parent_sequence == sequence).order_by(campaigns.c.sequence)
     return [_campaign(row) for row in connection.execute(query)]
 
 
@@ -375,19 +380,15 @@ def _of(sequence: int) -> Update:
 
 
 def _campaign(row: Row[Any]) -> StoredCampaign:
-    as_it_is = {one.name: getattr(row, one.name) for one in fields(StoredCampaign)}
+    as_it_is = {field.name: getattr(row, field.name) for field in fields(StoredCampaign)}
     parsed = {
         "state": CampaignState(row.state),
         "spec": row.spec or {},
         "notes": tuple(row.notes),
-        "cells": CellCounts(**row.cells),
-        "sensitivity_cells": StageCellCounts(**row.sensitivity_cells),
-        "robustness_cells": StageCellCounts(**(row.robustness_cells or {})),
-        "validation_cells": StageCellCounts(**(row.validation_cells or {})),
         "progress": Progress(**row.progress),
         "error_rate": {scenario: ErrorRate(**rate) for scenario, rate in row.error_rate.items()},
         "best": None if row.best is None else Best(**row.best),
         "baseline": None if row.baseline is None else Baseline(**row.baseline),
-        "narrowed": None if row.narrowed is None else tuple(Narrowed(**one) for one in row.narrowed),
+        "narrowed": None if row.narrowed is None else tuple(Narrowed(**parameter) for parameter in row.narrowed),
     }
     return StoredCampaign(**as_it_is | parsed)

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 from sqlalchemy import Connection, func, select, update
 
-from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, StageCellCounts
+from drivecal.contracts.campaign import Baseline, Best, ErrorRate
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import ConflictError
 from drivecal.domain.events import EventKind
 from drivecal.storage import events, leases
+from drivecal.storage.campaign_stages import CountsByStage, by_stage
 from drivecal.storage.engine.tables import campaigns
 from drivecal.storage.engine.types import now
 
@@ -51,8 +52,7 @@ class RunTally:
 
     name: str
     begun: bool
-    cells: CellCounts
-    sensitivity_cells: StageCellCounts
+    stages: CountsByStage
     error_rate: Mapping[str, ErrorRate]
     best: Best | None
     baseline: Baseline | None
@@ -63,19 +63,18 @@ class RunTally:
 def tallies(connection: Connection, sequence: int) -> Iterator[RunTally]:
     """Of the runs of a comparison, in their order, read as they are consumed: neither specifications nor more than BATCH are held."""
     run = campaigns.c
-    columns = (run.name, run.started_at, run.cells, run.sensitivity_cells, run.error_rate, run.best, run.baseline)
+    columns = (run.name, run.started_at, by_stage(), run.error_rate, run.best, run.baseline)
     query = select(*columns, run.simulating_seconds, run.notes).where(run.parent_sequence == sequence).order_by(run.sequence)
-    for one in connection.execute(query.execution_options(yield_per=BATCH)):
+    for row in connection.execute(query.execution_options(yield_per=BATCH)):
         yield RunTally(
-            name=one.name,
-            begun=one.started_at is not None,
-            cells=CellCounts(**one.cells),
-            sensitivity_cells=StageCellCounts(**one.sensitivity_cells),
-            error_rate={scenario: ErrorRate(**rate) for scenario, rate in one.error_rate.items()},
-            best=None if one.best is None else Best(**one.best),
-            baseline=None if one.baseline is None else Baseline(**one.baseline),
-            simulating_seconds=one.simulating_seconds,
-            notes=one.notes,
+            name=row.name,
+            begun=row.started_at is not None,
+            stages=row.stages,
+            error_rate={scenario: ErrorRate(**rate) for scenario, rate in row.error_rate.items()},
+            best=None if row.best is None else Best(**row.best),
+            baseline=None if row.baseline is None else Baseline(**row.baseline),
+            simulating_seconds=row.simulating_seconds,
+            notes=row.notes,
         )
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from sqlalchemy import Column, ColumnElement, Connection, Select, SmallInteger, bindparam, select, type_coerce, update
 
-from drivecal.domain.campaigns import Stage
+from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Donor, Outcome
 from drivecal.domain.parameters import ParameterSet
 from drivecal.storage import leases
@@ -31,7 +31,7 @@ class NewEvaluation:
     its audit does not trust. A copy of a donor has its answer at once; every other cell is pending.
     """
 
-    stage: Stage
+    stage: StageName
     iteration: int
     individual: int
     scenario: str
@@ -49,7 +49,7 @@ class PendingEvaluation:
     """A cell without its answer. `reference`: the evaluation that will answer it or is audited by it, None where there is none."""
 
     id: int
-    stage: Stage
+    stage: StageName
     iteration: int
     individual: int
     scenario: str
@@ -129,7 +129,9 @@ def pending(connection: Connection, campaign_sequence: int) -> list[PendingEvalu
     ]
 
 
-def reused(connection: Connection, campaign_sequence: int, stage: Stage, iteration: int) -> list[tuple[int, int, ParameterSet]]:
+def reused(
+    connection: Connection, campaign_sequence: int, stage: StageName, iteration: int
+) -> list[tuple[int, int, ParameterSet]]:
     """The cells of an iteration that have their answer from a reference, and of which nothing more is known: id, setup, parameters."""
     query = (
         select(evaluations.c.id, evaluations.c.setup_id, parameter_sets.c.parameter_values)
@@ -171,13 +173,13 @@ def answer(connection: Connection, answers: Sequence[AnsweredCell]) -> int:
     return answered
 
 
-_ANSWER = tuple(one.name for one in fields(AnsweredCell) if one.name != "id")
+_ANSWER = tuple(field.name for field in fields(AnsweredCell) if field.name != "id")
 
 
 def simulate_instead(connection: Connection, evaluation_ids: Sequence[int]) -> None:
     """Plans a simulation for pending copies whose leader has no result, and so can answer nobody."""
     statement = update(evaluations).where(evaluations.c.id == bindparam("evaluation"), evaluations.c.outcome.is_(None))
-    rows = [{"evaluation": one} for one in evaluation_ids]
+    rows = [{"evaluation": identifier} for identifier in evaluation_ids]
     if rows:
         connection.execute(statement.values(plan=Outcome.SIMULATED, reference=None), rows)
 
@@ -201,7 +203,7 @@ def own_exact(
     connection: Connection, campaign_sequence: int, scenario: str, setup_id: int, parameter_set_ids: Sequence[int]
 ) -> dict[int, Donor]:
     """The campaign's own first answers by parameter set, as `own_references`."""
-    ids = [int(one) for one in parameter_set_ids]
+    ids = [int(identifier) for identifier in parameter_set_ids]
     return dict(_own(connection, campaign_sequence, scenario, setup_id, evaluations.c.parameter_set_id, ids))
 
 

@@ -43,7 +43,7 @@ def take(connection: Connection, breakdowns: Mapping[int, int], seconds: float) 
         where=(leases.c.term != term) | (leases.c.expires_at <= moment),
     )
     common = {"number": 1, "term": term, "expires_at": moment + timedelta(seconds=seconds)}
-    rows = [{"evaluation_id": one, "attempts": breakdowns[one], **common} for one in sorted(free)]
+    rows = [{"evaluation_id": number, "attempts": breakdowns[number], **common} for number in sorted(free)]
     granted = connection.execute(statement.returning(leases.c.evaluation_id, leases.c.number), rows)
     return {row.evaluation_id: row.number for row in granted}
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 from sqlalchemy import Connection, Row, Select, case, func, literal, select, tuple_
 
-from drivecal.domain.campaigns import Stage
+from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import NotFoundError
 from drivecal.domain.evaluations import CellScore, Outcome
 from drivecal.domain.parameters import ParameterSet
@@ -28,7 +28,7 @@ class StoredEvaluation:
 
     id: int
     campaign_sequence: int
-    stage: Stage
+    stage: StageName
     iteration: int
     individual: int
     scenario: str
@@ -56,6 +56,9 @@ class StoredEvaluation:
     """Where it was simulated to check: whether both runs are the same."""
 
 
+_STORED = tuple(field.name for field in fields(StoredEvaluation) if field.name in evaluations.c)
+
+
 def by_id(connection: Connection, evaluation_id: int) -> StoredEvaluation:
     """One evaluation. Raises NotFoundError."""
     row = None
@@ -70,7 +73,7 @@ def number_at(connection: Connection, campaign_sequence: int, iteration: int, in
     """The number of the cell by which the set at a place of the calibration stage is ranked in a scenario: one of its own, where another
     was answered by a reference. Raises NotFoundError."""
     table = evaluations.c
-    here = (table.campaign_sequence == campaign_sequence, table.stage == Stage.CALIBRATION, table.scenario == scenario)
+    here = (table.campaign_sequence == campaign_sequence, table.stage == StageName.CALIBRATION, table.scenario == scenario)
     at = select(table.parameter_set_id).where(*here, table.iteration == iteration, table.individual == individual)
     number = connection.scalar(at)
     if number is None:
@@ -88,7 +91,7 @@ def page(
     query = _of_campaign(campaign_sequence).limit(limit + 1)
     if cursor is not None:
         number, *rest = cursors.decode(cursor, int, int, int, str)
-        place = (STAGES.get(number, Stage.VALIDATION), *rest)
+        place = (STAGES.get(number, StageName.VALIDATION), *rest)
         # Typed one by one: a tuple does not hand its types on, and stages are stored as numbers.
         typed = (literal(value, column.type) for value, column in zip(place, _PLACE, strict=True))
         query = query.where(tuple_(*_PLACE) > tuple_(*typed))
@@ -106,7 +109,9 @@ def stream(connection: Connection, campaign_sequence: int) -> Iterator[StoredEva
         yield _evaluation(row)
 
 
-def answers(connection: Connection, campaign_sequence: int, stage: Stage, iteration: int | None = None) -> Iterator[CellScore]:
+def answers(
+    connection: Connection, campaign_sequence: int, stage: StageName, iteration: int | None = None
+) -> Iterator[CellScore]:
     """The answered cells of one iteration, or of all, in the order of `page`; the connection must stay open meanwhile."""
     table = evaluations.c
     query = (
@@ -137,7 +142,7 @@ def best_simulated(connection: Connection, campaign_sequence: int, weights: Mapp
         select(table.parameter_set_id, table.scenario, func.max(table.score).label("score"))
         .where(
             table.campaign_sequence == campaign_sequence,
-            table.stage == Stage.CALIBRATION,
+            table.stage == StageName.CALIBRATION,
             table.outcome.in_((Outcome.SIMULATED, Outcome.CERTIFIED, Outcome.REPEATED)),
             table.score.is_not(None),
         )
@@ -155,7 +160,7 @@ def best_simulated(connection: Connection, campaign_sequence: int, weights: Mapp
     return found
 
 
-def sets_since(connection: Connection, campaign_sequence: int, stage: Stage, iteration: int) -> list[int]:
+def sets_since(connection: Connection, campaign_sequence: int, stage: StageName, iteration: int) -> list[int]:
     """The parameter sets that a stage asked for from an iteration on, one after the other: their ids, in that order."""
     table = evaluations.c
     query = select(table.iteration, table.parameter_set_id).where(
@@ -164,7 +169,7 @@ def sets_since(connection: Connection, campaign_sequence: int, stage: Stage, ite
     return [number for _, number in connection.execute(query.distinct().order_by(table.iteration))]
 
 
-def counted_since(connection: Connection, campaign_sequence: int, stage: Stage, iteration: int) -> dict[str, int]:
+def counted_since(connection: Connection, campaign_sequence: int, stage: StageName, iteration: int) -> dict[str, int]:
     """How many cells a stage asked for from an iteration on, by scenario."""
     table = evaluations.c
     asked = (table.campaign_sequence == campaign_sequence, table.stage == stage, table.iteration >= iteration)
@@ -177,7 +182,7 @@ def reference_of(connection: Connection, campaign_sequence: int, scenario: str, 
     table = evaluations.c
     query = select(table.reference).where(
         table.campaign_sequence == campaign_sequence,
-        table.stage == Stage.CALIBRATION,
+        table.stage == StageName.CALIBRATION,
         table.scenario == scenario,
         table.parameter_set_id == parameter_set_id,
         table.outcome == Outcome.REUSED,
@@ -185,7 +190,7 @@ def reference_of(connection: Connection, campaign_sequence: int, scenario: str, 
     return connection.scalar(query.order_by(*_PLACE).limit(1))
 
 
-def has_iteration(connection: Connection, campaign_sequence: int, stage: Stage, iteration: int) -> bool:
+def has_iteration(connection: Connection, campaign_sequence: int, stage: StageName, iteration: int) -> bool:
     """Whether the cells of an iteration have been asked for."""
     query = select(evaluations.c.id).where(
         evaluations.c.campaign_sequence == campaign_sequence,
@@ -195,7 +200,7 @@ def has_iteration(connection: Connection, campaign_sequence: int, stage: Stage, 
     return connection.execute(query.limit(1)).first() is not None
 
 
-def is_pending(connection: Connection, campaign_sequence: int, stage: Stage, iteration: int) -> bool:
+def is_pending(connection: Connection, campaign_sequence: int, stage: StageName, iteration: int) -> bool:
     """Whether a cell of an iteration waits for its answer."""
     query = select(evaluations.c.id).where(
         evaluations.c.campaign_sequence == campaign_sequence,
@@ -206,7 +211,7 @@ def is_pending(connection: Connection, campaign_sequence: int, stage: Stage, ite
     return connection.execute(query.limit(1)).first() is not None
 
 
-def donors(connection: Connection, campaign_sequence: int, stage: Stage) -> Iterator[tuple[int, str, ParameterSet]]:
+def donors(connection: Connection, campaign_sequence: int, stage: StageName) -> Iterator[tuple[int, str, ParameterSet]]:
     """The simulated or certified cells of a stage that can answer others: id, scenario, parameter set."""
     query = (
         select(evaluations.c.id, evaluations.c.scenario, parameter_sets.c.parameter_values)
@@ -232,29 +237,10 @@ def _of_campaign(campaign_sequence: int) -> Select[Any]:
 
 
 def _evaluation(row: Row[Any]) -> StoredEvaluation:
-    return StoredEvaluation(
-        id=row.id,
-        campaign_sequence=row.campaign_sequence,
-        stage=row.stage,
-        iteration=row.iteration,
-        individual=row.individual,
-        scenario=row.scenario,
-        setup_id=row.setup_id,
-        parameter_set_id=row.parameter_set_id,
-        parameters={name: float(value) for name, value in json.loads(row.parameter_values).items()},
-        plan=Outcome(row.plan),
-        outcome=None if row.outcome is None else Outcome(row.outcome),
-        score=row.score,
-        rating=row.rating,
-        run_id=row.run_id,
-        reference=row.proven_by if row.outcome == Outcome.CERTIFIED else row.reference,
-        audited=row.audited,
-        agrees=row.agrees,
-        failure=row.failure,
-        milliseconds=row.milliseconds,
-        worker=row.worker,
-        attempts=row.attempts,
-        detail=row.detail,
-        proven_by=row.proven_by,
-        proof_agrees=row.proof_agrees,
-    )
+    values = {name: getattr(row, name) for name in _STORED} | {
+        "parameters": {name: float(value) for name, value in json.loads(row.parameter_values).items()},
+        "plan": Outcome(row.plan),
+        "outcome": None if row.outcome is None else Outcome(row.outcome),
+        "reference": row.proven_by if row.outcome == Outcome.CERTIFIED else row.reference,
+    }
+    return StoredEvaluation(**values)

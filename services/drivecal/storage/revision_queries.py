@@ -10,8 +10,9 @@ from typing import Any
 from sqlalchemy import Connection, bindparam, select
 
 from drivecal.domain.actions import Action
-from drivecal.domain.campaigns import CampaignState, Stage
+from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import NotFoundError
+from drivecal.storage.campaign_stages import CountsByStage, by_stage
 from drivecal.storage.campaigns import Listed, listed
 from drivecal.storage.engine.bulk import among
 from drivecal.storage.engine.identifiers import is_identifier
@@ -33,25 +34,24 @@ class CampaignRevision:
 
 @dataclass(frozen=True, slots=True)
 class ProgressSnapshot(CampaignRevision):
-    """A glance, and what moves while a campaign runs; documents as they are stored."""
+    """A revision, and what moves while a campaign runs; documents as they are stored."""
 
-    stage: Stage | None
+    stage: StageName | None
     iteration: int | None
     progress: Mapping[str, Any]
-    cells: Mapping[str, Any]
-    sensitivity_cells: Mapping[str, Any]
-    robustness_cells: Mapping[str, Any] | None
-    validation_cells: Mapping[str, Any] | None
+    stages: CountsByStage
     best: Mapping[str, Any] | None
     simulating_seconds: float
     started_at: datetime | None
     ended_at: datetime | None
 
 
-_GLANCE = [campaigns.c[one.name] for one in fields(CampaignRevision)]
-_PULSE = [campaigns.c[one.name] for one in fields(ProgressSnapshot)]
+_REVISION = [campaigns.c[field.name] for field in fields(CampaignRevision)]
+_PROGRESS = [by_stage() if field.name == "stages" else campaigns.c[field.name] for field in fields(ProgressSnapshot)]
 _HEARTBEAT = select(processes.c.heartbeat_at).where(processes.c.name == DISPATCHER)
-_CAMPAIGN = select(*_GLANCE, _HEARTBEAT.scalar_subquery().label("heartbeat_at")).where(campaigns.c.id == bindparam("campaign"))
+_CAMPAIGN = select(*_REVISION, _HEARTBEAT.scalar_subquery().label("heartbeat_at")).where(
+    campaigns.c.id == bindparam("campaign")
+)
 """Made once: making a statement costs as much as executing it."""
 
 
@@ -67,14 +67,14 @@ def campaign_revision(connection: Connection, campaign_id: str) -> tuple[Campaig
         row = connection.execute(_CAMPAIGN, {"campaign": campaign_id}).one_or_none()
     if row is None:
         raise NotFoundError("campaign", campaign_id)
-    return _glance(row), row.heartbeat_at
+    return _revision(row), row.heartbeat_at
 
 
 def page(
     connection: Connection, *, kind: Listed, state: CampaignState | None, limit: int, cursor: str | None
 ) -> list[CampaignRevision]:
     """The campaigns that `campaigns.page` gives for the same arguments, and one more where there are more."""
-    return [_glance(row) for row in connection.execute(listed(_GLANCE, kind, state, limit + 1, cursor))]
+    return [_revision(row) for row in connection.execute(listed(_REVISION, kind, state, limit + 1, cursor))]
 
 
 def revisions(connection: Connection, sequences: Collection[int]) -> dict[int, int]:
@@ -90,10 +90,10 @@ def snapshots(connection: Connection, sequences: Collection[int]) -> list[Progre
     """How far campaigns are."""
     found: list[ProgressSnapshot] = []
     for condition in among(connection, campaigns.c.sequence, list(sequences)):
-        rows = connection.execute(select(*_PULSE).where(condition)).mappings()
+        rows = connection.execute(select(*_PROGRESS).where(condition)).mappings()
         found += [ProgressSnapshot(**{**row, "state": CampaignState(row["state"])}) for row in rows]
     return found
 
 
-def _glance(row: Any) -> CampaignRevision:
+def _revision(row: Any) -> CampaignRevision:
     return CampaignRevision(row.sequence, row.id, CampaignState(row.state), row.requested_action, row.revision, row.degraded)

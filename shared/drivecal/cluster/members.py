@@ -38,10 +38,10 @@ def ask(address: str) -> tuple[Node, ...]:
 
     Raises UnavailableError if the head does not respond or is still starting, and NotAuthorisedError if it rejects our token.
     """
-    import ray
+    _check_port(address)
+    import ray  # reads its environment on import, which must wait until a head listens
 
     core: Any = import_module("ray._raylet")
-    _check_port(address)
     core.AuthenticationTokenLoader.instance().reset_cache()  # the file may have changed since the last attempt
     try:
         alive = members(core.GcsClient(address=address))

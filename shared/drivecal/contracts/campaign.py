@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import datetime
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, computed_field, model_validator
 
 
 class Answer(BaseModel):
@@ -54,6 +54,55 @@ class StageCellCounts(Answer):
     pending: int = 0
     checked: int = 0
     unrepeatable: int = 0
+
+
+EARLIER_NAMES = {stage: f"{stage}_cells" for stage in ("sensitivity", "robustness", "validation")} | {"calibration": "cells"}
+
+
+class CellsByStage(Answer):
+    """Cells of a campaign by stage; a stage that has not begun is missing. The other fields repeat those of four stages by the names of
+    earlier releases."""
+
+    stages: dict[str, CellCounts] = {}
+
+    @model_validator(mode="before")
+    @classmethod
+    def _by_stage(cls, data: Any) -> Any:
+        """Reads what a release without `stages` answers."""
+        if not isinstance(data, dict) or "stages" in data:
+            return data
+        return data | {"stages": {stage: data[name] for stage, name in EARLIER_NAMES.items() if data.get(name)}}
+
+    @computed_field  # type: ignore[prop-decorator]  # decorated properties
+    @property
+    def cells(self) -> CellCounts:
+        """The calibration stage, a single evaluation, or the sum over the runs of a comparison."""
+        return self.stages.get("calibration", CellCounts())
+
+    @computed_field  # type: ignore[prop-decorator]  # decorated properties
+    @property
+    def sensitivity_cells(self) -> StageCellCounts:
+        """The sensitivity stage."""
+        return self._of("sensitivity")
+
+    @computed_field  # type: ignore[prop-decorator]  # decorated properties
+    @property
+    def robustness_cells(self) -> StageCellCounts:
+        """The robustness stage."""
+        return self._of("robustness")
+
+    @computed_field  # type: ignore[prop-decorator]  # decorated properties
+    @property
+    def validation_cells(self) -> StageCellCounts:
+        """The validation stage."""
+        return self._of("validation")
+
+    def _of(self, stage: str) -> StageCellCounts:
+        return StageCellCounts(**self.stages.get(stage, CellCounts()).model_dump())
+
+    def by_stage(self) -> dict[str, CellCounts | StageCellCounts]:
+        """The stages that have begun, each with the counts that it can have."""
+        return {stage: self.cells if stage == "calibration" else self._of(stage) for stage in self.stages}
 
 
 class ErrorRate(Answer):
@@ -109,7 +158,7 @@ class Seconds(Answer):
     simulating: float = 0.0
 
 
-class Campaign(Answer):
+class Campaign(CellsByStage):
     """A campaign as `GET /campaigns/{id}` shows it."""
 
     id: str
@@ -124,10 +173,6 @@ class Campaign(Answer):
     stage: str | None = None
     iteration: int | None = None
     progress: Progress = Progress()
-    cells: CellCounts = CellCounts()
-    sensitivity_cells: StageCellCounts = StageCellCounts()
-    robustness_cells: StageCellCounts = StageCellCounts()
-    validation_cells: StageCellCounts = StageCellCounts()
     error_rate: dict[str, ErrorRate] = {}
     best: Best | None = None
     baseline: Baseline | None = None
@@ -153,65 +198,6 @@ class CampaignPage(Answer):
     next_cursor: str | None = None
 
 
-class Generation(Answer):
-    """One iteration of the calibration stage."""
-
-    iteration: int
-    proposed: int
-    carried_over: int
-    requested: int
-    repeated: int
-    reused: int
-    certified: int
-    simulated: int
-    failed: int
-    audited: int
-    best: float | None
-    """The best objective so far."""
-    rating: float | None = None
-    """The weighted continuous rating of the best set so far; null in campaigns of releases that did not keep it."""
-    mean: float | None
-    minimum: float | None
-    alternatives: int
-    """Distinct parameter sets seen so far whose objective equals the best so far."""
-
-
-class Solution(Answer):
-    """One evaluated parameter set; `rank` counts from 1, equal objectives are ordered by `rating`, then by discovery."""
-
-    rank: int
-    objective: float
-    rating: float
-    parameters: dict[str, float]
-    scores: dict[str, int]
-    reused: list[str] = []
-    """Scenarios whose score is that of a reference: this very set was not simulated there."""
-    iteration: int
-    individual: int
-
-
-class EvaluationRow(Answer):
-    """One requested cell."""
-
-    id: int
-    stage: str
-    iteration: int
-    individual: int
-    scenario: str
-    parameters: dict[str, float]
-    outcome: str | None
-    """Null while the answer is pending."""
-    score: int | None
-    rating: float | None
-    reference: int | None
-    """The id of the evaluation that answered it, or that was audited."""
-    audited: bool
-    agrees: bool | None
-    failure: str | None
-    milliseconds: float | None
-    worker: str | None
-
-
 class ExpectedRuns(Answer):
     """What a campaign will cost at most: cells proposed by stage, and simulations if nothing could be answered otherwise."""
 
@@ -226,10 +212,3 @@ class ExpectedRuns(Answer):
     """The share of requested cells that would have to be reused for the interval analysis to pay within this campaign, all runs counted
     alike: above 1 it cannot. Null without both stages. How many will be reused cannot be known before."""
     notes: list[str] = []
-
-
-class SolutionPage(Answer):
-    """A page of solutions, best first; `next_cursor` null on the last."""
-
-    items: list[Solution]
-    next_cursor: str | None = None

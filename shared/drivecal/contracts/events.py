@@ -7,7 +7,7 @@ from typing import Any
 
 from pydantic import Field
 
-from drivecal.contracts.campaign import Answer, CellCounts, Progress, Seconds, StageCellCounts
+from drivecal.contracts.campaign import Answer, CellsByStage, Progress, Seconds
 
 PROGRESS = "progress"
 """The name of what is sent between events, without an id: how far the campaign is now."""
@@ -26,7 +26,7 @@ class CampaignEvent(Answer):
     data: dict[str, Any] = Field(default_factory=dict)
 
 
-class CampaignProgress(Answer):
+class CampaignProgress(CellsByStage):
     """What moves while a campaign runs, as in `Campaign`."""
 
     state: str
@@ -35,9 +35,5 @@ class CampaignProgress(Answer):
     stage: str | None = None
     iteration: int | None = None
     progress: Progress = Progress()
-    cells: CellCounts = CellCounts()
-    sensitivity_cells: StageCellCounts = StageCellCounts()
-    robustness_cells: StageCellCounts = StageCellCounts()
-    validation_cells: StageCellCounts = StageCellCounts()
     best_objective: float | None = None
     seconds: Seconds = Seconds()

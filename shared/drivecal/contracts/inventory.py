@@ -8,29 +8,7 @@ from typing import Any
 from pydantic import Field
 
 from drivecal.contracts.campaign import Answer
-
-
-class InfluenceRow(Answer):
-    """One parameter in one scenario. `lower` and `upper` are the inclusive influential bounds in parameter units, the space's own
-    where nothing is cut, null where nothing is influential. What only an analysis can know is null in maps that a user posted."""
-
-    scenario: str
-    parameter: str
-    influential: bool
-    lower: float | None
-    upper: float | None
-    s_rel_intervals: list[float | None] | None = None
-    """One for each interval, from the lower end of the space to its upper; null where too few runs gave a result."""
-    mu: float | None = None
-    sigma: float | None = None
-    mu_star: float | None = None
-    unknown: bool = False
-    """Nothing is known about it, which counts as influential: the map does not list it, or no run of the scenario scored above 0."""
-    unit: str | None = None
-    space_lower: float | None = None
-    space_upper: float | None = None
-    n_values: int | None = None
-    """How many values the parameter may take from `space_lower` to `space_upper`."""
+from drivecal.contracts.tables import InfluenceRow
 
 
 class InfluenceMapAnswer(Answer):

@@ -22,7 +22,7 @@ class CampaignState(StrEnum):
         return self in {CampaignState.CANCELLED, CampaignState.SUCCEEDED, CampaignState.FAILED}
 
 
-class Stage(StrEnum):
+class StageName(StrEnum):
     """The stages of a campaign, in the order in which they run."""
 
     SENSITIVITY = "sensitivity"

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
-from drivecal.domain.campaigns import Stage
+from drivecal.domain.campaigns import StageName
 
 
 class Outcome(StrEnum):
@@ -122,7 +122,7 @@ class OutcomeCosts:
     `seconds`: CPU time that the campaign's own attempts took; `run_seconds`: that of the `runs` stored runs that answered the cells.
     """
 
-    stage: Stage
+    stage: StageName
     scenario: str
     outcome: Outcome
     audited: bool

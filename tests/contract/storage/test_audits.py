@@ -6,7 +6,7 @@ import pytest
 from sqlalchemy import Connection
 from tests.support.storage import EVALUATOR, campaign, sample_set_ids, setup_id, simulate
 
-from drivecal.domain.campaigns import Stage
+from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import AuditCount, Outcome, Rating
 from drivecal.storage import audits, evaluations, results
 from drivecal.storage.engine.database import Database
@@ -18,7 +18,7 @@ KEY, OTHER_KEY = b"k" * 16, b"o" * 16
 
 
 def cell(individual: int, setup: int, parameter_set: int, **changes: object) -> NewEvaluation:
-    one = NewEvaluation(Stage.CALIBRATION, 0, individual, "S1", setup, parameter_set, SIMULATED)
+    one = NewEvaluation(StageName.CALIBRATION, 0, individual, "S1", setup, parameter_set, SIMULATED)
     return replace(one, **changes)  # type: ignore[arg-type]
 
 
@@ -51,7 +51,7 @@ def test_audits_are_counted_for_the_campaign_and_by_iteration(database: Database
 def test_audits_are_settled_by_comparing_the_score_with_the_donors(database: Database) -> None:
     with database.transaction() as connection:
         sequence, (equal, other, later, waiting) = audited(connection)
-        audits.settle(connection, sequence, Stage.CALIBRATION, 1, EVALUATOR)
+        audits.settle(connection, sequence, StageName.CALIBRATION, 1, EVALUATOR)
         agrees = {one.id: one.agrees for one in results.stream(connection, sequence) if one.audited}
     assert agrees == {equal: True, other: False, later: None, waiting: None}
 
@@ -59,10 +59,10 @@ def test_audits_are_settled_by_comparing_the_score_with_the_donors(database: Dat
 def test_what_certificates_say_of_reused_cells_is_counted_and_noted_once(database: Database) -> None:
     with database.transaction() as connection:
         sequence, (equal, other, later, _) = audited(connection)
-        (left,) = evaluations.reused(connection, sequence, Stage.CALIBRATION, 2)
-        assert evaluations.reused(connection, sequence, Stage.CALIBRATION, 1) == []
+        (left,) = evaluations.reused(connection, sequence, StageName.CALIBRATION, 2)
+        assert evaluations.reused(connection, sequence, StageName.CALIBRATION, 1) == []
         evaluations.note_proofs(connection, {left[0]: later, equal: other})
-        assert evaluations.reused(connection, sequence, Stage.CALIBRATION, 2) == []
+        assert evaluations.reused(connection, sequence, StageName.CALIBRATION, 2) == []
         assert audits.proofs(connection, sequence, EVALUATOR) == [AuditCount("S1", audited=1, different=1, wrong=1)]
 
 
@@ -77,7 +77,7 @@ def test_a_donor_counts_as_the_campaigns_own_evaluator_rates_it(database: Databa
         audit = cell(1, setup, sets[1], donor=donor, audited=True)
         simulate(connection, sequence, [audit], score=2)
         assert audits.count(connection, sequence, "learned 1") == [AuditCount("S1", audited=1, different=0, wrong=0)]
-        audits.settle(connection, sequence, Stage.CALIBRATION, 0, "learned 1")
+        audits.settle(connection, sequence, StageName.CALIBRATION, 0, "learned 1")
         assert [one.agrees for one in results.stream(connection, sequence)] == [True]
 
 
@@ -90,7 +90,7 @@ def test_a_donor_of_the_campaigns_own_counts_as_it_was_answered_whatever_is_stor
         donor = evaluations.own_exact(connection, sequence, "S1", setup, sets)[sets[0]]
         simulate(connection, sequence, [cell(1, setup, sets[1], donor=donor, audited=True)], score=2)
         assert audits.count(connection, sequence, EVALUATOR) == [AuditCount("S1", audited=1, different=0, wrong=0)]
-        audits.settle(connection, sequence, Stage.CALIBRATION, 0, EVALUATOR)
+        audits.settle(connection, sequence, StageName.CALIBRATION, 0, EVALUATOR)
         assert [one.agrees for one in results.stream(connection, sequence) if one.audited] == [True]
 
 

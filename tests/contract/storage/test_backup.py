@@ -48,7 +48,8 @@ def target_url(backend: str, request: pytest.FixtureRequest, tmp_path: Path) -> 
 def used(database: Database) -> Database:
     """A database with everything in it: an earlier release's rows, campaigns of this one, events, leases, one that runs."""
     with database.transaction() as connection:
-        load.fill(connection, {name: rows for name, rows in load.rows_of("0001").items() if name != "reference_keys"})
+        rows = {name: listed for name, listed in load.rows_of("0001").items() if name != "reference_keys"}
+        load.fill(connection, load.newest(rows))
         connection.execute(text("UPDATE campaigns SET state = 'cancelled', ended_at = created_at WHERE state = 'queued'"))
         connection.execute(text("DELETE FROM reference_indexes"))
     running = submit(database, stored_map=post_map(database, INFLUENCES), name="running", reduction={"audit": 0.2})

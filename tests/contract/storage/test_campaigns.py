@@ -9,7 +9,7 @@ from tests.support.storage import campaign, new_run, sample_set_ids, setup_id
 
 from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, Progress, StageCellCounts
 from drivecal.domain.actions import Action
-from drivecal.domain.campaigns import CampaignState, Stage
+from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import ConflictError, InvalidInputError, NotFoundError
 from drivecal.storage import campaigns
 from drivecal.storage.campaigns import CampaignHeading, Snapshot
@@ -149,11 +149,13 @@ def test_a_started_campaign_sees_what_was_stored_until_then(database: Database) 
 
 def test_progress_is_written_and_read_back_whole(database: Database) -> None:
     snapshot = Snapshot(
-        stage=Stage.CALIBRATION,
+        stage=StageName.CALIBRATION,
         iteration=3,
-        cells=CellCounts(proposed=10, pending=4, requested=6, simulated=6, audited=1),
+        cells={
+            StageName.CALIBRATION: CellCounts(proposed=10, pending=4, requested=6, simulated=6, audited=1),
+            StageName.SENSITIVITY: StageCellCounts(requested=3, simulated=3),
+        },
         progress=Progress(done=6, total=10, eta_seconds=1.5),
-        sensitivity_cells=StageCellCounts(requested=3, simulated=3),
         error_rate={"S1": ErrorRate(audited=1, upper_95=0.975)},
         best=Best(objective=5.67, parameters={"P1": 0.5}, scores={"S1": 6}, alternatives=2),
         baseline=Baseline(objective=None, parameters={"P1": 0.25}, scores={"S1": None}),
@@ -167,8 +169,6 @@ def test_progress_is_written_and_read_back_whole(database: Database) -> None:
     for name in (
         "stage",
         "iteration",
-        "cells",
-        "sensitivity_cells",
         "progress",
         "error_rate",
         "best",
@@ -176,6 +176,7 @@ def test_progress_is_written_and_read_back_whole(database: Database) -> None:
         "simulating_seconds",
     ):
         assert getattr(stored, name) == getattr(snapshot, name), name
+    assert {stage: stored.counts(stage) for stage in stored.stages} == snapshot.cells
     assert stored.notes == ("S2 has weight 0",)
 
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import pytest
-from sqlalchemy import Connection, text
+from sqlalchemy import Connection
 
-from drivecal.contracts.campaign import CellCounts, Progress, StageCellCounts
-from drivecal.domain.campaigns import CampaignState, Stage
+from drivecal.contracts.campaign import CellCounts, Progress
+from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import ConflictError, OverloadError
 from drivecal.storage import admission, campaigns, comparisons, events
 from drivecal.storage.campaigns import Snapshot, StoredCampaign
@@ -121,8 +121,11 @@ def test_a_comparison_knows_its_runs_without_reading_all_of_them(database: Datab
         ("UPDATE campaigns SET started_at = NULL WHERE name = 'compared'", "has begun, and its comparison has not"),
         ("UPDATE campaigns SET parent_sequence = NULL", "has no runs"),
         (
-            "UPDATE campaigns SET state = 'succeeded', cells = '{\"requested\": 3}' WHERE name = 'compared'",
-            "counts 3 requested in its cells, its runs 0",
+            (
+                "UPDATE campaigns SET state = 'succeeded' WHERE name = 'compared'; INSERT INTO campaign_stages"
+                " SELECT sequence, 2, '{\"requested\": 3}' FROM campaigns WHERE name = 'compared'"
+            ),
+            "counts 3 requested in its calibration, its runs 0",
         ),
     ],
 )
@@ -130,16 +133,16 @@ def test_a_comparison_that_does_not_fit_its_runs_is_found(database: Database, st
     with database.transaction() as connection:
         insert(connection)
         assert list(check_comparisons(connection)) == []
-        connection.execute(text(statement))
+        for each in statement.split(";"):
+            connection.exec_driver_sql(each)
         assert any(sentence in one for one in check_comparisons(connection))
 
 
 def test_cells_that_a_comparison_sums_up_are_counted_once(database: Database) -> None:
     snapshot = Snapshot(
-        stage=Stage.CALIBRATION,
+        stage=StageName.CALIBRATION,
         iteration=0,
-        cells=CellCounts(proposed=5, requested=5, simulated=5),
-        sensitivity_cells=StageCellCounts(),
+        cells={StageName.CALIBRATION: CellCounts(proposed=5, requested=5, simulated=5)},
         progress=Progress(),
         error_rate={},
         best=None,

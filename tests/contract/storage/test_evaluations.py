@@ -7,7 +7,7 @@ import pytest
 from sqlalchemy.exc import IntegrityError
 from tests.support.storage import campaign, sample_set_ids, sample_sets, setup_id, simulate
 
-from drivecal.domain.campaigns import Stage
+from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Donor, Outcome
 from drivecal.storage import evaluations, results
 from drivecal.storage.engine.database import Database
@@ -17,7 +17,7 @@ SIMULATED, REPEATED, REUSED, FAILED = Outcome.SIMULATED, Outcome.REPEATED, Outco
 
 
 def cell(individual: int, setup: int, parameter_set: int, **changes: object) -> NewEvaluation:
-    one = NewEvaluation(Stage.CALIBRATION, 0, individual, "S1", setup, parameter_set, SIMULATED)
+    one = NewEvaluation(StageName.CALIBRATION, 0, individual, "S1", setup, parameter_set, SIMULATED)
     return replace(one, **changes)  # type: ignore[arg-type]
 
 
@@ -148,7 +148,7 @@ def test_the_sensitivity_stage_comes_before_calibration(database: Database) -> N
         sequence, setup = campaign(connection).sequence, setup_id(connection)
         sets = sample_set_ids(connection, 2)
         calibration = cell(0, setup, sets[0], iteration=0, reference_key=key)
-        sensitivity = cell(5, setup, sets[1], iteration=7, stage=Stage.SENSITIVITY, reference_key=key)
+        sensitivity = cell(5, setup, sets[1], iteration=7, stage=StageName.SENSITIVITY, reference_key=key)
         ids = simulate(connection, sequence, [calibration, sensitivity])
         assert evaluations.own_references(connection, sequence, "S1", setup, [key])[key].evaluation == ids[1]
         assert [one.id for one in results.stream(connection, sequence)] == ids[::-1]

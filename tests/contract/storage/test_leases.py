@@ -11,7 +11,7 @@ from tests.contract.storage.conftest import Backend
 from tests.contract.storage.test_query_plans import gather_statistics, plans, scanned
 from tests.support.storage import campaign, sample_set_ids, setup_id
 
-from drivecal.domain.campaigns import Stage
+from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome
 from drivecal.storage import evaluations, leases, processes
 from drivecal.storage.engine.database import Database
@@ -26,7 +26,7 @@ def pending(database: Database, count: int) -> list[int]:
     """Evaluations without an answer."""
     with database.transaction() as connection:
         setup, sets = setup_id(connection), sample_set_ids(connection, count)
-        cells = [NewEvaluation(Stage.CALIBRATION, 0, n, "S1", setup, one, Outcome.SIMULATED) for n, one in enumerate(sets)]
+        cells = [NewEvaluation(StageName.CALIBRATION, 0, n, "S1", setup, one, Outcome.SIMULATED) for n, one in enumerate(sets)]
         return evaluations.insert(connection, campaign(connection).sequence, cells)
 
 

@@ -17,7 +17,7 @@ import pytest
 from sqlalchemy import Connection, event, text
 from tests.support.storage import EVALUATOR, campaign, new_run, sample_set_ids, sample_sets, setup_id
 
-from drivecal.domain.campaigns import Stage
+from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.events import EventKind
 from drivecal.storage import audits, campaigns, evaluations, events, leases, processes, results, revision_queries
@@ -44,7 +44,7 @@ def filled(database: Database) -> Database:
         sets = sample_set_ids(connection, ROWS)
         for one in (sequence, other):
             cells = [
-                NewEvaluation(Stage.CALIBRATION, n % 40, n, "S1", setup, set_id, Outcome.SIMULATED, reference_key=KEYS[n])
+                NewEvaluation(StageName.CALIBRATION, n % 40, n, "S1", setup, set_id, Outcome.SIMULATED, reference_key=KEYS[n])
                 for n, set_id in enumerate(sets)
             ]
             ids = evaluations.insert(connection, one, cells)
@@ -138,7 +138,7 @@ LOOK_UPS: dict[str, tuple[Callable[[Connection], Any], str]] = {
         "uq_evaluations_|sqlite_autoindex_evaluations_1",
     ),
     "one iteration's answers": (
-        lambda connection: list(results.answers(connection, 1, Stage.CALIBRATION, iteration=3)),
+        lambda connection: list(results.answers(connection, 1, StageName.CALIBRATION, iteration=3)),
         "uq_evaluations_|sqlite_autoindex_evaluations_1",
     ),
     "a watermark": (runs.largest_id, "pk_runs|SEARCH runs"),
@@ -173,7 +173,7 @@ def test_the_self_check_reads_the_campaigns_own_cells_only(filled: Database, sub
         sequence = campaign(connection).sequence
         donor = evaluations.own_references(connection, 1, "S1", 1, KEYS[1:2])[KEYS[1]]
         cells = [
-            NewEvaluation(Stage.CALIBRATION, 0, n, "S1", 1, 1 + n, Outcome.SIMULATED, KEYS[n], donor, audited=True)
+            NewEvaluation(StageName.CALIBRATION, 0, n, "S1", 1, 1 + n, Outcome.SIMULATED, KEYS[n], donor, audited=True)
             for n in range(30)
         ]
         ids = evaluations.insert(connection, sequence, cells)
@@ -183,7 +183,7 @@ def test_the_self_check_reads_the_campaigns_own_cells_only(filled: Database, sub
         "contradictions": lambda connection: audits.contradictions(connection, sequence, 1, EVALUATOR, 10**6),
         "counted audits": lambda connection: audits.count(connection, sequence, EVALUATOR),
         "audits by iteration": lambda connection: audits.by_iteration(connection, sequence, "S1", EVALUATOR),
-        "settled audits": lambda connection: audits.settle(connection, sequence, Stage.CALIBRATION, 0, EVALUATOR),
+        "settled audits": lambda connection: audits.settle(connection, sequence, StageName.CALIBRATION, 0, EVALUATOR),
     }
     with filled.transaction() as connection:
         for name, use in checks.items():
@@ -235,6 +235,7 @@ def test_the_statistics_read_open_and_new_campaigns_only(filled: Database) -> No
         for number in range(1500):
             campaign(connection, str(number))
         connection.execute(text("UPDATE campaigns SET state = 'succeeded', ended_at = created_at WHERE sequence < 1490"))
+        connection.execute(text("INSERT INTO campaign_stages SELECT sequence, 2, '{}' FROM campaigns"))
         processes.elect(connection, processes.DISPATCHER, 1, now())
     gather_statistics(filled)
     with filled.read() as connection:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 import pytest
 from tests.support.storage import EVALUATOR, new_run, setup_id
 
-from drivecal.domain.campaigns import Stage
+from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Donor
 from drivecal.domain.influence import Influence, InfluenceMap
 from drivecal.domain.parameters import ParameterSet, billionths, decimal
@@ -22,7 +22,7 @@ from drivecal.storage.references.runs import NewRun
 MAP = InfluenceMap(
     {"S1": {"P1": Influence(influential=True, lower=decimal("0.3"), upper=decimal("0.5")), "P2": Influence(influential=False)}}
 )
-STAGES = {Stage.SENSITIVITY: 0, Stage.CALIBRATION: 1, Stage.ROBUSTNESS: 2, Stage.VALIDATION: 3}
+STAGES = {StageName.SENSITIVITY: 0, StageName.CALIBRATION: 1, StageName.ROBUSTNESS: 2, StageName.VALIDATION: 3}
 
 
 def keys_of(names: tuple[str, ...], values: npt.NDArray[np.int64]) -> list[bytes]:

@@ -5,7 +5,7 @@ from itertools import product
 import pytest
 from tests.support.storage import campaign, sample_set_ids, sample_sets, setup_id, simulate
 
-from drivecal.domain.campaigns import Stage
+from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError, NotFoundError
 from drivecal.domain.evaluations import CellScore, Outcome
 from drivecal.storage import evaluations, results
@@ -14,7 +14,7 @@ from drivecal.storage.engine.database import Database
 from drivecal.storage.evaluations import AnsweredCell, NewEvaluation
 from drivecal.storage.results import StoredEvaluation
 
-CALIBRATION = Stage.CALIBRATION
+CALIBRATION = StageName.CALIBRATION
 
 
 def place(one: StoredEvaluation) -> tuple[int, int, str]:
@@ -89,21 +89,23 @@ def test_answers_say_whether_they_are_the_sets_own(database: Database) -> None:
         ]
         assert {type(one.own) for one in everything} == {bool}
         assert list(results.answers(connection, sequence, CALIBRATION, iteration=1)) == everything[2:]
-        assert list(results.answers(connection, sequence, Stage.SENSITIVITY)) == []
+        assert list(results.answers(connection, sequence, StageName.SENSITIVITY)) == []
 
 
 def test_donors_are_the_simulated_cells_of_a_stage_with_their_sets(database: Database) -> None:
     with database.transaction() as connection:
         sequence, setup = campaign(connection).sequence, setup_id(connection)
         sets = sample_set_ids(connection, 3)
-        cells = [NewEvaluation(Stage.SENSITIVITY, 4, n, "S1", setup, one, Outcome.SIMULATED) for n, one in enumerate(sets[:2])]
+        cells = [
+            NewEvaluation(StageName.SENSITIVITY, 4, n, "S1", setup, one, Outcome.SIMULATED) for n, one in enumerate(sets[:2])
+        ]
         first, second = simulate(connection, sequence, cells)
-        waiting = [NewEvaluation(Stage.SENSITIVITY, 5, 0, "S1", setup, sets[2], Outcome.SIMULATED)]
+        waiting = [NewEvaluation(StageName.SENSITIVITY, 5, 0, "S1", setup, sets[2], Outcome.SIMULATED)]
         evaluations.insert(connection, sequence, waiting)
         zero, one, _ = sample_sets(3)
-        assert list(results.donors(connection, sequence, Stage.SENSITIVITY)) == [(first, "S1", zero), (second, "S1", one)]
+        assert list(results.donors(connection, sequence, StageName.SENSITIVITY)) == [(first, "S1", zero), (second, "S1", one)]
         assert list(results.donors(connection, sequence, CALIBRATION)) == []
-        asked = [results.has_iteration(connection, sequence, Stage.SENSITIVITY, iteration) for iteration in (3, 4, 5)]
+        asked = [results.has_iteration(connection, sequence, StageName.SENSITIVITY, iteration) for iteration in (3, 4, 5)]
         assert asked == [False, True, True]
         assert not results.has_iteration(connection, sequence, CALIBRATION, 4)
 

@@ -67,4 +67,4 @@ def test_revisions_and_pulses_are_of_the_campaigns_that_are_asked_for(database: 
         }
         (snapshot,) = revision_queries.snapshots(connection, [one.sequence])
         whole = campaigns.get(connection, one.id)
-    assert (snapshot.state, snapshot.started_at, snapshot.cells) == (whole.state, whole.started_at, whole.cells.model_dump())
+    assert (snapshot.state, snapshot.started_at, snapshot.stages) == (whole.state, whole.started_at, whole.stages)

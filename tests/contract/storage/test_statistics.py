@@ -8,9 +8,9 @@ import pytest
 from sqlalchemy import Connection, event, update
 from tests.support.storage import campaign, sample_set_ids, setup_id
 
-from drivecal.domain.campaigns import CampaignState, Stage
+from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.evaluations import Outcome
-from drivecal.storage import campaigns, evaluations, leases, processes
+from drivecal.storage import campaign_stages, campaigns, evaluations, leases, processes
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.tables import campaigns as table
 from drivecal.storage.engine.types import now
@@ -30,9 +30,17 @@ def change(connection: Connection, sequence: int, **values: Any) -> None:
     connection.execute(update(table).where(table.c.sequence == sequence).values(values))
 
 
+def count(connection: Connection, sequence: int, **cells: dict[str, int]) -> None:
+    counted = {
+        StageName(stage): campaign_stages.counts({StageName(stage): each}, StageName(stage)) for stage, each in cells.items()
+    }
+    campaign_stages.save(connection, sequence, counted)
+
+
 def ended(connection: Connection, sequence: int, simulated: int) -> None:
     cells = {"simulated": simulated, "requested": simulated, "pending": 7}
-    change(connection, sequence, cells=cells, simulating_seconds=0.5 * simulated, created_at=now() - OLD)
+    count(connection, sequence, calibration=cells)
+    change(connection, sequence, simulating_seconds=0.5 * simulated, created_at=now() - OLD)
     campaigns.end(connection, sequence, CampaignState.SUCCEEDED)
 
 
@@ -43,8 +51,8 @@ def test_sums_are_right_from_the_beginning_and_from_look_to_look(database: Datab
         sequences = [campaign(connection, str(number)).sequence for number in range(8)]
         for simulated, sequence in enumerate(sequences[:5]):
             ended(connection, sequence, simulated)
-        change(connection, sequences[5], cells={"simulated": 3, "pending": 4, "reused": 1}, sensitivity_cells={"pending": 2})
-        change(connection, sequences[6], robustness_cells={"certified": 8}, validation_cells={"failed": 1, "pending": 6})
+        count(connection, sequences[5], calibration={"simulated": 3, "pending": 4, "reused": 1}, sensitivity={"pending": 2})
+        count(connection, sequences[6], robustness={"certified": 8}, validation={"failed": 1, "pending": 6})
     found, tally = look(database, tally)
     assert found.sums.campaigns == {CampaignKey("calibration", "succeeded"): 5, CampaignKey("calibration", "queued"): 3}
     assert found.sums.cells[CellKey("calibration", "simulated")] == 10 + 3
@@ -89,7 +97,7 @@ def test_what_becomes_visible_after_a_later_one_is_counted(database: Database) -
 def test_single_evaluations_are_counted_apart(database: Database) -> None:
     with database.transaction() as connection:
         stored = campaigns.insert(connection, name="one", spec={}, kind="evaluation")
-        change(connection, stored.sequence, cells={"repeated": 2, "pending": 1})
+        count(connection, stored.sequence, calibration={"repeated": 2, "pending": 1})
     found, _ = look(database, Tally())
     assert found.sums.campaigns == {CampaignKey("evaluation", "queued"): 1}
     assert found.sums.cells[CellKey("evaluation", "repeated")] == 2
@@ -102,7 +110,7 @@ def test_leases_of_the_current_term_are_those_at_workers(database: Database) -> 
         processes.elect(connection, processes.DISPATCHER, 1, now())
         sequence, setup = campaign(connection).sequence, setup_id(connection)
         cells = [
-            NewEvaluation(Stage.CALIBRATION, 0, n, "S1", setup, parameter_set, Outcome.SIMULATED)
+            NewEvaluation(StageName.CALIBRATION, 0, n, "S1", setup, parameter_set, Outcome.SIMULATED)
             for n, parameter_set in enumerate(sample_set_ids(connection, 4))
         ]
         ids = evaluations.insert(connection, sequence, cells)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from drivecal.domain.campaigns import Stage
+from drivecal.domain.campaigns import StageName
 from drivecal.storage import campaigns, studies
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import influence_maps
@@ -16,29 +16,29 @@ def test_the_studies_about_a_campaign_are_found_whoever_made_them(database: Data
             connection, name="m", source="expert", driving_function="frenet", parameters=[], scenarios={}
         )
 
-        def make(name: str, robustness: dict[str, Any] | None = None, *made: Stage, used: str | None = None) -> str:
+        def make(name: str, robustness: dict[str, Any] | None = None, *made: StageName, used: str | None = None) -> str:
             one = campaigns.insert(connection, name=name, spec={"robustness": robustness}, influence_map_id=used)
             for stage in made:
                 studies.save(connection, one.sequence, stage, {"items": []})
             return one.id
 
-        first = make("first", {"of": None}, Stage.VALIDATION, Stage.ROBUSTNESS, used=stored.id)
-        make("of its sets", {"of": first, "eta": 1}, Stage.ROBUSTNESS)
+        first = make("first", {"of": None}, StageName.VALIDATION, StageName.ROBUSTNESS, used=stored.id)
+        make("of its sets", {"of": first, "eta": 1}, StageName.ROBUSTNESS)
         make("of its sets, not begun", {"of": first})
-        make("of another's sets", {"of": "0" * 32}, Stage.ROBUSTNESS)
-        make("of the sets again", {"of": first}, Stage.ROBUSTNESS)
-        make("of the map", None, Stage.VALIDATION, used=stored.id)
-        make("of no map", None, Stage.VALIDATION)
+        make("of another's sets", {"of": "0" * 32}, StageName.ROBUSTNESS)
+        make("of the sets again", {"of": first}, StageName.ROBUSTNESS)
+        make("of the map", None, StageName.VALIDATION, used=stored.id)
+        make("of no map", None, StageName.VALIDATION)
     with database.read() as connection:
         one = campaigns.get(connection, first)
         found = studies.about(connection, one.id, one.sequence, one.influence_map_id)
         without_map = studies.about(connection, one.id, one.sequence, None)
     assert [(each.name, each.stage) for each in found] == [
-        ("of the map", Stage.VALIDATION),
-        ("of the sets again", Stage.ROBUSTNESS),
-        ("of its sets", Stage.ROBUSTNESS),
-        ("first", Stage.ROBUSTNESS),
-        ("first", Stage.VALIDATION),
+        ("of the map", StageName.VALIDATION),
+        ("of the sets again", StageName.ROBUSTNESS),
+        ("of its sets", StageName.ROBUSTNESS),
+        ("first", StageName.ROBUSTNESS),
+        ("first", StageName.VALIDATION),
     ]
     assert found[2].spec == {"robustness": {"of": first, "eta": 1}}
     assert [each.name for each in without_map] == ["of the sets again", "of its sets", "first", "first"]

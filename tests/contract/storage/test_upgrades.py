@@ -24,7 +24,7 @@ from drivecal.storage.engine import schema
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import reference_keys, runs, setups
 
-REVISIONS = ("0001", "0002", "0003", "0004", "0005")
+REVISIONS = ("0001", "0002", "0003", "0004", "0005", "0006")
 RELEASED = ("0001", "0003", "0005")
 
 
@@ -82,11 +82,20 @@ def test_every_revision_is_tried() -> None:
 def test_everything_that_was_there_is_there_and_the_whole_is_sound(old: Database) -> None:
     with old.read() as connection:
         columns = columns_of(connection)
+        moved = [name for name in columns["campaigns"] if name in load.COUNTS]
+        columns["campaigns"] = [name for name in columns["campaigns"] if name not in moved]
         before = stored(connection, columns)
+        counts = stored(connection, {"campaigns": ["sequence", *moved]})["campaigns"]
     old.upgrade()
     old.check()
     with old.read() as connection:
         assert stored(connection, columns) == before
+        after = stored(connection, {"campaign_stages": ["campaign_sequence", "stage", "cells"]})["campaign_stages"]
+    if moved:
+        listed = [
+            (row[0], load.COUNTS[name], cells) for row in counts for name, cells in zip(moved, row[1:], strict=True) if cells
+        ]
+        assert after == sorted(listed, key=repr)
     assert len(before["runs"]) > 200
     assert [verdict for verdict in verify(old, full=True) if verdict.problems] == []
 

@@ -13,7 +13,7 @@ from tests.support.faults.workload import Accepted
 
 from drivecal.client.client import Client, Table
 from drivecal.contracts.campaign import Campaign
-from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.execution.scheduling.scheduler import ATTEMPTS
 from drivecal.storage import campaigns
 from drivecal.storage.engine.database import Database
@@ -189,8 +189,8 @@ def _miscounted(connection: Connection, accepted: Accepted) -> list[str]:
         stored = campaigns.get(connection, identifier)
         rows = select(evaluations.c.stage, evaluations.c.outcome).where(evaluations.c.campaign_sequence == stored.sequence)
         outcomes = Counter((row.stage.value, row.outcome) for row in connection.execute(rows))
-        for stage, counted in STAGES.items():
-            told: dict[str, int] = getattr(stored, counted).model_dump()
+        for stage in StageName:
+            told: dict[str, int] = stored.counts(stage).model_dump()
             wrong += [
                 f"{name}: {told.get(outcome, 0)} {outcome} in {stage}, {outcomes[stage, outcome]} rows"
                 for outcome in OUTCOMES

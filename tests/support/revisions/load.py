@@ -22,6 +22,22 @@ def rows_of(revision: str) -> Rows:
     return found
 
 
+COUNTS = {"sensitivity_cells": 1, "cells": 2, "robustness_cells": 3, "validation_cells": 4}
+"""Columns of campaigns before revision 0006, by which `campaign_stages` has the stage."""
+
+
+def newest(rows: Rows) -> Rows:
+    """Rows of an earlier revision as the newest tables have them."""
+    columns, *campaigns = rows["campaigns"]
+    kept = [position for position, name in enumerate(columns) if name not in COUNTS]
+    stages: list[list[Any]] = [["campaign_sequence", "stage", "cells"]]
+    for row in campaigns:
+        record = dict(zip(columns, row, strict=True))
+        stages += [[record["sequence"], number, record[name]] for name, number in COUNTS.items() if record.get(name)]
+    moved = [[row[position] for position in kept] for row in (columns, *campaigns)]
+    return {name: moved if name == "campaigns" else listed for name, listed in rows.items()} | {"campaign_stages": stages}
+
+
 def create(database: Database, revision: str) -> None:
     """Makes a database as the release of a revision left it."""
     schema.prepare_file(database.url)

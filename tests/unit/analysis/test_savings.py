@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from drivecal.analysis.savings import MapOrigin, account, break_even
 from drivecal.contracts.accounting import BreakEven
-from drivecal.domain.campaigns import Stage
+from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import AuditCount, Outcome, OutcomeCosts
 
 
@@ -19,7 +19,7 @@ def _costs(
     seconds: float,
     *,
     audited: bool = False,
-    stage: Stage = Stage.CALIBRATION,
+    stage: StageName = StageName.CALIBRATION,
     runs: int | None = None,
     run_seconds: float | None = None,
 ) -> OutcomeCosts:
@@ -30,10 +30,10 @@ def _costs(
 
 
 ANALYSIS = [
-    _costs("S1", Outcome.SIMULATED, 300, 3.0, stage=Stage.SENSITIVITY),
-    _costs("S2", Outcome.SIMULATED, 300, 6.0, stage=Stage.SENSITIVITY),
-    _costs("S2", Outcome.REPEATED, 20, 0.0, stage=Stage.SENSITIVITY, run_seconds=0.4),
-    _costs("S2", Outcome.FAILED, 2, 1.0, stage=Stage.SENSITIVITY),
+    _costs("S1", Outcome.SIMULATED, 300, 3.0, stage=StageName.SENSITIVITY),
+    _costs("S2", Outcome.SIMULATED, 300, 6.0, stage=StageName.SENSITIVITY),
+    _costs("S2", Outcome.REPEATED, 20, 0.0, stage=StageName.SENSITIVITY, run_seconds=0.4),
+    _costs("S2", Outcome.FAILED, 2, 1.0, stage=StageName.SENSITIVITY),
 ]
 CALIBRATION = [
     _costs("S1", Outcome.SIMULATED, 90, 0.9),

@@ -13,7 +13,8 @@ import pyarrow.parquet as pq
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivecal.api.tables.files import Column, download
+from drivecal.api.tables.files import download
+from drivecal.contracts.tables import Column
 
 COLUMNS = [
     Column("id", "integer"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from drivecal.cli.commands.influence import decided_text
-from drivecal.contracts.inventory import InfluenceRow
+from drivecal.contracts.tables import InfluenceRow
 
 
 def row(parameter: str, intervals: list[float | None] | None, *, influential: bool, unknown: bool = False) -> InfluenceRow:

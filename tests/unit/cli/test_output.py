@@ -11,7 +11,8 @@ from drivecal.cli.commands.campaigns import kind_text
 from drivecal.cli.main import app
 from drivecal.cli.views.output import cells_text, duration, print_campaign, print_columns, print_solutions, saved
 from drivecal.cli.views.progress import Lines
-from drivecal.contracts.campaign import Best, Campaign, CellCounts, ErrorRate, Progress, Seconds, Solution
+from drivecal.contracts.campaign import Best, Campaign, CellCounts, ErrorRate, Progress, Seconds
+from drivecal.contracts.tables import Solution
 
 CELLS = CellCounts(proposed=100, carried_over=40, requested=60, repeated=6, reused=9, simulated=44, failed=1, audited=2)
 
@@ -48,7 +49,7 @@ def test_a_campaign_shows_all_that_matters(capsys: pytest.CaptureFixture[str]) -
         iteration=2,
         degraded="1 of 2 workers is gone",
         progress=Progress(done=60, total=100, eta_seconds=61),
-        cells=CELLS,
+        stages={"calibration": CELLS},
         error_rate={"S1": ErrorRate(audited=20, different=2, wrong=1, upper_95=0.25, stopped=True), "S2": ErrorRate()},
         best=Best(objective=5.5, parameters={"P1": 0.5, "P2": 3}, scores={"S1": 5, "S2": 6}, alternatives=2),
         seconds=Seconds(wall=90, simulating=100),
@@ -75,7 +76,9 @@ def test_without_a_terminal_a_line_appears_now_and_then(capsys: pytest.CaptureFi
         lines.show(running.model_copy(update={"state": "queued", "stage": None}))
         for iteration in range(3):
             lines.show(
-                running.model_copy(update={"iteration": iteration, "progress": Progress(done=5, total=10), "cells": CELLS})
+                running.model_copy(
+                    update={"iteration": iteration, "progress": Progress(done=5, total=10), "stages": {"calibration": CELLS}}
+                )
             )
         lines.show(running.model_copy(update={"state": "succeeded"}))
     captured = capsys.readouterr()

@@ -9,7 +9,7 @@ from drivecal.analysis.robustness_difference import difference
 from drivecal.cli.views.robustness_differences import MadeStudy, document, print_difference
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.setup import CampaignSetup, ScenarioSetup
-from drivecal.contracts.studies import RobustnessRow
+from drivecal.contracts.tables import RobustnessRow
 
 
 def row(

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from drivecal.domain.campaigns import CampaignState, Stage
+from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.evaluations import Breakdown, Failure, Outcome
 
 
@@ -25,7 +25,7 @@ def test_no_reason_for_a_zero_is_also_a_reason_for_no_result() -> None:
 
 
 def test_stages_run_in_the_order_of_the_interface() -> None:
-    assert [str(stage) for stage in Stage] == ["sensitivity", "calibration", "robustness", "validation"]
+    assert [str(stage) for stage in StageName] == ["sensitivity", "calibration", "robustness", "validation"]
 
 
 @pytest.mark.parametrize("state", CampaignState)

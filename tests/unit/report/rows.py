@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from drivecal.contracts.accounting import Accounting, BreakEven, ScenarioAccount, SensitivityCost
-from drivecal.contracts.campaign import Baseline, Best, Campaign, CellCounts, ErrorRate, Generation, Seconds, Solution
-from drivecal.contracts.inventory import InfluenceRow
+from drivecal.contracts.campaign import Baseline, Best, Campaign, CellCounts, ErrorRate, Seconds
 from drivecal.contracts.setup import CampaignSetup, ScenarioSetup, SearchedParameter
-from drivecal.contracts.studies import BoxTrial, OptimumRow, RobustnessRow, Study, ValidationRow
+from drivecal.contracts.studies import Study
+from drivecal.contracts.tables import BoxTrial, Generation, InfluenceRow, OptimumRow, RobustnessRow, Solution, ValidationRow
 from drivecal.report.data import ReportData, Studied
 
 
@@ -151,9 +151,11 @@ def findings(**given: Any) -> ReportData:
         id="0" * 32,
         name="a <b>small</b> study",
         state="succeeded",
-        cells=CellCounts(
-            proposed=120, carried_over=40, requested=80, repeated=10, reused=20, simulated=48, failed=2, audited=8
-        ),
+        stages={
+            "calibration": CellCounts(
+                proposed=120, carried_over=40, requested=80, repeated=10, reused=20, simulated=48, failed=2, audited=8
+            )
+        },
         error_rate={"S1": ErrorRate(audited=8, different=1, wrong=1, upper_95=0.5265, stopped=True), "S2": ErrorRate()},
         best=Best(objective=6.0, parameters={"P1": 1, "P2": 2.5, "P3": 4}, scores={"S1": 5, "S2": 7}, alternatives=3),
         baseline=Baseline(objective=None, parameters={"P1": 5, "P2": 5, "P3": 5}, scores={"S1": 4, "S2": None}),

@@ -151,7 +151,7 @@ def test_the_page_says_what_certificates_answered_and_what_they_say_of_reused_ce
     account = ACCOUNT.model_copy(update={"scenarios": [one, ACCOUNT.scenarios[1]]})
     campaign = findings().campaign
     cells = campaign.cells.model_copy(update={"certified": 1200, "checked": 7})
-    found = findings(campaign=campaign.model_copy(update={"cells": cells}), accounting=account)
+    found = findings(campaign=campaign.model_copy(update={"stages": {"calibration": cells}}), accounting=account)
     text = re.sub(r"<[^>]+>", "|", "".join(reuse.self_check(found.campaign, account) + results.summary(found)))
     assert "||S1||10||8||2||1||12.50%||" in re.sub(r"\|{2,}", "||", text)
     assert "1,200 cells were answered by certificates" in text

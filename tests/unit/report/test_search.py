@@ -32,9 +32,11 @@ def test_cells_that_confirmed_the_best_set_are_told_apart_from_those_of_the_iter
     listed = [generation(0), generation(1)]
     requested = sum(one.requested for one in listed)
     ended = Campaign(id="a", name="a", state="succeeded", spec={"optimizer": {"iterations": 2}, "reduction": {"confirm": 20}})
-    more = ended.model_copy(update={"cells": CellCounts(requested=requested + 3)})
+    more = ended.model_copy(update={"stages": {"calibration": CellCounts(requested=requested + 3)}})
     assert search.afterwards(more, listed).startswith("After the last iteration 3 cells were asked for to confirm the best set")
-    assert search.afterwards(ended.model_copy(update={"cells": CellCounts(requested=requested)}), listed) == ""
+    assert (
+        search.afterwards(ended.model_copy(update={"stages": {"calibration": CellCounts(requested=requested)}}), listed) == ""
+    )
     assert search.afterwards(more, listed[:1]) == "", "it ended within an iteration"
 
 

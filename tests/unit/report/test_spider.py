@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from tests.unit.report.rows import ROWS, nowhere, row
 
-from drivecal.contracts.inventory import InfluenceRow
+from drivecal.contracts.tables import InfluenceRow
 from drivecal.report.figures.drawing import png, svg
 from drivecal.report.figures.spider import HUB, PANELS_PER_SHEET, overview_figures, scenario_figure, segment
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sqlalchemy.dialects import sqlite
 
-from drivecal.domain.campaigns import Stage
+from drivecal.domain.campaigns import StageName
 from drivecal.storage.engine.types import ORDER, StageNumber, UtcDateTime, to_json
 
 DIALECT = sqlite.dialect()
@@ -41,9 +41,9 @@ def test_documents_are_read_back_bit_by_bit_with_null_for_what_json_cannot_say(d
 
 
 def test_stages_are_stored_in_the_order_in_which_they_run() -> None:
-    assert sorted(Stage, key=lambda stage: ORDER[stage]) == list(Stage)
+    assert sorted(StageName, key=lambda stage: ORDER[stage]) == list(StageName)
     kind = StageNumber()
-    for stage in Stage:
+    for stage in StageName:
         assert kind.process_result_value(kind.process_bind_param(stage, DIALECT), DIALECT) is stage
     assert kind.process_bind_param(None, DIALECT) is None
     assert kind.process_result_value(None, DIALECT) is None

@@ -162,12 +162,10 @@ class RecordingPlanner(Generic[Result]):
         """Number of each plan with infeasible candidates, and their mask, shape (n_candidates,)."""
 
     def reset(self, parameters: Sequence[float]) -> None:
-        """See `ports.Planner`."""
         self._planner.reset(parameters)
         self.parameters, self.states, self.decisions, self.infeasible = parameters, [], [], []
 
     def plan(self, observation: Observation) -> Floats:
-        """See `ports.Planner`."""
         planner = self._planner
         trajectory = planner.plan(observation)
         if np.count_nonzero(planner.infeasible):

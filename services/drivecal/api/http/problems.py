@@ -98,7 +98,7 @@ def problem_response(
         "status": status,
         "detail": detail or title,
         "instance": request.url.path,
-        "errors": [{"field": one.field, "message": one.message, "remedy": one.remedy} for one in errors],
+        "errors": [{"field": error.field, "message": error.message, "remedy": error.remedy} for error in errors],
     }
     content = json.dumps(document, ensure_ascii=True).encode()
     return Response(content, status, headers=dict(headers or {}), media_type=MEDIA_TYPE)

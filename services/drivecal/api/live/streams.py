@@ -20,6 +20,7 @@ from typing import Any
 from fastapi.sse import KEEPALIVE_COMMENT, format_sse_event
 
 from drivecal.api.live.dispatcher_health import degraded, silence
+from drivecal.contracts.campaign import CellCounts, CellsByStage
 from drivecal.contracts.events import PROGRESS
 from drivecal.domain.errors import DrivecalError
 from drivecal.domain.events import EventKind
@@ -262,6 +263,7 @@ def encoded(event: StoredEvent, campaign: str) -> bytes:
 def progress_document(snapshot: ProgressSnapshot, said: str | None, moment: datetime) -> dict[str, Any]:
     """`CampaignProgress` of a running campaign, of which `said` is wrong."""
     asked = snapshot.requested_action
+    cells = CellsByStage(stages={stage: CellCounts(**counts) for stage, counts in snapshot.stages.items()})
     wall = 0.0 if snapshot.started_at is None else ((snapshot.ended_at or moment) - snapshot.started_at).total_seconds()
     return {
         "state": "cancelling" if asked == "cancel" and not snapshot.state.ended else snapshot.state,
@@ -270,10 +272,7 @@ def progress_document(snapshot: ProgressSnapshot, said: str | None, moment: date
         "stage": snapshot.stage,
         "iteration": snapshot.iteration,
         "progress": snapshot.progress,
-        "cells": snapshot.cells,
-        "sensitivity_cells": snapshot.sensitivity_cells,
-        "robustness_cells": snapshot.robustness_cells or {},
-        "validation_cells": snapshot.validation_cells or {},
+        **cells.model_dump(),
         "best_objective": None if snapshot.best is None else snapshot.best["objective"],
         "seconds": {"wall": max(0.0, wall), "simulating": snapshot.simulating_seconds},
     }

@@ -39,14 +39,14 @@ def setup(campaign_id: str, database: DatabaseDependency) -> CampaignSetup:
         evaluator=begun_with.evaluator,
         parameters=[
             SearchedParameter(
-                name=one.name,
-                unit=one.unit,
-                lower=float(one.lower),
-                upper=float(one.upper),
-                n_values=one.n_values,
-                fixed=fixed.get(one.name),
+                name=parameter.name,
+                unit=parameter.unit,
+                lower=float(parameter.lower),
+                upper=float(parameter.upper),
+                n_values=parameter.n_values,
+                fixed=fixed.get(parameter.name),
             )
-            for one in begun_with.space.parameters
+            for parameter in begun_with.space.parameters
         ],
         scenarios=[_scenario(name, begun_with, documents) for name in begun_with.weights],
         server=version("drivecal"),
@@ -59,7 +59,7 @@ def list_studies(campaign_id: str, database: DatabaseDependency) -> StudyPage:
     with database.read() as connection:
         campaign = _calibration(campaigns.get(connection, campaign_id))
         found = studies.about(connection, campaign.id, campaign.sequence, campaign.influence_map_id)
-    return StudyPage(items=[_study(one) for one in found if _of_the_same(one, campaign)])
+    return StudyPage(items=[_study(study) for study in found if _of_the_same(study, campaign)])
 
 
 def _calibration(campaign: StoredCampaign) -> StoredCampaign:
@@ -86,7 +86,7 @@ def _of_the_same(made: StoredStudy, campaign: StoredCampaign) -> bool:
     if made.campaign_sequence == campaign.sequence or made.stage == "robustness":
         return True
     theirs, ours = made.resolution, campaign.resolution
-    return theirs is not None and ours is not None and all(theirs.get(one) == ours.get(one) for one in SAME_FOR_A_MAP)
+    return theirs is not None and ours is not None and all(theirs.get(field) == ours.get(field) for field in SAME_FOR_A_MAP)
 
 
 def _study(made: StoredStudy) -> Study:

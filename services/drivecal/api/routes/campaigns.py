@@ -20,7 +20,7 @@ from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns
 from drivecal.contracts.specification import CampaignSpecification, RerunSpecification
 from drivecal.domain.actions import Action
-from drivecal.domain.campaigns import Stage
+from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import ConflictError
 from drivecal.storage import audits, campaigns, comparisons, costs, results, revision_queries
 from drivecal.storage.campaigns import StoredCampaign
@@ -63,7 +63,7 @@ def list_campaigns(query: CampaignsQuery, database: DatabaseDependency, if_none_
         if matches(if_none_match, headers["ETag"]):
             return Response(status_code=304, headers=headers)
         found, following = campaigns.page(connection, state=query.state, limit=query.limit, cursor=query.cursor)
-    page = CampaignPage(items=[campaign_answer(one, moment, silent) for one in found], next_cursor=following)
+    page = CampaignPage(items=[campaign_answer(campaign, moment, silent) for campaign in found], next_cursor=following)
     return Response(page.model_dump_json(), headers=headers, media_type="application/json")
 
 
@@ -102,8 +102,8 @@ def accounting(campaign_id: str, database: DatabaseDependency) -> Accounting:
         origin = _map_origin(connection, stored)
         proofs = audits.proofs(connection, stored.sequence, resolved_spec(stored).evaluator) if stored.resolution else ()
         searched = (stored.spec.get("optimizer") or {}).get("iterations", 0)
-        confirmed = results.counted_since(connection, stored.sequence, Stage.CALIBRATION, searched)
-    known = [*stored.error_rate, *(one.scenario for one in found if one.stage is Stage.CALIBRATION)]
+        confirmed = results.counted_since(connection, stored.sequence, StageName.CALIBRATION, searched)
+    known = [*stored.error_rate, *(one.scenario for one in found if one.stage is StageName.CALIBRATION)]
     return account(stored.id, stored.state, dict.fromkeys(known), found, origin, proofs, confirmed)
 
 

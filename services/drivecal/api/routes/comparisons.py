@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from types import NoneType
-from typing import get_args
 
 from fastapi import APIRouter, Response
 from pydantic import BaseModel
@@ -14,8 +12,7 @@ from drivecal.api.dependencies import Accept, DatabaseDependency, IdempotencyKey
 from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.http.queries import SubmissionQuery, TableQuery
 from drivecal.api.routes.campaigns import accepted
-from drivecal.api.tables.files import TABLE_ANSWERS, Column, Kind, Row
-from drivecal.api.tables.paging import slices, table_answer
+from drivecal.api.tables.paging import page_or_file, slices, table_answer
 from drivecal.campaigns.comparisons.results import ComparisonResults, compared
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.comparison import (
@@ -26,13 +23,12 @@ from drivecal.contracts.comparison import (
     ExpectedComparison,
     ReductionEffect,
 )
+from drivecal.contracts.tables import columns_of
 from drivecal.domain.errors import ConflictError
 from drivecal.storage import campaigns
 from drivecal.storage.engine.database import Database
 
 router = APIRouter(tags=["comparisons"], route_class=StrictRoute)
-
-_KINDS: dict[object, Kind] = {bool: "truth", int: "integer", float: "number", str: "text"}
 
 
 @router.post(
@@ -57,28 +53,28 @@ def submit(
     return accepted(response, database, comparison_submission.submit(database, limits, specification, idempotency_key))
 
 
-@router.get("/campaigns/{campaign_id}/comparison", responses=TABLE_ANSWERS)
+@router.get("/campaigns/{campaign_id}/comparison", responses=page_or_file(ComparedRun))
 def list_runs(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
     """The runs of a comparison; `run` is the id of the campaign that holds all that it found."""
     found = _compared(database, campaign_id)
     return _table(f"comparison-{campaign_id}", query, accept, ComparedRun, found.runs())
 
 
-@router.get("/campaigns/{campaign_id}/comparison-groups", responses=TABLE_ANSWERS)
+@router.get("/campaigns/{campaign_id}/comparison-groups", responses=page_or_file(ComparedGroup))
 def list_groups(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
     """Table 5: one row per optimizer, population size and reduction, over the seeds."""
     found = _compared(database, campaign_id)
     return _table(f"comparison-groups-{campaign_id}", query, accept, ComparedGroup, found.groups())
 
 
-@router.get("/campaigns/{campaign_id}/comparison-pairs", responses=TABLE_ANSWERS)
+@router.get("/campaigns/{campaign_id}/comparison-pairs", responses=page_or_file(ComparedPair))
 def list_pairs(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
     """Each ended run beside the one that differs from it in the reduction alone; none where there is one reduction."""
     found = _compared(database, campaign_id)
     return _table(f"comparison-pairs-{campaign_id}", query, accept, ComparedPair, found.pairs())
 
 
-@router.get("/campaigns/{campaign_id}/comparison-effects", responses=TABLE_ANSWERS)
+@router.get("/campaigns/{campaign_id}/comparison-effects", responses=page_or_file(ReductionEffect))
 def list_effects(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
     """What the pairs say together: whether a reduction changes the final optimum, and what it saves."""
     found = _compared(database, campaign_id)
@@ -94,16 +90,5 @@ def _compared(database: Database, campaign_id: str) -> ComparisonResults:
 
 
 def _table(name: str, query: TableQuery, accept: str, model: type[BaseModel], found: Sequence[BaseModel]) -> Response:
-    def rows(start: int, stop: int) -> list[Row]:
-        return [one.model_dump(mode="json") for one in found[start:stop]]
-
-    return table_answer(name, query, accept, lambda: _columns(model), slices(rows, len(found)))
-
-
-def _columns(model: type[BaseModel]) -> list[Column]:
-    """One per field."""
-    columns = []
-    for name, field in model.model_fields.items():
-        [kind] = [one for one in get_args(field.annotation) or [field.annotation] if one is not NoneType]
-        columns.append(Column(name, _KINDS[kind]))
-    return columns
+    pages = slices(lambda start, stop: found[start:stop], len(found))
+    return table_answer(name, query, accept, lambda: columns_of(model), pages)

@@ -9,11 +9,13 @@ from drivecal.api.dependencies import Accept, DatabaseDependency, LimitsDependen
 from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.http.queries import FormQuery, PageQuery, form_of
 from drivecal.api.responses import ROOT
-from drivecal.api.tables.files import TABLE_ANSWERS, download
-from drivecal.api.tables.influence import COLUMNS, map_rows
+from drivecal.api.tables.files import download
+from drivecal.api.tables.influence import map_rows
+from drivecal.api.tables.paging import FILES
 from drivecal.campaigns.resolve.maps import EXPERT, resolve_map, store_posted_map
 from drivecal.contracts.inventory import InfluenceMapAnswer, InfluenceMapPage
 from drivecal.contracts.specification import InfluenceMapSpecification
+from drivecal.contracts.tables import InfluenceRow, columns_of, file_row
 from drivecal.storage import admission
 from drivecal.storage.references import influence_maps
 from drivecal.storage.references.influence_maps import StoredInfluenceMap
@@ -40,10 +42,10 @@ def list_maps(query: PageQuery, database: DatabaseDependency) -> InfluenceMapPag
     """Influence maps, newest first, without their rows."""
     with database.read() as connection:
         found, following = influence_maps.page(connection, limit=query.limit, cursor=query.cursor)
-    return InfluenceMapPage(items=[_answer(one, with_rows=False) for one in found], next_cursor=following)
+    return InfluenceMapPage(items=[_answer(stored, with_rows=False) for stored in found], next_cursor=following)
 
 
-@router.get("/{map_id}", response_model=InfluenceMapAnswer, responses=TABLE_ANSWERS)
+@router.get("/{map_id}", response_model=InfluenceMapAnswer, responses={200: FILES})
 def read(map_id: str, query: FormQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
     """One influence map with its rows, which `Accept: text/csv` or `format` gives as a table. What is not listed counts as influential."""
     with database.read() as connection:
@@ -52,7 +54,9 @@ def read(map_id: str, query: FormQuery, database: DatabaseDependency, accept: Ac
     answer = _answer(stored, with_rows=True)
     if form == "json":
         return JSONResponse(answer.model_dump(mode="json"), headers={"Vary": "Accept"})
-    return download(f"influence-map-{stored.id}", form, COLUMNS, [[row.model_dump() for row in answer.rows or []]])
+    return download(
+        f"influence-map-{stored.id}", form, columns_of(InfluenceRow), [[file_row(row) for row in answer.rows or []]]
+    )
 
 
 def _answer(stored: StoredInfluenceMap, *, with_rows: bool) -> InfluenceMapAnswer:

@@ -68,7 +68,9 @@ def parameters() -> ParameterSpacePage:
     functions = [registry.driving_function(name) for name in registry.names("drivecal.driving_functions")]
     return ParameterSpacePage(
         items=[
-            ParameterSpaceAnswer(driving_function=function.name, name=name, parameters=[_parameter(one) for one in space])
+            ParameterSpaceAnswer(
+                driving_function=function.name, name=name, parameters=[_parameter(parameter) for parameter in space]
+            )
             for function in functions
             for name, space in function.spaces.items()
         ]
@@ -90,7 +92,9 @@ def workers(database: DatabaseDependency) -> WorkerPage:
         dispatcher = processes.read(connection, processes.DISPATCHER)
     judgement = judge(dispatcher, now())
     return WorkerPage(
-        items=[] if dispatcher is None else [WorkerAnswer.model_validate(one) for one in dispatcher.detail.get("workers", [])],
+        items=[]
+        if dispatcher is None
+        else [WorkerAnswer.model_validate(worker) for worker in dispatcher.detail.get("workers", [])],
         dispatcher_seen_at=None if dispatcher is None else dispatcher.heartbeat_at,
         fresh=not judgement.silent,
         degraded="; ".join(judgement.problems) or None,

@@ -4,25 +4,34 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import asdict
-from typing import Any
 
 from fastapi import APIRouter, Response
+from pydantic import BaseModel
 
 from drivecal.api.dependencies import Accept, DatabaseDependency
 from drivecal.api.http.bodies import StrictRoute
-from drivecal.api.http.queries import SolutionsQuery, TableQuery, form_of
-from drivecal.api.responses import evaluation_row, parameter_column, refuse_comparison
-from drivecal.api.tables import influence, studies
-from drivecal.api.tables.files import TABLE_ANSWERS, Column, Row
-from drivecal.api.tables.paging import Page, slices, table_answer
-from drivecal.api.tables.ranking import CampaignRanking, ranking
+from drivecal.api.http.queries import SolutionsQuery, TableQuery
+from drivecal.api.responses import evaluation_row, refuse_comparison
+from drivecal.api.tables import influence
+from drivecal.api.tables.files import Row
+from drivecal.api.tables.paging import Pages, page_or_file, slices, table_answer
+from drivecal.api.tables.ranking import ranking
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec
 from drivecal.campaigns.results.optima import alternatives
-from drivecal.contracts.campaign import Solution
-from drivecal.domain.campaigns import Stage
+from drivecal.contracts.tables import (
+    Column,
+    EvaluationRow,
+    Generation,
+    InfluenceRow,
+    OptimumRow,
+    RobustnessRow,
+    Solution,
+    ValidationRow,
+    columns_of,
+)
+from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import ConflictError
-from drivecal.storage import campaigns, generations, results
-from drivecal.storage import studies as stored_studies
+from drivecal.storage import campaigns, generations, results, studies
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import influence_maps
@@ -30,141 +39,110 @@ from drivecal.storage.references import influence_maps
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["results"], route_class=StrictRoute)
 
 
-@router.get("/generations", responses=TABLE_ANSWERS)
+@router.get("/generations", responses=page_or_file(Generation))
 def list_generations(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
     """The iterations of the calibration stage, in order."""
     campaign = _campaign(database, campaign_id)
 
-    def pages(limit: int, cursor: str | None) -> Page:
+    def pages(limit: int, cursor: str | None) -> tuple[list[Row], str | None]:
         with database.read() as connection:
             found, following = generations.page(connection, campaign.sequence, limit=limit, cursor=cursor)
         return [{"iteration": iteration, **asdict(figures)} for iteration, figures in found], following
 
-    def columns() -> list[Column]:
-        numbers = ("best", "rating", "mean", "minimum")
-        names = ["iteration", *generations.Figures.__dataclass_fields__]
-        return [Column(name, "number" if name in numbers else "integer") for name in names]
-
-    return table_answer(f"generations-{campaign.id}", query, accept, columns, pages)
+    return table_answer(f"generations-{campaign.id}", query, accept, lambda: columns_of(Generation), pages)
 
 
-@router.get("/evaluations", responses=TABLE_ANSWERS)
+@router.get("/evaluations", responses=page_or_file(EvaluationRow))
 def list_evaluations(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
-    """One row per requested cell, ordered by stage, iteration, individual and scenario. `reference` is the evaluation that answered it,
-    or that its audit did not trust; `proven_by` the one whose run a certificate says that it repeats: it answered certified cells, was
-    checked by a simulation where `proof_agrees` is not null, and says of reused cells what a simulation would have given."""
+    """One row per requested cell, ordered by stage, iteration, individual and scenario."""
     campaign = _campaign(database, campaign_id)
 
-    def pages(limit: int, cursor: str | None) -> Page:
+    def pages(limit: int, cursor: str | None) -> tuple[list[Row], str | None]:
         with database.read() as connection:
             found, following = results.page(connection, campaign.sequence, limit=limit, cursor=cursor)
-        return [evaluation_row(one) for one in found], following
+        return [evaluation_row(evaluation) for evaluation in found], following
 
     def columns() -> list[Column]:
-        return [
-            Column("id", "integer"),
-            Column("stage", "text"),
-            Column("iteration", "integer"),
-            Column("individual", "integer"),
-            Column("scenario", "text"),
-            *(Column(parameter_column(name), "number") for name in _parameter_names(database, campaign)),
-            Column("outcome", "text"),
-            Column("score", "integer"),
-            Column("rating", "number"),
-            Column("reference", "integer"),
-            Column("audited", "truth"),
-            Column("agrees", "truth"),
-            Column("failure", "text"),
-            Column("milliseconds", "number"),
-            Column("worker", "text"),
-            Column("proven_by", "integer"),
-            Column("proof_agrees", "truth"),
-        ]
+        return EvaluationRow.file_columns(list(_parameter_names(database, campaign)))
 
     return table_answer(f"evaluations-{campaign.id}", query, accept, columns, pages)
 
 
-@router.get("/solutions", responses=TABLE_ANSWERS)
+@router.get("/solutions", responses=page_or_file(Solution))
 def list_solutions(campaign_id: str, query: SolutionsQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
     """The evaluated parameter sets, best first, under the campaign's weights or others. Nothing is simulated for it."""
     campaign = _campaign(database, campaign_id)
     begun_with = _pinned(campaign)
     ranked = ranking(database, campaign, begun_with.weights, query.weights)
 
-    flat = form_of(query, accept) != "json"
-
-    def rows(start: int, stop: int) -> list[Row]:
-        return [_solution_row(one, flat=flat) for one in ranked.solutions(start, stop)]
-
     def columns() -> list[Column]:
-        return _solution_columns(ranked, begun_with)
+        return columns_of(Solution, _keys(ranked.scenarios, begun_with))
 
-    return table_answer(f"solutions-{campaign.id}", query, accept, columns, slices(rows, len(ranked)))
+    return table_answer(f"solutions-{campaign.id}", query, accept, columns, slices(ranked.solutions, len(ranked)))
 
 
-@router.get("/optima", responses=TABLE_ANSWERS)
+@router.get("/optima", responses=page_or_file(OptimumRow))
 def list_optima(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
     """The sets that share the best objective, the region of the space in which each lies, and how far the nearest worse set is; at
     most the first 10,000 of them."""
     campaign = _campaign(database, campaign_id)
     begun_with = _pinned(campaign)
     ranked = ranking(database, campaign, begun_with.weights, None)
-    known, flat = alternatives(database, ranked.ranked, begun_with.space), form_of(query, accept) != "json"
+    known = alternatives(database, ranked.ranked, begun_with.space)
 
-    def rows(start: int, stop: int) -> list[Row]:
-        found = zip(ranked.solutions(start, min(stop, len(known))), known.shown(start, stop), strict=True)
-        return [{**_solution_row(one, flat=flat), "region": at.region, "to_worse": at.to_worse} for one, at in found]
+    def rows(start: int, stop: int) -> list[OptimumRow]:
+        placed = zip(ranked.solutions(start, min(stop, len(known))), known.shown(start, stop), strict=True)
+        return [OptimumRow(**dict(solution), region=at.region, to_worse=at.to_worse) for solution, at in placed]
 
     def columns() -> list[Column]:
-        return [*_solution_columns(ranked, begun_with), Column("region", "integer"), Column("to_worse", "number")]
+        return columns_of(OptimumRow, _keys(ranked.scenarios, begun_with))
 
     return table_answer(f"optima-{campaign.id}", query, accept, columns, slices(rows, len(known)))
 
 
-@router.get("/influence", responses=TABLE_ANSWERS)
+@router.get("/influence", responses=page_or_file(InfluenceRow))
 def list_influence(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
     """The influence map that the campaign uses: one row per scenario and searched parameter, none where it has no map (yet)."""
     campaign = _campaign(database, campaign_id)
     rows = _influence_rows(database, campaign)
     pages = slices(lambda start, stop: rows[start:stop], len(rows))
-    return table_answer(f"influence-{campaign.id}", query, accept, lambda: influence.COLUMNS, pages)
+    return table_answer(f"influence-{campaign.id}", query, accept, lambda: columns_of(InfluenceRow), pages)
 
 
-@router.get("/robustness", responses=TABLE_ANSWERS)
+@router.get("/robustness", responses=page_or_file(RobustnessRow))
 def list_robustness(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
     """The best sets by how far the vehicle may differ before they lose what makes them good: most robust first, the recommended one
     marked with the reason. None before the robustness stage."""
     campaign = _campaign(database, campaign_id)
-    found, flat = _study(database, campaign, Stage.ROBUSTNESS), form_of(query, accept) != "json"
     begun_with = _pinned(campaign)
 
-    def rows(start: int, stop: int) -> list[Row]:
-        return [studies.robustness_row(one, flat=flat) for one in found[start:stop]]
-
     def columns() -> list[Column]:
-        return studies.robustness_columns(list(begun_with.weights), begun_with.space.names)
+        return columns_of(RobustnessRow, _keys(begun_with.weights, begun_with))
 
-    return table_answer(f"robustness-{campaign.id}", query, accept, columns, slices(rows, len(found)))
+    return table_answer(
+        f"robustness-{campaign.id}", query, accept, columns, _study(database, campaign, StageName.ROBUSTNESS, RobustnessRow)
+    )
 
 
-@router.get("/validation", responses=TABLE_ANSWERS)
+@router.get("/validation", responses=page_or_file(ValidationRow))
 def list_validation(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
     """How often answers differ where the influence map says that they cannot, by scenario (Tables 1 and 2, Figure 14). None before the
     validation stage."""
     campaign = _campaign(database, campaign_id)
-    found, flat = _study(database, campaign, Stage.VALIDATION), form_of(query, accept) != "json"
-
-    def rows(start: int, stop: int) -> list[Row]:
-        return [studies.validation_row(one, flat=flat) for one in found[start:stop]]
-
-    return table_answer(f"validation-{campaign.id}", query, accept, studies.validation_columns, slices(rows, len(found)))
+    pages = _study(database, campaign, StageName.VALIDATION, ValidationRow)
+    return table_answer(f"validation-{campaign.id}", query, accept, lambda: columns_of(ValidationRow), pages)
 
 
-def _study(database: Database, campaign: StoredCampaign, stage: Stage) -> list[dict[str, Any]]:
+def _study(database: Database, campaign: StoredCampaign, stage: StageName, model: type[BaseModel]) -> Pages:
     with database.read() as connection:
-        found = stored_studies.get(connection, campaign.sequence, stage)
-    items: list[dict[str, Any]] = [] if found is None else found["items"]
-    return items
+        stored = studies.get(connection, campaign.sequence, stage)
+    items = [] if stored is None else stored["items"]
+    return slices(lambda start, stop: [model.model_validate(item) for item in items[start:stop]], len(items))
+
+
+def _keys(scenarios: Iterable[str], begun_with: ResolvedSpec) -> dict[str, list[str]]:
+    """The columns of `scores` and `parameters` in a file."""
+    return {"scores": list(scenarios), "parameters": list(begun_with.space.names)}
 
 
 def _campaign(database: Database, campaign_id: str) -> StoredCampaign:
@@ -187,30 +165,9 @@ def _parameter_names(database: Database, campaign: StoredCampaign) -> Iterable[s
     return rows[0].parameters if rows else resolved_spec(campaign).space.names
 
 
-def _solution_row(solution: Solution, *, flat: bool) -> Row:
-    if not flat:
-        return solution.model_dump(mode="json")
-    row: dict[str, Any] = solution.model_dump(include={"rank", "objective", "rating", "iteration", "individual"})
-    row |= {f"score_{name}": score for name, score in solution.scores.items()} | {"reused": " ".join(solution.reused)}
-    return row | {parameter_column(name): value for name, value in solution.parameters.items()}
-
-
-def _solution_columns(ranked: CampaignRanking, begun_with: ResolvedSpec) -> list[Column]:
-    return [
-        Column("rank", "integer"),
-        Column("objective", "number"),
-        Column("rating", "number"),
-        *(Column(f"score_{name}", "integer") for name in ranked.scenarios),
-        Column("reused", "text"),
-        *(Column(parameter_column(name), "number") for name in begun_with.space.names),
-        Column("iteration", "integer"),
-        Column("individual", "integer"),
-    ]
-
-
-def _influence_rows(database: Database, campaign: StoredCampaign) -> list[Row]:
+def _influence_rows(database: Database, campaign: StoredCampaign) -> list[InfluenceRow]:
     if campaign.influence_map_id is None:
         return []
     with database.read() as connection:
         stored = influence_maps.get(connection, campaign.influence_map_id)
-    return [row.model_dump(mode="json") for row in influence.campaign_rows(stored, _pinned(campaign))]
+    return influence.campaign_rows(stored, _pinned(campaign))

@@ -76,5 +76,5 @@ def _takes_gzip(accept_encoding: str) -> bool:
     for part in accept_encoding.lower().split(","):
         name, *parameters = (word.strip() for word in part.split(";"))
         if name == "gzip":
-            return not any(one.replace(" ", "").rstrip("0.") == "q=" for one in parameters)
+            return not any(parameter.replace(" ", "").rstrip("0.") == "q=" for parameter in parameters)
     return False

@@ -6,26 +6,14 @@ import csv
 import io
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, Literal
 
 from fastapi.responses import StreamingResponse
 
 from drivecal.api.http.queries import PARQUET
+from drivecal.contracts.tables import Column
 
-Kind = Literal["integer", "number", "text", "truth", "numbers"]
 Row = Mapping[str, Any]
-TABLE_ANSWERS: dict[int | str, dict[str, Any]] = {
-    200: {"content": {"text/csv": {}, "application/vnd.apache.parquet": {}}, "description": "A page, or the whole table"}
-}
-
-
-@dataclass(frozen=True, slots=True)
-class Column:
-    """A column and what it holds; every value may be missing."""
-
-    name: str
-    kind: Kind
 
 
 def download(

@@ -6,31 +6,14 @@ from collections.abc import Mapping
 from decimal import Decimal
 from typing import Any
 
-from drivecal.api.tables.files import Column
 from drivecal.campaigns.resolve.maps import map_from_document
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec
 from drivecal.campaigns.resolve.spaces import space_from_document
-from drivecal.contracts.inventory import InfluenceRow
+from drivecal.contracts.tables import InfluenceRow
 from drivecal.domain.influence import Influence
 from drivecal.domain.parameters import Parameter
 from drivecal.storage.references.influence_maps import StoredInfluenceMap
 
-COLUMNS = [
-    Column("scenario", "text"),
-    Column("parameter", "text"),
-    Column("influential", "truth"),
-    Column("lower", "number"),
-    Column("upper", "number"),
-    Column("s_rel_intervals", "numbers"),
-    Column("mu", "number"),
-    Column("sigma", "number"),
-    Column("mu_star", "number"),
-    Column("unknown", "truth"),
-    Column("unit", "text"),
-    Column("space_lower", "number"),
-    Column("space_upper", "number"),
-    Column("n_values", "integer"),
-]
 MEASURES = ("s_rel_intervals", "mu", "sigma", "mu_star")
 
 
@@ -52,7 +35,7 @@ def campaign_rows(stored: StoredInfluenceMap, resolved: ResolvedSpec) -> list[In
 
 def map_rows(stored: StoredInfluenceMap) -> list[InfluenceRow]:
     """What a map lists, within the bounds of the space it was made for."""
-    space = {one.name: one for one in space_from_document(stored.parameters)}
+    space = {parameter.name: parameter for parameter in space_from_document(stored.parameters)}
     return [
         _row(scenario, name, influence, _entry(stored, scenario, name), space.get(name))
         for scenario, listed in map_from_document(stored.scenarios).scenarios.items()

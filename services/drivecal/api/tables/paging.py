@@ -3,25 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 from fastapi import Response
 from fastapi.responses import JSONResponse
+from pydantic import BaseModel
 
 from drivecal.api.http.queries import TableOf, form_of
-from drivecal.api.tables.files import Column, Row, download
+from drivecal.api.tables.files import Row, download
+from drivecal.contracts.tables import Column, Page, file_row
 from drivecal.storage.engine import cursors
 
 ROWS_AT_A_TIME = 2000
 
-Page = tuple[Sequence[Row], str | None]
-Pages = Callable[[int, str | None], Page]
-"""Gives at most so many rows from a cursor on, and the cursor of what follows."""
+Rows = Sequence[BaseModel] | Sequence[Row]
+"""Models, or plain rows that are the same in JSON and in a file."""
+Pages = Callable[[int, str | None], tuple[Rows, str | None]]
+"""Returns at most so many rows from a cursor on, and the cursor of what follows."""
 
 
-def slices(rows: Callable[[int, int], Sequence[Row]], length: int) -> Pages:
+FILES: dict[str, Any] = {"content": {"text/csv": {}, "application/vnd.apache.parquet": {}}}
+"""The OpenAPI description of a table as a file."""
+
+
+def page_or_file(model: type[BaseModel]) -> dict[int | str, dict[str, Any]]:
+    """The OpenAPI description of a table's answer."""
+    return {200: {"model": Page[model], "description": "A page, or the whole table", **FILES}}  # type: ignore[valid-type]  # made at run time
+
+
+def slices(rows: Callable[[int, int], Rows], length: int) -> Pages:
     """Pages of a list that is numbered from 0."""
 
-    def pages(limit: int, cursor: str | None) -> Page:
+    def pages(limit: int, cursor: str | None) -> tuple[Rows, str | None]:
         start = 0 if cursor is None else int(cursors.decode(cursor, int)[0])
         following = start + limit
         return rows(start, following), cursors.encode(following) if following < length else None
@@ -34,7 +47,8 @@ def table_answer(name: str, query: TableOf, accept: str, columns: Callable[[], S
     form = form_of(query, accept)
     if form == "json":
         rows, following = pages(query.limit, query.cursor)
-        return JSONResponse({"items": list(rows), "next_cursor": following}, headers={"Vary": "Accept"})
+        items = [row.model_dump(mode="json") if isinstance(row, BaseModel) else row for row in rows]
+        return JSONResponse({"items": items, "next_cursor": following}, headers={"Vary": "Accept"})
     return download(name, form, columns(), _all(pages))
 
 
@@ -43,6 +57,6 @@ def _all(pages: Pages) -> Iterator[Sequence[Row]]:
     cursor: str | None = None
     while True:
         rows, cursor = pages(ROWS_AT_A_TIME, cursor)
-        yield rows
+        yield [file_row(row) if isinstance(row, BaseModel) else row for row in rows]
         if cursor is None:
             return

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from drivecal.analysis.solutions import EvaluatedSet as Ranked
 from drivecal.analysis.solutions import Ranking
 from drivecal.contracts.assignments import assignments
-from drivecal.contracts.campaign import Solution
-from drivecal.domain.campaigns import Stage
+from drivecal.contracts.tables import Solution
+from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.storage import results
 from drivecal.storage.campaigns import StoredCampaign
@@ -34,7 +34,7 @@ class CampaignRanking:
         """The solutions of ranks `start` + 1 to `stop`."""
         shown = self.ranked[start:stop]
         with self.database.read() as connection:
-            sets = parameter_sets.load(connection, [one.parameter_set for one in shown])
+            sets = parameter_sets.load(connection, [solution.parameter_set for solution in shown])
         return [
             Solution(
                 rank=rank,
@@ -56,7 +56,7 @@ def ranking(database: Database, campaign: StoredCampaign, own: Mapping[str, floa
     used = own if weights is None else _weights(weights, list(own))
     standing = Ranking(used)
     with database.read() as connection:
-        standing.add(results.answers(connection, campaign.sequence, Stage.CALIBRATION))
+        standing.add(results.answers(connection, campaign.sequence, StageName.CALIBRATION))
     return CampaignRanking(database, standing.ranking(), [name for name, weight in used.items() if weight > 0])
 
 

@@ -101,15 +101,15 @@ class CellTracker:
             for scenario, setup_id in ensure_setups(connection, bench).items()
         }
         self._exclusive = not share_runs
-        self._pending = {one.id: one for one in evaluations.pending(connection, self._view.campaign)}
+        self._pending = {cell.id: cell for cell in evaluations.pending(connection, self._view.campaign)}
         self._copies, self._proofs = {}, {}
-        for one in self._pending.values():
-            if one.plan in COPIES and one.reference is not None:
-                self._copies.setdefault(one.reference, []).append(one)
+        for cell in self._pending.values():
+            if cell.plan in COPIES and cell.reference is not None:
+                self._copies.setdefault(cell.reference, []).append(cell)
         if share_runs:
             self._share_runs(connection)
         self._breakdowns = leases.breakdowns(connection, list(self._pending))
-        simulated = [one for one in self._pending.values() if one.plan is Outcome.SIMULATED]
+        simulated = [cell for cell in self._pending.values() if cell.plan is Outcome.SIMULATED]
         return self._work(simulated, self._probes(connection, simulated))
 
     def record(self, connection: Connection, completed: Sequence[Completed]) -> list[Work]:
@@ -122,16 +122,16 @@ class CellTracker:
         again: list[PendingEvaluation] = []
         finished: list[tuple[PendingEvaluation, Completed]] = []
         late = self._late(connection, completed)
-        for one in completed:
-            cell = self._pending.get(one.result.id)
+        for completion in completed:
+            cell = self._pending.get(completion.result.id)
             if cell is None:  # answered already, by an earlier attempt
                 continue
-            if one.result.id in late:
+            if completion.result.id in late:
                 again.append(cell)
-            elif one.result.breakdown is None:
-                finished.append((cell, one))
+            elif completion.result.breakdown is None:
+                finished.append((cell, completion))
             else:
-                orphans += self._break_down(cell, one, answers)
+                orphans += self._break_down(cell, completion, answers)
         proofs = dict(pair for _, one in finished for pair in one.result.probed)
         self._proofs |= proofs
         stored = runs.insert_results(connection, [self._new_run(cell, one) for cell, one in finished])
@@ -141,7 +141,7 @@ class CellTracker:
                 traces.fill(connection, self._view.campaign, one.result.trace)
         evaluations.answer(connection, answers)
         evaluations.note_proofs(connection, proofs)
-        evaluations.simulate_instead(connection, [one.id for one in orphans])
+        evaluations.simulate_instead(connection, [orphan.id for orphan in orphans])
         return self._work([*again, *orphans])
 
     def _probes(self, connection: Connection, simulated: Sequence[PendingEvaluation]) -> dict[int, tuple[Probe, ...]]:
@@ -150,12 +150,12 @@ class CellTracker:
             return {}
         found: dict[int, list[Probe]] = {}
         place = simulated[0].stage, simulated[0].iteration
-        waiting = [(one.id, one.setup_id, one.parameters) for one in self._pending.values() if one.plan is Outcome.REUSED]
+        waiting = [(cell.id, cell.setup_id, cell.parameters) for cell in self._pending.values() if cell.plan is Outcome.REUSED]
         for number, setup_id, parameters in [*evaluations.reused(connection, self._view.campaign, *place), *waiting]:
             found.setdefault(setup_id, []).append(Probe(number, parameters.floats))
         carriers: dict[int, list[int]] = {}
-        for one in simulated:
-            carriers.setdefault(one.setup_id, []).append(one.id)
+        for cell in simulated:
+            carriers.setdefault(cell.setup_id, []).append(cell.id)
         return {
             carrier: tuple(found[setup_id][position :: len(carrying)])
             for setup_id, carrying in carriers.items()
@@ -166,7 +166,11 @@ class CellTracker:
     def _late(self, connection: Connection, completed: Sequence[Completed]) -> set[int]:
         """The cells whose lease was over before their results arrived. A result that was obtained for another cell
         has no lease of its own."""
-        numbers = {one.result.id: one.lease for one in completed if one.lease is not None and not one.shared}
+        numbers = {
+            completion.result.id: completion.lease
+            for completion in completed
+            if completion.lease is not None and not completion.shared
+        }
         late = numbers.keys() - leases.current(connection, numbers)
         if late:
             MEASURES.count("late_results", times=len(late))
@@ -177,17 +181,17 @@ class CellTracker:
 
     def _work(self, cells: Sequence[PendingEvaluation], probes: Mapping[int, tuple[Probe, ...]] | None = None) -> list[Work]:
         by_setup: dict[int, list[Cell]] = {}
-        for one in cells:
-            cell = self._cell(one)
-            if probes and one.id in probes:
-                cell = replace(cell, probes=probes[one.id])
-            by_setup.setdefault(one.setup_id, []).append(cell)
+        for pending in cells:
+            cell = self._cell(pending)
+            if probes and pending.id in probes:
+                cell = replace(cell, probes=probes[pending.id])
+            by_setup.setdefault(pending.setup_id, []).append(cell)
         return [
             Work(
                 self._requests[setup_id],
                 tuple(listed),
                 self._exclusive,
-                {one.id: self._breakdowns[one.id] for one in listed if one.id in self._breakdowns},
+                {cell.id: self._breakdowns[cell.id] for cell in listed if cell.id in self._breakdowns},
             )
             for setup_id, listed in by_setup.items()
         ]
@@ -208,13 +212,13 @@ class CellTracker:
 
     def _share_runs(self, connection: Connection) -> None:
         wanted: dict[int, list[PendingEvaluation]] = {}
-        for one in self._pending.values():
-            if one.plan is Outcome.SIMULATED:
-                wanted.setdefault(one.setup_id, []).append(one)
+        for waiting in self._pending.values():
+            if waiting.plan is Outcome.SIMULATED:
+                wanted.setdefault(waiting.setup_id, []).append(waiting)
         answers: list[AnsweredCell] = []
         for setup_id in sorted(runs.stocked(connection, wanted)):
             cells = wanted[setup_id]
-            ids = [one.parameter_set_id for one in cells]
+            ids = [cell.parameter_set_id for cell in cells]
             found = runs.look_up_exact(connection, setup_id, ids, self._evaluator_id, watermark=sys.maxsize)
             for cell in cells:
                 if cell.parameter_set_id in found:
@@ -238,14 +242,14 @@ class CellTracker:
         self, cell: PendingEvaluation, result: Donor, answers: list[AnsweredCell], simulation: Completed | None = None
     ) -> None:
         """Answers a cell by its own result, and the copies that waited for it."""
-        for one in (cell, *self._copies.pop(cell.id, ())):
-            own = simulation if one is cell else None
+        for other in (cell, *self._copies.pop(cell.id, ())):
+            own = simulation if other is cell else None
             certified = own is not None and own.result.proven_by is not None and own.result.agrees is None
-            outcome = Outcome.CERTIFIED if certified else one.plan
+            outcome = Outcome.CERTIFIED if certified else other.plan
             self._counts["checked"] += own is not None and own.result.agrees is not None
             answers.append(
                 AnsweredCell(
-                    id=one.id,
+                    id=other.id,
                     outcome=outcome,
                     score=result.score,
                     rating=result.rating,
@@ -254,11 +258,11 @@ class CellTracker:
                     milliseconds=None if own is None else own.result.milliseconds,
                     worker=None if own is None else own.worker,
                     attempts=0 if own is None else own.attempts,
-                    proven_by=self._proofs.get(one.id) if own is None else own.result.proven_by,
+                    proven_by=self._proofs.get(other.id) if own is None else own.result.proven_by,
                     proof_agrees=None if own is None else own.result.agrees,
                 )
             )
-            self._close(one, outcome)
+            self._close(other, outcome)
 
     def _break_down(self, cell: PendingEvaluation, one: Completed, answers: list[AnsweredCell]) -> list[PendingEvaluation]:
         """The cell has no result after all attempts. Copies of the same parameter set share its fate; the others are orphans."""

@@ -12,7 +12,7 @@ from sqlalchemy import Connection
 
 from drivecal.campaigns.resolve.problem import Bench
 from drivecal.campaigns.resolve.spaces import function_names
-from drivecal.domain.campaigns import Stage
+from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Donor
 from drivecal.domain.influence import InfluenceMap
 from drivecal.domain.parameters import ParameterSet
@@ -88,13 +88,13 @@ def _keys_of(view: View, scenario: str, names: tuple[str, ...], values: npt.NDAr
 
 @MEASURES.timed("lookup")
 def plan_cells(
-    connection: Connection, view: View, policy: Policy, stage: Stage, iteration: int, wanted: Sequence[WantedCell]
+    connection: Connection, view: View, policy: Policy, stage: StageName, iteration: int, wanted: Sequence[WantedCell]
 ) -> list[NewEvaluation]:
     """What answers each of the requested cells, in order."""
     setup_ids = ensure_setups(connection, view.bench)
     sets = {cell.parameters: None for cell in wanted}
     set_ids = dict(zip(sets, parameter_sets.ensure(connection, list(sets)), strict=True))
-    set_keys = {one: one.key for one in sets}
+    set_keys = {parameter_set: parameter_set.key for parameter_set in sets}
     exact: dict[tuple[str, bytes], Donor] = {}
     references: dict[tuple[str, bytes], Donor] = {}
     class_keys: dict[tuple[str, ParameterSet], bytes] = {}
@@ -107,7 +107,7 @@ def plan_cells(
             keys = view.keys[scenario].keys(billionths_matrix(here))
             class_keys |= {(scenario, one): key for one, key in zip(here, keys, strict=True)}
         if policy.mode != "off" and setup_id in stocked:
-            by_id = {set_ids[one]: set_keys[one] for one in here}
+            by_id = {set_ids[parameter_set]: set_keys[parameter_set] for parameter_set in here}
             known = _exact(connection, view, scenario, setup_id, list(by_id))
             exact |= {(scenario, by_id[set_id]): donor for set_id, donor in known.items()}
         if policy.mode == "influence" and scenario in view.keys and setup_id in stocked:

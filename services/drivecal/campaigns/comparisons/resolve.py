@@ -48,21 +48,23 @@ class ComparisonProblem:
     def proposed(self) -> int:
         """Cells that all runs together propose."""
         return len(self.specification.seeds) * sum(
-            one.expected_runs().calibration_proposed + one.expected_runs().sensitivity_at_most for one in self.problems
+            problem.expected_runs().calibration_proposed + problem.expected_runs().sensitivity_at_most
+            for problem in self.problems
         )
 
     @property
     def at_most(self) -> int:
         """Simulations that all runs together take where none has anything in common with another one."""
         return len(self.specification.seeds) * sum(
-            one.expected_runs().calibration_at_most + one.expected_runs().sensitivity_at_most for one in self.problems
+            problem.expected_runs().calibration_at_most + problem.expected_runs().sensitivity_at_most
+            for problem in self.problems
         )
 
 
 def runs_of(specification: ComparisonSpecification) -> list[Run]:
     """The runs in their order: by optimizer, population, seed, reduction. A function of the specification alone."""
     labels = [optimizer.label or optimizer.kind for optimizer in specification.optimizers]
-    reductions = [_reduction(one) for one in specification.reductions]
+    reductions = [_reduction(reduction) for reduction in specification.reductions]
     several = len(reductions) > 1
     found = []
     for (label, optimizer), population, seed, reduction in product(
@@ -178,9 +180,9 @@ def _check_lists(specification: ComparisonSpecification, diagnostics: Diagnostic
         diagnostics.add("", f"optimizers x populations x seeds x reductions are {count:,} runs", remedy)
     _check_unique("populations", specification.populations, diagnostics)
     _check_unique("seeds", specification.seeds, diagnostics)
-    reductions = [_reduction(one) for one in specification.reductions]
-    _check_unique("reductions", [reduction_label(one) for one in reductions], diagnostics)
-    if specification.sensitivity is None and any(one.mode == "influence" for one in reductions):
+    reductions = [_reduction(reduction) for reduction in specification.reductions]
+    _check_unique("reductions", [reduction_label(reduction) for reduction in reductions], diagnostics)
+    if specification.sensitivity is None and any(reduction.mode == "influence" for reduction in reductions):
         remedy = "ask for a sensitivity analysis, name a map, or leave `influence` out"
         diagnostics.add("sensitivity", "the reduction `influence` needs an influence map", remedy)
     seen: dict[str, int] = {}

@@ -14,7 +14,7 @@ from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.contracts.campaign import CellCounts
 from drivecal.contracts.comparison import ComparedGroup, ComparedPair, ComparedRun, ComparisonSpecification, ReductionEffect
 from drivecal.contracts.input_errors import validated
-from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.storage import campaigns, generations, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.generations import Figures
@@ -38,16 +38,16 @@ class ComparisonResults:
 
     def groups(self) -> list[ComparedGroup]:
         """One row per optimizer, population and reduction."""
-        return [ComparedGroup(**asdict(one)) for one in analysis.groups(self.courses)]
+        return [ComparedGroup(**asdict(group)) for group in analysis.groups(self.courses)]
 
     def pairs(self) -> list[ComparedPair]:
         """One row per pair of runs that differ in the reduction alone."""
         ids = {course.conditions: one.id for one, course in zip(self.campaigns, self.courses, strict=True)}
-        return [pair_row(one, ids[one.run.conditions], ids[one.base.conditions]) for one in analysis.pairs(self.courses)]
+        return [pair_row(pair, ids[pair.run.conditions], ids[pair.base.conditions]) for pair in analysis.pairs(self.courses)]
 
     def effects(self) -> list[ReductionEffect]:
         """What the pairs say together."""
-        return [ReductionEffect(**asdict(one)) for one in analysis.effects(analysis.pairs(self.courses))]
+        return [ReductionEffect(**asdict(effect)) for effect in analysis.effects(analysis.pairs(self.courses))]
 
 
 def compared(connection: Connection, comparison: StoredCampaign) -> ComparisonResults:
@@ -61,14 +61,14 @@ def compared(connection: Connection, comparison: StoredCampaign) -> ComparisonRe
 def _course(connection: Connection, run: StoredCampaign, conditions: analysis.Conditions) -> Course:
     found, _ = generations.page(connection, run.sequence, limit=MOST_GENERATIONS)
     figures = [one for _, one in found]
-    reused = any(one.reused for one in figures)
+    reused = any(figure.reused for figure in figures)
     return Course(
         conditions=conditions,
-        best=[one.best for one in figures],
-        ratings=[one.rating for one in figures],
-        alternatives=[one.alternatives for one in figures],
-        means=[one.mean for one in figures],
-        simulations=[_needed(one) for one in figures],
+        best=[figure.best for figure in figures],
+        ratings=[figure.rating for figure in figures],
+        alternatives=[figure.alternatives for figure in figures],
+        means=[figure.mean for figure in figures],
+        simulations=[_needed(figure) for figure in figures],
         ended=run.state is CampaignState.SUCCEEDED,
         reused=reused,
         simulated_best=_best_simulated(connection, run) if reused else None,
@@ -104,6 +104,7 @@ def _needed(figures: Figures | CellCounts) -> int:
 
 
 def _run(campaign: StoredCampaign, course: Course, best: float | None) -> ComparedRun:
+    analysed = campaign.counts(StageName.SENSITIVITY)
     return ComparedRun(
         run=campaign.id,
         **course.conditions._asdict(),
@@ -112,7 +113,7 @@ def _run(campaign: StoredCampaign, course: Course, best: float | None) -> Compar
         requested=campaign.cells.requested,
         simulations=course.simulated,
         confirmations=course.confirmations,
-        analysis=campaign.sensitivity_cells.requested - campaign.sensitivity_cells.repeated,
+        analysis=analysed.requested - analysed.repeated,
         best=course.best[-1] if course.best else None,
         simulated_best=course.optimum,
         rating=course.ratings[-1] if course.ratings else None,

@@ -18,15 +18,15 @@ from typing import Self
 from drivecal.analysis.confirmation import remarkable
 from drivecal.campaigns.cells.cell_tracker import Work
 from drivecal.campaigns.comparisons.resolve import ComparisonProblem
-from drivecal.campaigns.stages.campaign import StagedCampaign
+from drivecal.campaigns.job import Job
 from drivecal.campaigns.stages.eta import EtaEstimate
-from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, StageCellCounts
-from drivecal.domain.campaigns import CampaignState, Stage
+from drivecal.contracts.campaign import Baseline, Best, ErrorRate
+from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import DrivecalError, NoResultError, RefutedError, SupersededError, UnavailableError
 from drivecal.domain.events import EventKind
 from drivecal.execution.scheduling.scheduler import Completed
 from drivecal.reduction.audit import clopper_pearson
-from drivecal.storage import campaigns, comparisons, events
+from drivecal.storage import campaign_stages, campaigns, comparisons, events
 from drivecal.storage.campaigns import Snapshot, StoredCampaign
 from drivecal.storage.comparisons import RunTally
 from drivecal.storage.engine.database import Database
@@ -40,15 +40,15 @@ TOLD = 5
 log = logging.getLogger(__name__)
 
 
-class ComparisonJob:
-    """Gives and takes work as `StagedCampaign` does. All state is in the rows of its runs; that of its own row is the sum of theirs."""
+class ComparisonJob(Job):
+    """A comparison as a job. All state is in the rows of its runs; that of its own row is the sum of theirs."""
 
     def __init__(
         self,
         database: Database,
         campaign: StoredCampaign,
         problem: ComparisonProblem,
-        take_up: Callable[[int], StagedCampaign],
+        take_up: Callable[[int], Job],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """`take_up` gives the job of a campaign by its number."""
@@ -57,7 +57,7 @@ class ComparisonJob:
         self._at_a_time = problem.specification.at_a_time
         self._expected = problem.at_most
         self._take_up = take_up
-        self._jobs: dict[int, StagedCampaign] = {}
+        self._jobs: dict[int, Job] = {}
         """Of the runs in work, by number."""
         self._homes: dict[int, int] = {}
         """The run of each cell at the workers."""
@@ -66,8 +66,6 @@ class ComparisonJob:
             done = _Sum.over(comparisons.tallies(connection, campaign.sequence)).done
         self._clock, self._next_sum = clock, clock()
         self._eta = EtaEstimate(clock, done)
-        self.stage = Stage.CALIBRATION
-        self.goes_on = False
         """Whether there is more to do now, though nothing was given to simulate and nothing is awaited."""
         self.finished = False
 
@@ -85,10 +83,10 @@ class ComparisonJob:
     def record(self, completed: Sequence[Completed]) -> list[Work]:
         """Writes results down, run by run; gives what is to be simulated instead, or next."""
         by_run: dict[int, list[Completed]] = {}
-        for one in completed:
-            home = self._homes.pop(one.result.id, None)
+        for completion in completed:
+            home = self._homes.pop(completion.result.id, None)
             if home is not None:
-                by_run.setdefault(home, []).append(one)
+                by_run.setdefault(home, []).append(completion)
         work: list[Work] = []
         for number, mine in by_run.items():
             if number in self._jobs:  # else it failed meanwhile
@@ -104,7 +102,7 @@ class ComparisonJob:
             self._begin(self._waiting.pop(0))
         work: list[Work] = []
         for number in list(self._jobs):
-            work += self._guarded(number, StagedCampaign.work)
+            work += self._guarded(number, lambda job: job.work())
             if number in self._jobs and self._jobs[number].finished:
                 self._end(number, CampaignState.SUCCEEDED)
                 break
@@ -115,7 +113,7 @@ class ComparisonJob:
             campaigns.start(connection, number)  # or it is running already
         self._guarded(number, None)
 
-    def _guarded(self, number: int, act: Callable[[StagedCampaign], list[Work]] | None) -> list[Work]:
+    def _guarded(self, number: int, act: Callable[[Job], list[Work]] | None) -> list[Work]:
         """Takes a run up, or does something with it. What is wrong with one run fails that one and no other; but a refuted proof casts
         doubt on all."""
         try:
@@ -132,7 +130,7 @@ class ComparisonJob:
             log.exception("a run of the comparison failed")
             self._end(number, CampaignState.FAILED, f"internal error: {type(error).__name__}: {error}")
             return []
-        self._homes.update((cell.id, number) for one in work for cell in one.cells)
+        self._homes.update((cell.id, number) for batch in work for cell in batch.cells)
         return work
 
     def _end(self, number: int, state: CampaignState, error: str | None = None) -> None:
@@ -171,10 +169,9 @@ class ComparisonJob:
         with self._database.transaction() as connection:
             found = _Sum.over(comparisons.tallies(connection, self._sequence))
             snapshot = Snapshot(
-                stage=self.stage,
+                stage=StageName.CALIBRATION,
                 iteration=None,
-                cells=CellCounts(**found.cells),
-                sensitivity_cells=StageCellCounts(**found.sensitivity_cells),
+                cells={stage: campaign_stages.counts(found.stages, stage) for stage in found.stages},
                 progress=self._eta.progress(found.done, max(self._expected, found.done)),
                 error_rate={scenario: _rate(audits) for scenario, audits in found.audits.items() if audits["audited"]},
                 best=found.best,
@@ -189,8 +186,7 @@ class ComparisonJob:
 class _Sum:
     """Of what the runs count, one after the other: their number bounds nothing that is kept."""
 
-    cells: Counter[str] = field(default_factory=Counter)
-    sensitivity_cells: Counter[str] = field(default_factory=Counter)
+    stages: dict[StageName, Counter[str]] = field(default_factory=dict)
     audits: dict[str, Counter[str]] = field(default_factory=dict)
     """Of all runs together, by scenario. What runs have in common counts for each of them."""
     best: Best | None = None
@@ -203,17 +199,17 @@ class _Sum:
     @classmethod
     def over(cls, runs: Iterable[RunTally]) -> Self:
         found = cls()
-        for one in runs:
-            found._add(one)
+        for run in runs:
+            found._add(run)
         return found
 
     @property
     def done(self) -> int:
-        return self.cells["requested"] + self.sensitivity_cells["requested"]
+        return sum(cells["requested"] for cells in self.stages.values())
 
     def _add(self, one: RunTally) -> None:
-        self.cells.update(one.cells.model_dump())
-        self.sensitivity_cells.update(one.sensitivity_cells.model_dump())
+        for stage, cells in one.stages.items():
+            self.stages.setdefault(stage, Counter()).update(cells)
         for scenario, rate in one.error_rate.items():
             self.audits.setdefault(scenario, Counter()).update(rate.model_dump(exclude={"upper_95"}))
         if one.best is not None and (self.best is None or one.best.objective > self.best.objective):
@@ -240,5 +236,5 @@ def _rate(audits: Mapping[str, int]) -> ErrorRate:
     return ErrorRate(**counts, upper_95=upper, stopped=bool(audits["stopped"]))
 
 
-def _record(completed: Sequence[Completed], job: StagedCampaign) -> list[Work]:
+def _record(completed: Sequence[Completed], job: Job) -> list[Work]:
     return job.record(completed)

@@ -177,7 +177,7 @@ def stored_map(stored: StoredInfluenceMap) -> InfluenceMap:
 
 
 def _ranges(stored: StoredInfluenceMap) -> dict[str, tuple[Decimal, Decimal]]:
-    return {one.name: (one.lower, one.upper) for one in space_from_document(stored.parameters)}
+    return {parameter.name: (parameter.lower, parameter.upper) for parameter in space_from_document(stored.parameters)}
 
 
 def map_from_document(document: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> InfluenceMap:

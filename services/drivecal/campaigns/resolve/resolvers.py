@@ -50,7 +50,11 @@ def find_scenarios(catalogue: str | list[str], diagnostics: Diagnostics) -> dict
             diagnostics.problems.extend(error.problems)
             return {}
         return {name: (found.name, scenario) for name, scenario in found.scenarios.items()}
-    every = {name: (one.name, scenario) for one in registry.catalogues() for name, scenario in one.scenarios.items()}
+    every = {
+        name: (catalogue.name, scenario)
+        for catalogue in registry.catalogues()
+        for name, scenario in catalogue.scenarios.items()
+    }
     for index, name in enumerate(catalogue):
         if name not in every:
             diagnostics.add(f"catalogue[{index}]", f"there is no scenario {name!r}", f"installed: {', '.join(every)}")
@@ -74,10 +78,10 @@ def note_vehicle(vehicle: Vehicle | None, values: Mapping[str, float]) -> tuple[
     if vehicle is None:
         return ()
     return tuple(
-        f"vehicle.parameters.{one.name} is {values[one.name]:g} {one.unit}, beyond the {one.minimum:g} to {one.maximum:g} {one.unit}"
-        f" of {vehicle.name}"
-        for one in vehicle.parameters
-        if not one.minimum <= values[one.name] <= one.maximum
+        f"vehicle.parameters.{parameter.name} is {values[parameter.name]:g} {parameter.unit}, beyond the {parameter.minimum:g} to"
+        f" {parameter.maximum:g} {parameter.unit} of {vehicle.name}"
+        for parameter in vehicle.parameters
+        if not parameter.minimum <= values[parameter.name] <= parameter.maximum
     )
 
 
@@ -123,7 +127,7 @@ def find_start_sets(
         if len(diagnostics.problems) > MOST_WRONG_SETS:
             break  # who has so many to mend begins with them
         found.append(given_set(one, space, f"optimizer.start_sets[{index}]", diagnostics))
-    together = tuple(dict.fromkeys(one for one in (baseline, *found) if one is not None))
+    together = tuple(dict.fromkeys(parameter_set for parameter_set in (baseline, *found) if parameter_set is not None))
     if wanted is not None and len(together) > wanted.population:
         message = f"{len(together)} sets, the baseline included, do not fit into a population of {wanted.population}"
         diagnostics.add("optimizer.start_sets", message, "give fewer, or a larger population")

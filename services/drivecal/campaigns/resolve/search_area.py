@@ -19,5 +19,5 @@ def search_area(problem: CalibrationProblem, influence_map: InfluenceMap | None)
 
 def given_indices(problem: CalibrationProblem) -> Indices:
     """Grid indices of the start sets, shape (n, n_searched)."""
-    rows = [problem.space.indices(one.values) for one in problem.start_sets]
+    rows = [problem.space.indices(parameter_set.values) for parameter_set in problem.start_sets]
     return np.array(rows, dtype=np.int64).reshape(len(rows), len(problem.space.searched))

@@ -57,8 +57,14 @@ def function_names(function: DrivingFunction) -> tuple[str, ...]:
 def space_to_document(space: Sequence[Parameter]) -> list[dict[str, Any]]:
     """JSON-ready and exact: bounds as decimal texts. Descriptions are left to the driving function."""
     return [
-        {"name": one.name, "lower": text(one.lower), "upper": text(one.upper), "n_values": one.n_values, "unit": one.unit}
-        for one in space
+        {
+            "name": parameter.name,
+            "lower": text(parameter.lower),
+            "upper": text(parameter.upper),
+            "n_values": parameter.n_values,
+            "unit": parameter.unit,
+        }
+        for parameter in space
     ]
 
 

@@ -13,7 +13,7 @@ from drivecal.campaigns.resolve.maps import stored_map
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec
 from drivecal.contracts.explanation import Audit, Difference, Explanation, Proof, Reason, Reference
 from drivecal.contracts.specification import CampaignSpecification
-from drivecal.domain.campaigns import Stage
+from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import AuditCount, Outcome
 from drivecal.domain.influence import InfluenceMap
 from drivecal.domain.parameters import billionths, from_billionths
@@ -53,7 +53,10 @@ class _Case:
     def comparison(self) -> CellComparison:
         own = self.cell.parameter_set_id
         parameters = parameter_sets.load(self.connection, [own])[own]
-        ranges = {one.name: billionths(one.upper) - billionths(one.lower) for one in self._pinned.space.parameters}
+        ranges = {
+            parameter.name: billionths(parameter.upper) - billionths(parameter.lower)
+            for parameter in self._pinned.space.parameters
+        }
         return CellComparison(
             self.influence_map or InfluenceMap({}),
             self.cell.scenario,
@@ -120,7 +123,7 @@ def _not_reused(case: _Case) -> Explanation:
 def _trusted(case: _Case) -> int | None:
     """The reference that had answered a cell before it was simulated to confirm the best set; None of any other cell."""
     cell, specification = case.cell, case.specification
-    if specification is None or specification.optimizer is None or cell.stage is not Stage.CALIBRATION:
+    if specification is None or specification.optimizer is None or cell.stage is not StageName.CALIBRATION:
         return None
     if cell.iteration < specification.optimizer.iterations:
         return None
@@ -134,9 +137,9 @@ def _forbidden(case: _Case) -> tuple[Reason | None, tuple[int, AuditCount] | Non
         return "exact_only", None
     if specification.reduction.mode == "off":
         return "off", None
-    if cell.stage is Stage.SENSITIVITY:
+    if cell.stage is StageName.SENSITIVITY:
         return "analysis", None
-    if cell.stage is not Stage.CALIBRATION:
+    if cell.stage is not StageName.CALIBRATION:
         return "study", None
     if specification.reduction.mode == "exact":
         return "exact_only", None
@@ -192,7 +195,7 @@ def _reference(case: _Case, evaluation_id: int) -> tuple[Reference, list[Differe
         score=score,
         failure=donor.failure,
     )
-    return reference, [_difference(one) for one in case.comparison.differences(values)]
+    return reference, [_difference(difference) for difference in case.comparison.differences(values)]
 
 
 def _difference(one: explanation.ParameterDifference) -> Difference:

@@ -24,10 +24,10 @@ MOST_WORSE = 20_000
 
 def unit_cube(space: ParameterSpace, sets: Sequence[ParameterSet]) -> Floats:
     """Positions in the search space, shape (n, n_searched), each axis from 0 to 1."""
-    rows = [dict(zip(one.names, one.billionths, strict=True)) for one in sets]
-    values = np.array([[row[one.name] for one in space.searched] for row in rows], dtype=np.float64)
-    lower = np.array([one.billionths(0) for one in space.searched], dtype=np.float64)
-    upper = np.array([one.billionths(one.n_values - 1) for one in space.searched], dtype=np.float64)
+    rows = [dict(zip(parameter_set.names, parameter_set.billionths, strict=True)) for parameter_set in sets]
+    values = np.array([[row[parameter.name] for parameter in space.searched] for row in rows], dtype=np.float64)
+    lower = np.array([parameter.billionths(0) for parameter in space.searched], dtype=np.float64)
+    upper = np.array([parameter.billionths(parameter.n_values - 1) for parameter in space.searched], dtype=np.float64)
     return (values.reshape(len(rows), len(lower)) - lower) / (upper - lower)
 
 
@@ -53,6 +53,6 @@ def alternatives(database: Database, ranking: Sequence[EvaluatedSet], space: Par
     equal = sum(1 for _ in takewhile(lambda one: one.objective >= ranking[0].objective - EQUAL, ranking))
     best, worse = ranking[: min(equal, MOST_BEST)], ranking[equal : equal + MOST_WORSE]
     with database.read() as connection:
-        sets = parameter_sets.load(connection, [one.parameter_set for one in (*best, *worse)])
-    places = unit_cube(space, [sets[one.parameter_set] for one in (*best, *worse)])
+        sets = parameter_sets.load(connection, [solution.parameter_set for solution in (*best, *worse)])
+    places = unit_cube(space, [sets[solution.parameter_set] for solution in (*best, *worse)])
     return Alternatives(places[: len(best)], places[len(best) :], regions(places[: len(best)]))

@@ -106,11 +106,11 @@ def _check_meanings(connection: Connection) -> Iterator[str]:
 
 
 def _unreadable(kind: str, ids: Iterable[str], read: Callable[[str], object]) -> Iterator[str]:
-    for one in list(ids):
+    for identifier in list(ids):
         try:
-            read(one)
+            read(identifier)
         except _UNREADABLE as error:
-            yield f"{kind} {one} cannot be read: {_first_line(error)}"
+            yield f"{kind} {identifier} cannot be read: {_first_line(error)}"
 
 
 def _campaign(connection: Connection, campaign_id: str) -> None:
@@ -124,7 +124,7 @@ def _campaign(connection: Connection, campaign_id: str) -> None:
 
 def _check_runs(connection: Connection, campaign: StoredCampaign) -> None:
     """Raises ValueError where a comparison has other runs than its specification says."""
-    wanted = [one.specification.name for one in runs_of(ComparisonSpecification.model_validate(campaign.spec))]
+    wanted = [run.specification.name for run in runs_of(ComparisonSpecification.model_validate(campaign.spec))]
     found = comparisons.names_of(connection, campaign.sequence)
     if found != wanted:
         raise ValueError(f"it has {len(found):,} runs, and its specification says {len(wanted):,}, or others")

@@ -7,25 +7,24 @@ last iteration, but to no generation.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from collections.abc import Callable
+from dataclasses import asdict, replace
 
 import numpy as np
 from sqlalchemy import Connection
 
 from drivecal.analysis.confirmation import Confirmation, verdict_in
 from drivecal.analysis.solutions import EQUAL, EvaluatedSet, Ranking
-from drivecal.campaigns.cells.cell_tracker import CellTracker, Work
-from drivecal.campaigns.cells.planning import View, WantedCell, plan_cells, sync_reference_keys
+from drivecal.campaigns.cells.cell_tracker import Work
+from drivecal.campaigns.cells.planning import View, WantedCell, sync_reference_keys
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.resolve.search_area import given_indices, search_area
-from drivecal.campaigns.stages.eta import EtaEstimate
-from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, Progress
-from drivecal.domain.campaigns import Stage
+from drivecal.campaigns.stages.stage import CampaignStage, Round
+from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate
+from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import NoResultError
 from drivecal.domain.events import EventKind
 from drivecal.domain.parameters import ParameterSet
-from drivecal.execution.scheduling.scheduler import Completed
 from drivecal.plugins.ports import Optimizer, Proposal
 from drivecal.reduction.assignment import Policy
 from drivecal.reduction.audit import error_rates
@@ -38,13 +37,11 @@ from drivecal.storage.references import parameter_sets
 _COUNTED = ("proposed", "carried_over", "requested", "repeated", "reused", "certified", "simulated", "failed", "audited")
 
 
-class Calibration:
-    """One campaign's calibration stage. `work` gives cells to simulate, `record` takes what became of them.
+class Calibration(CampaignStage):
+    """The search of one campaign: a round is a generation of the optimizer, and after the last one a set to confirm."""
 
-    All state is in the database after every call, so that a new object on the same campaign goes on exactly as this one would.
-    """
-
-    stage = Stage.CALIBRATION
+    name = StageName.CALIBRATION
+    uses_map = True
 
     def __init__(
         self,
@@ -54,11 +51,10 @@ class Calibration:
         view: View,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._database = database
-        self._campaign = campaign
-        self._problem = problem
-        self._view = view
-        self._tracker = CellTracker(view, campaign.cells.model_dump(), campaign.simulating_seconds)
+        if problem.optimization is None:
+            raise ValueError("the campaign has no calibration stage")
+        super().__init__(database, campaign, problem, view, clock)
+        self._optimization = problem.optimization
         self._ranking = Ranking(problem.weights)
         self._error_rate: dict[str, ErrorRate] = dict(campaign.error_rate)
         self._area = search_area(problem, view.influence_map)
@@ -67,39 +63,34 @@ class Calibration:
             self._notes = (*problem.notes, self._area.note())
         self._best, self._baseline = campaign.best, campaign.baseline
         self._repeatable_no_more = campaign.cells.unrepeatable > 0
-        if problem.optimization is None:
-            raise ValueError("the campaign has no calibration stage")
-        self._optimization = problem.optimization
-        population = self._optimization.population
-        self._scores = np.full((population, len(problem.scenarios)), np.nan)
-        self._ratings = np.full((population, len(problem.scenarios)), np.nan)
-        self._expected = problem.expected_runs()
+        shape = self._optimization.population, len(problem.scenarios)
+        self._scores, self._ratings = np.full(shape, np.nan), np.full(shape, np.nan)
         self._before = CellCounts()
         self._iteration: int | None = None
         self._proposal: Proposal | None = None
         self._optimizer: Optimizer | None = None
-        self._eta = EtaEstimate(clock, campaign.cells.requested)
         self._confirmation: Confirmation | None = None
         self._verdict = verdict_in(campaign.notes)
-        self.finished = False
 
-    def work(self) -> list[Work]:
-        """What to simulate next; empty where answers are awaited or the stage is `finished`."""
-        if self._optimizer is None:
-            work = self._resume()
-            if self._tracker.waiting:
-                return work
-        while not self._tracker.waiting and not self.finished:
-            if self._proposal is not None:
-                self._tell()
-            if self._iteration is not None and self._iteration + 1 >= self._optimization.iterations:
-                self._refuse_nothing()
-                work = self._confirm()
-            else:
-                work = self._ask()
-            if work:
-                return work
-        return []
+    @staticmethod
+    def is_wanted(campaign: StoredCampaign, problem: CalibrationProblem) -> bool:
+        del campaign
+        return problem.optimization is not None
+
+    @property
+    def _at_most(self) -> int:
+        return self._problem.expected_runs().calibration_at_most
+
+    def _ask(self) -> Round | None:
+        """The next generation, or the next set to confirm."""
+        if self._iteration is not None and self._iteration + 1 >= self._optimization.iterations:
+            self._refuse_nothing()
+            return self._confirm()
+        return self._propose()
+
+    def _tell(self, asked: Round) -> None:
+        if asked.number < self._optimization.iterations:
+            self._close()
 
     def _refuse_nothing(self) -> None:
         if self._ranking.best() is None:
@@ -107,15 +98,6 @@ class Calibration:
             raise NoResultError(
                 f"no parameter set has a result in every scenario: {failed} cells failed; the server's log says why"
             )
-
-    def record(self, completed: Sequence[Completed]) -> list[Work]:
-        """Writes results down, in one transaction with the counters that they change; gives what is to be simulated instead of cells
-        whose leader has no result."""
-        with self._database.transaction() as connection:
-            work = self._tracker.record(connection, completed)
-            self._save(connection)
-        self._tracker.raise_if_refuted()
-        return work
 
     def _resume(self) -> list[Work]:
         """Takes up the last generation as it was, or starts with the first."""
@@ -141,17 +123,15 @@ class Calibration:
                 self._optimizer.tell(self._weighted(self._scores), self._weighted(self._ratings))
             else:
                 self._proposal = Proposal(np.array(last.population, dtype=np.int64), np.array(last.changed, dtype=np.bool_))
-            work = self._tracker.load(connection, share_runs=self._shares_runs)
+                self._round = Round(last.iteration, (), self._policy())
+            work = self._tracker.load(connection, share_runs=self._policy().mode != "off")
             self._save(connection)
         return work
 
-    def _ask(self) -> list[Work]:
-        """Commits the next population with its assignment and the optimizer's state, before anything is dispatched."""
+    def _propose(self) -> Round:
         if self._optimizer is None:
             raise RuntimeError("the stage has not been taken up")
-        problem = self._problem
-        proposal = self._optimizer.ask()
-        iteration = 0 if self._iteration is None else self._iteration + 1
+        problem, proposal = self._problem, self._optimizer.ask()
         changed = [int(index) for index in np.flatnonzero(proposal.changed)]
         sets = problem.space.parameter_sets(self._area.expand(proposal.population[changed]))
         wanted = [
@@ -159,63 +139,63 @@ class Calibration:
             for individual, parameters in zip(changed, sets, strict=True)
             for scenario in problem.scenarios
         ]
-        stopped = [scenario for scenario, rate in self._error_rate.items() if rate.stopped]
-        reduction = problem.specification.reduction
-        policy = Policy(reduction.mode, reduction.audit, self._optimization.seed, stopped)
+        self._iteration = 0 if self._iteration is None else self._iteration + 1
+        self._proposal = proposal
         carried_over = (len(proposal.changed) - len(changed)) * len(problem.scenarios)
-        with self._database.transaction() as connection:
-            cells = plan_cells(connection, self._view, policy, Stage.CALIBRATION, iteration, wanted)
-            self._tracker.request(connection, cells, carried_over)
-            self._iteration, self._proposal = iteration, proposal
-            work = self._tracker.load(connection, share_runs=self._shares_runs)
-            generations.insert(
-                connection,
-                self._campaign.sequence,
-                iteration,
-                figures=self._figures(),
-                population=proposal.population.tolist(),
-                changed=proposal.changed.tolist(),
-                optimizer_state=self._optimizer.state(),
-            )
-            self._save(connection)
-            if iteration == 0:
-                self._tell_beginning(connection)
-        return work
+        return Round(self._iteration, [(problem.bench, wanted)], self._policy(), carried_over)
 
-    def _confirm(self) -> list[Work]:
-        """Has the best set simulated where its scores are references', and takes in what became of the one before. The stage is finished
-        when none is left."""
+    def _policy(self) -> Policy:
+        reduction = self._problem.specification.reduction
+        stopped = [scenario for scenario, rate in self._error_rate.items() if rate.stopped]
+        return Policy(reduction.mode, reduction.audit, self._optimization.seed, stopped)
+
+    def _store(self, connection: Connection, asked: Round) -> None:
+        """Commits a generation with the optimizer's state beside its cells; a set to confirm belongs to none."""
+        if self._optimizer is None or self._proposal is None or asked.number != self._iteration:
+            return
+        generations.insert(
+            connection,
+            self._campaign.sequence,
+            asked.number,
+            figures=self._figures(),
+            population=self._proposal.population.tolist(),
+            changed=self._proposal.changed.tolist(),
+            optimizer_state=self._optimizer.state(),
+        )
+        if asked.number == 0:
+            self._tell_beginning(connection)
+
+    def _confirm(self) -> Round | None:
+        """The best set in the scenarios where its scores are references', after the answers of the one before were taken in; None when
+        none is left."""
         sequence, first = self._campaign.sequence, self._optimization.iterations
         limit, best = self._problem.specification.reduction.confirm, self._ranking.best()
         if limit == 0 or best is None:
-            self.finished = True
-            return []
-        work: list[Work] = []
+            return None
         with self._database.transaction() as connection:
             if self._confirmation is None:
-                tried = results.sets_since(connection, sequence, Stage.CALIBRATION, first)
+                tried = results.sets_since(connection, sequence, self.name, first)
                 self._confirmation, taken = Confirmation(limit, best[0].objective, tried), 0
             else:
                 tried, taken = self._confirmation.tried, len(self._confirmation.tried) - 1
             for number in range(taken, len(tried)):
-                self._ranking.add(results.answers(connection, sequence, Stage.CALIBRATION, first + number))
+                self._ranking.add(results.answers(connection, sequence, self.name, first + number))
             if tried:
                 self._describe_best(connection)
             chosen = self._confirmation.choose(self._ranking)
             if chosen is None:
-                self._conclude(connection, self._confirmation)
+                self._give_verdict(connection, self._confirmation)
             else:
                 parameters = parameter_sets.load(connection, [chosen.parameter_set])[chosen.parameter_set]
-                wanted = [WantedCell(0, scenario, parameters) for scenario in chosen.reused]
-                cells = plan_cells(connection, self._view, Policy("exact"), Stage.CALIBRATION, first + len(tried), wanted)
-                self._tracker.request(connection, cells, carried_over=0)
-                tried.append(chosen.parameter_set)
-                work = self._tracker.load(connection, share_runs=self._shares_runs)
             self._save(connection)
-        return work
+        if chosen is None:
+            return None
+        wanted = [WantedCell(0, scenario, parameters) for scenario in chosen.reused]
+        tried.append(chosen.parameter_set)
+        return Round(first + len(tried) - 1, [(self._problem.bench, wanted)], Policy("exact"))
 
-    def _conclude(self, connection: Connection, confirmation: Confirmation) -> None:
-        """Tells what the confirmation found, once; its simulations may contradict others."""
+    def _give_verdict(self, connection: Connection, confirmation: Confirmation) -> None:
+        """Adds the verdict of the confirmation, once; its simulations may contradict others."""
         best = self._ranking.best()
         if confirmation.tried and best is not None:
             self._check_reuse(connection, self._optimization.iterations - 1)
@@ -224,9 +204,8 @@ class Calibration:
                 events.add(connection, self._campaign.sequence, EventKind.NOTE, {"text": self._verdict})
                 if confirmation.changed(best[0]):
                     self._tell_best(connection, best[0])
-        self.finished = True
 
-    def _tell(self) -> None:
+    def _close(self) -> None:
         """Closes an iteration: every cell has its answer."""
         if self._optimizer is None or self._iteration is None:
             raise RuntimeError("the stage has not been taken up")
@@ -247,7 +226,7 @@ class Calibration:
     def _check_reuse(self, connection: Connection, iteration: int) -> None:
         """What the audits of this and all earlier iterations say, and which results contradict each other."""
         view, sequence, evaluator = self._view, self._campaign.sequence, self._view.bench.evaluator_id
-        audits.settle(connection, sequence, Stage.CALIBRATION, iteration, evaluator)
+        audits.settle(connection, sequence, self.name, iteration, evaluator)
         found = audits.contradictions(connection, sequence, view.influence_map_sequence, evaluator, view.watermark)
         limit = self._problem.specification.reduction.max_error
         counts = audits.count(connection, sequence, evaluator)
@@ -258,16 +237,12 @@ class Calibration:
                 told = {"scenario": scenario, "wrong": rate.wrong, "audited": rate.audited}
                 events.add(connection, sequence, EventKind.REUSE_STOPPED, told)
 
-    @property
-    def _shares_runs(self) -> bool:
-        return self._problem.specification.reduction.mode != "off"
-
     def _take_in(self, connection: Connection, iterations: range | list[int]) -> None:
         """Reads the answers of iterations: each individual keeps those of the iteration that requested it last."""
         columns = {scenario: column for column, scenario in enumerate(self._problem.scenarios)}
         only = iterations[0] if len(iterations) == 1 else None
         wanted = set(iterations)
-        answers = results.answers(connection, self._campaign.sequence, Stage.CALIBRATION, only) if wanted else ()
+        answers = results.answers(connection, self._campaign.sequence, StageName.CALIBRATION, only) if wanted else ()
         taken = [answer for answer in answers if answer.iteration in wanted]
         for answer in taken:
             cell = answer.individual, columns[answer.scenario]
@@ -347,13 +322,13 @@ class Calibration:
         )
 
     def _tell_beginning(self, connection: Connection) -> None:
-        told = {"stage": Stage.CALIBRATION, "cells": self._expected.calibration_at_most}
+        told = {"stage": StageName.CALIBRATION, "cells": self._at_most}
         events.add(connection, self._campaign.sequence, EventKind.STAGE, told)
         for note in self._notes:
             if note not in self._campaign.notes:  # the sensitivity stage has told those
                 events.add(connection, self._campaign.sequence, EventKind.NOTE, {"text": note})
 
-    def _save(self, connection: Connection) -> None:
+    def _snapshot(self, connection: Connection) -> Snapshot:
         counts = CellCounts(**self._tracker.counts)
         notes = list(self._notes)
         for scenario, rate in self._error_rate.items():
@@ -366,22 +341,12 @@ class Calibration:
                 self._repeatable_no_more = True
         if self._verdict is not None:
             notes.append(self._verdict)
-        campaigns.save_progress(
-            connection,
-            self._campaign.sequence,
-            Snapshot(
-                stage=Stage.CALIBRATION,
-                iteration=self._iteration,
-                cells=counts,
-                sensitivity_cells=self._campaign.sensitivity_cells,
-                progress=self._progress(counts),
-                error_rate=self._error_rate,
-                best=self._best,
-                baseline=self._baseline,
-                simulating_seconds=self._tracker.simulating_seconds,
-                notes=notes,
-            ),
+        return replace(
+            super()._snapshot(connection),
+            iteration=self._iteration,
+            progress=self._progress(counts.requested, counts.requested + counts.pending),
+            error_rate=self._error_rate,
+            best=self._best,
+            baseline=self._baseline,
+            notes=notes,
         )
-
-    def _progress(self, counts: CellCounts) -> Progress:
-        return self._eta.progress(counts.requested, max(self._expected.calibration_at_most, counts.requested + counts.pending))

@@ -15,9 +15,10 @@ from drivecal.analysis.solutions import EQUAL, Ranking
 from drivecal.campaigns.cells.planning import View, WantedCell
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.results.optima import MOST_BEST, MOST_WORSE, unit_cube
-from drivecal.campaigns.stages.study import Round, StudyStage
+from drivecal.campaigns.stages.stage import Round
+from drivecal.campaigns.stages.study import StudyStage
 from drivecal.contracts.specification import RobustnessSpecification
-from drivecal.domain.campaigns import Stage
+from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
 from drivecal.domain.evaluations import CellScore
 from drivecal.domain.parameters import ParameterSet
@@ -76,10 +77,10 @@ def check_source(connection: Connection, problem: CalibrationProblem) -> None:
 class RobustnessStage(StudyStage):
     """Round 0 drives the sets in the nominal vehicle, where their scores are references' or not known; round k the k-th box."""
 
-    stage = Stage.ROBUSTNESS
+    name = StageName.ROBUSTNESS
 
     def __init__(self, database: Database, campaign: StoredCampaign, problem: CalibrationProblem, view: View) -> None:
-        super().__init__(database, campaign, problem, view, campaign.robustness_cells)
+        super().__init__(database, campaign, problem, view)
         wanted = problem.specification.robustness
         if wanted is None:
             raise ValueError("the campaign has no robustness stage")
@@ -94,21 +95,30 @@ class RobustnessStage(StudyStage):
         standing, of = Ranking(self._problem.weights), self._wanted.of
         with self._database.read() as connection:
             source = self._campaign if of is None else campaigns.get(connection, of)
-            standing.add(results.answers(connection, source.sequence, Stage.CALIBRATION))
+            standing.add(results.answers(connection, source.sequence, StageName.CALIBRATION))
             ranking = standing.ranking()
             least = ranking[0].objective - self._wanted.within - EQUAL if ranking else 0.0
-            enough = sum(1 for one in ranking if one.objective >= least)
+            enough = sum(1 for solution in ranking if solution.objective >= least)
             best, worse = ranking[: min(enough, MOST_BEST)], ranking[enough : enough + MOST_WORSE]
-            sets = parameter_sets.load(connection, [one.parameter_set for one in (*best, *worse)])
+            sets = parameter_sets.load(connection, [solution.parameter_set for solution in (*best, *worse)])
         named = list(self._problem.robust_sets)
-        found = [sets[one.parameter_set] for one in best]
-        listed = named + [one for one in found if one not in named]
+        found = [sets[solution.parameter_set] for solution in best]
+        listed = named + [parameter_set for parameter_set in found if parameter_set not in named]
         space = self._problem.space
-        known = optima(unit_cube(space, listed), unit_cube(space, [sets[one.parameter_set] for one in worse]))
-        regions = np.array([one.region for one in known[len(named) :]], dtype=np.int64)
+        known = optima(unit_cube(space, listed), unit_cube(space, [sets[solution.parameter_set] for solution in worse]))
+        regions = np.array([solution.region for solution in known[len(named) :]], dtype=np.int64)
         chosen = [len(named) + position for position in one_per_region_first(regions, self._wanted.solutions)]
-        return [Examined(listed[one], known[one].region, known[one].to_worse) for one in (*range(len(named)), *chosen)]
+        return [
+            Examined(listed[position], known[position].region, known[position].to_worse)
+            for position in (*range(len(named)), *chosen)
+        ]
 
+    @staticmethod
+    def is_wanted(campaign: StoredCampaign, problem: CalibrationProblem) -> bool:
+        del campaign
+        return problem.specification.robustness is not None
+
+    @property
     def _at_most(self) -> int:
         boxes = self._settings.steps + self._settings.refinements
         return len(self._examined) * len(self._problem.scenarios) * (1 + boxes * self._settings.samples)
@@ -121,7 +131,7 @@ class RobustnessStage(StudyStage):
                 for index, one in enumerate(self._examined)
                 for scenario in scenarios
             ]
-            return Round(0, [(bench, cells)]) if cells else None
+            return Round(0, [(bench, cells)], self._exact) if cells else None
         box = self._study.ask()
         if box is None:
             return None
@@ -136,9 +146,9 @@ class RobustnessStage(StudyStage):
                 ]
         for values, cells in by_vehicle.items():
             asked.append((replace(bench, vehicle_parameters={**bench.vehicle_parameters, **dict(values)}), cells))
-        return Round(box.number, asked)
+        return Round(box.number, asked, self._exact)
 
-    def _tell(self, number: int, answers: Sequence[CellScore]) -> None:
+    def _take(self, number: int, answers: Sequence[CellScore]) -> None:
         columns = {scenario: column for column, scenario in enumerate(self._problem.scenarios)}
         if number == 0:
             for answer in answers:
@@ -158,7 +168,7 @@ class RobustnessStage(StudyStage):
             scores[solution][sample, columns[answer.scenario]] = np.nan if answer.score is None else answer.score
         self._study.tell(scores)
 
-    def _found(self) -> dict[str, Any]:
+    def _outcome(self) -> dict[str, Any]:
         """The examined sets, the most robust first."""
         known = self._study.result() if self._study is not None else [Robustness(0, False, 0.0, ())] * len(self._examined)
         weights = np.array(list(self._problem.weights.values()))
@@ -179,7 +189,7 @@ class RobustnessStage(StudyStage):
         if self._study is None or np.isnan(objectives).all():
             return None
         best = float(np.nanmax(objectives))
-        equal = [one for one in range(len(known)) if objectives[one] >= best - EQUAL]
+        equal = [position for position in range(len(known)) if objectives[position] >= best - EQUAL]
         chosen = max(equal, key=lambda one: (known[one].degree, known[one].radius, ratings[one], -one))
         degree = f"{known[chosen].degree}{' or more' if known[chosen].at_least else ''}"
         return (

@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from sqlalchemy import Connection
 
-from drivecal.campaigns.cells.cell_tracker import CellTracker, Work
-from drivecal.campaigns.cells.planning import View, WantedCell, plan_cells
+from drivecal.campaigns.cells.planning import View, WantedCell
 from drivecal.campaigns.resolve.maps import analysis_to_document, smallest_s_rel, stored_map
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.resolve.spaces import space_to_document
-from drivecal.campaigns.stages.eta import EtaEstimate
+from drivecal.campaigns.stages.stage import CampaignStage, Round
 from drivecal.contracts.campaign import StageCellCounts
-from drivecal.domain.campaigns import Stage
+from drivecal.domain.campaigns import StageName
 from drivecal.domain.events import EventKind
 from drivecal.domain.influence import InfluenceMap
 from drivecal.domain.parameters import ParameterSet, text
-from drivecal.execution.scheduling.scheduler import Completed
 from drivecal.plugins.ports import Floats
-from drivecal.reduction.assignment import Policy
 from drivecal.reduction.keys import ReferenceKeys, billionths_matrix
 from drivecal.sensitivity.analysis import Phase, SensitivityAnalysis
 from drivecal.sensitivity.scenario import ScenarioInfluence
@@ -34,14 +32,13 @@ from drivecal.storage.references import influence_maps
 KEYS_AT_ONCE = 10_000
 
 
-class Sensitivity:
-    """Gives and takes work as `Calibration` does; a phase of the analysis is an iteration.
+class Sensitivity(CampaignStage):
+    """The analysis of one campaign; a phase of it is a round.
 
-    Its runs are answered by equal parameter sets or simulated, never reused: the map that would allow it is what they are made for. A new
-    object on the same campaign tells the analysis all finished phases again and goes on exactly as this one would.
+    Its runs are answered by equal parameter sets or simulated, never reused: the map that would allow it is what they are made for.
     """
 
-    stage = Stage.SENSITIVITY
+    name = StageName.SENSITIVITY
 
     def __init__(
         self,
@@ -54,53 +51,29 @@ class Sensitivity:
         analysis = problem.analysis()
         if analysis is None:
             raise ValueError("the campaign has no sensitivity stage")
-        self._database = database
-        self._campaign = campaign
-        self._problem = problem
-        self._view = view
+        super().__init__(database, campaign, problem, view, clock)
         self._analysis: SensitivityAnalysis = analysis
-        self._tracker = CellTracker(view, campaign.sensitivity_cells.model_dump(), campaign.simulating_seconds)
         self._expected = problem.expected_runs()
-        self._eta = EtaEstimate(clock, campaign.sensitivity_cells.requested)
         self._phase: Phase | None = None
         self._finished_phase: Phase | None = None
-        self.finished = False
 
-    def work(self) -> list[Work]:
-        """What to simulate next; empty where answers are awaited or the stage is `finished`."""
-        while not self._tracker.waiting and not self.finished:
-            if self._phase is not None:
-                self._tell(self._phase)
-                self._finished_phase = self._phase
-            self._phase = self._analysis.ask()
-            if self._phase is None:
-                self._make_map()
-                self.finished = True
-                return []
-            work = self._request(self._phase)
-            if work:
-                return work
-        return []
+    @staticmethod
+    def is_wanted(campaign: StoredCampaign, problem: CalibrationProblem) -> bool:
+        return campaign.influence_map_id is None and problem.analysis() is not None
 
-    def record(self, completed: Sequence[Completed]) -> list[Work]:
-        """Writes results down, in one transaction with the counters that they change."""
-        with self._database.transaction() as connection:
-            work = self._tracker.record(connection, completed)
-            self._save(connection)
-        self._tracker.raise_if_refuted()
-        return work
+    @property
+    def _at_most(self) -> int:
+        return self._expected.sensitivity
 
-    def _request(self, phase: Phase) -> list[Work]:
-        """Commits the cells of a phase before anything is dispatched; takes them up as they are where that was done already."""
-        with self._database.transaction() as connection:
-            if not results.has_iteration(connection, self._campaign.sequence, Stage.SENSITIVITY, phase.number):
-                self._tell_progress(connection)
-                wanted = self._wanted(phase)
-                cells = plan_cells(connection, self._view, self._policy, Stage.SENSITIVITY, phase.number, wanted)
-                self._tracker.request(connection, cells, carried_over=0)
-            work = self._tracker.load(connection, share_runs=self._policy.mode != "off")
-            self._save(connection)
-        return work
+    def _ask(self) -> Round | None:
+        self._phase = self._analysis.ask()
+        if self._phase is None:
+            return None
+        return Round(self._phase.number, [(self._problem.bench, self._wanted(self._phase))], self._exact)
+
+    def _announce(self, connection: Connection, asked: Round) -> None:
+        del asked
+        self._tell_progress(connection)
 
     def _tell_progress(self, connection: Connection) -> None:
         """The beginning of the stage, or the end of the phase before; in the transaction that follows it, so that it is told once."""
@@ -110,14 +83,10 @@ class Sensitivity:
             events.add(connection, sequence, EventKind.PHASE, {"phase": done.number, "name": done.name, **counts})
             return
         events.add(
-            connection, sequence, EventKind.STAGE, {"stage": Stage.SENSITIVITY, "cells": self._expected.sensitivity_at_most}
+            connection, sequence, EventKind.STAGE, {"stage": StageName.SENSITIVITY, "cells": self._expected.sensitivity_at_most}
         )
         for note in self._problem.notes:
             events.add(connection, sequence, EventKind.NOTE, {"text": note})
-
-    @property
-    def _policy(self) -> Policy:
-        return Policy("off" if self._problem.specification.reduction.mode == "off" else "exact")
 
     def _wanted(self, phase: Phase) -> list[WantedCell]:
         sets: dict[int, list[ParameterSet]] = {}
@@ -130,15 +99,19 @@ class Sensitivity:
             for individual, parameters in enumerate(sets[id(points)])
         ]
 
-    def _tell(self, phase: Phase) -> None:
+    def _tell(self, asked: Round) -> None:
+        phase = self._phase
+        if phase is None:
+            raise RuntimeError(f"phase {asked.number} was not asked for")
         scores: dict[str, Floats] = {scenario: np.full(len(points), np.nan) for scenario, points in phase.points.items()}
         with self._database.read() as connection:
-            for answer in results.answers(connection, self._campaign.sequence, Stage.SENSITIVITY, phase.number):
+            for answer in results.answers(connection, self._campaign.sequence, self.name, phase.number):
                 if answer.score is not None:
                     scores[answer.scenario][answer.individual] = answer.score
         self._analysis.tell(scores)
+        self._finished_phase = phase
 
-    def _make_map(self) -> None:
+    def _conclude(self) -> None:
         """Stores the map, and gives the stage's runs their keys under it, so that they are references from the first population on."""
         found = self._analysis.result()
         with self._database.transaction() as connection:
@@ -160,7 +133,7 @@ class Sensitivity:
 
     def _give_keys(self, connection: Connection, influence_map: InfluenceMap) -> None:
         cells: dict[str, list[tuple[int, ParameterSet]]] = {}
-        for number, scenario, parameters in results.donors(connection, self._campaign.sequence, Stage.SENSITIVITY):
+        for number, scenario, parameters in results.donors(connection, self._campaign.sequence, StageName.SENSITIVITY):
             cells.setdefault(scenario, []).append((number, parameters))
         for scenario, listed in cells.items():
             keys = ReferenceKeys(influence_map, scenario, self._view.names)
@@ -184,25 +157,8 @@ class Sensitivity:
             "simulated": self._tracker.counts.get("simulated", 0),
         }
 
-    def _save(self, connection: Connection) -> None:
-        counts = StageCellCounts(**self._tracker.counts)
-        phase = None if self._phase is None else self._phase.number
-        campaigns.save_progress(
-            connection,
-            self._campaign.sequence,
-            Snapshot(
-                stage=Stage.SENSITIVITY,
-                iteration=phase,
-                cells=self._campaign.cells,
-                sensitivity_cells=counts,
-                progress=self._eta.progress(counts.requested, max(self._expected.sensitivity, counts.proposed)),
-                error_rate={},
-                best=None,
-                baseline=None,
-                simulating_seconds=self._tracker.simulating_seconds,
-                notes=self._problem.notes,
-            ),
-        )
+    def _snapshot(self, connection: Connection) -> Snapshot:
+        return replace(super()._snapshot(connection), notes=self._problem.notes)
 
 
 def _influential(influence_map: InfluenceMap) -> dict[str, list[str]]:

@@ -12,8 +12,9 @@ import numpy.typing as npt
 from drivecal.analysis.validation import ReducibleSpace, ValidationDesign, design
 from drivecal.campaigns.cells.planning import View, WantedCell
 from drivecal.campaigns.resolve.problem import CalibrationProblem
-from drivecal.campaigns.stages.study import Round, StudyStage
-from drivecal.domain.campaigns import Stage
+from drivecal.campaigns.stages.stage import Round
+from drivecal.campaigns.stages.study import StudyStage
+from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import CellScore
 from drivecal.domain.influence import InfluenceMap
 from drivecal.domain.parameters import ParameterSpace
@@ -43,11 +44,12 @@ def reducible_space(influence_map: InfluenceMap, scenario: str, space: Parameter
 class ValidationStage(StudyStage):
     """One round: all bases and their variants, scenario by scenario. `individual` numbers them: base x (n_ref + 1), the base first."""
 
-    stage = Stage.VALIDATION
+    name = StageName.VALIDATION
+    uses_map = True
 
     def __init__(self, database: Database, campaign: StoredCampaign, problem: CalibrationProblem, view: View) -> None:
         """`view` with the influence map that is to be validated."""
-        super().__init__(database, campaign, problem, view, campaign.validation_cells)
+        super().__init__(database, campaign, problem, view)
         wanted, influence_map = problem.specification.validation, view.influence_map
         if wanted is None or influence_map is None:
             raise ValueError("the campaign has no map to validate")
@@ -64,6 +66,12 @@ class ValidationStage(StudyStage):
         }
         self._histograms: dict[str, Counter[int]] | None = None
 
+    @staticmethod
+    def is_wanted(campaign: StoredCampaign, problem: CalibrationProblem) -> bool:
+        del campaign
+        return problem.specification.validation is not None
+
+    @property
     def _at_most(self) -> int:
         return sum(len(one.bases) * (1 + self._references) for one in self._designs.values() if one is not None)
 
@@ -76,9 +84,9 @@ class ValidationStage(StudyStage):
                 continue
             together = np.concatenate([one.bases[:, None], one.variants], axis=1).reshape(-1, one.bases.shape[1])
             cells += [WantedCell(number, scenario, each) for number, each in enumerate(space.parameter_sets(together))]
-        return Round(0, [(self._problem.bench, cells)]) if cells else None
+        return Round(0, [(self._problem.bench, cells)], self._exact) if cells else None
 
-    def _tell(self, number: int, answers: Sequence[CellScore]) -> None:
+    def _take(self, number: int, answers: Sequence[CellScore]) -> None:
         del number
         width = 1 + self._references
         scores = {
@@ -92,7 +100,7 @@ class ValidationStage(StudyStage):
             for scenario, found in scores.items()
         }
 
-    def _found(self) -> dict[str, Any]:
+    def _outcome(self) -> dict[str, Any]:
         rows = [self._row(scenario, one) for scenario, one in self._designs.items()]
         notes = [
             f"nothing to validate in {row['scenario']}: no parameter has a region in which it does not matter"

@@ -50,7 +50,7 @@ def print_explanation(found: Explanation) -> None:
     if found.differences:
         typer.echo("")
         header = ["parameter", "this cell", "stored set", "influential", "this lies", "that lies", "in the way"]
-        rows = [_line(one) for one in found.differences]
+        rows = [_line(difference) for difference in found.differences]
         if found.reason == "certified":  # the map would not have allowed it, and was not asked
             header, rows = header[:-1], [row[:-1] for row in rows]
         print_columns(header, rows)

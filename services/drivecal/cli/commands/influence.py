@@ -12,7 +12,7 @@ import typer
 from drivecal.cli.application import JsonOption, UrlOption, app, connect, full_id, full_map_id
 from drivecal.cli.views.output import print_columns, print_json
 from drivecal.client.client import Client
-from drivecal.contracts.inventory import InfluenceRow
+from drivecal.contracts.tables import InfluenceRow
 from drivecal.domain.errors import ConflictError, NotFoundError
 from drivecal.sensitivity.agreement import Agreement, Pair, agreement
 
@@ -84,7 +84,7 @@ def bounds_text(row: InfluenceRow) -> str:
     """`0.2 .. 0.8`, `nowhere`."""
     if not row.influential:
         return "nowhere"
-    ends = ["its bound" if one is None else f"{one:g}" for one in (row.lower, row.upper)]
+    ends = ["its bound" if bound is None else f"{bound:g}" for bound in (row.lower, row.upper)]
     return " .. ".join(ends) + (" (unknown)" if row.unknown else "")
 
 
@@ -169,9 +169,9 @@ def _described(client: Client, identifier: str) -> Described:
 
 
 def _compare(first: Described, second: Described, as_json: bool) -> None:
-    for one in (first, second):
-        if not one.rows:
-            raise ConflictError(f"{one.title} has no influence map to compare (yet)")
+    for source in (first, second):
+        if not source.rows:
+            raise ConflictError(f"{source.title} has no influence map to compare (yet)")
     found = agreement(first.rows, second.rows)
     if as_json:
         print_json({"first": first.title, "second": second.title, **found.document()})
@@ -190,12 +190,12 @@ def _print_agreement(found: Agreement) -> None:
         header = ["scenario", "parameter", "first", "second", f"{'first':{WIDTH}}", f"{'second':{WIDTH}}"]
         rows = [
             [
-                one.first.scenario,
-                one.first.parameter,
-                *(bounds_text(row) for row in (one.first, one.second)),
-                *(picture(row) for row in (one.first, one.second)),
+                difference.first.scenario,
+                difference.first.parameter,
+                *(bounds_text(row) for row in (difference.first, difference.second)),
+                *(picture(row) for row in (difference.first, difference.second)),
             ]
-            for one in found.differences
+            for difference in found.differences
         ]
         print_columns(header, rows)
     for name, pairs in (("first", found.only_first), ("second", found.only_second)):

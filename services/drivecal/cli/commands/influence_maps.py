@@ -30,7 +30,7 @@ def list_maps(
     if as_json:
         print_json(page)
         return
-    rows = [[one.id, when(one.created_at), one.source, one.driving_function, one.name] for one in page.items]
+    rows = [[item.id, when(item.created_at), item.source, item.driving_function, item.name] for item in page.items]
     print_columns(["id", "created", "source", "driving function", "name"], rows)
     if page.next_cursor:
         tell(f"there are more than {limit}; see them with --limit")

@@ -14,7 +14,7 @@ from drivecal.cli.views.output import parameters_text, print_columns, print_json
 from drivecal.cli.views.robustness_differences import MadeStudy
 from drivecal.client.client import Client
 from drivecal.contracts.campaign import Campaign
-from drivecal.contracts.studies import RobustnessRow
+from drivecal.contracts.tables import RobustnessRow
 from drivecal.domain.errors import ConflictError
 
 

@@ -10,7 +10,7 @@ import typer
 from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, connect, full_id
 from drivecal.cli.commands.studies import known, make, wanted_of
 from drivecal.cli.views.output import print_columns, print_json
-from drivecal.contracts.studies import ValidationRow
+from drivecal.contracts.tables import ValidationRow
 from drivecal.domain.errors import ConflictError
 from drivecal.report.sections.errors import errors_text
 

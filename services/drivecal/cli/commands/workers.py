@@ -21,15 +21,15 @@ def workers(url: UrlOption = None, as_json: JsonOption = False) -> None:
     header = ["worker", "node", "state", "cells", "cells/s", "remembers", "simulates"]
     rows = [
         [
-            one.id,
-            one.node,
-            one.state,
-            one.cells,
-            None if one.cells_per_second is None else f"{one.cells_per_second:.1f}",
-            remembering(one),
-            doing(one, now),
+            item.id,
+            item.node,
+            item.state,
+            item.cells,
+            None if item.cells_per_second is None else f"{item.cells_per_second:.1f}",
+            remembering(item),
+            doing(item, now),
         ]
-        for one in page.items
+        for item in page.items
     ]
     print_columns(header, rows)
     for line in remarks(page, now):

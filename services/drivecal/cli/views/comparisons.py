@@ -15,31 +15,31 @@ from drivecal.contracts.comparison import ComparedGroup, ExpectedComparison, Red
 def comparison_document(client: Client, identifier: str) -> dict[str, Any]:
     """All tables of a comparison, for programs."""
     return {
-        "runs": [one.model_dump(mode="json") for one in client.compared_runs(identifier)],
-        "groups": [one.model_dump(mode="json") for one in client.compared_groups(identifier)],
-        "pairs": [one.model_dump(mode="json") for one in client.compared_pairs(identifier)],
-        "effects": [one.model_dump(mode="json") for one in client.reduction_effects(identifier)],
+        "runs": [run.model_dump(mode="json") for run in client.compared_runs(identifier)],
+        "groups": [group.model_dump(mode="json") for group in client.compared_groups(identifier)],
+        "pairs": [pair.model_dump(mode="json") for pair in client.compared_pairs(identifier)],
+        "effects": [effect.model_dump(mode="json") for effect in client.reduction_effects(identifier)],
     }
 
 
 def print_comparison(groups: Sequence[ComparedGroup], effects: Sequence[ReductionEffect]) -> None:
     """Prints Table 5 of the paper for these runs, and below it what the reductions changed."""
-    several = len({one.reduction for one in groups}) > 1
+    several = len({group.reduction for group in groups}) > 1
     header = ["optimizer", "population", *(["reduction"] if several else []), "best", "mean", "min", "rating", "sets at best"]
     header += ["simulations", "converged", "iterations", "simulations until then", "as good as any"]
     rows = [
         [
-            *(one.optimizer, one.population, *([one.reduction] if several else [])),
-            *(_number(value, 4) for value in (one.best, one.mean, one.minimum)),
-            _number(one.rating, 3),
-            _number(one.alternatives, 1),
-            _number(one.simulations, 0),
-            f"{one.converged} of {one.seeds}",
-            _number(one.iterations_to_converge, 1),
-            _number(one.simulations_to_converge, 0),
-            f"{one.successes} of {one.seeds}",
+            *(group.optimizer, group.population, *([group.reduction] if several else [])),
+            *(_number(value, 4) for value in (group.best, group.mean, group.minimum)),
+            _number(group.rating, 3),
+            _number(group.alternatives, 1),
+            _number(group.simulations, 0),
+            f"{group.converged} of {group.seeds}",
+            _number(group.iterations_to_converge, 1),
+            _number(group.simulations_to_converge, 0),
+            f"{group.successes} of {group.seeds}",
         ]
-        for one in groups
+        for group in groups
     ]
     print_columns(header, rows)
     typer.echo(
@@ -66,13 +66,13 @@ def _print_effects(effects: Sequence[ReductionEffect]) -> None:
     ]
     rows = [
         [
-            *(one.optimizer or "all", one.population or "all", f"{one.reduction} - {one.base}", one.pairs),
-            f"{one.mean_difference:+.4f}",
-            "-" if one.lower_95 is None or one.upper_95 is None else f"{one.lower_95:+.4f} to {one.upper_95:+.4f}",
-            *(one.better, one.equal, one.worse, f"{one.sign_test:.3g}", f"{one.different_upper_95:.1%}"),
-            f"{one.base_simulations - one.simulations:,} ({one.saved_share:.1%})",
+            *(effect.optimizer or "all", effect.population or "all", f"{effect.reduction} - {effect.base}", effect.pairs),
+            f"{effect.mean_difference:+.4f}",
+            "-" if effect.lower_95 is None or effect.upper_95 is None else f"{effect.lower_95:+.4f} to {effect.upper_95:+.4f}",
+            *(effect.better, effect.equal, effect.worse, f"{effect.sign_test:.3g}", f"{effect.different_upper_95:.1%}"),
+            f"{effect.base_simulations - effect.simulations:,} ({effect.saved_share:.1%})",
         ]
-        for one in effects
+        for effect in effects
     ]
     print_columns([*header, "sign test p", "differ at most", "simulations saved"], rows)
 

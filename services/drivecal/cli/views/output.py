@@ -11,7 +11,8 @@ import typer
 from pydantic import BaseModel
 
 from drivecal.cli.views.event_text import ASKED
-from drivecal.contracts.campaign import Campaign, CellCounts, Solution, StageCellCounts
+from drivecal.contracts.campaign import Campaign, CellCounts, StageCellCounts
+from drivecal.contracts.tables import Solution
 from drivecal.report.sections.commands import evaluation
 
 OUTCOMES = ("failed", "certified", "reused", "repeated", "simulated")
@@ -77,14 +78,14 @@ def print_solutions(solutions: Sequence[Solution], spec: Mapping[str, Any]) -> N
     header = ["rank", "objective", "rating", *first.scores, *first.parameters]
     rows = [
         [
-            *(one.rank, f"{one.objective:.4f}", f"{one.rating:.3f}"),
-            *(f"{score}*" if scenario in one.reused else score for scenario, score in one.scores.items()),
-            *one.parameters.values(),
+            *(solution.rank, f"{solution.objective:.4f}", f"{solution.rating:.3f}"),
+            *(f"{score}*" if scenario in solution.reused else score for scenario, score in solution.scores.items()),
+            *solution.parameters.values(),
         ]
-        for one in solutions
+        for solution in solutions
     ]
     print_columns(header, rows)
-    reused = next((one for one in solutions if one.reused), None)
+    reused = next((solution for solution in solutions if solution.reused), None)
     if reused is not None:
         command = evaluation(reused.parameters, spec, reused.scores)
         typer.echo(f"* taken from a reference; this simulates the set of rank {reused.rank}:\n{command}")
@@ -121,8 +122,8 @@ def print_cells(runs: Sequence[tuple[str, CellCounts]]) -> None:
             [
                 name,
                 *(
-                    f"{getattr(cells, one):,}"
-                    for one in ("proposed", "carried_over", "requested", *reversed(OUTCOMES), "audited")
+                    f"{getattr(cells, name):,}"
+                    for name in ("proposed", "carried_over", "requested", *reversed(OUTCOMES), "audited")
                 ),
                 f"{saved(cells):.1%}",
             ]

@@ -12,7 +12,7 @@ from drivecal.analysis.robustness_difference import difference, pairs_of
 from drivecal.cli.views.output import parameters_text, print_columns
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.setup import CampaignSetup
-from drivecal.contracts.studies import RobustnessRow
+from drivecal.contracts.tables import RobustnessRow
 
 BOXES = ("delta", "steps", "samples", "eta", "condition", "refinements", "seed")
 """Settings that decide what a degree means; `seed` draws the vehicles."""
@@ -36,11 +36,11 @@ class MadeStudy:
         found: dict[str, Any] = {name: wanted.get(name) for name in (*BOXES, *CHOICE)}
         found["of"] = found["of"] or self.maker.id
         scenarios = self.setup.scenarios
-        found["scenarios"] = [one.scenario for one in scenarios]
-        found["weights"] = {one.scenario: round(one.weight, 6) for one in scenarios}
+        found["scenarios"] = [scenario.scenario for scenario in scenarios]
+        found["weights"] = {scenario.scenario: round(scenario.weight, 6) for scenario in scenarios}
         found["evaluator"] = self.setup.evaluator
         for name in ("driving_function", "vehicle", "simulator"):  # with their versions, where a run has been asked for
-            used = sorted({str(getattr(one, name)) for one in scenarios if getattr(one, name)})
+            used = sorted({str(getattr(scenario, name)) for scenario in scenarios if getattr(scenario, name)})
             known = spec.get(name)
             found[name] = ", ".join(used) or (known["model"] if isinstance(known, dict) else known)
         found["vehicle.parameters"] = (spec.get("vehicle") or {}).get("parameters") or {}
@@ -115,7 +115,7 @@ def print_difference(one: MadeStudy, other: MadeStudy) -> None:
 
 
 def _both(here: object, there: object) -> str:
-    shown = ["-" if one is None else str(one) for one in (here, there)]
+    shown = ["-" if value is None else str(value) for value in (here, there)]
     return shown[0] if shown[0] == shown[1] else " -> ".join(shown)
 
 

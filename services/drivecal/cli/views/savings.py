@@ -52,17 +52,18 @@ def print_accounting(found: Accounting) -> None:
     if found.audited:
         price = _seconds(found.audited_seconds)
         typer.echo(f"  the self-check simulated {found.audited:,} reusable cells in {price}; they are not counted as saved")
-    confirmed = sum(one.confirmed for one in found.scenarios)
+    confirmed = sum(scenario.confirmed for scenario in found.scenarios)
     if confirmed:
         typer.echo(
             f"  {confirmed:,} reused cells were simulated after all, to confirm the best set; they are not counted as saved"
         )
-    proved = sum(one.proved for one in found.scenarios)
+    proved = sum(scenario.proved for scenario in found.scenarios)
     if proved:
         off = [
-            f"{one.scenario} {one.proved_different:,} of {one.proved:,}{f', {one.proved_wrong:,} of them wrong' * bool(one.proved_wrong)}"
-            for one in found.scenarios
-            if one.proved_different
+            f"{row.scenario} {row.proved_different:,} of {row.proved:,}"
+            f"{f', {row.proved_wrong:,} of them wrong' * bool(row.proved_wrong)}"
+            for row in found.scenarios
+            if row.proved_different
         ]
         typer.echo(
             f"  certificates say of {proved:,} reused cells what a simulation would have given; another score: {'; '.join(off) or 'none'}"
@@ -100,8 +101,16 @@ def print_narrowed(narrowed: list[Narrowed] | None) -> None:
     typer.echo("\nthe search was narrowed to where some scenario is influenced")
     header = ["parameter", "lower", "upper", "of lower", "of upper", "values left out", "of"]
     rows = [
-        [one.parameter, one.lower, one.upper, one.full_lower, one.full_upper, one.removed_values, one.values]
-        for one in narrowed
+        [
+            parameter.parameter,
+            parameter.lower,
+            parameter.upper,
+            parameter.full_lower,
+            parameter.full_upper,
+            parameter.removed_values,
+            parameter.values,
+        ]
+        for parameter in narrowed
     ]
     print_columns(header, rows)
 

@@ -55,8 +55,8 @@ class Activity:
 
     def describe(self, workers: Collection[WorkerInfo]) -> list[WorkerInfo]:
         """The workers with what they do. Those that are not among them any more are forgotten."""
-        self._desks = {one.id: self._desks[one.id] for one in workers if one.id in self._desks}
-        return [self._describe(one) for one in workers]
+        self._desks = {worker.id: self._desks[worker.id] for worker in workers if worker.id in self._desks}
+        return [self._describe(worker) for worker in workers]
 
     def _take(self, worker: str, batch_id: int) -> bool:
         desk = self._desks.get(worker)

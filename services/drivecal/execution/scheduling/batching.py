@@ -55,11 +55,11 @@ class CellCosts:
 
     def observe(self, setup: SetupKey, cells: int, seconds: float) -> None:
         """Takes in one finished batch."""
-        for one in filter(None, (setup, self._kinds.get(setup))):
-            measured = self._measured.get(one) or deque(maxlen=self._remembered)
+        for name in filter(None, (setup, self._kinds.get(setup))):
+            measured = self._measured.get(name) or deque(maxlen=self._remembered)
             measured.append(max(seconds, 1e-6) / cells)
-            _note(self._measured, one, measured)
-            _note(self._medians, one, sorted(measured)[(len(measured) - 1) // 2])
+            _note(self._measured, name, measured)
+            _note(self._medians, name, sorted(measured)[(len(measured) - 1) // 2])
 
     def seconds_per_cell(self, setup: SetupKey) -> float | None:
         """What a cell of this setup costs; None before the first measurement of its kind."""

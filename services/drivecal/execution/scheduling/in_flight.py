@@ -74,7 +74,7 @@ class InFlightCells:
         Raises ValueError where a cell's id is outstanding already; nothing is added then.
         """
         ids = [cell.id for cell in cells]
-        twice = [one for one in ids if one in self._claims]
+        twice = [identifier for identifier in ids if identifier in self._claims]
         if twice or len(set(ids)) < len(ids):
             raise ValueError(f"cells are outstanding already or listed twice, e.g. {twice[:3] or ids[:3]}")
         if not cells:

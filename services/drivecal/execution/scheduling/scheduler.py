@@ -232,9 +232,9 @@ class Scheduler:
         self._charge(sent, sent.charged if seconds is None else seconds)
         answers = [(leader, _broken(leader, breakdown, detail)) for leader in sent.leaders]
         if breakdown is not Breakdown.ERROR:  # the worker is gone as well
-            return [done for one in answers for done in self._again_or_failed(*one, worker, alone=sent.alone)]
+            return [done for answer in answers for done in self._again_or_failed(*answer, worker, alone=sent.alone)]
         self._worker_health.failed(worker, detail)
-        return [done for one in answers for done in self._broke_down(*one, worker, alone=sent.alone)]
+        return [done for answer in answers for done in self._broke_down(*answer, worker, alone=sent.alone)]
 
     def withdraw(self, tag: str) -> int:
         """Drops the cells of `tag` that are not at a worker. Returns how many are: those still complete, unless they get lost."""

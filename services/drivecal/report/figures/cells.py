@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from drivecal.contracts.campaign import Generation
+from drivecal.contracts.tables import Generation
 from drivecal.report.figures.drawing import BLUE, GREEN, SKY, VERMILION, Drawn, style, whole_numbers
 from drivecal.report.markup import table
 from drivecal.report.sections.search import shown
@@ -27,7 +27,7 @@ OUTCOMES = (
 
 def accumulated(generations: Sequence[Generation]) -> dict[str, list[int]]:
     """By outcome (fields of OUTCOMES) the cells of all iterations up to each."""
-    return {field: list(accumulate(_count(one, field) for one in generations)) for field, *_ in OUTCOMES}
+    return {field: list(accumulate(_count(generation, field) for generation in generations)) for field, *_ in OUTCOMES}
 
 
 def drawn(generations: Sequence[Generation]) -> Drawn:
@@ -38,7 +38,7 @@ def drawn(generations: Sequence[Generation]) -> Drawn:
     )
     totals = accumulated(generations)
     parts = ", ".join(f"{totals[field][-1]:,} {label}" for field, label, *_ in OUTCOMES)
-    alt = f"Stacked areas that end at {sum(one[-1] for one in totals.values()):,} requested cells: {parts}."
+    alt = f"Stacked areas that end at {sum(total[-1] for total in totals.values()):,} requested cells: {parts}."
     return Drawn("figure-11-cells", caption, cells_figure(generations), alt=alt)
 
 
@@ -48,9 +48,9 @@ def cells_table(generations: Sequence[Generation]) -> str:
     places = {one.iteration: place for place, one in enumerate(generations)}
     lines = shown(generations)
     rows = [
-        [one.iteration + 1, sum(values[places[one.iteration]] for values in totals.values())]
-        + [totals[field][places[one.iteration]] for field, *_ in OUTCOMES]
-        for one in lines
+        [line.iteration + 1, sum(values[places[line.iteration]] for values in totals.values())]
+        + [totals[field][places[line.iteration]] for field, *_ in OUTCOMES]
+        for line in lines
     ]
     some = "" if len(lines) == len(generations) else f"; {len(lines)} of {len(generations)} iterations, all in generations.csv"
     return table(
@@ -61,7 +61,7 @@ def cells_table(generations: Sequence[Generation]) -> str:
 def cells_figure(generations: Sequence[Generation]) -> Figure:
     """Requested cells of all iterations up to each, stacked by outcome; outcomes that never occurred are left out."""
     totals = accumulated(generations)
-    numbers = [one.iteration + 1 for one in generations]
+    numbers = [generation.iteration + 1 for generation in generations]
     edges = np.append(np.array(numbers) - 0.5, numbers[-1] + 0.5)
     requested = sum(values[-1] for values in totals.values())
     saved = sum(totals[field][-1] for field in ("repeated", "reused", "certified")) / max(1, requested)

@@ -11,8 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from drivecal.contracts.campaign import Generation
 from drivecal.contracts.comparison import ComparedPair, ComparedRun, ReductionEffect
+from drivecal.contracts.tables import Generation
 from drivecal.report.figures.drawing import BLUE, INK, KINDS, RULE, Dashes, Drawn, style, whole_numbers
 
 PAPER = {"swarm": "Figure 7. ", "genetic": "Figure 8. "}
@@ -26,15 +26,15 @@ Kind = tuple[int, str]
 def search_figures(runs: Sequence[ComparedRun], generations: Mapping[str, Sequence[Generation]]) -> Iterator[Drawn]:
     """One figure per optimizer, every run a line: the best objective over the iterations, and over the simulations; where all runs have the
     same best objective all the time, the rating of the best set over the simulations."""
-    kinds = list(dict.fromkeys((one.population, one.reduction) for one in runs))
+    kinds = list(dict.fromkeys((run.population, run.reduction) for run in runs))
     values = [one.best for listed in generations.values() for one in listed if one.best is not None]
     if not values:
         return
     low, high = min(values), max(values)
     margin = 0.1 * (high - low) or 0.5
     names: set[str] = set()
-    for optimizer in dict.fromkeys(one.optimizer for one in runs):
-        mine = [one for one in runs if one.optimizer == optimizer and generations.get(one.run)]
+    for optimizer in dict.fromkeys(run.optimizer for run in runs):
+        mine = [run for run in runs if run.optimizer == optimizer and generations.get(run.run)]
         if mine:
             with style():
                 figure = Figure(figsize=(7.4, 3.2), layout="constrained")
@@ -43,7 +43,7 @@ def search_figures(runs: Sequence[ComparedRun], generations: Mapping[str, Sequen
                 for axes in (left, right) if low < high else (left,):
                     axes.set_ylim(low - margin, high + margin)
                 _label(figure, left, right, optimizer, kinds, by_rating=low == high)
-            best = max((one.best for one in mine if one.best is not None), default=None)
+            best = max((run.best for run in mine if run.best is not None), default=None)
             found = "nothing is answered yet" if best is None else f"the best objective found is {best:.3f}"
             name = _unlike(f"search-{_slug(optimizer)}", names)
             names.add(name)
@@ -81,7 +81,7 @@ def _label(figure: Figure, left: Axes, right: Axes, optimizer: str, kinds: Seque
     whole_numbers(left)
     several = len({reduction for _, reduction in kinds}) > 1
     names = [f"{population:,}, {reduction}" if several else f"{population:,}" for population, reduction in kinds]
-    lines = [Line2D([], [], color=_look(kinds, one)[0], linestyle=_look(kinds, one)[1]) for one in kinds]
+    lines = [Line2D([], [], color=_look(kinds, kind)[0], linestyle=_look(kinds, kind)[1]) for kind in kinds]
     title = f"{optimizer}: individuals per iteration{', reduction' if several else ''}"
     figure.legend(lines, names, loc="outside lower center", ncols=4, title=title)
 
@@ -101,30 +101,32 @@ def _caption(optimizer: str, *, by_rating: bool) -> str:
 
 def optima_figure(runs: Sequence[ComparedRun]) -> Drawn:
     """Where all runs ended, and what that took, by population: a mark for each run."""
-    populations = list(dict.fromkeys(one.population for one in runs))
-    kinds = list(dict.fromkeys((one.optimizer, one.reduction) for one in runs))
+    populations = list(dict.fromkeys(run.population for run in runs))
+    kinds = list(dict.fromkeys((run.optimizer, run.reduction) for run in runs))
     several = len({reduction for _, reduction in kinds}) > 1
     with style():
         figure = Figure(figsize=(7.4, 2.9), layout="constrained")
         panels = figure.subplots(1, 3)
         for number, kind in enumerate(kinds):
-            mine = [one for one in runs if (one.optimizer, one.reduction) == kind and one.best is not None]
+            mine = [run for run in runs if (run.optimizer, run.reduction) == kind and run.best is not None]
             across = []
-            for one in mine:
-                peers = [other for other in mine if other.population == one.population]
-                within = (peers.index(one) - (len(peers) - 1) / 2) / max(len(peers), 1)
+            for run in mine:
+                peers = [other for other in mine if other.population == run.population]
+                within = (peers.index(run) - (len(peers) - 1) / 2) / max(len(peers), 1)
                 slot = (number - (len(kinds) - 1) / 2) + 0.7 * within
-                across.append(populations.index(one.population) + 0.8 * slot / len(kinds))
+                across.append(populations.index(run.population) + 0.8 * slot / len(kinds))
             look = {"linestyle": "none", "marker": MARKERS[number % len(MARKERS)], "markersize": 3.5}
             label = ", ".join(kind) if several else kind[0]
             colour = KINDS[number % len(KINDS)][0]
             for axes, field in zip(panels, ("simulated_best", "rating", "simulations"), strict=True):
-                values = [getattr(one, field) for one in mine]
-                axes.plot(across, [float("nan") if one is None else one for one in values], color=colour, label=label, **look)
+                values = [getattr(run, field) for run in mine]
+                axes.plot(
+                    across, [float("nan") if value is None else value for value in values], color=colour, label=label, **look
+                )
         for axes, what in zip(panels, ("best objective", "rating of the best set", "simulations"), strict=True):
-            axes.set_xticks(range(len(populations)), [f"{one:,}" for one in populations])
+            axes.set_xticks(range(len(populations)), [f"{population:,}" for population in populations])
             axes.set(xlabel="individuals per iteration", ylabel=what, xlim=(-0.6, len(populations) - 0.4))
-        panels[-1].set_ylim(0, 1.08 * max(one.simulations for one in runs))
+        panels[-1].set_ylim(0, 1.08 * max(run.simulations for run in runs))
         figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     caption = (
         "Final optima of all runs with the ratings of their best sets, and the simulations that each took; one mark per seed."
@@ -134,25 +136,25 @@ def optima_figure(runs: Sequence[ComparedRun]) -> Drawn:
 
 def effects_figure(pairs: Sequence[ComparedPair], effects: Sequence[ReductionEffect]) -> Drawn:
     """Left: the difference of the final optimum of every pair, with the mean and its interval. Right: the share of simulations saved."""
-    named = [one for one in effects if one.optimizer is not None]
+    named = [effect for effect in effects if effect.optimizer is not None]
     with style():
         figure = Figure(figsize=(7.4, 1.4 + 0.5 * len(named)), layout="constrained")
         left, right = figure.subplots(1, 2, sharey=True)
         for row, effect in enumerate(named):
             mine = [
-                one
-                for one in pairs
-                if (one.optimizer, one.population, one.reduction) == (effect.optimizer, effect.population, effect.reduction)
+                pair
+                for pair in pairs
+                if (pair.optimizer, pair.population, pair.reduction) == (effect.optimizer, effect.population, effect.reduction)
             ]
             heights = [row + 0.5 * ((place + 0.5) / len(mine) - 0.5) for place in range(len(mine))]
-            left.plot([one.difference for one in mine], heights, linestyle="none", marker="o", markersize=3, color=BLUE)
+            left.plot([run.difference for run in mine], heights, linestyle="none", marker="o", markersize=3, color=BLUE)
             if effect.lower_95 is not None and effect.upper_95 is not None:
                 left.plot([effect.lower_95, effect.upper_95], [row - 0.36] * 2, color=INK, linewidth=1.2)
             left.plot(effect.mean_difference, row - 0.36, marker="D", markersize=4, color=INK)
-            shares = [100 * one.saved / one.base_simulations if one.base_simulations else 0.0 for one in mine]
+            shares = [100 * run.saved / run.base_simulations if run.base_simulations else 0.0 for run in mine]
             right.plot(shares, heights, linestyle="none", marker="o", markersize=3, color=BLUE)
         left.axvline(0, color=RULE, linewidth=0.8, zorder=0)
-        names = [f"{one.optimizer}, {one.population:,}\n{one.reduction}" for one in named]
+        names = [f"{name.optimizer}, {name.population:,}\n{name.reduction}" for name in named]
         left.set_yticks(range(len(named)), names)
         left.set(xlabel="difference of the final optimum", ylim=(len(named) - 0.5, -0.6))
         right.set(xlabel="simulations saved, %")
@@ -160,7 +162,7 @@ def effects_figure(pairs: Sequence[ComparedPair], effects: Sequence[ReductionEff
         "Each dot is a pair of searches with the same seed: with the reduction less without it. Diamond and line: the mean with its 95 % "
         "confidence interval."
     )
-    equal, every = sum(one.equal for one in named), sum(one.pairs for one in named)
+    equal, every = sum(name.equal for name in named), sum(name.pairs for name in named)
     return Drawn("reduction", caption, figure, alt=f"{equal} of {every} pairs end with equal optima.")
 
 

@@ -11,9 +11,8 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from drivecal.contracts.campaign import Solution
 from drivecal.contracts.setup import SearchedParameter
-from drivecal.contracts.studies import OptimumRow
+from drivecal.contracts.tables import OptimumRow, Solution
 from drivecal.plugins.ports import Floats
 from drivecal.report.figures.drawing import INK, KINDS, RULE, Drawn, style
 from drivecal.report.sections.optima import constant, count, searched, summary
@@ -26,7 +25,10 @@ WORSE = "#D0D0D0"
 
 def positions(sets: Sequence[Solution], parameters: Sequence[SearchedParameter]) -> Floats:
     """Where the values lie in the parameters' ranges, from 0 to 1, shape (n_sets, n_parameters)."""
-    rows = [[(one.parameters[each.name] - each.lower) / (each.upper - each.lower) for each in parameters] for one in sets]
+    rows = [
+        [(parameter_set.parameters[each.name] - each.lower) / (each.upper - each.lower) for each in parameters]
+        for parameter_set in sets
+    ]
     return np.array(rows, dtype=np.float64).reshape(len(sets), len(parameters))
 
 
@@ -39,7 +41,7 @@ def drawn(
     """Figure 12, left. `solutions`: the best of the ranking, `optima` among them; `recommended`: the values of the set that a robustness
     study recommends."""
     axes = searched(parameters)
-    worse = [one for one in solutions if one.rank > len(optima)][:MOST_OTHERS]
+    worse = [solution for solution in solutions if solution.rank > len(optima)][:MOST_OTHERS]
     same = constant(optima, axes)
     shown = f"the first {MOST_BEST} of the {len(optima)} sets" if len(optima) > MOST_BEST else count(len(optima), "set")
     caption = (
@@ -77,7 +79,10 @@ def optima_figure(
         _lines(axes, positions(worse, parameters), WORSE, "-", 0.5, "optima.worse", 2)
         handles = _regions(axes, best, parameters)
         if recommended is not None:
-            heights = [(recommended[one.name] - one.lower) / (one.upper - one.lower) for one in parameters]
+            heights = [
+                (recommended[parameter.name] - parameter.lower) / (parameter.upper - parameter.lower)
+                for parameter in parameters
+            ]
             (line,) = axes.plot(
                 places, heights, color=INK, linewidth=1.0, marker="o", markersize=3.5, zorder=5.5, gid="recommended"
             )
@@ -87,7 +92,7 @@ def optima_figure(
             handles.append(Line2D([], [], color=WORSE, linewidth=1.2, label="ranked next"))
         for place, one in enumerate(parameters):
             _axis(axes, place, one, same.get(one.name))
-        labels = [_name(one, same.get(one.name)) for one in parameters]
+        labels = [_name(parameter, same.get(parameter.name)) for parameter in parameters]
         axes.set_xticks(places, labels)
         axes.tick_params(axis="x", length=0, pad=11)
         axes.set_yticks([])
@@ -108,14 +113,14 @@ def _axis(axes: Axes, place: int, one: SearchedParameter, same: float | None) ->
 
 def _regions(axes: Axes, best: Sequence[OptimumRow], parameters: Sequence[SearchedParameter]) -> list[Line2D]:
     """Draws the best sets, the first on top; returns the legend's entries: one per region, one for all without a kind of their own."""
-    counts = Counter(min(one.region, len(KINDS)) for one in best)
+    counts = Counter(min(solution.region, len(KINDS)) for solution in best)
     handles = []
     for region in sorted(counts):
-        members = [one for one in best if min(one.region, len(KINDS)) == region]
+        members = [solution for solution in best if min(solution.region, len(KINDS)) == region]
         if region < len(KINDS):
             (colour, dashes), label = KINDS[region], f"region {region}: {count(len(members), 'set')}"
         else:
-            others = len({one.region for one in members})
+            others = len({member.region for member in members})
             colour, dashes, label = OTHER_REGIONS, "-", f"{count(others, 'other region')}: {count(len(members), 'set')}"
         width = 1.5 if region < len(KINDS) else 0.7
         _lines(axes, positions(members, parameters), colour, dashes, width, f"optima.{region}", 5 - 0.01 * region)

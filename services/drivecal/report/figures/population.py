@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from matplotlib.figure import Figure
 
-from drivecal.contracts.campaign import Generation
+from drivecal.contracts.tables import Generation
 from drivecal.report.figures.drawing import BLUE, INK, ORANGE, VERMILION, Drawn, style, whole_numbers
 
 LARGEST_WITH_MARKERS = 60
@@ -21,7 +21,7 @@ def drawn(generations: Sequence[Generation], baseline: float | None = None) -> D
         "Figure 10. Left: the objectives of the population in each iteration. Right: how many distinct parameter sets had been found "
         "by then with the best objective by then."
     )
-    answered = [one for one in generations if one.best is not None]
+    answered = [generation for generation in generations if generation.best is not None]
     alt = "Nothing is answered yet."
     if answered:
         first, last = answered[0], answered[-1]
@@ -36,13 +36,13 @@ def drawn(generations: Sequence[Generation], baseline: float | None = None) -> D
 def population_figure(generations: Sequence[Generation], baseline: float | None = None) -> Figure:
     """Left: best, mean and minimum of each population, and the objective of the `baseline` where there is one. Right: how many distinct
     sets have been found by then whose objective is the best by then."""
-    numbers = [one.iteration + 1 for one in generations]
+    numbers = [generation.iteration + 1 for generation in generations]
     marked = len(numbers) <= LARGEST_WITH_MARKERS
     with style():
         figure = Figure(figsize=(7.4, 3.0), layout="constrained")
         left, right = figure.subplots(1, 2)
         for field, label, colour, dashes, marker in LINES:
-            values = [_number(getattr(one, field)) for one in generations]
+            values = [_number(getattr(generation, field)) for generation in generations]
             (line,) = left.plot(numbers, values, linestyle=dashes, color=colour, label=label, linewidth=1.4)
             line.set_gid(f"population.{field}")
             if marked:
@@ -55,15 +55,15 @@ def population_figure(generations: Sequence[Generation], baseline: float | None 
         left.margins(y=0.08)
         figure.legend(*left.get_legend_handles_labels(), loc="outside lower left", ncols=4)
         # An iteration that has no best yet is still being answered, and its alternatives are not counted.
-        counts = [float("nan") if one.best is None else one.alternatives for one in generations]
+        counts = [float("nan") if generation.best is None else generation.alternatives for generation in generations]
         (line,) = right.plot(numbers, counts, color=BLUE, linewidth=1.4, drawstyle="steps-mid")
         line.set_gid("population.alternatives")
         if marked:
             line.set(marker="o", markersize=3.5)
-        best = next((one.best for one in reversed(generations) if one.best is not None), None)
+        best = next((generation.best for generation in reversed(generations) if generation.best is not None), None)
         title = "Alternative optima" if best is None else f"Alternative optima, F(ps) = {best:.3f}"
         right.set(xlabel="iteration", ylabel="number of parameter sets", title=title)
-        right.set_ylim(0, max(1, *(one.alternatives for one in generations)) * 1.08)
+        right.set_ylim(0, max(1, *(generation.alternatives for generation in generations)) * 1.08)
         for axes in (left, right):
             whole_numbers(axes)
             axes.set_xlim(0.5, max(numbers) + 0.5)

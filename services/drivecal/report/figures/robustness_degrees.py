@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 
-from drivecal.contracts.studies import BoxTrial, RobustnessRow
+from drivecal.contracts.tables import BoxTrial, RobustnessRow
 from drivecal.report.figures.drawing import INK, SKY, VERMILION, Drawn, style
 from drivecal.report.sections.robustness import Robust, condition, degree
 
@@ -47,7 +47,7 @@ def _drawn(studied: Robust, name: str) -> Drawn:
 
 def robustness_figure(rows: Sequence[RobustnessRow]) -> Figure:
     """A bar per set from 0 to the widest box that was tried; each piece, from one box to the next, tells the largest deviation in it."""
-    widest = max((one.radius for row in rows for one in row.trials), default=1.0)
+    widest = max((trial.radius for row in rows for trial in row.trials), default=1.0)
     with style():
         figure = Figure(figsize=(7.4, 1.1 + 0.24 * len(rows)), layout="constrained")
         axes = figure.subplots()

@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from drivecal.contracts.inventory import InfluenceRow
+from drivecal.contracts.tables import InfluenceRow
 from drivecal.report.figures.spider import by_scenario
 from drivecal.report.markup import Emphasized, paragraph, table
 

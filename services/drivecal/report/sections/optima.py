@@ -6,9 +6,8 @@ from collections.abc import Iterable, Sequence
 from itertools import groupby
 
 from drivecal.analysis.optima import NEIGHBOURS
-from drivecal.contracts.campaign import Solution
 from drivecal.contracts.setup import SearchedParameter
-from drivecal.contracts.studies import OptimumRow
+from drivecal.contracts.tables import OptimumRow, Solution
 from drivecal.report.markup import Number, paragraph, table
 
 MOST_REGIONS = 12
@@ -17,14 +16,14 @@ MOST_REGIONS = 12
 
 def searched(parameters: Iterable[SearchedParameter]) -> list[SearchedParameter]:
     """Those that are not held."""
-    return [one for one in parameters if one.fixed is None]
+    return [parameter for parameter in parameters if parameter.fixed is None]
 
 
 def constant(sets: Sequence[Solution], parameters: Iterable[SearchedParameter]) -> dict[str, float]:
     """The searched parameters that have one value in all of the sets; of a single set nothing can be said."""
     if len(sets) < 2:
         return {}
-    values = {each.name: {one.parameters[each.name] for one in sets} for each in parameters}
+    values = {each.name: {parameter_set.parameters[each.name] for parameter_set in sets} for each in parameters}
     return {name: next(iter(found)) for name, found in values.items() if len(found) == 1}
 
 
@@ -35,7 +34,7 @@ def count(number: int, what: str) -> str:
 
 def summary(optima: Sequence[OptimumRow]) -> str:
     """How many sets, in how many regions."""
-    regions = len({one.region for one in optima})
+    regions = len({optimum.region for optimum in optima})
     share = "shares" if len(optima) == 1 else "share"
     return f"{count(len(optima), 'set')} that {share} the best objective, in {count(regions, 'distinct region')}."
 
@@ -73,5 +72,5 @@ def _region(one: OptimumRow) -> int:
 
 
 def _to_worse(members: Iterable[OptimumRow]) -> list[Number | None]:
-    known = [one.to_worse for one in members if one.to_worse is not None]
+    known = [member.to_worse for member in members if member.to_worse is not None]
     return [Number(f"{min(known):.3f}"), Number(f"{max(known):.3f}")] if known else [None, None]

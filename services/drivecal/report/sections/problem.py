@@ -21,19 +21,25 @@ def setting(findings: ReportData) -> list[str]:
     """Scenarios, parameters and the stages' settings."""
     setup, spec = findings.setup, findings.campaign.spec
     scenarios = [
-        [one.scenario, findings.titles.get(one.scenario, ""), Number(f"{one.weight:.4g}"), one.step_seconds, one.seed]
-        for one in setup.scenarios
+        [
+            scenario.scenario,
+            findings.titles.get(scenario.scenario, ""),
+            Number(f"{scenario.weight:.4g}"),
+            scenario.step_seconds,
+            scenario.seed,
+        ]
+        for scenario in setup.scenarios
     ]
     parameters = [
         [
-            one.name,
-            "" if one.unit == "1" else one.unit,
-            one.lower,
-            one.upper,
-            one.n_values,
-            "searched" if one.fixed is None else f"held at {one.fixed:g}",
+            parameter.name,
+            "" if parameter.unit == "1" else parameter.unit,
+            parameter.lower,
+            parameter.upper,
+            parameter.n_values,
+            "searched" if parameter.fixed is None else f"held at {parameter.fixed:g}",
         ]
-        for one in setup.parameters
+        for parameter in setup.parameters
     ]
     stages = [[name, _settings(spec[name])] for name in SETTINGS if name in spec]
     return [
@@ -56,21 +62,21 @@ def _settings(value: object) -> str:
 def versions(setup: CampaignSetup, version: str) -> list[str]:
     """What decided the runs, and the fingerprints under which the reference table keeps them."""
     program = f"drivecal {version}" if version == setup.server else f"drivecal {version} of a server {setup.server}"
-    known = [one for one in setup.scenarios if one.driving_function is not None]
+    known = [scenario for scenario in setup.scenarios if scenario.driving_function is not None]
     used: dict[str, list[str | None]] = {
         "this report": [program],
-        "driving function": [one.driving_function for one in known],
-        "vehicle": [one.vehicle for one in known],
-        "simulator": [one.simulator for one in known],
+        "driving function": [solution.driving_function for solution in known],
+        "vehicle": [solution.vehicle for solution in known],
+        "simulator": [solution.simulator for solution in known],
         "evaluator": [setup.evaluator],
     }
-    rows = [[name, ", ".join(dict.fromkeys(one for one in values if one))] for name, values in used.items()]
-    fingerprints = [[one.scenario, one.fingerprint, one.scenario_digest] for one in setup.scenarios]
+    rows = [[name, ", ".join(dict.fromkeys(value for value in values if value))] for name, values in used.items()]
+    fingerprints = [[scenario.scenario, scenario.fingerprint, scenario.scenario_digest] for scenario in setup.scenarios]
     parts = [
         table(["", "version"], rows, "Versions"),
         table(["scenario", "run fingerprint", "of its network and definition"], fingerprints, "Fingerprints of the setups"),
     ]
-    vehicle: Mapping[str, float] | None = next((one.vehicle_parameters for one in known), None)
+    vehicle: Mapping[str, float] | None = next((solution.vehicle_parameters for solution in known), None)
     if vehicle:
         values = [[name.replace("_", " "), value] for name, value in vehicle.items()]
         parts.append(table(["vehicle parameter", "value"], values, "Parameters of the nominal vehicle, in SI units"))
@@ -89,7 +95,7 @@ def again(findings: ReportData) -> list[str]:
     if isinstance(sensitivity, dict) and "map" in sensitivity:
         text += " It names an influence map by its id, which another database does not have: post it there first."
     parts = [subheading("The same again"), paragraph(text)]
-    scenarios = [one.scenario for one in findings.setup.scenarios]
+    scenarios = [scenario.scenario for scenario in findings.setup.scenarios]
     if campaign.best is not None:
         commands.append(f"{evaluation(campaign.best.parameters, campaign.spec, scenarios)}    # the best set")
     if recommended is not None:

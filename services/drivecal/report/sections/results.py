@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 
-from drivecal.contracts.campaign import Best, Campaign, Solution
-from drivecal.contracts.studies import OptimumRow
+from drivecal.contracts.campaign import Best, Campaign
+from drivecal.contracts.tables import OptimumRow, Solution
 from drivecal.report.data import ReportData
 from drivecal.report.markup import Number, bullets, paragraph, table
 from drivecal.report.sections import reuse, search
@@ -20,7 +20,7 @@ def summary(findings: ReportData) -> list[str]:
     campaign, best = findings.campaign, findings.campaign.best
     if best is None:
         return [bullets(_studies(findings))] if findings.robustness or findings.validation else [_nothing(campaign)]
-    regions = len({one.region for one in findings.optima})
+    regions = len({optimum.region for optimum in findings.optima})
     least = "at least " * (len(findings.optima) < best.alternatives)
     where = f", in {least}{regions} distinct regions" if regions > 1 else ""
     share = "1 parameter set has it" if best.alternatives == 1 else f"{best.alternatives:,} parameter sets share it{where}"
@@ -35,7 +35,7 @@ def summary(findings: ReportData) -> list[str]:
     if findings.accounting is not None:
         sentences.append(findings.accounting.sentence)
     sentences += [_errors(campaign), _proofs(findings), *_studies(findings)]
-    return [bullets(one for one in sentences if one), _compared(findings, best)]
+    return [bullets(sentence for sentence in sentences if sentence), _compared(findings, best)]
 
 
 def _nothing(campaign: Campaign) -> str:
@@ -45,10 +45,10 @@ def _nothing(campaign: Campaign) -> str:
 
 
 def _errors(campaign: Campaign) -> str:
-    audited = sum(one.audited for one in campaign.error_rate.values())
+    audited = sum(rate.audited for rate in campaign.error_rate.values())
     if not audited:
         return ""
-    different, wrong = (sum(getattr(one, name) for one in campaign.error_rate.values()) for name in ("different", "wrong"))
+    different, wrong = (sum(getattr(rate, name) for rate in campaign.error_rate.values()) for name in ("different", "wrong"))
     stopped = [name for name, one in campaign.error_rate.items() if one.stopped]
     text = errors_text("audited answers", audited, different, wrong)
     return text + (f" Reuse was stopped in {', '.join(stopped)}." if stopped else "")
@@ -96,31 +96,36 @@ def _row(
     best: Best,
 ) -> list[object]:
     shown = None if objective is None else Number(f"{objective:.4f}")
-    return [name, shown, *(scores.get(one) for one in best.scores), *(values.get(one) for one in best.parameters)]
+    return [
+        name,
+        shown,
+        *(scores.get(score) for score in best.scores),
+        *(values.get(parameter) for parameter in best.parameters),
+    ]
 
 
 def solutions_table(solutions: Sequence[Solution], optima: Iterable[OptimumRow]) -> str:
     """The best sets, with the regions of those that share the best objective."""
     if not solutions:
         return ""
-    known = {one.rank: one for one in optima}
+    known = {optimum.rank: optimum for optimum in optima}
     first, shown = solutions[0], solutions[:SHOWN]
     rows = [
         [
-            one.rank,
-            Number(f"{one.objective:.4f}"),
-            Number(f"{one.rating:.3f}"),
-            known[one.rank].region if one.rank in known else None,
-            *(Number(f"{score}*" if name in one.reused else f"{score}") for name, score in one.scores.items()),
-            *one.parameters.values(),
+            solution.rank,
+            Number(f"{solution.objective:.4f}"),
+            Number(f"{solution.rating:.3f}"),
+            known[solution.rank].region if solution.rank in known else None,
+            *(Number(f"{score}*" if name in solution.reused else f"{score}") for name, score in solution.scores.items()),
+            *solution.parameters.values(),
         ]
-        for one in shown
+        for solution in shown
     ]
     caption = (
         "The best set"
         if len(shown) == 1
         else f"The {len(shown)} best sets; equal objectives are ordered by the continuous rating"
     )
-    if any(one.reused for one in shown):
+    if any(solution.reused for solution in shown):
         caption += ". A star: the score is that of a reference, this very set was not simulated there"
     return table(["rank", "objective", "rating", "region", *first.scores, *first.parameters], rows, caption)

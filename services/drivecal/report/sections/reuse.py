@@ -16,16 +16,13 @@ def cells_by_stage(campaign: Campaign) -> str:
     def row(name: str, cells: CellCounts | StageCellCounts) -> list[object]:
         return [
             name,
-            *(getattr(cells, one, None) for one in ("proposed", "carried_over", "requested", *OUTCOMES, "audited", "checked")),
+            *(
+                getattr(cells, name, None)
+                for name in ("proposed", "carried_over", "requested", *OUTCOMES, "audited", "checked")
+            ),
         ]
 
-    stages: dict[str, CellCounts | StageCellCounts] = {
-        "sensitivity": campaign.sensitivity_cells,
-        "calibration": campaign.cells,
-        "robustness": campaign.robustness_cells,
-        "validation": campaign.validation_cells,
-    }
-    rows = [row(name, cells) for name, cells in stages.items() if cells.requested]
+    rows = [row(name, cells) for name, cells in campaign.by_stage().items() if cells.requested]
     header = ["stage", "proposed", "carried over", "requested", *OUTCOMES, "of simulated: audits", "checks of certificates"]
     return table(header, rows, "Cells by stage and outcome", wrap_header=True) if rows else ""
 
@@ -60,7 +57,7 @@ def proved(found: Accounting | None) -> tuple[int, int, int]:
     """Reused cells of which a certificate says what a simulation would have given, and how many of their references have another score,
     and one that is off by more than 1."""
     rows = [] if found is None else found.scenarios
-    known, different, wrong = (sum(getattr(one, name) for one in rows) for name in PROVED)
+    known, different, wrong = (sum(getattr(row, name) for row in rows) for name in PROVED)
     return known, different, wrong
 
 
@@ -72,12 +69,12 @@ def _proved(found: Accounting | None) -> list[str]:
         return []
     rows = [
         [
-            one.scenario,
-            *(getattr(one, name) for name in ("reused", *PROVED)),
-            Number(f"{one.proved_wrong / one.proved:.2%}") if one.proved else None,
+            scenario.scenario,
+            *(getattr(scenario, name) for name in ("reused", *PROVED)),
+            Number(f"{scenario.proved_wrong / scenario.proved:.2%}") if scenario.proved else None,
         ]
-        for one in found.scenarios
-        if one.reused
+        for scenario in found.scenarios
+        if scenario.reused
     ]
     header = ["scenario", "reused", "proved", "different", "wrong", "R_err"]
     caption = (
@@ -88,8 +85,8 @@ def _proved(found: Accounting | None) -> list[str]:
 
 
 def _certified(campaign: Campaign) -> list[str]:
-    stages = (campaign.sensitivity_cells, campaign.cells, campaign.robustness_cells, campaign.validation_cells)
-    certified, checked = sum(one.certified for one in stages), sum(one.checked for one in stages)
+    stages = campaign.stages.values()
+    certified, checked = sum(cells.certified for cells in stages), sum(cells.checked for cells in stages)
     if not certified and not checked:
         return []
     text = (

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
-from drivecal.contracts.studies import OptimumRow, RobustnessRow
+from drivecal.contracts.tables import OptimumRow, RobustnessRow
 from drivecal.report.data import Studied
 from drivecal.report.markup import Number, paragraph, table
 
@@ -33,7 +33,7 @@ def degree(row: RobustnessRow) -> str:
 
 def limits(row: RobustnessRow, settings: Mapping[str, Any]) -> dict[str, float | None]:
     """The scenarios that broke the condition in the smallest box where it did not hold, with their deviations (None: no result)."""
-    trial = min((one for one in row.trials if not one.holds), key=lambda one: one.radius, default=None)
+    trial = min((trial for trial in row.trials if not trial.holds), key=lambda one: one.radius, default=None)
     if trial is None:
         return {}
     eta = settings.get("eta", 1.0)
@@ -59,8 +59,14 @@ def boxes(studied: Robust) -> Iterator[Sequence[object]]:
     scenarios = list(studied.rows[0].scores)
     yield "rank", "box", "radius", "holds", *(f"deviation_{name}" for name in scenarios)
     for row in studied.rows:
-        for one in row.trials:
-            yield row.rank, one.box, one.radius, str(one.holds).lower(), *(one.deviations.get(name) for name in scenarios)
+        for trial in row.trials:
+            yield (
+                row.rank,
+                trial.box,
+                trial.radius,
+                str(trial.holds).lower(),
+                *(trial.deviations.get(name) for name in scenarios),
+            )
 
 
 def parts(studies: Sequence[Robust], optima: Sequence[OptimumRow], campaign: str, drawing: str) -> list[str]:
@@ -87,7 +93,7 @@ def parts(studies: Sequence[Robust], optima: Sequence[OptimumRow], campaign: str
 def _quality(main: Robust, others: Sequence[Robust]) -> str:
     """The ranking by robust beside that by nominal quality."""
     nominal, settings = by_nominal(main.rows), main.study.settings
-    elsewhere = [{_key(row.parameters): Number(degree(row)) for row in one.rows} for one in others]
+    elsewhere = [{_key(row.parameters): Number(degree(row)) for row in other.rows} for other in others]
     rows = [
         [
             Number(f"{row.rank}{' *' if row.recommended else ''}"),
@@ -102,8 +108,8 @@ def _quality(main: Robust, others: Sequence[Robust]) -> str:
         ]
         for row in main.rows
     ]
-    vehicles = {one.study.vehicle for one in (main, *others)}
-    degrees = [_label(one, vehicles) for one in (main, *others)]
+    vehicles = {study.study.vehicle for study in (main, *others)}
+    degrees = [_label(study, vehicles) for study in (main, *others)]
     header = ["rank, robust", "rank, nominal", "objective", "rating", *main.rows[0].scores, *degrees, "δ max", "limited by"]
     caption = (
         "Table 9, robustness: sorted by degree, then by the objective; * recommended. All scores were simulated in the nominal vehicle: "
@@ -114,7 +120,7 @@ def _quality(main: Robust, others: Sequence[Robust]) -> str:
 
 
 def _values(studied: Robust, optima: Sequence[OptimumRow]) -> str:
-    regions = {_key(one.parameters): one.region for one in optima}
+    regions = {_key(optimum.parameters): optimum.region for optimum in optima}
     rows = [
         [
             row.rank,

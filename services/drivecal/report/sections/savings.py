@@ -13,8 +13,8 @@ FIELDS = tuple(ScenarioAccount.model_fields)
 def by_scenario(found: Accounting) -> Iterator[Row]:
     """A header, a row per scenario, and one for all of them."""
     yield FIELDS
-    for one in found.scenarios:
-        yield [getattr(one, field) for field in FIELDS]
+    for scenario in found.scenarios:
+        yield [getattr(scenario, field) for field in FIELDS]
     yield ["all", *(_total(found, field) for field in FIELDS[1:])]
 
 
@@ -50,4 +50,4 @@ def seconds_of(found: Accounting) -> list[tuple[str, float]]:
 def _total(found: Accounting, field: str) -> object:
     if field == "mean_seconds":
         return found.simulated_seconds / found.simulated if found.simulated else None
-    return sum(getattr(one, field) for one in found.scenarios)
+    return sum(getattr(scenario, field) for scenario in found.scenarios)

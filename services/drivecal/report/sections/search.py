@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from drivecal.analysis.convergence import UNCHANGED_ALTERNATIVES, UNCHANGED_BEST, alternatives_at, best_at
-from drivecal.contracts.campaign import Campaign, Generation
+from drivecal.contracts.campaign import Campaign
+from drivecal.contracts.tables import Generation
 from drivecal.report.markup import Number, table
 
 MOST_LINES = 13
@@ -14,11 +15,11 @@ MOST_LINES = 13
 
 def convergence(generations: Sequence[Generation]) -> list[str]:
     """A sentence for each criterion. An iteration that is not answered yet takes no part."""
-    answered = [one for one in generations if one.best is not None]
+    answered = [generation for generation in generations if generation.best is not None]
     if not answered:
         return []
-    best = [one.best for one in answered]
-    counts = [one.alternatives for one in answered]
+    best = [cell.best for cell in answered]
+    counts = [cell.alternatives for cell in answered]
     return [
         _sentence(
             "The best objective",
@@ -43,7 +44,7 @@ def afterwards(campaign: Campaign, generations: Sequence[Generation]) -> str:
     """Of cells that are in no iteration, for they confirmed the best set; empty where there are none. Before the last iteration is finished
     those of an unfinished one are in none, too."""
     wanted = (campaign.spec.get("optimizer") or {}).get("iterations")
-    added = campaign.cells.requested - sum(one.requested for one in generations)
+    added = campaign.cells.requested - sum(generation.requested for generation in generations)
     if len(generations) != wanted or added <= 0:
         return ""
     cells = "1 cell was" if added == 1 else f"{added:,} cells were"
@@ -83,7 +84,8 @@ def population_table(generations: Sequence[Generation]) -> str:
     """What Figure 10 shows."""
     lines = shown(generations)
     rows = [
-        [one.iteration + 1, *(_fixed(value) for value in (one.best, one.mean, one.minimum)), one.alternatives] for one in lines
+        [line.iteration + 1, *(_fixed(value) for value in (line.best, line.mean, line.minimum)), line.alternatives]
+        for line in lines
     ]
     some = "" if len(lines) == len(generations) else f"; {len(lines)} of {len(generations)} iterations, all in generations.csv"
     return table(["iteration", "best", "mean", "minimum", "alternatives"], rows, f"Figure 10 in numbers{some}")

@@ -10,8 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import NullFormatter, StrMethodFormatter
 
-from drivecal.contracts.inventory import InfluenceRow
-from drivecal.contracts.studies import ValidationRow
+from drivecal.contracts.tables import InfluenceRow, ValidationRow
 from drivecal.report.data import Studied
 from drivecal.report.figures.drawing import BLUE, INK, VERMILION, Drawn, style
 from drivecal.report.markup import Number, paragraph, table

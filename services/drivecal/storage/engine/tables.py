@@ -69,10 +69,6 @@ campaigns = Table(
     Column("degraded", Text),
     Column("error", Text),
     Column("notes", Document, nullable=False),
-    Column("cells", Document, nullable=False),
-    Column("sensitivity_cells", Document, nullable=False),
-    Column("robustness_cells", Document),
-    Column("validation_cells", Document),
     Column("progress", Document, nullable=False),
     Column("error_rate", Document, nullable=False),
     Column("best", Document),
@@ -94,6 +90,14 @@ campaigns = Table(
         postgresql_where=text("ended_at IS NULL"),
     ),
     sqlite_autoincrement=True,
+)
+
+campaign_stages = Table(
+    "campaign_stages",
+    metadata,
+    Column("campaign_sequence", Identity, ForeignKey("campaigns.sequence"), primary_key=True, autoincrement=False),
+    Column("stage", StageNumber, primary_key=True, autoincrement=False),
+    Column("cells", Document, nullable=False),
 )
 
 generations = Table(

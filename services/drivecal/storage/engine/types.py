@@ -10,7 +10,7 @@ from typing import Any
 from sqlalchemy import JSON, BigInteger, DateTime, Dialect, Integer, SmallInteger, Text
 from sqlalchemy.types import TypeDecorator
 
-from drivecal.domain.campaigns import Stage
+from drivecal.domain.campaigns import StageName
 
 Identity = BigInteger().with_variant(Integer(), "sqlite")
 """64 bits on both; SQLite numbers rows by itself only where the type is spelt INTEGER."""
@@ -21,21 +21,21 @@ Name = Text().with_variant(Text(collation="C"), "postgresql")
 Document = JSON(none_as_null=True)
 """JSON as text, never JSONB, which would forget the order of keys (scenarios, parameters); None is SQL's NULL."""
 
-ORDER = {Stage.SENSITIVITY: 1, Stage.CALIBRATION: 2, Stage.ROBUSTNESS: 3, Stage.VALIDATION: 4}
+ORDER = {StageName.SENSITIVITY: 1, StageName.CALIBRATION: 2, StageName.ROBUSTNESS: 3, StageName.VALIDATION: 4}
 """How stages are stored, so that the database sorts them as they run. Never renumber: databases in use hold these."""
 
 
-class StageNumber(TypeDecorator[Stage]):
+class StageNumber(TypeDecorator[StageName]):
     """A stage, stored as its position in the life of a campaign."""
 
     impl = SmallInteger
     cache_ok = True
 
-    def process_bind_param(self, value: Stage | None, dialect: Dialect) -> int | None:
+    def process_bind_param(self, value: StageName | None, dialect: Dialect) -> int | None:
         del dialect
-        return None if value is None else ORDER[Stage(value)]
+        return None if value is None else ORDER[StageName(value)]
 
-    def process_result_value(self, value: int | None, dialect: Dialect) -> Stage | None:
+    def process_result_value(self, value: int | None, dialect: Dialect) -> StageName | None:
         del dialect
         return None if value is None else STAGES[value]
 

@@ -95,7 +95,7 @@ def check_documents(connection: Connection) -> Iterator[str]:
         for column in table.columns:
             if isinstance(column.type, JSON):
                 query = select(cast(column, Text)).where(column.is_not(None))
-                unreadable = sum(not _readable(one) for one in connection.execute(query).yield_per(STREAMED).scalars())
+                unreadable = sum(not _readable(row) for row in connection.execute(query).yield_per(STREAMED).scalars())
                 if unreadable:
                     yield f"{unreadable:,} documents in {table.name}.{column.name} are no JSON"
 

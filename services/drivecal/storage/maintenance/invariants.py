@@ -22,8 +22,9 @@ from sqlalchemy import (
     type_coerce,
 )
 
-from drivecal.domain.campaigns import CampaignState, Stage
+from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.evaluations import Outcome
+from drivecal.storage.campaign_stages import by_stage, counts
 from drivecal.storage.engine.tables import (
     campaigns,
     evaluations,
@@ -63,35 +64,28 @@ def check_counters(connection: Connection) -> Iterator[str]:
         select(generations.c.campaign_sequence, carried_over).group_by(generations.c.campaign_sequence)
     )
     for sequence, count in carried:
-        counted.setdefault((sequence, ORDER[Stage.CALIBRATION]), {})["carried_over"] = count
-    kept = [campaigns.c[name] for name in _COUNTERS.values()]
-    own = select(campaigns.c.sequence, campaigns.c.id, *kept).where(
+        counted.setdefault((sequence, ORDER[StageName.CALIBRATION]), {})["carried_over"] = count
+    own = select(campaigns.c.sequence, campaigns.c.id, by_stage()).where(
         campaigns.c.kind != "comparison"
-    )  # which sums up those of its runs
-    for one in connection.execute(own.order_by(campaigns.c.sequence)):
-        for stage_of, name in _COUNTERS.items():
-            cells = counted.get((one.sequence, ORDER[stage_of]), {})
+    )  # a sum over its runs
+    for row in connection.execute(own.order_by(campaigns.c.sequence)):
+        for stage_of in StageName:
+            cells = counted.get((row.sequence, ORDER[stage_of]), {})
             cells["requested"] = sum(cells.get(outcome, 0) for outcome in Outcome)
             cells["proposed"] = sum(cells.get(part, 0) for part in ("carried_over", "pending", "requested"))
-            for part, count in (getattr(one, name) or {}).items():
+            for part, count in counts(row.stages, stage_of).model_dump().items():
                 if part not in _NOT_IN_ROWS and count != cells.get(part, 0):
-                    yield f"campaign {one.id} counts {count} {part} in its {name}, its rows {cells.get(part, 0)}"
+                    yield f"campaign {row.id} counts {count} {part} in its {stage_of}, its rows {cells.get(part, 0)}"
 
 
-_COUNTERS = {
-    Stage.SENSITIVITY: "sensitivity_cells",
-    Stage.CALIBRATION: "cells",
-    Stage.ROBUSTNESS: "robustness_cells",
-    Stage.VALIDATION: "validation_cells",
-}
 _NOT_IN_ROWS = {"unrepeatable"}
 
 
 def check_ended(connection: Connection) -> Iterator[str]:
     """Campaigns that have ended have no leases, and those that succeeded no cell without an answer; answered cells have no lease."""
     ended = campaigns.c.state.in_(ENDED)
-    for one in connection.execute(select(campaigns.c.id, campaigns.c.state).where(ended != campaigns.c.ended_at.is_not(None))):
-        yield f"campaign {one.id} is {one.state}, and its end is {'not ' if one.state in ENDED else ''}written down"
+    for row in connection.execute(select(campaigns.c.id, campaigns.c.state).where(ended != campaigns.c.ended_at.is_not(None))):
+        yield f"campaign {row.id} is {row.state}, and its end is {'not ' if row.state in ENDED else ''}written down"
     cells = evaluations.join(campaigns)
     pending = select(campaigns.c.id, func.count()).select_from(cells).where(evaluations.c.outcome.is_(None))
     for name, count in connection.execute(pending.where(campaigns.c.state == CampaignState.SUCCEEDED).group_by(campaigns.c.id)):
@@ -206,18 +200,16 @@ def _wrong_sums(connection: Connection) -> Iterator[str]:
     """Where a comparison has succeeded: until then its sums may be a second behind."""
     ended = campaigns.alias("ended")
     succeeded = (ended.c.kind == "comparison") & (ended.c.state == CampaignState.SUCCEEDED)
-    for one in connection.execute(
-        select(ended.c.sequence, ended.c.id, ended.c.cells, ended.c.sensitivity_cells).where(succeeded)
-    ):
-        found: dict[str, Counter[str]] = {"cells": Counter(), "sensitivity_cells": Counter()}
-        query = select(campaigns.c.cells, campaigns.c.sensitivity_cells).where(campaigns.c.parent_sequence == one.sequence)
-        for run in connection.execute(query.execution_options(yield_per=ROWS)):
-            found["cells"].update(run.cells)
-            found["sensitivity_cells"].update(run.sensitivity_cells)
-        for name, counted in found.items():
-            for part, count in getattr(one, name).items():
-                if count != counted[part]:
-                    yield f"comparison {one.id} counts {count} {part} in its {name}, its runs {counted[part]}"
+    for row in connection.execute(select(ended.c.sequence, ended.c.id, by_stage(ended)).where(succeeded)):
+        summed: dict[StageName, Counter[str]] = {stage: Counter() for stage in StageName}
+        query = select(by_stage()).where(campaigns.c.parent_sequence == row.sequence)
+        for stages in connection.scalars(query.execution_options(yield_per=ROWS)):
+            for stage, cells in stages.items():
+                summed[stage].update(cells)
+        for stage, cells in row.stages.items():
+            for part, count in cells.items():
+                if count != summed[stage][part]:
+                    yield f"comparison {row.id} counts {count} {part} in its {stage}, its runs {summed[stage][part]}"
 
 
 INVARIANTS: dict[str, Check] = {

@@ -14,9 +14,10 @@ from typing import Any, NamedTuple
 
 from sqlalchemy import Connection, func, select
 
-from drivecal.domain.campaigns import Stage
+from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome
 from drivecal.storage import processes
+from drivecal.storage.campaign_stages import by_stage
 from drivecal.storage.engine.bulk import among
 from drivecal.storage.engine.tables import campaigns, leases
 from drivecal.storage.engine.types import now
@@ -128,23 +129,15 @@ def _advance(connection: Connection, tally: Tally) -> tuple[Sums, Tally]:
 def _counts(row: Any) -> Iterable[tuple[str, Mapping[str, int]]]:
     """The counts of a campaign's cells by stage."""
     if row.kind != "calibration":
-        return [(row.kind, row.cells)]
-    return [
-        (Stage.SENSITIVITY, row.sensitivity_cells),
-        (Stage.CALIBRATION, row.cells),
-        (Stage.ROBUSTNESS, row.robustness_cells or {}),
-        (Stage.VALIDATION, row.validation_cells or {}),
-    ]
+        return [(row.kind, row.stages.get(StageName.CALIBRATION, {}))]
+    return [(stage, row.stages.get(stage, {})) for stage in StageName]
 
 
 _QUERY = select(
     campaigns.c.sequence,
     campaigns.c.kind,
     campaigns.c.state,
-    campaigns.c.cells,
-    campaigns.c.sensitivity_cells,
-    campaigns.c.robustness_cells,
-    campaigns.c.validation_cells,
+    by_stage(),
     campaigns.c.simulating_seconds,
     campaigns.c.created_at,
     campaigns.c.ended_at,

@@ -34,7 +34,7 @@ def load(connection: Connection, ids: Sequence[int]) -> dict[int, ParameterSet]:
     """Parameter sets by id. Ids that are not stored are left out."""
     found: dict[int, ParameterSet] = {}
     columns = select(parameter_sets.c.id, parameter_sets.c.parameter_values)
-    for condition in among(connection, parameter_sets.c.id, [int(one) for one in ids]):
+    for condition in among(connection, parameter_sets.c.id, [int(identifier) for identifier in ids]):
         for row in connection.execute(columns.where(condition)):
             found[row.id] = ParameterSet.from_json(row.parameter_values)
     return found

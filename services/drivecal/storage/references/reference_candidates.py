@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from sqlalchemy import Connection, Row, Select, SmallInteger, literal, select, tuple_, type_coerce
 
-from drivecal.domain.campaigns import Stage
+from drivecal.domain.campaigns import StageName
 from drivecal.storage.engine.tables import evaluations, parameter_sets, ratings, runs
 from drivecal.storage.evaluations import DONORS
 from drivecal.storage.references.parameter_sets import parse
@@ -53,7 +53,7 @@ def own_sets(
     connection: Connection,
     campaign_sequence: int,
     scenario: str,
-    before: tuple[Stage, int, int],
+    before: tuple[StageName, int, int],
     names: Sequence[str],
     chunk: int = CHUNK,
 ) -> Iterator[ReferenceCandidates]:

@@ -9,7 +9,7 @@ from typing import Any
 
 from sqlalchemy import Connection, func, select, text
 
-from drivecal.domain.campaigns import Stage
+from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Donor
 from drivecal.storage.engine.bulk import among, insert
 from drivecal.storage.engine.tables import ratings, runs, setups
@@ -31,7 +31,7 @@ class NewRun:
     rating: float
     evaluation_id: int
     campaign_sequence: int
-    stage: Stage
+    stage: StageName
     iteration: int
     individual: int
     from_series: bool = False
@@ -63,8 +63,11 @@ def insert_results(connection: Connection, results: Sequence[NewRun]) -> list[St
     new = _insert(connection, results)
     _insert_ratings(connection, {(run, one.evaluator): one for run, one in new.values()}, repeat(0))
     ids = {id(one): run for run, one in new.values()}
-    compared = iter(_compare(connection, [one for one in results if id(one) not in ids]))
-    return [StoredRun(ids[id(one)], one.evaluation_id, agrees=True) if id(one) in ids else next(compared) for one in results]
+    compared = iter(_compare(connection, [result for result in results if id(result) not in ids]))
+    return [
+        StoredRun(ids[id(result)], result.evaluation_id, agrees=True) if id(result) in ids else next(compared)
+        for result in results
+    ]
 
 
 def largest_id(connection: Connection) -> int:
@@ -87,7 +90,7 @@ def look_up_exact(
 ) -> dict[int, Donor]:
     """The stored results of parameter sets in one setup, by parameter set id; of runs that `evaluator` rated, both up to `watermark`."""
     found: dict[int, Donor] = {}
-    for condition in among(connection, runs.c.parameter_set_id, sorted(int(one) for one in parameter_set_ids)):
+    for condition in among(connection, runs.c.parameter_set_id, sorted(int(identifier) for identifier in parameter_set_ids)):
         query = (
             select(runs.c.parameter_set_id, runs.c.id, runs.c.evaluation_id, runs.c.failure, ratings.c.score, ratings.c.rating)
             .join(ratings, (ratings.c.run_id == runs.c.id) & (ratings.c.evaluator == evaluator))
@@ -106,7 +109,7 @@ def scores(connection: Connection, run_ids: Sequence[int], evaluator: str) -> di
 def metrics(connection: Connection, run_ids: Sequence[int]) -> dict[int, dict[str, float | None]]:
     """The measured metrics of runs by id, None for what was not finite. Ids that are not stored are left out."""
     found: dict[int, dict[str, float | None]] = {}
-    for condition in among(connection, runs.c.id, [int(one) for one in run_ids]):
+    for condition in among(connection, runs.c.id, [int(run_id) for run_id in run_ids]):
         for row in connection.execute(select(runs.c.id, runs.c.metrics).where(condition)):
             found[row.id] = row.metrics
     return found
@@ -117,11 +120,12 @@ def _insert(connection: Connection, results: Sequence[NewRun]) -> dict[tuple[int
     created_at = now()
     statement = insert(connection, runs).on_conflict_do_nothing(index_elements=["setup_id", "parameter_set_id"])
     inserted = connection.execute(
-        statement.returning(runs.c.setup_id, runs.c.parameter_set_id, runs.c.id), [_row(one, created_at) for one in results]
+        statement.returning(runs.c.setup_id, runs.c.parameter_set_id, runs.c.id),
+        [_row(result, created_at) for result in results],
     )
     firsts: dict[tuple[int, int], NewRun] = {}
-    for one in results:
-        firsts.setdefault(_key(one), one)
+    for result in results:
+        firsts.setdefault(_key(result), result)
     return {(setup, parameter_set): (run, firsts[setup, parameter_set]) for setup, parameter_set, run in inserted}
 
 
@@ -130,7 +134,7 @@ def _compare(connection: Connection, results: Sequence[NewRun]) -> list[StoredRu
     if not results:
         return []
     known = _stored(connection, results)
-    stored = [known[_key(one)] for one in results]
+    stored = [known[_key(result)] for result in results]
     repeats = [
         run.failure == one.failure and run.metrics == finite(dict(one.metrics))
         for run, one in zip(stored, results, strict=True)
@@ -198,8 +202,8 @@ def _numbers(connection: Connection, count: int) -> Sequence[int]:
 
 def _stored(connection: Connection, results: Sequence[NewRun]) -> dict[tuple[int, int], Any]:
     wanted: dict[int, list[int]] = {}
-    for one in results:
-        wanted.setdefault(one.setup_id, []).append(one.parameter_set_id)
+    for result in results:
+        wanted.setdefault(result.setup_id, []).append(result.parameter_set_id)
     columns = select(runs.c.setup_id, runs.c.parameter_set_id, runs.c.id, runs.c.evaluation_id, runs.c.failure, runs.c.metrics)
     found: dict[tuple[int, int], Any] = {}
     for setup_id, ids in wanted.items():

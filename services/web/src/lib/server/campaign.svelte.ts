@@ -92,8 +92,7 @@ export class CampaignState {
   private measure(): void {
     const campaign = this.campaign;
     if (campaign === null) return;
-    const stages = [campaign.cells, campaign.sensitivity_cells, campaign.robustness_cells, campaign.validation_cells];
-    const answered = stages.reduce((sum, cells) => sum + (cells.requested ?? 0), 0);
+    const answered = Object.values(campaign.stages).reduce((sum, cells) => sum + cells.requested, 0);
     this.rate = campaign.ended_at === null ? this.speed.at(performance.now() / 1000, answered) : null;
   }
 }

@@ -46,9 +46,7 @@ export interface Moving {
   iteration: number | null;
   progress: Progress;
   cells: Cells;
-  sensitivity_cells: Cells;
-  robustness_cells: Partial<Cells>;
-  validation_cells: Partial<Cells>;
+  stages: Record<string, Cells>;
   seconds: { wall: number; simulating: number };
 }
 

@@ -2,11 +2,10 @@ import { expect, test } from "vitest";
 import type { Moving } from "../server/types";
 import { eventLine, leadingStage, parts, referenceWords, sentence, stagesOf } from "./words";
 
+const cells = { proposed: 20, pending: 2, requested: 8, repeated: 1, reused: 2, certified: 1, simulated: 3, failed: 1 };
 const moving: Moving = {
   state: "running", requested_action: null, degraded: null, stage: "calibration", iteration: 3, progress: { done: 1, total: 2, eta_seconds: null },
-  cells: { proposed: 20, pending: 2, requested: 8, repeated: 1, reused: 2, certified: 1, simulated: 3, failed: 1 },
-  sensitivity_cells: { proposed: 0, pending: 0, requested: 0, repeated: 0, certified: 0, simulated: 0, failed: 0 },
-  robustness_cells: {}, validation_cells: {}, seconds: { wall: 0, simulating: 0 },
+  cells, stages: { calibration: cells }, seconds: { wall: 0, simulating: 0 },
 };
 
 test("the parts of what was requested are all of it", () => {
@@ -21,7 +20,7 @@ test("a sentence says what is going on, and what was asked for first", () => {
 
 test("only stages that asked for anything are shown", () => {
   expect(stagesOf(moving)).toEqual(["calibration"]);
-  const study = { ...moving, stage: null, cells: { ...moving.cells, proposed: 0 }, robustness_cells: { proposed: 5 } };
+  const study = { ...moving, stage: null, cells: { ...cells, proposed: 0 }, stages: { robustness: { ...cells, proposed: 5 } } };
   expect([leadingStage(moving), leadingStage(study)]).toEqual(["calibration", "robustness"]);
 });
 

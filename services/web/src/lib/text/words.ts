@@ -31,10 +31,7 @@ export function hasEnded(state: string): boolean {
 
 /** The counters of the stage that runs; of an ended campaign, those of the calibration, or of the last stage that asked for anything. */
 export function cellsOf(campaign: Moving, stage: string | null): Partial<Cells> {
-  if (stage === "sensitivity") return campaign.sensitivity_cells;
-  if (stage === "robustness") return campaign.robustness_cells;
-  if (stage === "validation") return campaign.validation_cells;
-  return campaign.cells;
+  return campaign.stages[stage ?? "calibration"] ?? {};
 }
 
 /** The stages that have asked for cells, in their order. */

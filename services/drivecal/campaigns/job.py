@@ -1,0 +1,31 @@
+"""Jobs: what the dispatcher carries out for one row of the campaigns."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+
+from drivecal.campaigns.cells.cell_tracker import Work
+from drivecal.domain.campaigns import StageName
+from drivecal.execution.scheduling.scheduler import Completed
+
+
+class Job(ABC):
+    """Gives cells to simulate and takes their results, until it is `finished`. All of its state is in the database after every call."""
+
+    finished: bool = False
+    stage: StageName | None = None
+    """The running stage, for the log; None before the first, and for a job without stages."""
+    goes_on: bool = False
+    """Whether it has more to do without any result."""
+
+    @abstractmethod
+    def work(self) -> list[Work]:
+        """Returns what to simulate next; empty while answers are awaited, and when the job is `finished`."""
+
+    @abstractmethod
+    def record(self, completed: Sequence[Completed]) -> list[Work]:
+        """Stores results; returns what to simulate in their place."""
+
+    def sum_up(self) -> None:  # noqa: B027  # a hook
+        """Stores sums that are due later, before the job is paused or cancelled."""

@@ -1,0 +1,177 @@
+"""The loop of every stage: asks for cells round by round, plans and records them, and passes their answers on."""
+
+from __future__ import annotations
+
+import time
+from abc import abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+from sqlalchemy import Connection
+
+from drivecal.campaigns.cells.cell_tracker import CellTracker, Work
+from drivecal.campaigns.cells.planning import View, WantedCell, plan_cells
+from drivecal.campaigns.job import Job
+from drivecal.campaigns.resolve.problem import Bench, CalibrationProblem
+from drivecal.campaigns.stages.eta import EtaEstimate
+from drivecal.contracts.campaign import Progress
+from drivecal.domain.campaigns import StageName
+from drivecal.execution.scheduling.scheduler import Completed
+from drivecal.reduction.assignment import Policy
+from drivecal.storage import campaign_stages, campaigns, results
+from drivecal.storage.campaigns import Snapshot, StoredCampaign
+from drivecal.storage.engine.database import Database
+
+
+@dataclass(frozen=True, slots=True)
+class Round:
+    """Cells that a stage asks for together, by the bench that drives them, and what may answer them."""
+
+    number: int
+    cells: Sequence[tuple[Bench, Sequence[WantedCell]]]
+    policy: Policy
+    carried_over: int = 0
+
+
+class Stage(Job):
+    """One stage of a campaign: `work` gives cells to simulate, `record` takes their results, until the stage is `finished`.
+
+    All state is in the database after every call: a new object on the same campaign goes on exactly as this one would. By default it asks
+    for the finished rounds again and is told their stored answers.
+    """
+
+    name: ClassVar[StageName]
+
+    def __init__(
+        self, database: Database, campaign: StoredCampaign, view: View, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        counts = campaign.counts(self.name)
+        self._database = database
+        self._campaign = campaign
+        self._view = view
+        self._tracker = CellTracker(view, counts.model_dump(), campaign.simulating_seconds)
+        self._eta = EtaEstimate(clock, counts.requested)
+        self._resumed = False
+        self._round: Round | None = None
+        self.finished = False
+
+    @abstractmethod
+    def _ask(self) -> Round | None:
+        """Returns the next round; None when the stage is complete."""
+
+    @abstractmethod
+    def _tell(self, asked: Round) -> None:
+        """Takes in the answers of a round: every cell has one."""
+
+    @property
+    @abstractmethod
+    def _at_most(self) -> int:
+        """The number of cells that the stage may ask for in all, as far as it is known."""
+
+    def _resume(self) -> list[Work]:
+        """Goes on from stored rows if the stage does not ask for its finished rounds again."""
+        return []
+
+    def _announce(self, connection: Connection, asked: Round) -> None:  # a hook
+        """Adds the events that precede a new round."""
+
+    def _store(self, connection: Connection, asked: Round) -> None:  # a hook
+        """Stores what belongs to a new round besides its cells."""
+
+    def _conclude(self) -> None:  # a hook
+        """Stores the outcome of the stage."""
+
+    def _snapshot(self, connection: Connection) -> Snapshot:
+        """The progress to store; a subclass adds what it knows."""
+        del connection
+        counts = campaign_stages.counts({self.name: self._tracker.counts}, self.name)
+        return Snapshot(
+            stage=self.name,
+            iteration=None if self._round is None else self._round.number,
+            cells={self.name: counts},
+            progress=self._progress(counts.requested, counts.proposed),
+            simulating_seconds=self._tracker.simulating_seconds,
+        )
+
+    def _progress(self, requested: int, proposed: int) -> Progress:
+        return self._eta.progress(requested, max(self._at_most, proposed))
+
+    def work(self) -> list[Work]:
+        """Returns what to simulate next; empty while answers are awaited, and when the stage is `finished`."""
+        if not self._resumed:
+            work = self._resume()
+            self._resumed = True
+            if self._tracker.waiting:
+                return work
+        while not self._tracker.waiting and not self.finished:
+            if self._round is not None:
+                self._tell(self._round)
+            self._round = self._ask()
+            if self._round is None:
+                self._conclude()
+                self.finished = True
+                return []
+            work = self._request(self._round)
+            if work:
+                return work
+        return []
+
+    def record(self, completed: Sequence[Completed]) -> list[Work]:
+        """Stores results, in one transaction with the counters that they change; returns what to simulate in their place."""
+        with self._database.transaction() as connection:
+            work = self._tracker.record(connection, completed)
+            self._save(connection)
+        self._tracker.raise_if_refuted()
+        return work
+
+    def _request(self, asked: Round) -> list[Work]:
+        """Commits the cells of a round before any is dispatched; takes them up as they are if an earlier process did so."""
+        sequence = self._campaign.sequence
+        with self._database.transaction() as connection:
+            is_new = not results.has_iteration(connection, sequence, self.name, asked.number)
+            if not is_new and not results.is_pending(connection, sequence, self.name, asked.number):
+                return []  # over before this process began; cells that wait belong to a later round
+            if is_new:
+                self._announce(connection, asked)
+                for position, (bench, cells) in enumerate(asked.cells):
+                    view = self._view if bench is self._view.bench else replace(self._view, bench=bench)
+                    planned = plan_cells(connection, view, asked.policy, self.name, asked.number, cells)
+                    self._tracker.request(connection, planned, carried_over=0 if position else asked.carried_over)
+            benches = [bench for bench, _ in asked.cells if bench is not self._view.bench]
+            work = self._tracker.load(connection, share_runs=asked.policy.mode != "off", benches=benches)
+            if is_new:
+                self._store(connection, asked)
+            self._save(connection)
+        return work
+
+    def _save(self, connection: Connection) -> None:
+        campaigns.save_progress(connection, self._campaign.sequence, self._snapshot(connection))
+
+
+class CampaignStage(Stage):
+    """A stage that a campaign may want."""
+
+    uses_map: ClassVar[bool] = False
+    """Whether its view needs the campaign's influence map."""
+
+    def __init__(
+        self,
+        database: Database,
+        campaign: StoredCampaign,
+        problem: CalibrationProblem,
+        view: View,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        super().__init__(database, campaign, view, clock)
+        self._problem = problem
+
+    @staticmethod
+    @abstractmethod
+    def is_wanted(campaign: StoredCampaign, problem: CalibrationProblem) -> bool:
+        """Whether the campaign wants the stage and does not have its outcome already."""
+
+    @property
+    def _exact(self) -> Policy:
+        """Answers by equal parameter sets only; by none if the campaign reuses nothing."""
+        return Policy("off" if self._problem.specification.reduction.mode == "off" else "exact")

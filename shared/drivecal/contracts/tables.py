@@ -1,0 +1,276 @@
+"""One row model per table: its columns, files, JSON and OpenAPI schema follow from it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from types import NoneType, UnionType
+from typing import Annotated, Any, Generic, Literal, TypeVar, get_args, get_origin
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from drivecal.contracts.campaign import Answer
+
+Kind = Literal["integer", "number", "text", "truth", "numbers"]
+RowModel = TypeVar("RowModel", bound=BaseModel)
+_KINDS: dict[object, Kind] = {bool: "truth", int: "integer", float: "number", str: "text"}
+
+
+class Page(Answer, Generic[RowModel]):
+    """Rows of a table in their order; `next_cursor` null on the last page."""
+
+    items: list[RowModel]
+    next_cursor: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A column of a file and what it holds; every value may be missing."""
+
+    name: str
+    kind: Kind
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """Marks a mapping whose keys are columns of a file; those without a prefix are parameters."""
+
+    prefix: str = ""
+
+    def column(self, key: str) -> str:
+        """The column of a key."""
+        return self.prefix + key if self.prefix else parameter_column(key)
+
+
+@dataclass(frozen=True, slots=True)
+class FileForm:
+    """Marks a field that looks different in a file."""
+
+    kind: Kind
+    convert: Callable[[Any], object]
+
+
+JSON_ONLY = "JSON only"
+"""Marks a field that no file has."""
+_JOINED = FileForm("text", " ".join)
+
+
+def columns_of(model: type[BaseModel], keys: Mapping[str, Sequence[str]] | None = None) -> list[Column]:
+    """The columns of a file of such rows; `keys`: those of its mappings, by field."""
+    columns: list[Column] = []
+    for name, field in model.model_fields.items():
+        mark = _mark(field.metadata, field.annotation)
+        if isinstance(mark, Spread):
+            columns += [Column(mark.column(key), _kind(get_args(field.annotation)[1])) for key in (keys or {})[name]]
+        elif isinstance(mark, FileForm):
+            columns.append(Column(name, mark.kind))
+        elif mark is None:
+            columns.append(Column(name, _kind(field.annotation)))
+    return columns
+
+
+def file_row(row: BaseModel) -> dict[str, Any]:
+    """A row as a file has it, by column."""
+    flat: dict[str, Any] = {}
+    for name, field in type(row).model_fields.items():
+        mark, value = _mark(field.metadata, field.annotation), getattr(row, name)
+        if isinstance(mark, Spread):
+            flat |= {mark.column(key): each for key, each in value.items()}
+        elif isinstance(mark, FileForm):
+            flat[name] = mark.convert(value)
+        elif mark is None:
+            flat[name] = value
+    return flat
+
+
+def parameter_column(name: str) -> str:
+    """The column of a parameter, distinct from the own columns of the table of evaluations."""
+    return f"parameter_{name}" if name in EvaluationRow.model_fields else name
+
+
+def _mark(metadata: Sequence[Any], annotation: Any) -> Spread | FileForm | str | None:
+    marks = [mark for mark in metadata if isinstance(mark, Spread | FileForm) or mark == JSON_ONLY]
+    return marks[0] if marks else _JOINED if annotation == list[str] else None
+
+
+def _kind(annotation: Any) -> Kind:
+    options = get_args(annotation) if get_origin(annotation) is UnionType else (annotation,)
+    [plain] = [option for option in options if option is not NoneType]
+    return "numbers" if get_origin(plain) is list else _KINDS[plain]
+
+
+def _counts_by_points(histogram: Mapping[int, int]) -> list[float]:
+    return [float(histogram.get(points, 0)) for points in range(-7, 8)]
+
+
+PLACE = 5
+"""Leading fields of an evaluation's row, which say which cell it is; its parameters follow."""
+
+
+class EvaluationRow(Answer):
+    """One requested cell; each parameter is a field of its own, by its name.
+
+    `outcome` is null while the answer is pending. `reference`: the evaluation that answered it, or that its audit did not trust.
+    `proven_by`: the evaluation whose run a certificate says that it repeats; it answered certified cells, was checked by a simulation if
+    `proof_agrees` is not null, and tells for reused cells what a simulation would have given.
+    """
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, float]
+
+    id: int
+    stage: str
+    iteration: int
+    individual: int
+    scenario: str
+    outcome: str | None
+    score: int | None
+    rating: float | None
+    reference: int | None
+    audited: bool
+    agrees: bool | None
+    failure: str | None
+    milliseconds: float | None
+    worker: str | None
+    proven_by: int | None
+    proof_agrees: bool | None
+
+    @classmethod
+    def file_columns(cls, parameters: Sequence[str]) -> list[Column]:
+        """The columns of a file: those of the parameters follow the place of the cell."""
+        own = columns_of(cls)
+        return own[:PLACE] + [Column(parameter_column(name), "number") for name in parameters] + own[PLACE:]
+
+
+class Generation(Answer):
+    """One iteration of the calibration stage."""
+
+    iteration: int
+    proposed: int
+    carried_over: int
+    requested: int
+    repeated: int
+    reused: int
+    certified: int
+    simulated: int
+    failed: int
+    audited: int
+    best: float | None
+    """The best objective so far."""
+    rating: float | None = None
+    """The weighted continuous rating of the best set so far; null in campaigns of releases that did not keep it."""
+    mean: float | None
+    minimum: float | None
+    alternatives: int
+    """Distinct parameter sets seen so far whose objective equals the best so far."""
+
+
+class Solution(Answer):
+    """One evaluated parameter set; `rank` counts from 1, equal objectives are ordered by `rating`, then by discovery."""
+
+    rank: int
+    objective: float
+    rating: float
+    scores: Annotated[dict[str, int], Spread("score_")]
+    reused: list[str] = Field(default_factory=list)
+    """Scenarios whose score is that of a reference: this very set was not simulated there."""
+    parameters: Annotated[dict[str, float], Spread()]
+    iteration: int
+    individual: int
+
+
+class OptimumRow(Solution):
+    """One of the sets that share the best objective: an alternative optimum (Section IV-C).
+
+    `region`: sets of one number are neighbours, or joined by a chain of neighbours; `to_worse`: how far, as a root mean square in shares
+    of the searched ranges, the nearest set of a lower objective lies; null where there is none.
+    """
+
+    region: int
+    to_worse: float | None
+
+
+class InfluenceRow(Answer):
+    """One parameter in one scenario. `lower` and `upper` are the inclusive influential bounds in parameter units, the space's own
+    where nothing is cut, null where nothing is influential. What only an analysis can know is null in maps that a user posted."""
+
+    scenario: str
+    parameter: str
+    influential: bool
+    lower: float | None
+    upper: float | None
+    s_rel_intervals: list[float | None] | None = None
+    """One for each interval, from the lower end of the space to its upper; null where too few runs gave a result."""
+    mu: float | None = None
+    sigma: float | None = None
+    mu_star: float | None = None
+    unknown: bool = False
+    """Nothing is known about it, which counts as influential: the map does not list it, or no run of the scenario scored above 0."""
+    unit: str | None = None
+    space_lower: float | None = None
+    space_upper: float | None = None
+    n_values: int | None = None
+    """How many values the parameter may take from `space_lower` to `space_upper`."""
+
+
+class BoxTrial(Answer):
+    """A solution in the vehicles of one box: `radius` is half its width in shares of the vehicle parameters' ranges; `deviations` are what
+    the condition compares with eta, by scenario, null where a vehicle has no result."""
+
+    box: int
+    radius: float
+    holds: bool
+    deviations: dict[str, float | None]
+
+
+class RobustnessRow(Answer):
+    """One of the best sets, ordered by robustness: the degree, then the objective, then the rating.
+
+    `scores`: simulated in the nominal vehicle. `degree`: the multiples of delta up to which the condition holds, at least so many where
+    `at_least`; `radius`: the widest box in which it held (delta_max from below). `region`: sets of one number are neighbours;
+    `to_worse`: how far, in shares of the ranges, the nearest set of a lower objective lies.
+    """
+
+    rank: int
+    objective: float | None
+    rating: float | None
+    degree: int
+    at_least: bool
+    radius: float
+    recommended: bool
+    reason: str | None
+    """Of the recommended one: why it is."""
+    region: int
+    to_worse: float | None
+    scores: Annotated[dict[str, int | None], Spread("score_")]
+    parameters: Annotated[dict[str, float], Spread()]
+    trials: Annotated[list[BoxTrial], JSON_ONLY]
+
+
+class ValidationRow(Answer):
+    """One scenario of the validation (Tables 1 and 2, Figure 14).
+
+    `reducible` parameters have a region in which they do not matter; of their `effects` (main effects and interactions) so many were
+    `covered`. `drawn`: the size of the Latin hypercube, of which `bases` that qualify were kept (n*_LHS), each compared with
+    `references` variants (n_ref). `wrong`: |dF| > 1; R_err = wrong / compared (Eq. 8) with its 95 % Clopper-Pearson interval;
+    `different`: any change. `histogram`: how many variants differ from their base by how many points.
+    """
+
+    scenario: str
+    reducible: int
+    effects: int
+    covered: int
+    drawn: int
+    bases: int
+    references: int
+    compared: int
+    wrong: int
+    different: int
+    error_rate: float | None
+    lower_95: float | None
+    upper_95: float | None
+    histogram: Annotated[dict[int, int], FileForm("numbers", _counts_by_points)]
+    """In files a list of counts for differences from -7 to 7."""
+
+
+SolutionPage = Page[Solution]
