@@ -48,12 +48,12 @@ def test_the_hybrid_vehicle_errs_on_held_out_manoeuvres_as_its_card_says_and_hal
 
 
 def test_the_multi_body_vehicle_drives_as_it_was_recorded() -> None:
-    """The first two manoeuvres stand for all forty."""
+    """The first two manoeuvres represent all forty."""
     recordings = vehicle.record_all((*TRAINED, UNSEEN), 2, vehicle.SEED + 1000)
     kinds, recorded = held_out.read()
     driven = Drives.of(recordings)
     assert vehicle_card.kinds_of(recordings) == kinds[:2]
-    np.testing.assert_allclose(recorded.given[:2], driven.given, atol=1e-5)
+    np.testing.assert_allclose(recorded.inputs[:2], driven.inputs, atol=1e-5)
     np.testing.assert_allclose(recorded.starts[:2], driven.starts, atol=1e-5)
     np.testing.assert_allclose(recorded.truth[:2], driven.truth, atol=3e-4)
     assert len(kinds) == vehicle.HELD_OUT + vehicle.HELD_OUT // len(TRAINED)

@@ -1,1 +1,1 @@
-"""What the nodes of a Ray cluster and the dispatcher have in common: how Ray is set, how a node is started, and who is there."""
+"""Code shared by the nodes of a Ray cluster and the dispatcher: Ray's settings, the start of a node, and the list of nodes."""

@@ -1,10 +1,10 @@
-"""Runs one node of a Ray cluster: `python -m drivecal.cluster head`, or `... worker HEAD:PORT` on as many machines as there are.
+"""Runs one node of a Ray cluster: `python -m drivecal.cluster head` on one machine, `... worker HEAD:PORT` on any number of others.
 
-Looks first whether the node can work at all (token, shared memory, the head, its version), says in a sentence what is wrong, and then
-becomes the guard of `ray start`. Nodes may come and go while campaigns run; the dispatcher gives work to whoever is there.
+Checks the token, shared memory, the head and its version, reports a fault in one sentence, and then becomes the guard of `ray start`.
+Nodes may join and leave while campaigns run; the dispatcher uses all present nodes.
 
-Settings by environment: `RAY_AUTH_TOKEN_PATH`, a file with the token that all nodes share; `DRIVECAL_NODE_CPUS`, workers of this node
-(default: its CPUs); `DRIVECAL_NODE_ADDRESS`, where other nodes find this one (default: found out).
+Environment variables: `RAY_AUTH_TOKEN_PATH`, the file with the token that all nodes share; `DRIVECAL_NODE_CPUS`, the number of workers of
+this node (default: its CPUs); `DRIVECAL_NODE_ADDRESS`, the address of this node for other nodes (default: detected).
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ LONGEST_PAUSE = 10.0
 log = logging.getLogger("drivecal.cluster")
 
 
-def main(words: Sequence[str] | None = None) -> int:
-    """Becomes a node; returns 1 where it cannot."""
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Becomes a node; returns 1 if a check fails."""
     logging.Formatter.converter = time.gmtime
     logging.basicConfig(
         level=logging.INFO,
@@ -42,9 +42,11 @@ def main(words: Sequence[str] | None = None) -> int:
     head.add_argument("--port", type=int, default=PORT)
     worker = roles.add_parser("worker", help="a node with workers")
     worker.add_argument("address", metavar="HEAD:PORT")
-    worker.add_argument("--cpus", type=int, help="workers; else DRIVECAL_NODE_CPUS, else the CPUs of this machine")
-    worker.add_argument("--port", type=int, default=0, help="where this node listens for the others; 0 takes any free one")
-    arguments = parser.parse_args(words)
+    worker.add_argument(
+        "--cpus", type=int, help="number of workers; default: DRIVECAL_NODE_CPUS, else the CPUs of this machine"
+    )
+    worker.add_argument("--port", type=int, default=0, help="port of this node for other nodes; 0 takes any free port")
+    options = parser.parse_args(arguments)
     os.environ.update(QUIET)
     for name, value in ALERT.items():
         os.environ.setdefault(name, value)
@@ -52,76 +54,75 @@ def main(words: Sequence[str] | None = None) -> int:
         check_token(os.environ)
         os.environ.setdefault("RAY_AUTH_MODE", "token")
         check_shared_memory()
-        if arguments.role == "head":
-            command = head_command(arguments.port, os.environ)
-            log.info("the head starts at port %d", arguments.port)
+        if options.role == "head":
+            command = head_command(options.port, os.environ)
+            log.info("starting the head at port %d", options.port)
         else:
-            cpus = cpus_of(arguments.cpus, os.environ)
-            wait_for_head(arguments.address, ask)
-            command = worker_command(arguments.address, cpus, arguments.port, os.environ)
-            log.info("joining the head at %s with %s", arguments.address, "all CPUs" if cpus is None else f"{cpus} CPUs")
+            cpus = cpus_of(options.cpus, os.environ)
+            wait_for_head(options.address, ask)
+            command = worker_command(options.address, cpus, options.port, os.environ)
+            log.info("joining the head at %s with %s", options.address, "all CPUs" if cpus is None else f"{cpus} CPUs")
     except DrivecalError as error:
-        log.error("%s", error)  # noqa: TRY400  # the sentence says it all; a traceback would bury it
+        log.error("%s", error)  # noqa: TRY400  # the message is complete; a traceback would bury it
         return 1
-    return _become(command)
+    return _exec_guard(command)
 
 
 def wait_for_head(address: str, nodes_of: Callable[[str], Sequence[Node]], pause: Callable[[float], None] = time.sleep) -> None:
-    """Returns once the head answers; says so where its version is another one. Raises NotAuthorisedError where it does not accept our
-    token."""
+    """Waits until the head responds; logs an error if its version differs. Raises NotAuthorisedError if it rejects our token."""
     seconds = 1.0
     while True:
         try:
-            nodes = nodes_of(address)
+            members = nodes_of(address)
         except UnavailableError as error:
             log.warning("waiting for the head: %s", error)
             pause(seconds)
             seconds = min(2 * seconds, LONGEST_PAUSE)
         else:
             break
-    for node in nodes:
+    for node in members:
         gap = version_gap(node.version, address) if node.is_head else None
         if gap is not None:
             log.error("%s", gap)
 
 
 def head_command(port: int, environment: Mapping[str, str]) -> list[str]:
-    """`ray start` of a head that runs no workers and starts no machines, with no dashboard: that is where Ray's job API would be."""
-    own = [f"--port={port}", "--num-cpus=0", "--include-dashboard=false", "--no-monitor"]
-    return ["ray", "start", "--head", *own, *_common(environment)]
+    """Returns the `ray start` command of a head without workers, autoscaler, and dashboard (which would open Ray's job API)."""
+    options = [f"--port={port}", "--num-cpus=0", "--include-dashboard=false", "--no-monitor"]
+    return ["ray", "start", "--head", *options, *_common_options(environment)]
 
 
 def worker_command(address: str, cpus: int | None, port: int, environment: Mapping[str, str]) -> list[str]:
-    """`ray start` of a node with workers."""
-    room = [] if cpus is None else [f"--num-cpus={cpus}"]
-    return ["ray", "start", f"--address={address}", f"--node-manager-port={port}", *room, *_common(environment)]
+    """Returns the `ray start` command of a node with workers."""
+    limit = [] if cpus is None else [f"--num-cpus={cpus}"]
+    return ["ray", "start", f"--address={address}", f"--node-manager-port={port}", *limit, *_common_options(environment)]
 
 
-def _common(environment: Mapping[str, str]) -> list[str]:
+def _common_options(environment: Mapping[str, str]) -> list[str]:
     address = environment.get("DRIVECAL_NODE_ADDRESS")
     return [
         *([f"--node-ip-address={address}"] if address else []),
         f"--labels={VERSION_LABEL}={version('drivecal')}",
         f"--object-store-memory={OBJECT_STORE_BYTES}",
         "--num-gpus=0",
-        "--include-log-monitor=false",  # what workers write goes nowhere else; it would be a process of 80 MB
+        "--include-log-monitor=false",  # saves a process of 80 MB; the output of workers is not forwarded
         "--disable-usage-stats",
         "--block",
     ]
 
 
-def cpus_of(given: int | None, environment: Mapping[str, str]) -> int | None:
-    """How many workers a node is to have; None: as many as CPUs. Raises InvalidInputError."""
-    words = environment.get("DRIVECAL_NODE_CPUS", "")
-    if given is not None or not words:
-        return given
-    if not words.isdecimal():
-        raise InvalidInputError(Problem("DRIVECAL_NODE_CPUS", f"{words!r} is no number of workers", "give e.g. 4"))
-    return int(words)
+def cpus_of(option: int | None, environment: Mapping[str, str]) -> int | None:
+    """Returns the number of workers of a node; None means all its CPUs. Raises InvalidInputError."""
+    variable = environment.get("DRIVECAL_NODE_CPUS", "")
+    if option is not None or not variable:
+        return option
+    if not variable.isdecimal():
+        raise InvalidInputError(Problem("DRIVECAL_NODE_CPUS", f"{variable!r} is not a number of workers", "give e.g. 4"))
+    return int(variable)
 
 
-def _become(command: list[str]) -> int:
-    """The guard of the command: this process has loaded all of Ray by now, which nobody needs any more."""
+def _exec_guard(command: list[str]) -> int:
+    """Replaces this process, which has loaded all of Ray by now, by the small guard of `command`."""
     executable = str(Path(sys.executable).with_name(command[0]))
     os.execv(sys.executable, [sys.executable, "-m", "drivecal.cluster.guard", executable, *command[1:]])  # noqa: S606  # no shell
 

@@ -1,4 +1,4 @@
-"""What must hold before a process can be part of a cluster, said in a sentence where Ray would say it in a page or not at all."""
+"""Checks that a process passes before it joins a cluster. Their messages are one sentence; Ray's are a page long or missing."""
 
 from __future__ import annotations
 
@@ -11,14 +11,16 @@ from drivecal.cluster.settings import OBJECT_STORE_BYTES
 from drivecal.domain.errors import ConflictError, InvalidInputError, Problem
 
 SHORTEST_TOKEN = 16
-"""Characters."""
-SHARED_MEMORY = Path("/dev/shm")  # noqa: S108  # where Linux keeps it
-TOKEN_REMEDY = "deploy/secrets.sh makes it; it is the same on all machines of the cluster"  # noqa: S105  # how to get one
+"""Fewest characters of a token."""
+SHARED_MEMORY = Path("/dev/shm")  # noqa: S108  # of Linux
+TOKEN_REMEDY = "deploy/secrets.sh makes it; it is the same on all machines of the cluster"  # noqa: S105  # not a token
 
 
 def check_token(environment: Mapping[str, str]) -> None:
-    """Raises InvalidInputError where there is no token to show; without tokens anybody who reaches a node could run code on it, so that
-    has to be asked for (`RAY_AUTH_MODE=disabled`)."""
+    """Raises InvalidInputError if the token is missing, unreadable or too short.
+
+    Without tokens, every host that reaches a node can run code on it. Set `RAY_AUTH_MODE=disabled` to accept that.
+    """
     path = environment.get("RAY_AUTH_TOKEN_PATH")
     if environment.get("RAY_AUTH_MODE") == "disabled" or (not path and environment.get("RAY_AUTH_TOKEN")):
         return
@@ -29,20 +31,20 @@ def check_token(environment: Mapping[str, str]) -> None:
     try:
         token = Path(path).read_text(encoding="ascii").strip()
     except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "it is no text"
+        reason = getattr(error, "strerror", None) or "it is not text"
         message = f"the cluster's token cannot be read from {path}: {reason}"
         raise InvalidInputError(Problem("RAY_AUTH_TOKEN_PATH", message, TOKEN_REMEDY)) from None
     if len(token) < SHORTEST_TOKEN:
-        message = f"the cluster's token in {path} has {len(token)} characters, {SHORTEST_TOKEN} are the least"
+        message = f"the cluster's token in {path} has {len(token)} characters; it needs at least {SHORTEST_TOKEN}"
         raise InvalidInputError(Problem("RAY_AUTH_TOKEN_PATH", message, TOKEN_REMEDY))
 
 
 def check_shared_memory(folder: Path = SHARED_MEMORY) -> None:
-    """Raises ConflictError where there is less than Ray needs; it would use files instead, and say so in a log that nobody reads."""
+    """Raises ConflictError if less shared memory is free than Ray needs; Ray would silently use files instead."""
     try:
         free = shutil.disk_usage(folder).free
     except OSError:
-        return  # no Linux
+        return  # not Linux
     if free < OBJECT_STORE_BYTES:
         raise ConflictError(
             f"there are {free // 2**20} MB of shared memory in {folder}, and Ray needs {OBJECT_STORE_BYTES // 2**20};"
@@ -51,8 +53,10 @@ def check_shared_memory(folder: Path = SHARED_MEMORY) -> None:
 
 
 def version_gap(theirs: str | None, address: str) -> str | None:
-    """What to say, naming both, where a head has another drivecal than this process; None where it has the same, or does not say. Such a
-    node joins all the same: it gets no work, and the coordinator can tell who asks why."""
+    """Returns a message naming both versions if the head's drivecal differs from ours; None if it is equal or unknown.
+
+    A node of another version joins but gets no work, and the coordinator reports why.
+    """
     ours = version("drivecal")
     if theirs in {None, ours}:
         return None

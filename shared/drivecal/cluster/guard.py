@@ -1,8 +1,8 @@
-"""Runs `ray start --block` and ends with it: `python -m drivecal.cluster.guard COMMAND...`.
+"""Runs `ray start --block` and exits with it: `python -m drivecal.cluster.guard COMMAND...`.
 
-Ray's own watch takes a raylet that gives up in order, as when one of its agents has died, for a wanted end, and blocks for ever beside
-nothing. Here a node without its raylet or its store of state ends, and whoever restarts it joins anew. Standard library only, so that the
-guard is small.
+When a raylet exits in order, e.g. after the death of one of its agents, `ray start` takes that for a requested end and blocks forever.
+This guard ends a node that has lost its raylet or its GCS server, so that a restart policy can let it join again. It uses the standard
+library only, to stay small.
 """
 
 from __future__ import annotations
@@ -19,47 +19,47 @@ from pathlib import Path
 from drivecal.cluster.lineage import end_with_parent
 
 VITAL = {"raylet", "gcs_server"}
-LOOK_SECONDS = 1.0
+POLL_SECONDS = 1.0
 END_SECONDS = 10.0
 
 log = logging.getLogger("drivecal.cluster")
 
 
-def vital_parts(parent: int) -> set[str]:
-    """Those of Ray's vital processes that run as children of a process; none on systems without /proc."""
-    found = set()
+def vital_processes(parent: int) -> set[str]:
+    """Returns the names of Ray's vital processes among the children of a process; empty on systems without /proc."""
+    names = set()
     for entry in Path("/proc").glob("[0-9]*/stat"):
         try:
-            # pid (name) state ppid ...; the name may hold anything
+            # pid (name) state ppid ...; the name may contain any character
             head, _, rest = entry.read_text(errors="replace").rpartition(")")
         except OSError:
             continue
-        state, its_parent = rest.split()[:2]
-        if int(its_parent) == parent and state != "Z":
-            found.add(head.partition("(")[2])
-    return found & VITAL
+        state, parent_id = rest.split()[:2]
+        if int(parent_id) == parent and state != "Z":
+            names.add(head.partition("(")[2])
+    return names & VITAL
 
 
-def guard(command: Sequence[str], look_seconds: float = LOOK_SECONDS) -> int:
-    """Returns the command's exit code, 1 where one of its vital parts ended before it. SIGTERM and SIGINT end it in order."""
+def guard(command: Sequence[str], poll_seconds: float = POLL_SECONDS) -> int:
+    """Returns the command's exit code, or 1 if one of its vital processes ended first. SIGTERM and SIGINT end it in order."""
     process = subprocess.Popen(  # noqa: S603  # `ray start`
         command,
         stdout=subprocess.DEVNULL,  # Ray's welcome; its errors are on standard error
-        preexec_fn=partial(end_with_parent, signal.SIGTERM),  # noqa: PLW1509  # there are no threads here
+        preexec_fn=partial(end_with_parent, signal.SIGTERM),  # noqa: PLW1509  # this process has no threads
     )
-    asked: list[int] = []
+    signals: list[int] = []
 
     def end(number: int, _frame: object) -> None:
-        asked.append(number)
+        signals.append(number)
         process.terminate()
 
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, end)
     seen: set[str] = set()
     while process.poll() is None:
-        running = vital_parts(process.pid)
-        if seen - running and not asked and process.poll() is None:
-            log.error("Ray's %s ended, and so does this node", " and ".join(sorted(seen - running)))
+        running = vital_processes(process.pid)
+        if seen - running and not signals and process.poll() is None:
+            log.error("Ray's %s ended; stopping this node", " and ".join(sorted(seen - running)))
             process.terminate()
             try:
                 process.wait(END_SECONDS)
@@ -68,7 +68,7 @@ def guard(command: Sequence[str], look_seconds: float = LOOK_SECONDS) -> int:
                 process.wait()
             return 1
         seen |= running
-        time.sleep(look_seconds)
+        time.sleep(poll_seconds)
     return process.returncode
 
 

@@ -1,4 +1,4 @@
-"""A process that ends with the one that started it. It imports next to nothing: the guardian of every process needs it."""
+"""Termination of a process with its parent. Imports almost nothing, because the guardian of every process needs it."""
 
 from __future__ import annotations
 
@@ -9,6 +9,6 @@ PR_SET_PDEATHSIG = 1
 
 
 def end_with_parent(number: int) -> None:
-    """To be called in the child, before the command: on Linux it gets signal `number` when its parent is gone, however that ended."""
+    """Sends signal `number` to this process when its parent is gone, for any reason (Linux only). Call it in the child, before exec."""
     if sys.platform.startswith("linux"):
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, number)

@@ -1,33 +1,33 @@
-"""How Ray is set wherever drivecal uses it. No module here imports Ray before these are in the environment: it reads them once."""
+"""Settings of Ray for all processes of drivecal. Set them in the environment before importing Ray, which reads them once."""
 
 from __future__ import annotations
 
 OBJECT_STORE_BYTES = 80 * 2**20
-"""Shared memory of a node, Ray's least: batches and results travel with the calls, the object store stays empty."""
+"""Shared memory of a node, Ray's minimum: batches and results travel with the calls, the object store stays empty."""
 VERSION_LABEL = "drivecal-version"
-"""Label of a node: the drivecal that is installed on it."""
+"""Label of a node with the version of its installed drivecal."""
 PORT = 6379
-"""Of the head, where nothing else is said."""
+"""Default port of the head."""
 
 QUIET = {
     "RAY_USAGE_STATS_ENABLED": "0",
-    # what the backend reports in one line, Ray would print in a paragraph
+    # The backend reports these deaths in one line; Ray would print a paragraph.
     "RAY_DEDUP_LOGS": "1",
     "RAY_DEDUP_LOGS_SKIP_REGEX": "A worker died or was killed|Raylet is terminated",
-    # bookkeeping of every call for a dashboard that is not there: a fifth of a call's CPU time
+    # Bookkeeping for the dashboard, which does not run, takes a fifth of a call's CPU time.
     "RAY_task_events_report_interval_ms": "0",
     "RAY_enable_metrics_collection": "0",
     "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
 }
 """Environment of every process that uses Ray."""
 ALERT = {
-    # a node that ended is noticed within 3 to 4 s, one that is cut off, or vanished with its address, within 7; then it is shown within
-    # 10 on a busy machine, too. Ray's own defaults take 14 to 65 s.
+    # Ray detects a terminated node within 3 to 4 s, and an unreachable node or one whose address vanished within 7 s. drivecal then
+    # shows it within 10 s, also on a busy machine. Ray's own defaults take 14 to 65 s.
     "RAY_health_check_initial_delay_ms": "5000",
     "RAY_health_check_period_ms": "1000",
     "RAY_health_check_timeout_ms": "1000",
     "RAY_health_check_failure_threshold": "3",
-    # a node whose head does not come back ends, and whoever restarts it joins the next one
+    # A node exits if its head does not come back; its restart policy lets it join the next head.
     "RAY_gcs_rpc_server_reconnect_timeout_s": "30",
 }
 """Environment of the nodes of a cluster, beside `QUIET`."""

@@ -1,1 +1,1 @@
-"""What drivecal talks about: pure, frozen values without I/O, on the standard library and numpy alone."""
+"""The domain model: pure, frozen values without I/O, built on the standard library and numpy alone."""

@@ -1,4 +1,4 @@
-"""What pausing, resuming and cancelling come to, by the state that a campaign is in. Pure."""
+"""Effects of pausing, resuming and cancelling a campaign, by its state. Pure."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ Action = Literal["cancel", "pause", "resume"]
 def change(
     campaign_id: str, state: CampaignState, asked: Action | None, action: Action, *, has_started: bool, now: datetime
 ) -> tuple[EventKind, dict[str, Any]] | None:
-    """What to tell, and the columns to change, where `asked` was requested before and not done yet; None where `action` asks for what
-    holds or was asked for already.
+    """Returns the event to record and the columns to change, or None if `action` changes nothing or was requested already.
 
-    Where something runs, the dispatcher is asked. Raises ConflictError where the campaign has ended or is about to be cancelled.
+    `asked`: the earlier request that the dispatcher has not carried out yet. While cells run, the dispatcher carries out the action.
+    Raises ConflictError if the campaign has ended or is about to be cancelled.
     """
     if state.ended:
         if action == "cancel" and state is CampaignState.CANCELLED:

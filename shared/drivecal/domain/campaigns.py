@@ -1,4 +1,4 @@
-"""The life of a campaign."""
+"""States and stages of a campaign."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from enum import StrEnum
 
 
 class CampaignState(StrEnum):
-    """Where a campaign is in its life."""
+    """State of a campaign, from `queued` to one of three final states."""
 
     QUEUED = "queued"
     RUNNING = "running"
@@ -18,7 +18,7 @@ class CampaignState(StrEnum):
 
     @property
     def ended(self) -> bool:
-        """True where nothing will change any more."""
+        """True if the state is final."""
         return self in {CampaignState.CANCELLED, CampaignState.SUCCEEDED, CampaignState.FAILED}
 
 

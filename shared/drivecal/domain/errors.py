@@ -1,7 +1,7 @@
-"""The tree of errors that drivecal raises on purpose.
+"""Exceptions that drivecal raises on purpose.
 
-Every error says in one sentence what is wrong and, where a remedy exists, what would be right. They carry plain strings only, so
-that they survive pickling between processes.
+Each message states in one sentence what is wrong and, if a remedy exists, how to fix it. Exceptions carry plain strings only, so that
+they survive pickling between processes.
 """
 
 from __future__ import annotations
@@ -10,14 +10,14 @@ from dataclasses import dataclass
 
 
 class DrivecalError(Exception):
-    """The root: catch this to catch everything drivecal raises on purpose."""
+    """Base class of all exceptions that drivecal raises on purpose."""
 
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """One thing that is wrong with an input.
+    """One fault of an input.
 
-    `field` is the path of the field, dotted (`optimizer.population`); `message` says what is wrong; `remedy` what would be right.
+    `field`: the dotted path of the field (`optimizer.population`); `message`: what is wrong; `remedy`: how to fix it.
     """
 
     field: str
@@ -30,7 +30,7 @@ class Problem:
 
 
 class InvalidInputError(DrivecalError):
-    """The input cannot be used. `problems` names each field, what is wrong with it and what would be right."""
+    """The input is invalid. `problems` lists each faulty field with its fault and remedy."""
 
     def __init__(self, *problems: Problem) -> None:
         super().__init__(*problems)
@@ -41,7 +41,10 @@ class InvalidInputError(DrivecalError):
 
 
 class NotFoundError(DrivecalError):
-    """No such campaign, evaluation, map: `kind` and `identifier` say what was asked for, `hint` what may have been meant."""
+    """The requested campaign, evaluation or map does not exist.
+
+    `kind` and `identifier` name the request; `hint` suggests what the user may have meant.
+    """
 
     def __init__(self, kind: str, identifier: str, hint: str = "") -> None:
         super().__init__(kind, identifier, hint)
@@ -55,31 +58,31 @@ class NotFoundError(DrivecalError):
 
 
 class ConflictError(DrivecalError):
-    """The request does not fit the state of what it is about, or contradicts an earlier request."""
+    """The request does not fit the state of its object, or contradicts an earlier request."""
 
 
 class NoResultError(DrivecalError):
-    """Everything was tried and nothing came of it."""
+    """No result exists after all attempts."""
 
 
 class UnavailableError(DrivecalError):
-    """Something drivecal depends on (database, server, Ray) does not answer; trying again later may work."""
+    """A dependency of drivecal (database, server, Ray) does not respond; a later attempt may succeed."""
 
 
 class DatabaseError(DrivecalError):
-    """The database cannot be used as it is: no database, another program's, another version's, or held by another server."""
+    """The database cannot be used: it is missing, belongs to another program or version, or is held by another server."""
 
 
 class SupersededError(DrivecalError):
-    """Another process does this one's work by now: nothing more may be written."""
+    """Another process has taken over the work of this one, which must not write any more."""
 
 
 class NotAuthorisedError(DrivecalError):
-    """The server does not know who is asking, or does not let them do it: a token is missing, wrong, or may only read."""
+    """The server refuses the request: its token is missing, wrong, or read-only."""
 
 
 class OverloadError(UnavailableError):
-    """There is no room for more at the moment. `retry_seconds`: when trying again may help."""
+    """The server is at capacity. `retry_seconds`: the time after which to try again."""
 
     def __init__(self, message: str, retry_seconds: int) -> None:
         super().__init__(message, retry_seconds)
@@ -91,8 +94,8 @@ class OverloadError(UnavailableError):
 
 
 class TooLargeError(InvalidInputError):
-    """The input is well-formed and asks for more than this server takes on."""
+    """The input is valid but exceeds a limit of this server."""
 
 
 class RefutedError(DrivecalError):
-    """A simulation contradicts what was proved about it."""
+    """A simulation contradicts its certificate."""

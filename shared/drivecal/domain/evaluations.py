@@ -1,4 +1,4 @@
-"""How a cell, one (parameter set, scenario) pair, gets its answer, and what an answer is."""
+"""Results of cells, i.e. (parameter set, scenario) pairs, and the ways in which cells are answered."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from drivecal.domain.campaigns import StageName
 
 
 class Outcome(StrEnum):
-    """What answered a requested cell. Order of trying: repeated, reused, certified, simulated."""
+    """The way in which a requested cell was answered, in the order of trying: repeated, reused, certified, simulated."""
 
     REPEATED = "repeated"
-    """Same setup, same parameter set: its own stored result."""
+    """Stored result of the same parameter set in the same setup."""
     REUSED = "reused"
-    """A reference that differs only inside non-influential regions (Figure 6 of the paper)."""
+    """Result of a reference that differs only inside non-influential regions (Figure 6 of the paper)."""
     CERTIFIED = "certified"
-    """A stored run that is proved to be bit-identical to what the simulation would have given."""
+    """Stored run that is proved to be bit-identical to the simulation."""
     SIMULATED = "simulated"
-    """A run that gave a result, a failure with score 0 included."""
+    """Simulated run, including a failure with score 0."""
     FAILED = "failed"
     """No result after all attempts: score null, ranked last, never a reference."""
 
 
 class Failure(StrEnum):
-    """Why a simulated run scores 0."""
+    """Reason for which a simulated run scores 0."""
 
     COLLISION = "collision"
     OFF_ROAD = "off_road"
@@ -34,7 +34,7 @@ class Failure(StrEnum):
 
 
 class Breakdown(StrEnum):
-    """Why a cell has no result at all after all attempts."""
+    """Reason for which a cell has no result after all attempts."""
 
     CRASH = "crash"
     HANG = "hang"
@@ -44,19 +44,19 @@ class Breakdown(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Rating:
-    """Comfort on the paper's scale: `rating` continuous in 0..7, `score` its rounding, 7 is best."""
+    """Comfort on the paper's scale: continuous `rating` in 0..7 and its rounding `score`; 7 is best."""
 
     rating: float
     score: int
 
 
 FAILED_RATING = Rating(rating=0.0, score=0)
-"""What a run that failed (collision, off the road, task missed, unstable) is rated, whoever rates."""
+"""Rating of every failed run (collision, off the road, task missed, unstable), independent of the evaluator."""
 
 
 @dataclass(frozen=True, slots=True)
 class RunResult:
-    """What one simulation gave: the measured metrics (names carry units), why it failed if it did, and its rating."""
+    """Result of one simulation: its rating, the measured metrics (names carry units) and the failure, if any."""
 
     rating: Rating
     metrics: Mapping[str, float]
@@ -65,9 +65,12 @@ class RunResult:
 
 @dataclass(frozen=True, slots=True)
 class Answered:
-    """A result. `proven_by`: the number of the run that it provably repeats, where there is one; it was not simulated then, unless
-    `agrees` says whether the simulation gave the same. `agrees` is False without `proven_by` where the simulation turned out not to be
-    deterministic."""
+    """A result and its certificate.
+
+    `proven_by`: the number of the run that the result provably repeats, None without a certificate. `agrees`: whether a simulation gave
+    the same result as the certificate, None if it was not simulated. `agrees` is False without `proven_by` if the simulation turned out
+    not to be deterministic.
+    """
 
     result: RunResult
     proven_by: int | None = None
@@ -76,7 +79,7 @@ class Answered:
 
 @dataclass(frozen=True, slots=True)
 class Donor:
-    """A stored, simulated result: the evaluation that simulated it and what it gave."""
+    """A stored, simulated result and the evaluation that simulated it."""
 
     evaluation: int
     run: int
@@ -87,13 +90,13 @@ class Donor:
 
 @dataclass(frozen=True, slots=True)
 class CellScore:
-    """The answer of one requested cell; `score` and `rating` are None where there is no result.
+    """Score of one requested cell; `score` and `rating` are None without a result.
 
-    `own` is False where it was copied from a reference: the set's own result, if there is one, counts more.
+    `own` is False if the score was copied from a reference: the set's own result, if it exists, takes precedence.
     """
 
     parameter_set: int
-    """Its id."""
+    """Id of the parameter set."""
     scenario: str
     score: int | None
     rating: float | None
@@ -104,7 +107,7 @@ class CellScore:
 
 @dataclass(frozen=True, slots=True)
 class AuditCount:
-    """The self-check of one scenario: `different`: any change of the score; `wrong`: by more than 1 (Eq. 8 of the paper)."""
+    """Audited cells of one scenario: `different` ones changed their score, `wrong` ones by more than 1 (Eq. 8 of the paper)."""
 
     scenario: str
     audited: int

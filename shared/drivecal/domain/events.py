@@ -1,4 +1,4 @@
-"""What can happen to a campaign that is worth telling."""
+"""Kinds of events of a campaign."""
 
 from __future__ import annotations
 
@@ -6,46 +6,48 @@ from enum import StrEnum
 
 
 class EventKind(StrEnum):
-    """Names are stored and sent to clients: add some, never rename one.
+    """Kind of an event. Names are stored and sent to clients: add names, never rename them.
 
-    The first ten tell of the campaign's state, which their data holds as `state`.
+    The first ten kinds report the campaign's state, which their data holds as `state`.
     """
 
     QUEUED = "queued"
     RUNNING = "running"
     PAUSING = "pausing"
-    """Asked to pause; what runs at workers is finished first."""
+    """Pause requested; workers finish their running cells first."""
     PAUSED = "paused"
     RESUMING = "resuming"
-    """Asked to go on."""
+    """Resumption requested."""
     RESUMED = "resumed"
     CANCELLING = "cancelling"
-    """Asked to end; what runs at workers is finished first."""
+    """Cancellation requested; workers finish their running cells first."""
     CANCELLED = "cancelled"
     SUCCEEDED = "succeeded"
     FAILED = "failed"
-    """`error` says why."""
+    """`error`: the reason."""
 
     DEGRADED = "degraded"
-    """It goes on more slowly, or not at all, for now; `reason` says why."""
+    """The campaign is slowed down or stopped for now; `reason`: the cause."""
     RECOVERED = "recovered"
-    """What `degraded` told is over."""
+    """The cause of the last `degraded` event is gone."""
     STAGE = "stage"
-    """A `stage` begins, with at most so many `cells`."""
+    """A `stage` begins, with at most `cells` cells."""
     PHASE = "phase"
-    """A `phase` of the sensitivity stage is finished: its `name`, and the stage's cells so far."""
+    """A `phase` of the sensitivity stage is finished: its `name` and the stage's cells so far."""
     INFLUENCE_MAP = "influence_map"
     """The sensitivity stage stored its map: `id`, and the `influential` parameters by scenario."""
     GENERATION = "generation"
     """An `iteration` (from 0) of the calibration stage is finished: its cells by outcome, `best`, `mean` and `minimum` objective."""
     BEST = "best"
-    """A parameter set is better than all before, or is the best one once those that seemed better were simulated: `objective`,
-    `parameters`, `scores`, `alternatives` with the same objective, and the `iteration` that found it."""
+    """A new best parameter set, either better than all before or best after seemingly better sets were simulated.
+
+    Data: `objective`, `parameters`, `scores`, `alternatives` with the same objective, and the `iteration` of origin.
+    """
     BASELINE = "baseline"
     """The result of the user's own parameter set is known: `objective`, `scores`."""
     REUSE_STOPPED = "reuse_stopped"
-    """In a `scenario` too many audited cells were `wrong` of those `audited`; it is simulated from now on."""
+    """Too many `audited` cells of a `scenario` were `wrong`; from now on all its cells are simulated."""
     RUN = "run"
-    """A `run` of a comparison has ended: its id, `name`, `state` and `best` objective; `ended` `of` so many."""
+    """A `run` of a comparison has ended: its id, `name`, `state` and `best` objective; `ended` runs `of` the total."""
     NOTE = "note"
-    """Something that a reader should know, as `text`."""
+    """A remark for the reader, as `text`."""

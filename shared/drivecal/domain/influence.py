@@ -1,4 +1,4 @@
-"""Influence maps: per scenario and parameter, where a change can change the score (P_sens and PB_sens of the paper)."""
+"""Influence maps: the ranges, by scenario and parameter, in which a change can change the score (P_sens, PB_sens of the paper)."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from decimal import Decimal
 
 @dataclass(frozen=True, slots=True)
 class Influence:
-    """Of one parameter in one scenario.
+    """Influence of one parameter in one scenario.
 
-    `influential` is P_sens; [`lower`, `upper`] is PB_sens, inclusive, in parameter units; None is the space's own bound.
+    `influential` is P_sens; [`lower`, `upper`] is PB_sens, inclusive, in parameter units; None stands for the bound of the space.
     Values below `lower` form one non-influential region, values above `upper` another.
     """
 
@@ -21,20 +21,20 @@ class Influence:
 
 
 EVERYWHERE = Influence(influential=True)
-"""What holds for a parameter or a scenario of which a map says nothing: any change may matter."""
+"""Influence of a parameter or scenario that a map does not list: any change may matter."""
 
 
 @dataclass(frozen=True, slots=True)
 class InfluenceMap:
-    """Influences by scenario id, then by parameter name. What is not listed counts as influential everywhere.
+    """Influences by scenario id, then by parameter name. Unlisted parameters count as influential everywhere.
 
-    `ranges`: the values by parameter that the map speaks of, from lowest to highest; of values outside it says nothing, so any change
-    there may matter. A parameter that is not in it has no limits.
+    `ranges`: lowest and highest analysed value by parameter. Outside its range any change of a parameter may matter. A parameter
+    without an entry has no limits.
     """
 
     scenarios: Mapping[str, Mapping[str, Influence]]
     ranges: Mapping[str, tuple[Decimal, Decimal]] = field(default_factory=dict)
 
     def influence(self, scenario: str, parameter: str) -> Influence:
-        """The influence of one parameter in one scenario."""
+        """Returns the influence of one parameter in one scenario, `EVERYWHERE` if the map does not list it."""
         return self.scenarios.get(scenario, {}).get(parameter, EVERYWHERE)

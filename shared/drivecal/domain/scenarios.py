@@ -1,4 +1,4 @@
-"""Scenarios: a road, the traffic on it, and what the ego vehicle has to do. Pure data; SI units throughout.
+"""Scenarios: a road, its traffic and the task of the ego vehicle. Pure data; SI units throughout.
 
 Positions are Frenet coordinates on the road's reference line, the centre line of the rightmost lane: s along it, d to its left,
 both in metres. Lane i (0 = rightmost) has its centre at d = i * lane width.
@@ -14,7 +14,7 @@ from drivecal.domain.setups import canonical_json, digest
 
 
 class Manoeuvre(StrEnum):
-    """The classes for which comfort is rated (Section IV-A of the paper)."""
+    """Class of manoeuvres, by which comfort is rated (Section IV-A of the paper)."""
 
     LANE_CHANGE = "lane_change"
     LANE_KEEPING = "lane_keeping"
@@ -23,7 +23,7 @@ class Manoeuvre(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class CurvatureKnot:
-    """The reference line's curvature (1/m, positive to the left) at arc length s; linear between knots: clothoids and arcs."""
+    """Curvature (1/m, positive to the left) of the reference line at arc length s; linear between knots: clothoids and arcs."""
 
     s: float
     curvature: float
@@ -46,7 +46,7 @@ class Road:
     lane_width: float
     knots: tuple[CurvatureKnot, ...]
     limits: tuple[SpeedKnot, ...] = (SpeedKnot(0.0, 130.0 / 3.6),)
-    """The speed limits, the first at s = 0. The other vehicles keep to them; each is an edge of the network."""
+    """Speed limits, the first at s = 0. The other vehicles obey them; each is an edge of the network."""
 
     @property
     def right_edge(self) -> float:
@@ -61,9 +61,9 @@ class Road:
 
 @dataclass(frozen=True, slots=True)
 class EgoStart:
-    """Where the ego vehicle starts: s, d (m), speed (m/s) and heading relative to the road (rad), and its outline.
+    """Start of the ego vehicle: s, d (m), speed (m/s), heading relative to the road (rad), and its outline.
 
-    The ego vehicle's position is its centre of mass, taken to be the centre of the outline of `length` times `width` metres.
+    The ego vehicle's position is its centre of mass, assumed to be the centre of the outline of `length` times `width` metres.
     """
 
     s: float
@@ -76,7 +76,7 @@ class EgoStart:
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """What the ego vehicle has to do: be in the target lane and drive the desired speed.
+    """Task of the ego vehicle: to be in the target lane at the desired speed.
 
     The task is missed unless, over the last `hold` seconds, the ego vehicle stays within `lane_tolerance` metres of the target lane's
     centre and within `speed_tolerance` m/s of the desired speed.
@@ -85,7 +85,7 @@ class Task:
     start_lane: int
     target_lane: int
     speeds: tuple[SpeedKnot, ...]
-    """The desired speed along the road; between knots it holds until the next."""
+    """Desired speed along the road; each holds until the next knot."""
     lane_change_after: float = 0.0
     """Time (s) from which the target lane is wanted."""
     hold: float = 1.0
@@ -95,7 +95,7 @@ class Task:
 
 @dataclass(frozen=True, slots=True)
 class TrafficVehicle:
-    """Another vehicle: where its centre starts, how fast it wants to drive, how it reacts (SUMO's IDM), how it drifts."""
+    """Another vehicle: start of its centre, desired speed, parameters of SUMO's IDM, and drift."""
 
     id: str
     lane: int
@@ -122,7 +122,7 @@ class Scenario:
     step: float
     road: Road
     network: bytes
-    """The content of the SUMO network file built from `road`."""
+    """Content of the SUMO network file built from `road`."""
     ego: EgoStart
     task: Task
     traffic: tuple[TrafficVehicle, ...] = ()
@@ -130,7 +130,7 @@ class Scenario:
 
     @cached_property  # a robustness study makes hundreds of setups of each scenario
     def digest(self) -> str:
-        """Content hash of all that decides a run, the network's bytes included; the title may be reworded."""
+        """Content hash of everything that decides a run, including the network's bytes and excluding the title."""
         document = asdict(self) | {"network": digest(self.network)}
         del document["title"]
         return digest(canonical_json(document).encode())

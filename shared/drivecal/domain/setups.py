@@ -1,4 +1,4 @@
-"""Setups: everything besides the parameter set that decides a run, and the fingerprints that name it."""
+"""Setups: everything that decides a run apart from the parameter set, and the fingerprint of it."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from dataclasses import dataclass
 
 
 def canonical_json(document: object) -> str:
-    """One text per document: sorted keys, no white space, shortest floats, no NaN."""
+    """Serialises a document to its only canonical text: sorted keys, no white space, shortest floats, no NaN."""
     return json.dumps(document, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
 
 
 def digest(content: bytes) -> str:
-    """The content hash used throughout: BLAKE2b, 128 bits, hexadecimal."""
+    """Returns the content hash used throughout drivecal: BLAKE2b, 128 bits, hexadecimal."""
     return hashlib.blake2b(content, digest_size=16).hexdigest()
 
 
@@ -22,12 +22,12 @@ def digest(content: bytes) -> str:
 class Setup:
     """One scenario driven by one driving function in one vehicle in one simulator.
 
-    Weights and bounds are not in it, so reweighted reruns and narrowed ranges find everything.
+    It excludes weights and bounds, so that reruns with other weights or narrower ranges find all stored results.
     """
 
     scenario: str
     scenario_digest: str
-    """Of the scenario's definition and its network's bytes."""
+    """Digest of the scenario's definition and its network's bytes."""
     driving_function: str
     driving_function_version: str
     vehicle: str
@@ -40,7 +40,7 @@ class Setup:
 
     @property
     def document(self) -> dict[str, object]:
-        """All that is fingerprinted, as plain data."""
+        """Content of the fingerprint as plain data."""
         return {
             "scenario": self.scenario,
             "scenario_digest": self.scenario_digest,
@@ -56,10 +56,10 @@ class Setup:
 
     @property
     def fingerprint(self) -> str:
-        """The run fingerprint."""
+        """Run fingerprint: the digest of `document`."""
         return digest(canonical_json(self.document).encode())
 
     @classmethod
     def from_document(cls, document: Mapping[str, object]) -> Setup:
-        """The inverse of `document`."""
+        """Inverts `document`."""
         return cls(**document)  # type: ignore[arg-type]  # the fields are those written by `document`

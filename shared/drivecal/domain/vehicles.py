@@ -1,4 +1,4 @@
-"""What identifies a vehicle model: its parameters with the bounds within which robustness is examined."""
+"""Parameters of a vehicle model, with the bounds of the robustness study."""
 
 from __future__ import annotations
 

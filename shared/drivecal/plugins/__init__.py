@@ -1,1 +1,1 @@
-"""What can be plugged in (`ports`), how it is found (`registry`), and the setups made of it (`setups`)."""
+"""Plug-ins: their protocols (`ports`), their discovery (`registry`) and the setups that they form (`setups`)."""

@@ -1,6 +1,6 @@
-"""Files of arrays that learned plug-ins are shipped with: plain `.npz`, nothing in it can be executed, and every bit of it is checked.
+"""Array files of learned plug-ins: plain `.npz` files that contain no executable content and are checked bit by bit.
 
-Beside the arrays a file holds a `format` (what it is for, with the version of its layout) and the `digest` of all of them.
+Beside its arrays a file holds a `format` (purpose and version of the layout) and the `digest` of all arrays.
 """
 
 from __future__ import annotations
@@ -19,33 +19,33 @@ from drivecal.domain.errors import UnavailableError
 from drivecal.domain.setups import digest
 
 LARGEST = 4_000_000
-"""Bytes; what is larger is not ours."""
+"""Largest size of a file in bytes; drivecal writes no larger ones."""
 _FORMAT, _DIGEST = "format", "digest"
 
 Array = npt.NDArray[Any]
 
 
 class DamagedArraysError(UnavailableError):
-    """A file of arrays is missing, damaged, or for something else; nothing of it was used. Installing drivecal anew mends it."""
+    """An array file is missing, damaged or of another kind, and none of it was used. Reinstalling drivecal repairs it."""
 
     def __init__(self, path: str, reason: str) -> None:
         super().__init__(path, reason)
         self.path, self.reason = path, reason
 
     def __str__(self) -> str:
-        return f"{self.path} cannot be used: {self.reason}; install the package that it belongs to anew, or train it anew"
+        return f"{self.path} cannot be used: {self.reason}; reinstall the package that it belongs to, or train it again"
 
 
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """An array's kind and shape: `dtype` as numpy writes it (`float64`); None stands for any length."""
+    """Data type and shape of an array: `dtype` is numpy's name (`float64`); None stands for any length."""
 
     dtype: str
     shape: tuple[int | None, ...]
 
 
 def content_digest(arrays: Mapping[str, Array]) -> str:
-    """Of names, kinds, shapes and values, whatever order they come in and however they are packed."""
+    """Returns the digest of names, data types, shapes and values, independent of order and compression."""
     parts = []
     for name in sorted(arrays):
         array = np.ascontiguousarray(arrays[name])
@@ -54,20 +54,23 @@ def content_digest(arrays: Mapping[str, Array]) -> str:
 
 
 def write_arrays(path: Path, kind: str, arrays: Mapping[str, Array]) -> None:
-    """Writes a file of arrays; the same arrays give the same bytes. `kind` names what they are for and their layout's version."""
+    """Writes an array file; equal arrays give equal bytes. `kind` names their purpose and the version of their layout."""
     labels = {_FORMAT: np.array(kind), _DIGEST: np.array(content_digest(arrays))}
     with path.open("wb") as file:
         np.savez_compressed(file, allow_pickle=False, **labels, **arrays)
 
 
 def read_arrays(path: Path, kind: str, expected: Mapping[str, Expected]) -> dict[str, Array]:
-    """All arrays of a file. Raises DamagedArraysError unless it is of this `kind`, has exactly the `expected` arrays, finite all of them,
-    and is what was written."""
+    """Reads all arrays of a file.
+
+    Raises DamagedArraysError unless the file is of this `kind`, holds exactly the `expected` arrays, all values are finite, and the digest
+    matches.
+    """
     try:
         if path.stat().st_size > LARGEST:
             raise DamagedArraysError(path.name, f"it has more than {LARGEST} bytes")
         with np.load(path, allow_pickle=False) as file:
-            found: dict[str, Array] = dict(file)
+            arrays: dict[str, Array] = dict(file)
     except (
         OSError,
         ValueError,
@@ -76,26 +79,26 @@ def read_arrays(path: Path, kind: str, expected: Mapping[str, Expected]) -> dict
         zipfile.BadZipFile,
         zlib.error,
         AttributeError,
-        RuntimeError,  # of zipfile: encrypted, or packed in a way that it does not know
+        RuntimeError,  # of zipfile: an encrypted entry or an unknown compression
     ) as error:
         raise DamagedArraysError(
             path.name, f"it cannot be read ({' '.join(str(error).split()) or type(error).__name__})"
         ) from error
-    label, written = found.pop(_FORMAT, None), found.pop(_DIGEST, None)
+    label, stored_digest = arrays.pop(_FORMAT, None), arrays.pop(_DIGEST, None)
     if label is None or str(label) != kind:
         raise DamagedArraysError(path.name, f"it is no {kind}" + ("" if label is None else f", but {str(label)[:80]}"))
-    if found.keys() != expected.keys():
-        raise DamagedArraysError(path.name, f"it holds {', '.join(sorted(found))} instead of {', '.join(sorted(expected))}")
-    for name, array in found.items():
+    if arrays.keys() != expected.keys():
+        raise DamagedArraysError(path.name, f"it holds {', '.join(sorted(arrays))} instead of {', '.join(sorted(expected))}")
+    for name, array in arrays.items():
         _check(path, name, array, expected[name])
-    if written is None or str(written) != content_digest(found):
-        raise DamagedArraysError(path.name, "its content is not what was written (the digest differs)")
-    return found
+    if stored_digest is None or str(stored_digest) != content_digest(arrays):
+        raise DamagedArraysError(path.name, "its content has changed (the digest differs)")
+    return arrays
 
 
 def _check(path: Path, name: str, array: Array, expected: Expected) -> None:
     lengths = zip(array.shape, expected.shape, strict=False)
-    fits = array.ndim == len(expected.shape) and all(wanted in {None, length} for length, wanted in lengths)
+    fits = array.ndim == len(expected.shape) and all(required in {None, length} for length, required in lengths)
     if array.dtype != np.dtype(expected.dtype) or not fits:
         shape = tuple("any" if length is None else length for length in expected.shape)
         raise DamagedArraysError(

@@ -1,8 +1,8 @@
-"""The ports of drivecal: what a driving function, vehicle, evaluator, optimizer or scenario catalogue must offer.
+"""Protocols of the plug-ins: driving functions, vehicles, evaluators, optimizers and scenario catalogues.
 
 A plug-in is an object behind a Python entry point (`drivecal.driving_functions`, `.vehicles`, `.evaluators`, `.optimizers`,
-`.scenarios`). The object itself is a light description that the coordinator loads; the machinery behind `create` (numba kernels, model
-arrays) is imported by workers only, inside `create`.
+`.scenarios`). The object itself is a light description that the coordinator loads. Only workers import the code behind `create` (numba
+kernels, model arrays), inside `create`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass(slots=True)
 class Observation:
-    """What the driving function sees at one planning instant.
+    """Input of the driving function at one planning instant.
 
     `ego`: (s, s', s'', d, d', d''), derivatives with respect to time, SI units, shape (6,).
     `neighbours`: one row per other vehicle in the order of the scenario's traffic: (s, d, s', d', length, width), shape (n, 6).
@@ -37,64 +37,77 @@ class Observation:
 
 
 class Planner(Protocol):
-    """A driving function at work in one scenario. Deterministic: its answers depend on what it was given since `reset` only."""
+    """Instance of a driving function for one scenario. Deterministic: its output depends only on its inputs since `reset`."""
 
     @property
     def period(self) -> float:
-        """Time between two plans, s; a multiple of the scenario's step."""
+        """Time between two plans (s), a multiple of the scenario's step."""
 
     def reset(self, parameters: Sequence[float]) -> None:
         """Starts a new run with these parameter values, in the order of the driving function's parameters."""
 
     def plan(self, observation: Observation) -> Floats:
-        """The trajectory to follow from now on, shape (n, 7): rows every scenario step, columns
-        (t from now, x, y, heading, curvature, speed, acceleration); at least `period` plus one second long."""
+        """Returns the trajectory to follow from now on, shape (n, 7), at least `period` plus one second long.
+
+        Rows every scenario step; columns: t from now, x, y, heading, curvature, speed, acceleration.
+        """
 
 
 class CertifiablePlanner(Planner, Protocol):
-    """A planner that decides by the lowest cost over candidates, linear in weights that depend on parameters alone, over features that do
-    not depend on them: whatever else it does must not depend on parameters either. Then a run is determined by its decisions, and
-    `drivecal.certification` can prove from stored decisions what another parameter set would drive."""
+    """A planner whose runs can be certified.
+
+    It chooses the candidate of lowest cost. Costs are linear in weights that depend on the parameters alone, over features that do not
+    depend on the parameters. Nothing else in the planner may depend on them. A run is then determined by its decisions, and
+    `drivecal.certification` proves from stored decisions how another parameter set would drive.
+    """
 
     @property
     def n_values(self) -> int:
-        """Numbers that a candidate's cost is computed from."""
+        """Number of values from which a candidate's cost is computed."""
 
     @property
     def n_candidates(self) -> int:
-        """Candidates that are decided among."""
+        """Number of candidates."""
 
     @property
     def grid(self) -> float:
-        """A power of two that most of these numbers are non-negative multiples of: those are stored in two bytes, others in twelve."""
+        """A power of two. Its non-negative multiples are stored in two bytes, other values in twelve; most values should be multiples."""
 
     @property
     def state(self) -> Floats:
-        """All that the features of the last plan were computed from, shape (n_state,): two plans with the same bits are in the same state.
-        A view, overwritten by the next plan."""
+        """Everything from which the features of the last plan were computed, shape (n_state,); equal bits mean equal states.
+
+        A view, overwritten by the next plan.
+        """
 
     def decide(self, state: Floats, parameters: Sequence[float]) -> int:
-        """What `plan` would choose in this `state` with these parameters. Leaves `infeasible`, `chosen` and what `contenders` tells as
-        `plan` would, and changes nothing else of a run."""
+        """Returns the candidate that `plan` would choose in this `state` with these parameters.
+
+        Sets `infeasible`, `chosen` and the result of `contenders` like `plan`, and changes nothing else of a run.
+        """
 
     def contenders(self, infeasible: npt.NDArray[np.bool_]) -> tuple[npt.NDArray[np.int64], Floats]:
-        """Of the last plan or decision: the candidates that could be chosen with some parameters, shape (n,), ascending, and what their
-        costs are computed from, shape (n, n_values), no negative zeros. `infeasible`, shape (n_candidates,), are known to be, so that they
-        keep no other candidate from being chosen. `drivecal.certification.kernels.contenders` finds them for linear costs."""
+        """Returns the candidates of the last plan or decision that some allowed parameters could choose, and their values.
+
+        Candidates: shape (n,), ascending. Values, from which costs are computed: shape (n, n_values), without negative zeros. `infeasible`,
+        shape (n_candidates,): candidates known to be infeasible, which exclude no other candidate.
+        `drivecal.certification.kernels.contenders` implements this for linear costs.
+        """
 
     @property
     def infeasible(self) -> npt.NDArray[np.bool_]:
-        """The candidates that the last plan or decision found infeasible, shape (n_candidates,)."""
+        """Candidates that the last plan or decision rejected as infeasible, shape (n_candidates,)."""
 
     @property
     def chosen(self) -> int:
-        """The candidate of the last plan that is driven, or of the last decision."""
+        """Candidate that the last plan or decision chose."""
 
     def walk(self, nodes: Any, parameters: Sequence[float], node: int) -> int:
-        """Decides again from node to node of `drivecal.certification.nodes.Nodes`, from `node` on, as `plan` would with these parameters:
-        the cheapest candidate that is not known to be infeasible; where all are, the cheapest of all. Gives the node where the way
-        ends: one with a leaf, one that is not described, or one whose choice was never driven. -1 for parameters beyond those that
-        `contenders` allows for."""
+        """Repeats the decisions of `plan` with these parameters along `drivecal.certification.nodes.Nodes`, beginning at `node`.
+
+        Each decision takes the cheapest candidate that is not known to be infeasible, or the cheapest of all if all are. Returns the last
+        node: it has a leaf, is not described, or its choice was never driven. Returns -1 for parameters outside the range of `contenders`.
+        """
 
 
 class DrivingFunction(Protocol):
@@ -102,7 +115,7 @@ class DrivingFunction(Protocol):
 
     @property
     def name(self) -> str:
-        """By which a campaign chooses it."""
+        """Name used in campaign files."""
 
     @property
     def version(self) -> str:
@@ -110,22 +123,22 @@ class DrivingFunction(Protocol):
 
     @property
     def spaces(self) -> Mapping[str, tuple[Parameter, ...]]:
-        """Built-in search spaces by name, each with all parameters in the order that `Planner.reset` expects."""
+        """Built-in search spaces by name, each with all parameters in the order of `Planner.reset`."""
 
     @property
     def limits(self) -> Mapping[str, tuple[float | None, float | None]]:
-        """Smallest and largest value that a user's own space may contain, by parameter; None is unlimited."""
+        """Smallest and largest value that a user's own space may contain, by parameter; None means unlimited."""
 
     @property
     def certifiable(self) -> bool:
-        """True where its planners are `CertifiablePlanner`s."""
+        """True if its planners are `CertifiablePlanner`s."""
 
     def create(self, scenario: Scenario) -> Planner:
-        """The planner for one scenario."""
+        """Creates the planner for one scenario."""
 
 
 class VehicleModel(Protocol):
-    """A vehicle at work. The sample time of `dynamics` is 0.01 s."""
+    """Instance of a vehicle with given parameter values. The sample time of `dynamics` is 0.01 s."""
 
     def start(self, x: float, y: float, heading: float, speed: float) -> None:
         """Starts a new run."""
@@ -138,25 +151,25 @@ class VehicleModel(Protocol):
         """Tracks `trajectory` (as from `Planner.plan`) from `since` seconds after its start for `duration` seconds.
 
         Writes one row per 0.01 s to `dynamics`, shape (duration / 0.01, 5): speed, longitudinal acceleration, lateral
-        acceleration, yaw rate, steering angle. False where the vehicle went unstable (spin, non-finite state).
+        acceleration, yaw rate, steering angle. Returns False if the vehicle became unstable (spin, non-finite state).
         """
 
 
 @runtime_checkable
 class SelfMeasuring(Protocol):
-    """What a vehicle model offers besides where it knows something of a run that its dynamics do not show."""
+    """Optional protocol of a vehicle model that measures more than its dynamics show."""
 
     @property
     def metrics(self) -> Mapping[str, float]:
-        """Of the run since `start`, stored with the run's metrics; names carry units."""
+        """Metrics of the run since `start`, stored with the run's other metrics; names carry units."""
 
 
 class Vehicle(Protocol):
-    """A vehicle model that can be chosen in a campaign."""
+    """A vehicle that a campaign can choose."""
 
     @property
     def name(self) -> str:
-        """By which a campaign chooses it."""
+        """Name used in campaign files."""
 
     @property
     def version(self) -> str:
@@ -164,10 +177,10 @@ class Vehicle(Protocol):
 
     @property
     def parameters(self) -> tuple[VehicleParameter, ...]:
-        """With nominal values and the bounds for robustness."""
+        """Parameters with nominal values and the bounds of the robustness study."""
 
     def create(self, parameters: Mapping[str, float]) -> VehicleModel:
-        """The model with these values, one for each of `parameters`."""
+        """Creates the model with these values, which must cover all `parameters`."""
 
 
 class Evaluator(Protocol):
@@ -175,23 +188,23 @@ class Evaluator(Protocol):
 
     @property
     def name(self) -> str:
-        """By which a campaign chooses it."""
+        """Name used in campaign files."""
 
     @property
     def version(self) -> str:
         """Changes whenever any rating may change by a bit."""
 
     def rate(self, manoeuvre: Manoeuvre, metrics: Mapping[str, float]) -> Rating:
-        """The rating of a run that did not fail."""
+        """Rates a run that did not fail."""
 
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """How a run went, step by step.
+    """Time series of a run.
 
     `dynamics`: one row per 0.01 s: speed, longitudinal acceleration, lateral acceleration, yaw rate, steering angle of the front wheels
-    (SI), shape (n, 5). `offset`: signed distance (m) from the centre of the target lane every scenario step, shape (m,); the last
-    values of both are of the same moment.
+    (SI), shape (n, 5). `offset`: signed distance (m) from the centre of the target lane every scenario step, shape (m,). The last values
+    of both belong to the same instant.
     """
 
     dynamics: Floats
@@ -200,14 +213,14 @@ class Series:
 
 @runtime_checkable
 class SeriesEvaluator(Protocol):
-    """What an evaluator offers besides where it needs the time series of a run: then `rate_series` rates, in workers, instead of `rate`.
+    """Optional protocol of an evaluator that needs the time series of a run: workers call `rate_series` instead of `rate`.
 
-    Its `rate` raises ValueError: stored runs, of which there are metrics only, keep what others rated and are simulated again, once, when
-    this evaluator's opinion is needed. Runs that failed score 0 without it.
+    Its `rate` raises ValueError. Stored runs have metrics only and keep the ratings of other evaluators; they are simulated again, once,
+    when a rating by this evaluator is needed. Runs that failed score 0 without it.
     """
 
     def rate_series(self, manoeuvre: Manoeuvre, series: Series) -> Rating:
-        """The rating of a run that did not fail. `series` is only lent: its arrays are overwritten by the next run."""
+        """Rates a run that did not fail. The next run overwrites the arrays of `series`."""
 
 
 class Catalogue(Protocol):
@@ -215,19 +228,19 @@ class Catalogue(Protocol):
 
     @property
     def name(self) -> str:
-        """By which a campaign chooses it."""
+        """Name used in campaign files."""
 
     @property
     def scenarios(self) -> Mapping[str, Scenario]:
-        """By id, in the order of the catalogue."""
+        """Scenarios by id, in the order of the catalogue."""
 
 
 @dataclass(frozen=True, slots=True)
 class Proposal:
-    """One iteration's population.
+    """Population of one iteration.
 
-    `population`: grid indices, shape (n, n_searched). `changed`: shape (n,), False for individuals that the optimizer left as they
-    were in the last iteration: they are carried over, not requested again.
+    `population`: grid indices, shape (n, n_searched). `changed`: shape (n,), False for individuals that are unchanged since the last
+    iteration: they are carried over, not requested again.
     """
 
     population: Indices
@@ -235,36 +248,40 @@ class Proposal:
 
 
 class Optimizer(Protocol):
-    """Pure ask/tell over grid indices. Serialisable at any moment: a restored optimizer goes on exactly as the original."""
+    """Pure ask/tell optimizer over grid indices. Serialisable at any time: a restored optimizer continues exactly like the original."""
 
     def ask(self) -> Proposal:
-        """The next population. To be followed by `tell`."""
+        """Returns the next population. Call `tell` before the next `ask`."""
 
     def tell(self, objectives: Floats, tie_breakers: Floats) -> None:
-        """The objectives of the asked population, shape (n,), higher is better, NaN for individuals without a result (ranked last);
-        `tie_breakers` rank equal objectives (the weighted continuous rating)."""
+        """Receives the objectives of the last population, shape (n,): higher is better, NaN for individuals without a result (ranked last).
+
+        `tie_breakers` rank equal objectives (the weighted continuous rating).
+        """
 
     def state(self) -> dict[str, Any]:
-        """All of it, as JSON-ready plain data."""
+        """Returns the complete state as JSON-ready plain data."""
 
 
 class OptimizerPlugin(Protocol):
-    """An optimizer that can be chosen in a campaign by its `name` (`optimizer.kind`)."""
+    """An optimizer that a campaign can choose by its `name` (`optimizer.kind`)."""
 
     @property
     def name(self) -> str:
-        """The campaign's `optimizer.kind`."""
+        """Value of `optimizer.kind` in campaign files."""
 
     @property
     def settings(self) -> type[BaseModel]:
-        """Validates the campaign's `optimizer` section; has at least `kind`, `population`, `iterations`, `seed`."""
+        """Model of the campaign's `optimizer` section, with at least `kind`, `population`, `iterations`, `seed`."""
 
     def requested_individuals(self, settings: BaseModel) -> int:
-        """How many individuals are requested at most over all iterations; the others are carried over."""
+        """Returns the largest number of individuals requested over all iterations, without the ones carried over."""
 
     def create(self, settings: BaseModel, n_values: Indices, start: Indices | None = None) -> Optimizer:
-        """A fresh optimizer for grids of sizes `n_values`, shape (n_searched,); `start`, shape (k, n_searched), k <= population, are
-        parameter sets that must be in the start population."""
+        """Creates an optimizer for grids of sizes `n_values`, shape (n_searched,).
+
+        `start`, shape (k, n_searched), k <= population: parameter sets that must be in the start population.
+        """
 
     def restore(self, settings: BaseModel, n_values: Indices, state: Mapping[str, Any]) -> Optimizer:
-        """An optimizer that goes on from `state`."""
+        """Creates an optimizer that continues from `state`."""

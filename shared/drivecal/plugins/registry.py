@@ -1,4 +1,4 @@
-"""Finds plug-ins by Python entry points: the built-in ones and those of other installed packages alike."""
+"""Discovery of plug-ins by Python entry points, for built-in plug-ins and other installed packages alike."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def _installed(group: str) -> dict[str, EntryPoint]:
 
 
 def names(group: str) -> list[str]:
-    """The names registered in an entry point group, sorted."""
+    """Returns the names registered in an entry point group, sorted."""
     return list(_installed(group))
 
 
@@ -33,30 +33,30 @@ def _find(group: str, name: str, field: str, kind: str) -> Any:
 
 
 def driving_function(name: str, field: str = "driving_function") -> DrivingFunction:
-    """A driving function by name. Raises InvalidInputError listing the installed ones."""
+    """Returns a driving function by name. Raises InvalidInputError listing the installed names."""
     return cast("DrivingFunction", _find("drivecal.driving_functions", name, field, "driving function"))
 
 
 def vehicle(name: str, field: str = "vehicle.model") -> Vehicle:
-    """A vehicle model by name. Raises InvalidInputError listing the installed ones."""
+    """Returns a vehicle model by name. Raises InvalidInputError listing the installed names."""
     return cast("Vehicle", _find("drivecal.vehicles", name, field, "vehicle model"))
 
 
 def evaluator(name: str, field: str = "evaluator") -> Evaluator:
-    """A comfort evaluator by name. Raises InvalidInputError listing the installed ones."""
+    """Returns a comfort evaluator by name. Raises InvalidInputError listing the installed names."""
     return cast("Evaluator", _find("drivecal.evaluators", name, field, "evaluator"))
 
 
 def optimizer(name: str, field: str = "optimizer.kind") -> OptimizerPlugin:
-    """An optimizer by name. Raises InvalidInputError listing the installed ones."""
+    """Returns an optimizer by name. Raises InvalidInputError listing the installed names."""
     return cast("OptimizerPlugin", _find("drivecal.optimizers", name, field, "optimizer"))
 
 
 def catalogue(name: str, field: str = "catalogue") -> Catalogue:
-    """A scenario catalogue by name. Raises InvalidInputError listing the installed ones."""
+    """Returns a scenario catalogue by name. Raises InvalidInputError listing the installed names."""
     return cast("Catalogue", _find("drivecal.scenarios", name, field, "scenario catalogue"))
 
 
 def catalogues() -> list[Catalogue]:
-    """All installed scenario catalogues."""
+    """Returns all installed scenario catalogues."""
     return [catalogue(name) for name in names("drivecal.scenarios")]

@@ -1,4 +1,4 @@
-"""Makes a setup from what is installed. Coordinator and workers both call it: equal fingerprints mean equal versions."""
+"""Setups of the installed plug-ins. Coordinator and workers both create them: equal fingerprints mean equal versions."""
 
 from __future__ import annotations
 
@@ -11,13 +11,15 @@ from drivecal.domain.setups import Setup
 from drivecal.plugins.ports import DrivingFunction, Vehicle
 
 CLOSED_LOOP = "1"
-"""Version of what puts planner, vehicle and SUMO together and measures the run (`drivecal.traffic`, `.episode`, `.comfort.metrics`):
-counted up whenever a run may change by a bit. `tests/golden` notices."""
+"""Version of the code that connects planner, vehicle and SUMO and measures the run (`drivecal.traffic`, `.episode`, `.comfort.metrics`).
+
+Increase it whenever a run may change by a bit; `tests/golden` detects such changes.
+"""
 
 
 @cache
 def simulator() -> str:
-    """The simulator and its version, without importing it, with that of the closed loop around it."""
+    """Returns the simulator and its version, without importing it, and the version of the closed loop."""
     try:
         return f"libsumo {version('libsumo')}, closed loop {CLOSED_LOOP}"
     except PackageNotFoundError:
@@ -27,7 +29,7 @@ def simulator() -> str:
 def setup_of(
     scenario: Scenario, driving_function: DrivingFunction, vehicle: Vehicle, vehicle_parameters: Mapping[str, float]
 ) -> Setup:
-    """The setup of one scenario. `vehicle_parameters` overrides nominal values by name."""
+    """Creates the setup of one scenario. `vehicle_parameters` overrides nominal values by name."""
     nominal = {parameter.name: parameter.nominal for parameter in vehicle.parameters}
     return Setup(
         scenario=scenario.id,

@@ -1,4 +1,4 @@
-"""How much memory a worker's certificates may take."""
+"""Memory limit of a worker's certificates."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from drivecal.certification.memory import Memory
     [(24, 2, 1024), (16, 16, 256), (1, 64, 4), (1, 1000, 1)],
     ids=["laptop", "node", "small", "tiny"],
 )
-def test_nobody_is_given_more_by_default_than_the_machine_has_for_it(
+def test_the_default_limit_follows_the_memory_of_the_machine(
     gigabytes: int, cpus: int, megabytes: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     machine = {"SC_PHYS_PAGES": gigabytes * 2**30 // 4096, "SC_PAGE_SIZE": 4096}

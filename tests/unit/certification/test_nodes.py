@@ -1,4 +1,4 @@
-"""What goes into a node comes out of it, and what is kept stays a trie."""
+"""Nodes return what was stored in them, and remain a trie when some are forgotten."""
 
 from __future__ import annotations
 
@@ -18,42 +18,42 @@ numbers = st.one_of(
 )
 
 
-NOBODY: npt.NDArray[np.bool_] = np.zeros(40, dtype=np.bool_)
+FEASIBLE: npt.NDArray[np.bool_] = np.zeros(40, dtype=np.bool_)
 
 
 def describe(nodes: Nodes, node: int, features: npt.NDArray[np.float64]) -> None:
-    nodes.describe(node, np.arange(len(features)), features, NOBODY)
+    nodes.describe(node, np.arange(len(features)), features, FEASIBLE)
 
 
-def room_for(n_values: int) -> Nodes:
+def nodes_for(n_values: int) -> Nodes:
     return Nodes(n_values, 40, GRID)
 
 
 @given(st.integers(1, 5).flatmap(lambda k: st.lists(st.lists(numbers, min_size=k, max_size=k), min_size=1, max_size=8)))
 def test_features_come_back_bit_for_bit(rows: list[list[float]]) -> None:
     features = np.array(rows)
-    nodes = room_for(features.shape[1])
+    nodes = nodes_for(features.shape[1])
     describe(nodes, 0, features)
-    candidates, infeasible, found = nodes.contenders(0)
+    candidates, infeasible, stored = nodes.contenders(0)
     assert not infeasible.any()
-    assert np.array_equal(found.view(np.int64), features.view(np.int64))
+    assert np.array_equal(stored.view(np.int64), features.view(np.int64))
     assert candidates.tolist() == list(range(len(rows)))
 
 
-def test_what_is_no_number_comes_back_too() -> None:
-    nodes = room_for(3)
+def test_values_that_are_not_finite_come_back_too() -> None:
+    nodes = nodes_for(3)
     describe(nodes, 0, np.array([[np.nan, np.inf, -1.0]]))
     assert np.array_equal(nodes.contenders(0)[2], [[np.nan, np.inf, -1.0]], equal_nan=True)
 
 
-def test_nobody_is_beaten_by_a_difference_that_is_no_number() -> None:
+def test_a_difference_of_nan_excludes_no_candidate() -> None:
     features = np.array([[0.0, 0.0], [9.0, 9.0], [np.nan, 9.0]])
-    nobody = np.zeros(3, dtype=np.bool_)
-    assert contenders(features, np.ones(2), np.full(2, 2.0), nobody, 0, 4, 1e-6).tolist() == [0, 2]
+    infeasible = np.zeros(3, dtype=np.bool_)
+    assert contenders(features, np.ones(2), np.full(2, 2.0), infeasible, 0, 4, 1e-6).tolist() == [0, 2]
 
 
 def test_multiples_of_the_grid_take_two_bytes_and_nothing_beside() -> None:
-    nodes = room_for(4)
+    nodes = nodes_for(4)
     describe(nodes, 0, np.array([[0.0, GRID, 65534 * GRID, 3.5]]))
     assert nodes.beside == 0
     end, _ = nodes.extend([1], np.zeros((1, 3)))
@@ -62,7 +62,7 @@ def test_multiples_of_the_grid_take_two_bytes_and_nothing_beside() -> None:
 
 
 def test_more_candidates_than_can_be_numbered_are_refused() -> None:
-    with pytest.raises(ValueError, match="32769 candidates are too many"):
+    with pytest.raises(ValueError, match="32769"):
         Nodes(2, 32_769, GRID)
 
 
@@ -141,7 +141,7 @@ def test_a_state_is_kept_until_it_is_described(tree: Nodes) -> None:
     assert tree.state[1] == NONE
     tree.extend([7, 3, 3], np.vstack([state_of([0, 1]), [[5.0, 5.0, 5.0]]]))
     assert tree.states[tree.state[[0, 3, 6]]].tolist() == [*state_of([0, 3]).tolist(), [5.0] * 3]
-    assert tree.kept == 3  # in the room that the described one left
+    assert tree.state_rows == 3  # one of them was freed by the description
     assert tree.bytes > used
 
 
@@ -154,7 +154,7 @@ def test_states_that_are_kept_are_so_under_new_numbers(tree: Nodes) -> None:
     assert tree.states[tree.state[3]].tolist() == [4.0] * 3
 
 
-def test_the_same_decisions_in_another_state_are_told_and_add_nothing(tree: Nodes) -> None:
+def test_the_same_decisions_in_another_state_are_reported_and_add_nothing(tree: Nodes) -> None:
     used = tree.bytes
     assert tree.extend([2, 1, 1], state_of([0, 2, 4])) == (3, 1)
     assert tree.extend([7], np.array([[-0.0, 0.0, 1.0]])) == (0, 0)

@@ -21,34 +21,40 @@ def some_series(seed: int, length: int = LENGTH) -> rocket.Integers:
     return np.clip(np.rint(walk), -2047, 2047).astype(np.int32)
 
 
-def ours(one: Regression, series: rocket.Integers) -> Floats:
-    found: Floats = rocket.transform(
-        series, rocket.KERNELS, one.dilations, one.per_dilation, one.n_channels, one.channels, one.biases
+def ours(regression: Regression, series: rocket.Integers) -> Floats:
+    features: Floats = rocket.transform(
+        series,
+        rocket.KERNELS,
+        regression.dilations,
+        regression.per_dilation,
+        regression.n_channels,
+        regression.channels,
+        regression.biases,
     )
-    return found
+    return features
 
 
-def naive(one: Regression, series: rocket.Integers) -> Floats:
-    """As one would write the definition down."""
+def naive(regression: Regression, series: rocket.Integers) -> Floats:
+    """The definition, written out."""
     n = series.shape[1]
-    found: list[float] = []
-    places = np.concatenate([[0], np.cumsum(one.n_channels)])
+    features: list[float] = []
+    places = np.concatenate([[0], np.cumsum(regression.n_channels)])
     combination = 0
-    for d, dilation in enumerate(one.dilations):
+    for d, dilation in enumerate(regression.dilations):
         wide = np.pad(series, ((0, 0), (4 * dilation, 4 * dilation)))
         for k, twos in enumerate(rocket.KERNELS):
             weights = np.full(9, -1)
             weights[twos] = 2
-            used = one.channels[places[combination] : places[combination + 1]]
+            used = regression.channels[places[combination] : places[combination + 1]]
             convolution = sum(
                 weights[tap] * wide[used, tap * dilation : tap * dilation + n].sum(axis=0, dtype=np.int64) for tap in range(9)
             )
             assert isinstance(convolution, np.ndarray)
-            seen = convolution[4 * dilation : n - 4 * dilation] if (d + k) % 2 else convolution
-            for _ in range(one.per_dilation[d]):
-                found.append(float((seen > one.biases[len(found)]).mean()))
+            selected = convolution[4 * dilation : n - 4 * dilation] if (d + k) % 2 else convolution
+            for _ in range(regression.per_dilation[d]):
+                features.append(float((selected > regression.biases[len(features)]).mean()))
             combination += 1
-    return np.array(found)
+    return np.array(features)
 
 
 @pytest.mark.parametrize("manoeuvre", list(Manoeuvre))
@@ -72,9 +78,15 @@ def test_features_are_those_of_aeon(manoeuvre: Manoeuvre) -> None:
     longer than all the rest of this folder."""
     from aeon.transformations.collection.convolution_based import _minirocket
 
-    one = shipped()[manoeuvre]
+    regression = shipped()[manoeuvre]
     series = np.array([some_series(seed) for seed in range(5)])
-    parameters = (one.n_channels, one.channels, one.dilations, one.per_dilation, one.biases.astype(np.float32))
+    parameters = (
+        regression.n_channels,
+        regression.channels,
+        regression.dilations,
+        regression.per_dilation,
+        regression.biases.astype(np.float32),
+    )
     theirs = _minirocket._static_transform_multi.py_func(series.astype(np.float32), parameters, _minirocket.MiniRocket._indices)
-    found = np.array([ours(one, row) for row in series])
-    np.testing.assert_array_equal(found.astype(np.float32), theirs)
+    features = np.array([ours(regression, row) for row in series])
+    np.testing.assert_array_equal(features.astype(np.float32), theirs)

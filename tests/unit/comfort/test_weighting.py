@@ -92,7 +92,7 @@ def oscillation(amplitude: float, frequency: float, seconds: float) -> Floats:
 def test_the_kernel_filters_as_scipy_does(weighting: Weighting) -> None:
     noise = np.random.default_rng(2631).normal(size=(2, 2000))
     sections = digital(weighting, RATE)
-    expected = [math.sqrt(float(np.mean(signal.sosfilt(sections, one) ** 2))) for one in noise]
+    expected = [math.sqrt(float(np.mean(signal.sosfilt(sections, samples) ** 2))) for samples in noise]
     assert kernels.weighted_root_mean_square(*noise, sections) == pytest.approx(expected, rel=1e-12)
 
 

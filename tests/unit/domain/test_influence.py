@@ -14,8 +14,8 @@ def test_a_map_knows_what_it_lists() -> None:
 
 
 def test_what_a_map_does_not_list_is_influential_everywhere() -> None:
-    found = InfluenceMap({"S1": {"P1": KNOWN}})
-    assert found.influence("S1", "P2") == EVERYWHERE
-    assert found.influence("S2", "P1") == EVERYWHERE
+    influences = InfluenceMap({"S1": {"P1": KNOWN}})
+    assert influences.influence("S1", "P2") == EVERYWHERE
+    assert influences.influence("S2", "P1") == EVERYWHERE
     assert EVERYWHERE.influential
     assert EVERYWHERE.lower is EVERYWHERE.upper is None

@@ -39,7 +39,7 @@ def grids(draw: st.DrawFn) -> Parameter:
 
 @st.composite
 def lattices(draw: st.DrawFn) -> Parameter:
-    """A grid made from bits, wide enough to tell its values apart."""
+    """A grid made from bits, wide enough for distinct values."""
     bits = draw(st.integers(1, 11))
     span = draw(st.integers(2**bits - 1, 2**bits + 5) | st.integers(2**bits, largest))
     lower = draw(st.integers(-largest, largest - span))
@@ -69,13 +69,13 @@ def test_a_value_is_written_in_one_way_only(value: str, written: str) -> None:
 
 @pytest.mark.parametrize("value", ["1e-10", "0.1234567891", "0.1000000000000000000000000000000000000001"])
 def test_more_than_nine_decimals_are_refused_however_many_they_are(value: str) -> None:
-    with pytest.raises(ValueError, match="more than nine decimals"):
+    with pytest.raises(ValueError, match="nine decimals"):
         billionths(Decimal(value))
 
 
 @pytest.mark.parametrize("value", ["NaN", "Infinity", "-Infinity"])
 def test_what_is_not_finite_has_no_billionths(value: str) -> None:
-    with pytest.raises(ValueError, match="is not a finite number"):
+    with pytest.raises(ValueError, match="finite"):
         billionths(Decimal(value))
 
 
@@ -99,9 +99,9 @@ def test_a_grid_starts_at_its_lower_and_ends_at_its_upper_bound(parameter: Param
 
 @given(grids())
 def test_values_of_a_grid_are_exactly_one_step_apart(parameter: Parameter) -> None:
-    found = parameter.all_billionths
-    assert len(found) == parameter.n_values
-    assert len(set(np.diff(found).tolist())) == 1
+    values = parameter.all_billionths
+    assert len(values) == parameter.n_values
+    assert len(set(np.diff(values).tolist())) == 1
 
 
 @given(lattices())
@@ -128,86 +128,87 @@ def test_a_value_between_two_of_the_grid_is_refused_with_both_of_them(parameter:
         parameter.index(between, "baseline.P")
     (problem,) = refused.value.problems
     assert problem.field == "baseline.P"
-    assert problem.message == f"{between} is not on the grid"
-    assert problem.remedy == f"the nearest values are {text(parameter.value(index))} or {text(parameter.value(index + 1))}"
+    assert str(between) in problem.message
+    assert f"{text(parameter.value(index))} or {text(parameter.value(index + 1))}" in problem.remedy
 
 
 @pytest.mark.parametrize("value", ["-0.1", "2.1", "NaN", "Infinity"])
 def test_a_value_outside_the_range_is_refused_with_the_range(value: str) -> None:
     parameter = Parameter.from_step("P2", Decimal(0), Decimal(2), Decimal("0.1"))
-    with pytest.raises(InvalidInputError, match="lies outside the range; give a value from 0 to 2"):
+    with pytest.raises(InvalidInputError, match="from 0 to 2") as refused:
         parameter.index(Decimal(value))
+    assert [problem.field for problem in refused.value.problems] == ["P2"]
 
 
 @pytest.mark.parametrize("index", [-1, 21])
 def test_an_index_off_the_grid_is_refused(index: int) -> None:
     parameter = Parameter.from_step("P2", Decimal(0), Decimal(2), Decimal("0.1"))
-    with pytest.raises(IndexError, match="P2 has grid indices 0 to 20"):
+    with pytest.raises(IndexError, match=f"P2.* 0 to 20.* {index}"):
         parameter.value(index)
 
 
 @pytest.mark.parametrize(
-    ("lower", "upper", "step", "field", "said"),
+    ("lower", "upper", "step", "field", "named"),
     [
-        ("0", "1", "0", "P.step", "continuous parameters are not supported yet; give the step"),
-        ("0", "1", "-0.1", "P.step", "is negative; give a positive step"),
-        ("1", "1", "0.1", "P.upper", "the grid is empty.*name it in `fixed`"),
-        ("2", "1", "0.1", "P.upper", "upper 1 is not above lower 2"),
-        ("0", "1", "0.3", "P.step", "multiple of step 0.3; give e.g. upper 0.9 or 1.2"),
-        ("0", "1", "3", "P.step", "multiple of step 3; give e.g. upper 3$"),
-        ("0", "100", "0.00001", "P.step", "10000001 values are too many; give a step that makes at most 1,000,000"),
-        ("NaN", "1", "0.1", "P.lower", "NaN is not a usable number"),
-        ("0", "Infinity", "0.1", "P.upper", "is not a usable number; give a number within ±1000000"),
-        ("0", "1e30", "0.1", "P.upper", "is not a usable number"),
-        ("0", "1", "1e-10", "P.step", "more than nine decimals; round it"),
-        ("0.00000000001", "1", "0.1", "P.lower", "more than nine decimals"),
+        ("0", "1", "0", "P.step", "continuous"),
+        ("0", "1", "-0.1", "P.step", "-0.1"),
+        ("1", "1", "0.1", "P.upper", "`fixed`"),
+        ("2", "1", "0.1", "P.upper", "upper 1 .* lower 2"),
+        ("0", "1", "0.3", "P.step", "step 0.3.* 0.9 or 1.2"),
+        ("0", "1", "3", "P.step", "step 3.* upper 3$"),
+        ("0", "100", "0.00001", "P.step", "10000001.* 1,000,000"),
+        ("NaN", "1", "0.1", "P.lower", "NaN"),
+        ("0", "Infinity", "0.1", "P.upper", "Infinity.* ±1000000"),
+        ("0", "1e30", "0.1", "P.upper", "30.* ±1000000"),
+        ("0", "1", "1e-10", "P.step", "nine decimals"),
+        ("0.00000000001", "1", "0.1", "P.lower", "nine decimals"),
     ],
 )  # fmt: skip
-def test_a_bad_grid_is_refused_by_field_with_a_remedy(lower: str, upper: str, step: str, field: str, said: str) -> None:
-    with pytest.raises(InvalidInputError, match=said) as refused:
+def test_a_bad_grid_is_refused_by_field_with_a_remedy(lower: str, upper: str, step: str, field: str, named: str) -> None:
+    with pytest.raises(InvalidInputError, match=named) as refused:
         Parameter.from_step("P", Decimal(lower), Decimal(upper), Decimal(step))
-    assert [problem.field for problem in refused.value.problems] == [field]
+    assert [(problem.field, bool(problem.remedy)) for problem in refused.value.problems] == [(field, True)]
 
 
 @pytest.mark.parametrize(
-    ("lower", "upper", "bits", "field", "said"),
+    ("lower", "upper", "bits", "field", "named"),
     [
-        ("0", "1", 0, "P.bits", "0 bits are no usable number; give 1 to 19"),
-        ("0", "1", 20, "P.bits", "20 bits are no usable number"),
-        ("0", "1e-9", 2, "P.bits", "closer than the ninth decimal; give fewer bits or a wider range"),
-        ("1", "0", 4, "P.upper", "the grid is empty"),
+        ("0", "1", 0, "P.bits", "1 to 19"),
+        ("0", "1", 20, "P.bits", "20 .* 1 to 19"),
+        ("0", "1e-9", 2, "P.bits", "ninth decimal"),
+        ("1", "0", 4, "P.upper", "empty"),
     ],
 )
-def test_a_bad_lattice_is_refused_by_field(lower: str, upper: str, bits: int, field: str, said: str) -> None:
-    with pytest.raises(InvalidInputError, match=said) as refused:
+def test_a_bad_lattice_is_refused_by_field(lower: str, upper: str, bits: int, field: str, named: str) -> None:
+    with pytest.raises(InvalidInputError, match=named) as refused:
         Parameter.from_bits("P", Decimal(lower), Decimal(upper), bits)
-    assert [problem.field for problem in refused.value.problems] == [field]
+    assert [(problem.field, bool(problem.remedy)) for problem in refused.value.problems] == [(field, True)]
 
 
 sets = st.dictionaries(names, amounts, min_size=1, max_size=11).map(
-    lambda found: ParameterSet(tuple(found), tuple(found.values()))
+    lambda values: ParameterSet(tuple(values), tuple(values.values()))
 )
 
 
 @given(sets)
-def test_a_parameter_set_survives_json(one: ParameterSet) -> None:
-    assert ParameterSet.from_json(one.to_json()) == one
-    assert ParameterSet.of(one.values) == one
+def test_a_parameter_set_survives_json(parameters: ParameterSet) -> None:
+    assert ParameterSet.from_json(parameters.to_json()) == parameters
+    assert ParameterSet.of(parameters.values) == parameters
 
 
 @given(st.dictionaries(st.text(max_size=5), amounts, max_size=4))
-def test_json_of_a_parameter_set_is_json_whatever_its_names(found: dict[str, int]) -> None:
-    one = ParameterSet(tuple(found), tuple(found.values()))
-    assert json.loads(one.to_json()) == one.floats
-    assert ParameterSet.from_json(one.to_json()) == one
+def test_json_of_a_parameter_set_is_json_whatever_its_names(values: dict[str, int]) -> None:
+    parameters = ParameterSet(tuple(values), tuple(values.values()))
+    assert json.loads(parameters.to_json()) == parameters.floats
+    assert ParameterSet.from_json(parameters.to_json()) == parameters
 
 
 @given(sets)
-def test_the_key_does_not_depend_on_the_order_of_names(one: ParameterSet) -> None:
-    pairs = sorted(zip(one.names, one.billionths, strict=True), reverse=True)
-    other = ParameterSet(tuple(name for name, _ in pairs), tuple(value for _, value in pairs))
-    assert one.key == other.key
-    assert len(one.key) == 16
+def test_the_key_does_not_depend_on_the_order_of_names(parameters: ParameterSet) -> None:
+    pairs = sorted(zip(parameters.names, parameters.billionths, strict=True), reverse=True)
+    reordered = ParameterSet(tuple(name for name, _ in pairs), tuple(value for _, value in pairs))
+    assert parameters.key == reordered.key
+    assert len(parameters.key) == 16
 
 
 @given(sets, sets)
@@ -255,13 +256,13 @@ def test_fixed_parameters_are_held_and_not_searched() -> None:
 def test_populations_and_parameter_sets_are_inverse(rows: list[tuple[int, int, int]]) -> None:
     space = ParameterSpace((A, B, C))
     population = np.array(rows)
-    back = np.array([space.indices(found.values) for found in space.parameter_sets(population)])
+    back = np.array([space.indices(parameter_set.values) for parameter_set in space.parameter_sets(population)])
     assert np.array_equal(back, population)
 
 
 @pytest.mark.parametrize("row", [[-1, 0, 0], [0, 11, 0], [0, 0, 201]])
 def test_an_individual_off_the_grid_is_refused(row: list[int]) -> None:
-    with pytest.raises(IndexError, match=r"has grid indices 0 to \d+, not .* \(individual 1\)"):
+    with pytest.raises(IndexError, match="individual 1"):
         ParameterSpace((A, B, C)).parameter_sets(np.array([[0, 0, 0], row]))
 
 
@@ -269,12 +270,11 @@ def test_everything_wrong_with_values_is_said_at_once() -> None:
     space = ParameterSpace((A, B, C), {"C": Decimal(5)})
     with pytest.raises(InvalidInputError) as refused:
         space.indices({"A": Decimal("0.15"), "D": Decimal(1), "C": Decimal(6)}, "baseline")
-    assert {problem.field: str(problem) for problem in refused.value.problems} == {
-        "baseline.D": "baseline.D: there is no such parameter; one of A, B, C",
-        "baseline.A": "baseline.A: 0.15 is not on the grid; the nearest values are 0.1 or 0.2",
-        "baseline.B": "baseline.B: the value is missing; give one value per parameter",
-        "baseline.C": "baseline.C: 6 differs from the fixed value; give 5",
-    }
+    assert {problem.field for problem in refused.value.problems} == {f"baseline.{name}" for name in "ABCD"}
+    remedies = {problem.field: problem.remedy for problem in refused.value.problems}
+    assert "A, B, C" in remedies["baseline.D"]
+    assert "0.1 or 0.2" in remedies["baseline.A"]
+    assert "5" in remedies["baseline.C"]
 
 
 def test_a_fixed_parameter_may_be_left_out_or_given_with_its_value() -> None:

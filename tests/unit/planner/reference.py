@@ -77,9 +77,9 @@ class ReferencePlanner:
         self.costs = [sum(w * c for w, c in zip(self.weights, row, strict=True)) for row in self.features]
         order = sorted(range(len(self.costs)), key=lambda index: (self.costs[index], index))
         feasible = (index for index in order if self.is_feasible(index % len(self.aside), index // len(self.aside)))
-        found = next(feasible, None)
-        self.infeasible = set(order if found is None else order[: order.index(found)])
-        chosen = order[0] if found is None else found
+        cheapest = next(feasible, None)
+        self.infeasible = set(order if cheapest is None else order[: order.index(cheapest)])
+        chosen = order[0] if cheapest is None else cheapest
         self.before = (observation.time, self.along[chosen // len(self.aside)], self.aside[chosen % len(self.aside)])
         return chosen
 

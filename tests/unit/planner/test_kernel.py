@@ -98,7 +98,7 @@ def test_plans_that_come_to_their_end_are_judged_as_by_the_reference() -> None:
 
 
 def test_random_situations_reach_every_feature_and_infeasible_candidates() -> None:
-    found = np.zeros(12)
+    occurrences = np.zeros(12)
     infeasible = 0
     for seed in range(40):
         random = np.random.default_rng(seed)
@@ -109,9 +109,9 @@ def test_random_situations_reach_every_feature_and_infeasible_candidates() -> No
             planner.plan(observation)
             features = planner.features()
             assert features.min() >= 0.0
-            found += features.max(axis=0) > 0.1
+            occurrences += features.max(axis=0) > 0.1
             infeasible += bool(planner.infeasible.any())
-    assert found.min() >= 5
+    assert occurrences.min() >= 5
     assert infeasible >= 3
 
 

@@ -75,9 +75,9 @@ def test_every_value_of_the_spaces_gives_a_weight() -> None:
     for parameters in FRENET.spaces.values():
         space = ParameterSpace(parameters)
         for indices in (np.zeros(11, dtype=np.int64), space.n_values - 1):
-            found = weights(list(space.parameter_set(indices).floats.values()))
-            assert np.isfinite(found).all()
-            assert (found >= 0.0).all()
+            values = weights(list(space.parameter_set(indices).floats.values()))
+            assert np.isfinite(values).all()
+            assert (values >= 0.0).all()
 
 
 def test_weights_are_one_in_the_middle_of_the_ranges_and_linear_but_for_the_decibels() -> None:

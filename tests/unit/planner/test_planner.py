@@ -258,7 +258,7 @@ def test_the_speed_of_a_trajectory_is_that_of_its_path() -> None:
     np.testing.assert_allclose(lengths / 0.1, (trajectory[:-1, 5] + trajectory[1:, 5]) / 2, rtol=1e-4)
 
 
-@pytest.mark.parametrize("scenario", [KEEPING, CHANGING, BENDING], ids=lambda one: one.id)
+@pytest.mark.parametrize("scenario", [KEEPING, CHANGING, BENDING], ids=lambda scenario: scenario.id)
 def test_what_was_planned_is_decided_again_from_the_state_alone(scenario: Scenario) -> None:
     """Also for hard weights, with which the cheapest candidates cannot always be driven; and deciding disturbs no run."""
     hasty = [-15.0, 0.0, 0.0, 0.0, 0.0, 1.0, 200.0, 2000.0, 10.0, 0.0, 200.0]

@@ -35,10 +35,10 @@ def refused(path: Path) -> str:
 
 
 def test_what_was_written_comes_back(file: Path) -> None:
-    found = read_arrays(file, KIND, EXPECTED)
-    assert found.keys() == EXPECTED.keys()
+    stored = read_arrays(file, KIND, EXPECTED)
+    assert stored.keys() == EXPECTED.keys()
     for name, array in arrays().items():
-        np.testing.assert_array_equal(found[name], array, strict=True)
+        np.testing.assert_array_equal(stored[name], array, strict=True)
 
 
 def test_the_same_arrays_give_the_same_bytes(file: Path, tmp_path: Path) -> None:
@@ -64,7 +64,7 @@ def test_a_file_of_another_kind_is_refused_by_its_name(file: Path) -> None:
 
 def test_a_file_without_a_label_is_refused(file: Path) -> None:
     np.savez(file, allow_pickle=False, **arrays())
-    assert "is no test arrays 1" in refused(file)
+    assert KIND in refused(file)
 
 
 @pytest.mark.parametrize(
@@ -75,7 +75,7 @@ def test_a_file_without_a_label_is_refused(file: Path) -> None:
         ({"weights": np.zeros((3, 2), dtype=np.float32)}, "float32"),
         ({"weights": np.full((3, 2), np.nan)}, "not finite"),
         ({"places": np.zeros(4, dtype=np.int32)}, "shape"),
-        ({"more": np.zeros(1)}, "instead of"),
+        ({"more": np.zeros(1)}, "more"),
     ],
 )
 def test_arrays_that_do_not_fit_are_refused_by_name(file: Path, change: dict[str, Array], reason: str) -> None:
@@ -85,7 +85,7 @@ def test_arrays_that_do_not_fit_are_refused_by_name(file: Path, change: dict[str
 
 def test_a_missing_array_is_refused(file: Path) -> None:
     write_arrays(file, KIND, {"weights": arrays()["weights"]})
-    assert "instead of places, weights" in refused(file)
+    assert "places, weights" in refused(file)
 
 
 def test_a_value_that_was_changed_is_refused_by_the_digest(file: Path) -> None:
@@ -128,8 +128,8 @@ def test_damage_is_refused_or_did_not_touch_the_arrays(file: Path, place: float,
     damaged = file.with_name("damaged.npz")
     damaged.write_bytes(content[:at] if cut else content[:at] + bytes([content[at] ^ mask]) + content[at + 1 :])
     try:
-        found = read_arrays(damaged, KIND, EXPECTED)
+        stored = read_arrays(damaged, KIND, EXPECTED)
     except DamagedArraysError:
         return
     for name, array in arrays().items():
-        np.testing.assert_array_equal(found[name], array, strict=True)
+        np.testing.assert_array_equal(stored[name], array, strict=True)

@@ -72,6 +72,6 @@ def test_loading_it_imports_neither_simulator_nor_compiler(group: str, entry: En
         f"for name in ('spaces', 'scenarios', 'parameters', 'settings'): getattr(plugin, name, None)\n"
         f"print(json.dumps(sorted(sys.modules)))"
     )
-    found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    imported = set(json.loads(found.stdout))
+    process = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    imported = set(json.loads(process.stdout))
     assert not imported & {"libsumo", "numba", "ray", "sqlalchemy", "fastapi", "scipy"}

@@ -32,24 +32,27 @@ def test_an_unknown_group_is_empty() -> None:
 
 
 @pytest.mark.parametrize(
-    ("find", "field", "sentence"),
+    ("find", "field", "installed"),
     [
-        (registry.driving_function, "driving_function", "there is no driving function 'nonsense'; installed: .*frenet"),
-        (registry.vehicle, "vehicle.model", "there is no vehicle model 'nonsense'; installed: .*single_track"),
-        (registry.evaluator, "evaluator", "there is no evaluator 'nonsense'; installed: .*reference"),
-        (registry.optimizer, "optimizer.kind", "there is no optimizer 'nonsense'; installed: .*genetic, .*random"),
-        (registry.catalogue, "catalogue", "there is no scenario catalogue 'nonsense'; installed: .*highway"),
+        (registry.driving_function, "driving_function", "frenet"),
+        (registry.vehicle, "vehicle.model", "single_track"),
+        (registry.evaluator, "evaluator", "reference"),
+        (registry.optimizer, "optimizer.kind", "genetic"),
+        (registry.catalogue, "catalogue", "highway"),
     ],
 )
-def test_an_unknown_name_is_refused_with_the_installed_ones(find: Callable[[str], object], field: str, sentence: str) -> None:
-    with pytest.raises(InvalidInputError, match=sentence) as refused:
+def test_an_unknown_name_is_refused_with_the_installed_ones(find: Callable[[str], object], field: str, installed: str) -> None:
+    with pytest.raises(InvalidInputError, match="'nonsense'") as refused:
         find("nonsense")
-    assert [problem.field for problem in refused.value.problems] == [field]
+    (problem,) = refused.value.problems
+    assert problem.field == field
+    assert installed in problem.remedy
 
 
 def test_the_field_that_is_blamed_can_be_chosen() -> None:
-    with pytest.raises(InvalidInputError, match=r"body\.optimizer\.kind: there is no optimizer"):
+    with pytest.raises(InvalidInputError) as refused:
         registry.optimizer("nonsense", "body.optimizer.kind")
+    assert [problem.field for problem in refused.value.problems] == ["body.optimizer.kind"]
 
 
 def test_a_plugin_of_another_package_is_found(tmp_path: Path) -> None:
@@ -63,5 +66,5 @@ def test_a_plugin_of_another_package_is_found(tmp_path: Path) -> None:
         "from drivecal.plugins import registry; print(registry.catalogue('theirs').name, registry.names('drivecal.scenarios'))"
     )
     environment = os.environ | {"PYTHONPATH": str(tmp_path)}
-    found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, env=environment)
-    assert found.stdout.strip() == "theirs ['highway', 'theirs']"
+    process = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, env=environment)
+    assert process.stdout.strip() == "theirs ['highway', 'theirs']"

@@ -191,21 +191,21 @@ def test_a_worker_with_another_version_refuses_the_whole_setup_and_names_both_ve
     result = Worker("w").run(Batch(_request(simulator="libsumo 0.9", seed=77), (Cell(1, MIDDLE), Cell(2, MIDDLE))))
     assert result.results == ()
     refusal = result.refusal or ""
-    assert refusal.startswith("coordinator and worker differ: ")
+    assert "coordinator" in refusal
     assert f"simulator is libsumo 0.9 at the coordinator and {simulator()} at the worker" in refusal
     assert "seed is 77" in refusal
     pickle.loads(pickle.dumps(result))
 
 
 def test_a_worker_without_the_plug_in_says_what_it_has() -> None:
-    for request, words in (
-        (replace(_request(), driving_function="another"), "there is no driving function 'another'; installed: frenet"),
-        (replace(_request(), scenario="S77"), "no 'S77'; it has S1, S2"),
-        (replace(_request(), run_fingerprint="0", document={}), "run fingerprint 0 was asked for"),
+    for request, named in (
+        (replace(_request(), driving_function="another"), ("'another'", "frenet")),
+        (replace(_request(), scenario="S77"), ("'S77'", "S1, S2")),
+        (replace(_request(), run_fingerprint="0", document={}), ("fingerprint is 0",)),
     ):
         result = Worker("w").run(Batch(request, (Cell(1, MIDDLE),)))
         assert result.results == ()
-        assert words in (result.refusal or "")
+        assert all(word in (result.refusal or "") for word in named)
 
 
 def test_a_plug_in_that_cannot_be_imported_here_is_the_worker_s_fault(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -215,7 +215,7 @@ def test_a_plug_in_that_cannot_be_imported_here_is_the_worker_s_fault(monkeypatc
     request = _request()
     monkeypatch.setattr(registry, "driving_function", broken)
     result = Worker("w").run(Batch(request, (Cell(1, MIDDLE),)))
-    assert "a plug-in cannot be loaded: OSError: frenet: no space left on device" in (result.refusal or "")
+    assert "OSError: frenet: no space left on device" in (result.refusal or "")
 
 
 def test_a_plug_in_that_cannot_be_put_together_is_the_cell_s_fault() -> None:
@@ -224,17 +224,17 @@ def test_a_plug_in_that_cannot_be_put_together_is_the_cell_s_fault() -> None:
 
     result = Worker("w", make).run(Batch(SETUP, (Cell(1, MIDDLE),)))
     assert result.refusal is None
-    assert [one.breakdown for one in result.results] == ["error"]
+    assert [cell.breakdown for cell in result.results] == ["error"]
 
 
 def test_a_worker_is_ready_once_it_has_simulated_a_cell() -> None:
     facts = Worker("w").warm(Batch(_request(), (Cell(1, MIDDLE),)))
     assert facts.pid == os.getpid()
-    for trial, words in (
-        (Batch(_request(simulator="libsumo 0.9"), (Cell(1, MIDDLE),)), "simulator is libsumo 0.9 at the coordinator"),
+    for trial, named in (
+        (Batch(_request(simulator="libsumo 0.9"), (Cell(1, MIDDLE),)), "libsumo 0.9"),
         (Batch(_request(), (Cell(1, {}),)), "KeyError: 'P1'"),
     ):
-        with pytest.raises(UnavailableError, match=words):
+        with pytest.raises(UnavailableError, match=named):
             Worker("w").warm(trial)
 
 
@@ -250,9 +250,9 @@ def test_numba_gets_a_folder_of_its_own_only_where_it_would_find_none(tmp_path: 
     assert os.environ["NUMBA_CACHE_DIR"] == ""
     writable = set()
     compilation.prepare_cache()
-    made = Path(os.environ["NUMBA_CACHE_DIR"])
-    assert made.is_dir()
-    made.rmdir()
+    folder = Path(os.environ["NUMBA_CACHE_DIR"])
+    assert folder.is_dir()
+    folder.rmdir()
 
 
 def test_a_folder_for_kernels_begins_with_those_that_an_image_brought_along(
@@ -267,9 +267,9 @@ def test_a_folder_for_kernels_begins_with_those_that_an_image_brought_along(
     assert not folder.exists()
     monkeypatch.setenv(compilation.SHIPPED, str(shipped))
     compilation.prepare_cache()
-    (folder / "planner" / "kernel.nbi").write_text("compiled anew")
+    (folder / "planner" / "kernel.nbi").write_text("recompiled")
     compilation.prepare_cache()
-    assert (folder / "planner" / "kernel.nbi").read_text() == "compiled anew"
+    assert (folder / "planner" / "kernel.nbi").read_text() == "recompiled"
     assert [path.name for path in folder.parent.iterdir()] == ["numba"]
 
 
@@ -282,7 +282,7 @@ def test_a_certified_cell_names_the_cell_whose_run_it_repeats() -> None:
     first, again, other = certified(
         worker, Cell(7, {"a": 0.0, "b": 3.0}), Cell(8, {"a": 0.5, "b": 3.0}), Cell(9, {"a": 0.0, "b": 4.0})
     )
-    assert [(one.proven_by, one.agrees) for one in (first, again, other)] == [(None, None), (7, None), (None, None)]
+    assert [(cell.proven_by, cell.agrees) for cell in (first, again, other)] == [(None, None), (7, None), (None, None)]
     assert (again.rating, again.score, again.metrics) == (first.rating, first.score, first.metrics)
     assert again.breakdown is None
 
@@ -296,21 +296,21 @@ def test_a_certified_cell_that_is_checked_is_simulated_and_says_whether_both_agr
         Cell(3, {"a": 7.0, "b": 3.0}, check=True),
         Cell(4, {"a": 8.0, "b": 5.0}),
     )
-    assert [(one.proven_by, one.agrees) for one in (good, bad, chaotic)] == [(1, True), (1, False), (None, False)]
+    assert [(cell.proven_by, cell.agrees) for cell in (good, bad, chaotic)] == [(1, True), (1, False), (None, False)]
     assert good.metrics["runs"] == 2
 
 
 def test_without_leave_nothing_is_certified() -> None:
     worker = Worker("w", lambda _: ScriptedRunner())
-    assert [one.metrics["runs"] for one in run(worker, (0.0, 3.0), (0.0, 3.0))] == [1, 2]
+    assert [cell.metrics["runs"] for cell in run(worker, (0.0, 3.0), (0.0, 3.0))] == [1, 2]
 
 
-def test_a_worker_says_what_it_remembers_of_what_it_may() -> None:
+def test_a_worker_reports_the_use_and_limit_of_its_certificate_memory() -> None:
     worker = Worker("w", lambda _: ScriptedRunner(), certificates_mb=7)
     assert worker.run(Batch(SETUP, ())).remembered == CertificateMemory(0, 0, 7 * 2**20)
 
 
-def test_what_a_worker_knows_of_cells_that_a_reference_answered_it_tells_without_a_simulation() -> None:
+def test_a_worker_reports_certificates_of_probes_without_a_simulation() -> None:
     worker = Worker("w", lambda _: ScriptedRunner())
     probes = (Probe(7, {"a": 9.0, "b": 3.0}), Probe(8, {"a": 0.0, "b": 4.0}))
     (first,) = certified(worker, Cell(1, {"a": 0.0, "b": 3.0}, probes=probes))

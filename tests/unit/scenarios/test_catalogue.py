@@ -82,7 +82,7 @@ def test_edges_cover_the_road_and_change_at_every_speed_limit(scenario: Scenario
 def test_the_digest_follows_definition_and_network() -> None:
     scenario = SCENARIOS[0]
     others = [replace(scenario, network=scenario.network + b" "), replace(scenario, duration=17.0), replace(scenario, seed=2)]
-    assert len({one.digest for one in [scenario, *others]}) == 4
+    assert len({variant.digest for variant in [scenario, *others]}) == 4
     assert replace(scenario).digest == scenario.digest
 
 

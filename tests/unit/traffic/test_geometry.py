@@ -78,11 +78,11 @@ def test_rectangles_hit_where_points_of_one_lie_in_the_other(
     ego = (0.0, 0.0, ego_heading, 2.4, 0.9)
     shrunk, grown = ((x, y, heading, half_length + by, half_width + by) for by in (-0.15, 0.15))
     pose = np.array([0.0, 0.0, ego_heading, 0.0, 0.0, 0.0, 0.0, 0.0])
-    found = hits(np.array([(x, y, heading, half_length, half_width)]), pose, OUTLINE)
+    hit = hits(np.array([(x, y, heading, half_length, half_width)]), pose, OUTLINE)
     if overlap_by_sampling(shrunk, ego):
-        assert found
+        assert hit
     if not overlap_by_sampling(grown, ego) and not overlap_by_sampling(ego, grown):
-        assert not found
+        assert not hit
 
 
 def test_nothing_is_hit_where_nothing_is() -> None:

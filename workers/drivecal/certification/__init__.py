@@ -1,1 +1,1 @@
-"""Proofs that a run would be bit-identical to a stored one: a run is determined by its sequence of decisions."""
+"""Certificates, i.e. proofs that a run would be bit-identical to a stored one: its sequence of decisions determines a run."""

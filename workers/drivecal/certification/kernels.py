@@ -1,4 +1,4 @@
-"""The arithmetic of certificates, compiled: features packed and unpacked, contenders found, ways followed."""
+"""Compiled arithmetic of certificates: packing of features, selection of contenders, and traversal of the trie."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ compiled = njit(cache=True, error_model="numpy")
 
 NONE = -1
 BESIDE = 65535
-"""Stands for a feature that is kept beside."""
+"""Marks a feature that does not fit into two bytes and is stored beside, unpacked."""
 
 
 @compiled
 def count_beside(features: Any, scale: float) -> int:
-    """How many of `features`, shape (n, k), are no multiples of 1 / `scale` that fit into two bytes."""
+    """Counts the `features`, shape (n, k), that are not multiples of 1 / `scale` or do not fit into two bytes."""
     beside = 0
     for value in features.ravel():
         multiple = value * scale
@@ -27,7 +27,7 @@ def count_beside(features: Any, scale: float) -> int:
 
 @compiled
 def pack(features: Any, scale: float, packed: Any, places: Any, values: Any) -> None:
-    """Writes `features`, shape (n, k), as multiples of 1 / `scale`; those that are none go to `places` and `values`."""
+    """Writes `features`, shape (n, k), to `packed` as multiples of 1 / `scale`, and the other features to `places` and `values`."""
     beside = 0
     n, k = features.shape
     for row in range(n):
@@ -45,7 +45,7 @@ def pack(features: Any, scale: float, packed: Any, places: Any, values: Any) -> 
 
 @compiled
 def unpack(packed: Any, grid: float, places: Any, values: Any, features: Any) -> None:
-    """The inverse of `pack`; `grid` is 1 / `scale`, both powers of two. A zero comes back without its sign."""
+    """Inverts `pack`, except that zeros lose their sign; `grid` is 1 / `scale`, both powers of two."""
     n, k = features.shape
     for row in range(n):
         for column in range(k):
@@ -56,10 +56,11 @@ def unpack(packed: Any, grid: float, places: Any, values: Any, features: Any) ->
 
 @compiled
 def contenders(features: Any, lowest: Any, highest: Any, infeasible: Any, chosen: int, leaders: int, margin: float) -> Any:
-    """The candidates that could have the lowest cost under weights between `lowest` and `highest`, in ascending order.
+    """Returns the candidates that could have the lowest cost under weights between `lowest` and `highest`, in ascending order.
 
-    `features`, shape (n, n_terms), one column per weight. A candidate is left out where one of `leaders` good ones that are not known to be
-    `infeasible` costs less by more than `margin`, whatever the weights: rounding errors must be smaller than that. `chosen` always stays.
+    `features`, shape (n, n_terms): one column per weight. A candidate is excluded if, for all weights, one of `leaders` good candidates
+    that are not known to be `infeasible` costs less by more than `margin`. Rounding errors must be smaller than `margin`. `chosen` always
+    stays.
     """
     n, n_terms = features.shape
     columns, rank, number = np.empty((n_terms, n)), np.zeros(n), np.arange(n)
@@ -88,7 +89,7 @@ def contenders(features: Any, lowest: Any, highest: Any, infeasible: Any, chosen
                 gap[place] += difference * (low if difference > 0.0 else high)
         stay = 0
         for place in range(left):
-            if not gap[place] > margin or number[place] == chosen:  # one that is no number beats nobody
+            if not gap[place] > margin or number[place] == chosen:  # a gap of NaN excludes no candidate
                 if stay < place:
                     number[stay], rank[stay] = number[place], rank[place]
                     for term in range(n_terms):
@@ -101,7 +102,7 @@ def contenders(features: Any, lowest: Any, highest: Any, infeasible: Any, chosen
 
 @compiled
 def visit(node: int, parent: Any, visited: Any, clock: int) -> None:
-    """Notes in a node and all its ancestors that they were visited."""
+    """Marks a node and all its ancestors as visited at `clock`."""
     while node >= 0:
         visited[node] = clock
         node = parent[node]
@@ -109,7 +110,7 @@ def visit(node: int, parent: Any, visited: Any, clock: int) -> None:
 
 @compiled
 def move(starts: Any, counts: Any, old: Any, new: Any) -> None:
-    """Copies the `counts` rows from each of `starts` on from `old` to `new`, one after the other; `starts` becomes where they are."""
+    """Copies `counts` rows of `old` from each of `starts` consecutively to `new`; overwrites `starts` with the new positions."""
     place = 0
     for node in range(len(starts)):
         start = starts[node]
@@ -122,7 +123,7 @@ def move(starts: Any, counts: Any, old: Any, new: Any) -> None:
 
 @compiled
 def link(parent: Any, first_child: Any, next_sibling: Any) -> None:
-    """Children of all nodes from their parents."""
+    """Derives the children of all nodes from their parents."""
     first_child[:] = NONE
     next_sibling[:] = NONE
     for node in range(1, len(parent)):
@@ -132,13 +133,13 @@ def link(parent: Any, first_child: Any, next_sibling: Any) -> None:
 
 @compiled
 def digest(states: Any, digests: Any) -> None:
-    """Writes 63 bits of each of `states`, shape (n, k), to `digests`, never zero. Every bit counts, that of a zero's sign too."""
+    """Writes a non-zero digest of 63 bits of each of `states`, shape (n, k), to `digests`. Every bit counts, including signs of zeros."""
     bits = states.view(np.uint64)
     n, k = bits.shape
     lanes = np.empty(8, dtype=np.uint64)
     for row in range(n):
         lanes[:] = np.uint64(14695981039346656037)
-        for index in range(k):  # side by side, so that one value does not have to wait for the one before
+        for index in range(k):  # eight independent lanes, so that a value need not wait for the one before
             lane = index & 7
             mixed = (lanes[lane] ^ bits[row, index]) * np.uint64(1099511628211)
             lanes[lane] = mixed ^ (mixed >> np.uint64(29))
@@ -153,10 +154,9 @@ def digest(states: Any, digests: Any) -> None:
 def follow(
     decisions: Any, digests: Any, first_child: Any, next_sibling: Any, decision: Any, digest: Any
 ) -> tuple[int, int, bool]:
-    """Goes with a run's `decisions`, shape (n,), from node 0 on as far as it is known.
+    """Follows a run's `decisions`, shape (n,), from node 0 through the known nodes.
 
-    Gives the node where that ends, how many decisions led there, and whether all states on the way, that one included, had the run's
-    `digests`, shape (n,).
+    Returns the last node, the number of decisions that led to it, and whether all states up to it had the run's `digests`, shape (n,).
     """
     node = 0
     for depth in range(len(decisions)):

@@ -1,4 +1,4 @@
-"""What the tries of a worker may take together, and what they forget where that is too little. Light: no compiled code."""
+"""Memory limit of all tries of a worker, and the choice of what they forget. Light: no compiled code."""
 
 from __future__ import annotations
 
@@ -9,61 +9,61 @@ from weakref import WeakSet
 import numpy as np
 import numpy.typing as npt
 
-MOST_BY_DEFAULT = 1024
+LARGEST_DEFAULT = 1024
 """Megabytes."""
 
 
-def megabytes_by_default() -> int:
-    """What a worker may take where nobody says how much: a quarter of the memory that the machine has for each CPU, 1 GB at most."""
+def default_megabytes() -> int:
+    """Returns the default limit of a worker: a quarter of the machine's memory per CPU, 1 GB at most."""
     machine = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 2**20
-    return max(1, min(MOST_BY_DEFAULT, machine // (4 * (os.cpu_count() or 1))))
+    return max(1, min(LARGEST_DEFAULT, machine // (4 * (os.cpu_count() or 1))))
 
 
-class Kept(Protocol):
-    """A trie, as its memory sees it."""
+class Evictable(Protocol):
+    """A trie, as seen by the memory."""
 
     @property
     def bytes(self) -> int:
-        """In use."""
+        """Memory in use."""
 
     @property
     def visited(self) -> npt.NDArray[np.int64]:
-        """When each of its states was visited last, by the memory's clock, shape (states,). A state is visited whenever one below it is."""
+        """Time of the last visit of each state, by the memory's clock, shape (states,). Visiting a state visits all states above it."""
 
     def forget_until(self, clock: int) -> None:
-        """Forgets the states, but the first, that were not visited after this."""
+        """Forgets all states except the first whose last visit is not after `clock`."""
 
 
 class Memory:
-    """Of a process. Above its limit, all tries forget what was visited for longest, until half of the limit is free."""
+    """Memory of a process for certificates. Above the limit, all tries forget their least recently visited states until half is free."""
 
     def __init__(self, megabytes: int | None = None) -> None:
-        self.limit = (megabytes or megabytes_by_default()) * 2**20
-        """Bytes."""
+        self.limit = (megabytes or default_megabytes()) * 2**20
+        """Limit in bytes."""
         self.clock = 0
-        """Counts visits."""
-        self._tries: WeakSet[Kept] = WeakSet()
+        """Number of visits so far."""
+        self._tries: WeakSet[Evictable] = WeakSet()
 
     @property
     def bytes(self) -> int:
-        """In use by all tries."""
+        """Memory in use by all tries."""
         return sum(trie.bytes for trie in self._tries)
 
     @property
     def states(self) -> int:
-        """Planning states that are kept, of all setups."""
+        """Number of stored planning states of all setups."""
         return sum(len(trie.visited) for trie in self._tries)
 
-    def join(self, trie: Kept) -> None:
-        """A trie that counts from now on, as long as somebody holds it."""
+    def join(self, trie: Evictable) -> None:
+        """Counts a trie from now on, for as long as it is referenced."""
         self._tries.add(trie)
 
-    def settle(self) -> None:
-        """Forgets what there is no room for. No run may be recording: states get new numbers."""
+    def evict(self) -> None:
+        """Forgets states if the limit is exceeded. No run may be recording: the remaining states get new numbers."""
         if self.bytes <= self.limit:
             return
         while self.bytes > self.limit // 2 and any(len(trie.visited) > 1 for trie in self._tries):
-            # of those that can go: the first of each trie stays, and among many of these no progress would be made
-            middle = int(np.median(np.concatenate([trie.visited[1:] for trie in self._tries])))
+            # The first state of each trie always stays; a median that included many of them could prevent progress.
+            median = int(np.median(np.concatenate([trie.visited[1:] for trie in self._tries])))
             for trie in list(self._tries):
-                trie.forget_until(middle)
+                trie.forget_until(median)

@@ -1,10 +1,10 @@
-"""Planning states as nodes of a trie, stored compactly: what decides in them, and where each decision leads.
+"""Planning states as nodes of a trie, stored compactly with their contenders and the successor of each decision.
 
-A driving function that can be certified decides by the lowest cost over candidates, with features that do not depend on any parameter. Of a
-new state a node keeps what the features are computed from, some dozens of numbers. One that is asked for again and again is described: it
-keeps the features of its contenders, the candidates that could win under some allowed parameters, as whole multiples of the function's
-`grid`, two bytes each; the few that do not fit into two bytes are kept beside as they are. Nothing is rounded: what comes out is bit for
-bit what went in.
+A certifiable driving function chooses the candidate of lowest cost, with features that do not depend on any parameter. A node of a new
+state stores the inputs of these features, some dozens of numbers. A node that is queried repeatedly is described: it stores the features
+of its contenders, i.e. of the candidates that could win under some allowed parameters. Features are stored as whole multiples of the
+function's `grid`, two bytes each; the few that do not fit are stored beside, unpacked. Nothing is rounded: unpacked features equal
+the original bit for bit.
 """
 
 from __future__ import annotations
@@ -20,50 +20,53 @@ Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int32]
 
 INFEASIBLE = 32768
-"""Added to the number of a candidate that is known to be."""
+"""Added to the number of a candidate that is known to be infeasible."""
 
 
 class Nodes:
-    """One row per node; row 0 is the state in which every run begins. A child's number is larger than its parent's. Arrays grow."""
+    """Growing arrays with one row per node; row 0 is the initial state of all runs. A child's number is larger than its parent's."""
 
     def __init__(self, n_values: int, n_candidates: int, grid: float) -> None:
-        """`n_values` numbers describe a candidate for its cost, of `n_candidates`; `grid`: a power of two that most of these numbers are
-        multiples of. Raises ValueError for more candidates than can be numbered."""
+        """Creates a trie with the root only. Raises ValueError for too many candidates.
+
+        `n_values`: numbers that determine the cost of one of `n_candidates`; `grid`: a power of two, of which most of these numbers are
+        multiples.
+        """
         if n_candidates > INFEASIBLE:
             raise ValueError(f"{n_candidates} candidates are too many to be certified; at most {INFEASIBLE}")
         self.grid, self.n_candidates = grid, n_candidates
         self.packed: npt.NDArray[np.uint16] = np.zeros((0, n_values), dtype=np.uint16)
-        """The contenders of all nodes, one row each."""
+        """Contenders of all nodes, one row each."""
         self.candidate: npt.NDArray[np.uint16] = np.zeros(0, dtype=np.uint16)
-        """Which candidate a row is, plus INFEASIBLE where it is known to be."""
+        """Candidate of each row, plus INFEASIBLE if it is known to be infeasible."""
         self.row_start: npt.NDArray[np.int64] = np.zeros(0, dtype=np.int64)
         self.row_count: Integers = np.zeros(0, dtype=np.int32)
-        """0: the node is not described yet."""
+        """Number of contenders; 0 if the node is not described yet."""
         self.digest: npt.NDArray[np.int64] = np.zeros(0, dtype=np.int64)
-        """Of the planning state; 0 where none is known."""
+        """Digest of the planning state; 0 if it is unknown."""
         self.state: Integers = np.zeros(0, dtype=np.int32)
-        """Where in `states` the planning state is; NONE where it is described, or none is known."""
-        self.asked: Integers = np.zeros(0, dtype=np.int32)
-        """How often it was decided in the state."""
+        """Row of the planning state in `states`; NONE if the node is described or its state unknown."""
+        self.decided: Integers = np.zeros(0, dtype=np.int32)
+        """Number of decisions that the planner has made in the state for certificates."""
         self.visited: npt.NDArray[np.int64] = np.zeros(0, dtype=np.int64)
-        """When it, or a node below it, was last."""
+        """Time of the last visit of the node or a node below it."""
         self.parent: Integers = np.zeros(0, dtype=np.int32)
         self.decision: Integers = np.zeros(0, dtype=np.int32)
-        """The candidate that led from the parent to this node."""
+        """Candidate that led from the parent to this node."""
         self.first_child: Integers = np.zeros(0, dtype=np.int32)
         self.next_sibling: Integers = np.zeros(0, dtype=np.int32)
         self.leaf: Integers = np.zeros(0, dtype=np.int32)
-        """The number of the run that ended here; NONE where none did."""
+        """Number of the run that ended here; NONE without such a run."""
         self.beside_start: npt.NDArray[np.int64] = np.zeros(0, dtype=np.int64)
         self.beside_count: Integers = np.zeros(0, dtype=np.int32)
         self.places: Integers = np.zeros(0, dtype=np.int32)
         self.values: Floats = np.zeros(0)
         self.states: Floats = np.zeros((0, 0))
         self._free: list[int] = []
-        """Rows of `states` that are not used any more."""
-        self.count = self.rows = self.beside = self.kept = 0
+        """Unused rows of `states`."""
+        self.count = self.rows = self.beside = self.state_rows = 0
         self._add(np.array([NONE]), np.array([NONE]))
-        self._per_node = sum(getattr(self, name).itemsize for name in _OF_NODES)
+        self._per_node = sum(getattr(self, name).itemsize for name in _NODE_ARRAYS)
 
     @property
     def bytes(self) -> int:
@@ -71,37 +74,37 @@ class Nodes:
         per_row = self.packed.itemsize * (self.packed.shape[1] + 1)
         per_state = self.states.itemsize * self.states.shape[1]
         beside = self.beside * (self.places.itemsize + self.values.itemsize)
-        return self.count * self._per_node + self.rows * per_row + self.kept * per_state + beside
+        return self.count * self._per_node + self.rows * per_row + self.state_rows * per_state + beside
 
     def extend(self, decisions: Sequence[int], states: Floats) -> tuple[int, int | None]:
         """Adds a run: its `decisions`, shape (n,), and the states in which they were made, shape (n, n_state).
 
-        Gives the node where it ended. Where the same decisions led to another state than before nothing is added: then gives the number
-        of that decision as well.
+        Returns the node at the end of the run and None. If equal decisions led to another state than before, adds nothing and returns the
+        number of that decision as the second value.
         """
-        made, digests = np.array(decisions, dtype=np.int64), np.empty(len(decisions), dtype=np.int64)
+        sequence, digests = np.array(decisions, dtype=np.int64), np.empty(len(decisions), dtype=np.int64)
         digest(states, digests)
-        node, depth, same = follow(made, digests, self.first_child, self.next_sibling, self.decision, self.digest)
+        node, depth, same = follow(sequence, digests, self.first_child, self.next_sibling, self.decision, self.digest)
         if not same:
             return node, depth
-        if depth == len(made):
+        if depth == len(sequence):
             return node, None
         if not self.digest[node]:
-            self._remember(np.array([node]), states[depth : depth + 1], digests[depth : depth + 1])
-        first, end = self.count, self.count + len(made) - depth - 1
-        self._add(np.array([node, *range(first, end)]), made[depth:])
-        self._remember(np.arange(first, end), states[depth + 1 :], digests[depth + 1 :])
+            self._store_states(np.array([node]), states[depth : depth + 1], digests[depth : depth + 1])
+        first, end = self.count, self.count + len(sequence) - depth - 1
+        self._add(np.array([node, *range(first, end)]), sequence[depth:])
+        self._store_states(np.arange(first, end), states[depth + 1 :], digests[depth + 1 :])
         return end, None
 
     def _add(self, parents: npt.NDArray[np.int64], decisions: npt.NDArray[np.int64]) -> None:
-        """New nodes, nothing known of them; each but the first is the only child of the one before."""
+        """Adds empty nodes; each except the first is the only child of the one before."""
         start, stop = self.count, self.count + len(parents)
-        self._grow(_OF_NODES, stop)
+        self._grow(_NODE_ARRAYS, stop)
         new = slice(start, stop)
         self.parent[new], self.decision[new] = parents, decisions
         for name in ("first_child", "next_sibling", "leaf", "state"):
             getattr(self, name)[new] = NONE
-        for name in ("visited", "digest", "asked", "row_start", "row_count", "beside_start", "beside_count"):
+        for name in ("visited", "digest", "decided", "row_start", "row_count", "beside_start", "beside_count"):
             getattr(self, name)[new] = 0
         self.first_child[start : stop - 1] = np.arange(start + 1, stop)
         parent = int(parents[0])
@@ -109,20 +112,21 @@ class Nodes:
             self.next_sibling[start], self.first_child[parent] = self.first_child[parent], start
         self.count = stop
 
-    def _remember(self, nodes: npt.NDArray[np.int64], states: Floats, digests: npt.NDArray[np.int64]) -> None:
-        """Keeps the planning states of nodes of which none was known."""
-        used = self._free[len(self._free) - min(len(nodes), len(self._free)) :]
-        del self._free[len(self._free) - len(used) :]
-        rows = np.array([*used, *range(self.kept, self.kept + len(nodes) - len(used))], dtype=np.int32)
-        self.kept += len(nodes) - len(used)
+    def _store_states(self, nodes: npt.NDArray[np.int64], states: Floats, digests: npt.NDArray[np.int64]) -> None:
+        """Stores the planning states of nodes without a known state."""
+        recycled = self._free[len(self._free) - min(len(nodes), len(self._free)) :]
+        del self._free[len(self._free) - len(recycled) :]
+        added = len(nodes) - len(recycled)
+        rows = np.array([*recycled, *range(self.state_rows, self.state_rows + added)], dtype=np.int32)
+        self.state_rows += added
         if not self.states.shape[1]:
             self.states = np.zeros((0, states.shape[1]))
-        self._grow(("states",), self.kept)
+        self._grow(("states",), self.state_rows)
         self.states[rows] = states
         self.state[nodes], self.digest[nodes] = rows, digests
 
     def child(self, node: int, chosen: int) -> int:
-        """The node that `chosen` leads to from `node`; NONE where that was never driven."""
+        """Returns the node that `chosen` leads to from `node`; NONE if it was never driven."""
         child = int(self.first_child[node])
         while child != NONE and self.decision[child] != chosen:
             child = int(self.next_sibling[child])
@@ -135,80 +139,85 @@ class Nodes:
         features: Floats,
         infeasible: npt.NDArray[np.bool_],
     ) -> None:
-        """Keeps the contenders of a state, shape (n,), with their features, shape (n, n_values), in place of what was kept. `infeasible`,
-        shape (n_candidates,): those known to be."""
+        """Replaces the content of a node by the contenders of its state, shape (n,), and their features, shape (n, n_values).
+
+        `infeasible`, shape (n_candidates,): candidates known to be infeasible.
+        """
         if self.state[node] != NONE:
             self._free.append(int(self.state[node]))
             self.state[node] = NONE
         start, stop = self.rows, self.rows + len(candidates)
-        beside = count_beside(features, 1.0 / self.grid)
-        self._grow(_OF_ROWS, stop)
-        self._grow(_OF_BESIDE, self.beside + beside)
-        pack(features, 1.0 / self.grid, self.packed[start:stop], self.places[self.beside :], self.values[self.beside :])
+        added = count_beside(features, 1.0 / self.grid)
+        self._grow(_ROW_ARRAYS, stop)
+        self._grow(_BESIDE_ARRAYS, self.beside + added)
+        places, values = self.places[self.beside :], self.values[self.beside :]
+        pack(features, 1.0 / self.grid, self.packed[start:stop], places, values)
         self.candidate[start:stop] = candidates + INFEASIBLE * infeasible[candidates]
         self.row_start[node], self.row_count[node] = start, len(candidates)
-        self.beside_start[node], self.beside_count[node] = self.beside, beside
-        self.rows, self.beside = stop, self.beside + beside
+        self.beside_start[node], self.beside_count[node] = self.beside, added
+        self.rows, self.beside = stop, self.beside + added
 
     def contenders(self, node: int) -> tuple[npt.NDArray[np.uint16], npt.NDArray[np.bool_], Floats]:
-        """The contenders of a described node, shape (n,), which of them are infeasible, and their features, shape (n, n_values)."""
+        """Returns the contenders of a described node, shape (n,), a mask of the infeasible ones, and features, shape (n, n_values)."""
         start, stop = self.row_start[node], self.row_start[node] + self.row_count[node]
-        found = np.empty((stop - start, self.packed.shape[1]))
+        features = np.empty((stop - start, self.packed.shape[1]))
         beside = slice(self.beside_start[node], self.beside_start[node] + self.beside_count[node])
-        unpack(self.packed[start:stop], self.grid, self.places[beside], self.values[beside], found)
+        unpack(self.packed[start:stop], self.grid, self.places[beside], self.values[beside], features)
         candidates = self.candidate[start:stop]
-        return candidates % INFEASIBLE, candidates >= INFEASIBLE, found
+        return candidates % INFEASIBLE, candidates >= INFEASIBLE, features
 
     def infeasible(self, node: int) -> npt.NDArray[np.bool_]:
-        """The contenders of a node that are known to be infeasible, as candidates, shape (n_candidates,)."""
+        """Returns the mask of candidates that are contenders of a node and known to be infeasible, shape (n_candidates,)."""
         candidates = self.candidate[self.row_start[node] : self.row_start[node] + self.row_count[node]]
-        found = np.zeros(self.n_candidates, dtype=np.bool_)
-        found[candidates[candidates >= INFEASIBLE] - INFEASIBLE] = True
-        return found
+        mask = np.zeros(self.n_candidates, dtype=np.bool_)
+        mask[candidates[candidates >= INFEASIBLE] - INFEASIBLE] = True
+        return mask
 
-    def keep(self, wanted: npt.NDArray[np.bool_]) -> None:
-        """Forgets the nodes that are not `wanted`, shape (count,): with a node all its ancestors must be. The others get new numbers, in
-        the order of the old ones; the memory of those that are gone is given back."""
-        old = np.flatnonzero(wanted)
+    def keep(self, retained: npt.NDArray[np.bool_]) -> None:
+        """Forgets all nodes that are not `retained`, shape (count,), and frees their memory.
+
+        All ancestors of a retained node must be retained. The nodes get new numbers in the order of the old ones.
+        """
+        old = np.flatnonzero(retained)
         number = np.full(self.count, NONE, dtype=np.int32)
         number[old] = np.arange(len(old), dtype=np.int32)
-        for name in _OF_NODES:
+        for name in _NODE_ARRAYS:
             setattr(self, name, getattr(self, name)[old])
         self.parent[1:] = number[self.parent[1:]]
         link(self.parent, self.first_child, self.next_sibling)
         self.count = len(old)
-        kept = np.flatnonzero(self.state != NONE)
-        self.states, self._free, self.kept = self.states[self.state[kept]], [], len(kept)
-        self.state[kept] = np.arange(len(kept), dtype=np.int32)
-        self._move(_OF_ROWS, "row_start", int(self.row_count.sum()))
-        self._move(_OF_BESIDE, "beside_start", int(self.beside_count.sum()))
+        with_state = np.flatnonzero(self.state != NONE)
+        self.states, self._free, self.state_rows = self.states[self.state[with_state]], [], len(with_state)
+        self.state[with_state] = np.arange(len(with_state), dtype=np.int32)
+        self._compact(_ROW_ARRAYS, "row_start", self.row_count)
+        self._compact(_BESIDE_ARRAYS, "beside_start", self.beside_count)
         self.rows, self.beside = len(self.candidate), len(self.places)
 
-    def _move(self, names: tuple[str, ...], starts: str, length: int) -> None:
-        before = getattr(self, starts)
-        counts = self.row_count if starts == "row_start" else self.beside_count
+    def _compact(self, names: tuple[str, ...], starts: str, counts: Integers) -> None:
+        old_starts = getattr(self, starts)
         for name in names:
             array = getattr(self, name)
-            moved, places = np.empty((length, *array.shape[1:]), dtype=array.dtype), before.copy()
-            move(places, counts, *(one if one.ndim == 2 else one[:, None] for one in (array, moved)))
-            setattr(self, name, moved)
-        setattr(self, starts, places)
+            compacted = np.empty((int(counts.sum()), *array.shape[1:]), dtype=array.dtype)
+            new_starts = old_starts.copy()
+            move(new_starts, counts, *(matrix if matrix.ndim == 2 else matrix[:, None] for matrix in (array, compacted)))
+            setattr(self, name, compacted)
+        setattr(self, starts, new_starts)
 
     def _grow(self, names: tuple[str, ...], length: int) -> None:
         if length <= len(getattr(self, names[0])):
             return
         for name in names:
             array = getattr(self, name)
-            # in place: large blocks are not copied but mapped anew, so that no second copy has to fit into memory for a moment
+            # In place: large blocks are remapped instead of copied, so that two copies never have to fit into memory.
             array.resize((max(64, length + length // 8), *array.shape[1:]), refcheck=False)
 
 
-_OF_NODES = (
+_NODE_ARRAYS = (
     "row_start",
     "row_count",
     "digest",
     "state",
-    "asked",
+    "decided",
     "visited",
     "parent",
     "decision",
@@ -218,20 +227,19 @@ _OF_NODES = (
     "beside_start",
     "beside_count",
 )
-_OF_ROWS = ("packed", "candidate")
-_OF_BESIDE = ("places", "values")
+_ROW_ARRAYS = ("packed", "candidate")
+_BESIDE_ARRAYS = ("places", "values")
 
 
 def walk(nodes: Nodes, node: int, costs: Callable[[npt.NDArray[np.uint16], Floats], Floats]) -> int:
-    """`ports.CertifiablePlanner.walk` for planners without a compiled one; `costs` gives the costs of contenders, shape (n,), from their
-    numbers and features, by the very arithmetic that plans.
+    """Implements `ports.CertifiablePlanner.walk` for planners without compiled code. Ties go to the lowest candidate.
 
-    Ties go to the lowest candidate.
+    `costs` returns the costs of contenders, shape (n,), from their numbers and features, by the same arithmetic as planning.
     """
     while nodes.row_count[node]:
         candidates, infeasible, features = nodes.contenders(node)
-        found = costs(candidates, features)
-        allowed = found if infeasible.all() else np.where(infeasible, np.inf, found)
+        values = costs(candidates, features)
+        allowed = values if infeasible.all() else np.where(infeasible, np.inf, values)
         child = nodes.child(node, int(candidates[np.argmin(allowed)]))
         if child == NONE:
             return node

@@ -1,11 +1,13 @@
-"""The trie of one setup: proves that a run would go as a stored one did, or says that it cannot.
+"""The trie of one setup, which proves that a run would repeat a stored run.
 
-Why it is a proof: simulator, vehicle and planner are deterministic, and parameters enter a run through the planner's choice of a
-candidate only. Two runs that begin alike are in the same state until they choose differently. So the trie's nodes are states: a
-parameter set that chooses, by the planner's own arithmetic on the stored features, what was chosen before at every node down to a leaf,
-drives that leaf's run, bit for bit. In a state that was seen once the planner itself decides again, from all that it had seen there; only
-states that are asked for more often are worth a description, from which deciding is a dozen times cheaper. By a description, a candidate
-that would win but was never tested for feasibility proves nothing: that run has to be simulated.
+Why this is a proof: simulator, vehicle and planner are deterministic, and parameters affect a run only through the planner's choice of a
+candidate. Two runs are in the same state until they choose differently. The nodes of the trie are these states. If a parameter set makes
+the stored choice at every node down to a leaf, by the planner's own arithmetic on the stored features, it drives that leaf's run, bit for
+bit.
+
+In a state that was seen once, the planner itself decides again, from its stored inputs. States that are queried more often get a
+description, from which deciding is a dozen times cheaper. With a description, a winning candidate that was never tested for feasibility
+proves nothing: that run has to be simulated.
 """
 
 from __future__ import annotations
@@ -25,28 +27,28 @@ from drivecal.plugins.ports import CertifiablePlanner, Observation
 
 Result = TypeVar("Result")
 BYTES_PER_RESULT = 4000
-"""Roughly, of what is kept of a run: its metrics by name, mostly."""
-ASKED = 2
-"""How often the planner decides in a state before it is described: a description costs as much as a few decisions."""
+"""Approximate size of a stored result, mostly metrics by name."""
+DECISIONS_UNTIL_DESCRIPTION = 2
+"""Decisions of the planner in a state before it is described: a description costs as much as a few decisions."""
 
 
 class NotDeterministicError(DrivecalError):
-    """The same decisions led to another state: something besides them decides runs, and nothing may be certified."""
+    """Equal decisions led to different states: other influences decide runs, and no run can be certified."""
 
 
 @dataclass(frozen=True, slots=True)
 class Certificate(Generic[Result]):
-    """A parameter set would drive as the run `proven_by` did, whose result is `result`."""
+    """Proof that a parameter set would repeat the run `proven_by`, whose result is `result`."""
 
     result: Result
     proven_by: int
 
 
 class Trie(Generic[Result]):
-    """Of one scenario in one setup, in one process. A cache: what it forgets is simulated again."""
+    """Recorded runs of one scenario in one setup, in one process. A cache: forgotten runs are simulated again."""
 
     def __init__(self, planner: CertifiablePlanner, memory: Memory) -> None:
-        """`memory`: shared with the other tries of the process."""
+        """Creates an empty trie. `memory`: shared by all tries of the process."""
         self._planner = planner
         self._nodes = Nodes(planner.n_values, planner.n_candidates, planner.grid)
         self._results: list[Certificate[Result]] = []
@@ -60,29 +62,29 @@ class Trie(Generic[Result]):
 
     @property
     def nodes(self) -> int:
-        """Planning states that are kept."""
+        """Number of stored planning states."""
         return self._nodes.count
 
     @property
     def runs(self) -> int:
-        """Runs that can prove others."""
+        """Number of stored runs."""
         return len(self._results)
 
     @property
     def visited(self) -> Any:
-        """When each node was visited last, by the memory's clock, shape (nodes,)."""
+        """Time of the last visit of each node, by the memory's clock, shape (nodes,)."""
         return self._nodes.visited[: self._nodes.count]
 
     def prove(self, parameters: Sequence[float]) -> Certificate[Result] | None:
-        """The stored run that these parameters would repeat; None where that is not proved. No run may be recording."""
+        """Returns the stored run that these parameters would repeat; None without a proof. No run may be recording."""
         nodes, planner, described = self._nodes, self._planner, False
         node = planner.walk(nodes, parameters, 0)
         if node == NONE:
             return None
         while nodes.state[node] != NONE:
             chosen = planner.decide(nodes.states[nodes.state[node]], parameters)
-            nodes.asked[node] += 1
-            if nodes.asked[node] >= ASKED or planner.infeasible.any():
+            nodes.decided[node] += 1
+            if nodes.decided[node] >= DECISIONS_UNTIL_DESCRIPTION or planner.infeasible.any():
                 nodes.describe(node, *planner.contenders(planner.infeasible), planner.infeasible)
                 described = True
             child = nodes.child(node, chosen)
@@ -91,34 +93,36 @@ class Trie(Generic[Result]):
             node = planner.walk(nodes, parameters, child)
         self._visit(node)
         leaf = int(nodes.leaf[node])
-        found = None if leaf == NONE else self._results[leaf]
+        certificate = None if leaf == NONE else self._results[leaf]
         if described:
-            self._memory.settle()
-        return found
+            self._memory.evict()
+        return certificate
 
     def record(self) -> RecordingPlanner[Result]:
-        """Takes part in a run, as its planner, and learns from it."""
+        """Returns a planner that records its next run in this trie."""
         return RecordingPlanner(self._planner, self)
 
     def learn(self, recording: RecordingPlanner[Result], result: Result, run: int) -> None:
-        """A run, known as number `run`. Raises NotDeterministicError where a state is not what the same decisions led to before."""
-        end, other = self._nodes.extend(recording.decisions, np.array(recording.states))
-        if other is not None:
+        """Adds a run under the number `run`. Raises NotDeterministicError if the same decisions led to another state before."""
+        end, deviation = self._nodes.extend(recording.decisions, np.array(recording.states))
+        if deviation is not None:
             raise NotDeterministicError(
-                f"the same decisions led to another state at {other * self._planner.period:g} s:"
+                f"the same decisions led to another state at {deviation * self._planner.period:g} s:"
                 " certified reuse is not possible with this setup"
             )
         if self._nodes.leaf[end] == NONE:
             self._nodes.leaf[end] = len(self._results)
             self._results.append(Certificate(result, run))
-        for index, infeasible in recording.refused:
-            self._refuse(recording, index, infeasible)
+        for index, infeasible in recording.infeasible:
+            self._mark_infeasible(recording, index, infeasible)
         self._visit(end)
-        self._memory.settle()
+        self._memory.evict()
 
-    def _refuse(self, recording: RecordingPlanner[Result], index: int, infeasible: npt.NDArray[np.bool_]) -> None:
-        """In the state of a run's plan number `index` candidates were found infeasible: who cannot be driven keeps nobody else out. Where
-        the state is not described the planner will find out by itself."""
+    def _mark_infeasible(self, recording: RecordingPlanner[Result], index: int, infeasible: npt.NDArray[np.bool_]) -> None:
+        """Marks candidates as infeasible in the state of plan number `index`, so that they exclude no other contender.
+
+        A state without description needs no marks: the planner itself checks its candidates there.
+        """
         nodes, node = self._nodes, 0
         for decision in recording.decisions[:index]:
             node = nodes.child(node, decision)
@@ -131,14 +135,14 @@ class Trie(Generic[Result]):
             nodes.describe(node, *self._planner.contenders(known), known)
 
     def forget_until(self, clock: int) -> None:
-        """Forgets the states that were not visited after this. A state is visited whenever one below it is, so what stays is a trie."""
+        """Forgets the states whose last visit is not after `clock`. Visits include all ancestors, so the rest is a trie again."""
         nodes = self._nodes
-        wanted = self.visited > clock
-        wanted[0] = True
-        nodes.keep(wanted)
-        kept = np.flatnonzero(nodes.leaf != NONE)
-        self._results = [self._results[leaf] for leaf in nodes.leaf[kept].tolist()]
-        nodes.leaf[kept] = np.arange(len(kept), dtype=np.int32)
+        retained = self.visited > clock
+        retained[0] = True
+        nodes.keep(retained)
+        leaves = np.flatnonzero(nodes.leaf != NONE)
+        self._results = [self._results[leaf] for leaf in nodes.leaf[leaves].tolist()]
+        nodes.leaf[leaves] = np.arange(len(leaves), dtype=np.int32)
 
     def _visit(self, node: int) -> None:
         self._memory.clock += 1
@@ -146,7 +150,7 @@ class Trie(Generic[Result]):
 
 
 class RecordingPlanner(Generic[Result]):
-    """A planner that plans as its own does and notes the run for the trie."""
+    """A planner that delegates to another one and records the run for a trie."""
 
     def __init__(self, planner: CertifiablePlanner, trie: Trie[Result]) -> None:
         self._planner, self._trie = planner, trie
@@ -154,24 +158,22 @@ class RecordingPlanner(Generic[Result]):
         self.parameters: Sequence[float] = ()
         self.states: list[Floats] = []
         self.decisions: list[int] = []
-        self.refused: list[tuple[int, npt.NDArray[np.bool_]]] = []
-        """The number of a plan, and the candidates that it found infeasible, shape (n_candidates,), where there are any."""
+        self.infeasible: list[tuple[int, npt.NDArray[np.bool_]]] = []
+        """Number of each plan with infeasible candidates, and their mask, shape (n_candidates,)."""
 
     def reset(self, parameters: Sequence[float]) -> None:
-        """See `ports.Planner`."""
         self._planner.reset(parameters)
-        self.parameters, self.states, self.decisions, self.refused = parameters, [], [], []
+        self.parameters, self.states, self.decisions, self.infeasible = parameters, [], [], []
 
     def plan(self, observation: Observation) -> Floats:
-        """See `ports.Planner`."""
         planner = self._planner
         trajectory = planner.plan(observation)
         if np.count_nonzero(planner.infeasible):
-            self.refused.append((len(self.decisions), planner.infeasible.copy()))
+            self.infeasible.append((len(self.decisions), planner.infeasible.copy()))
         self.states.append(planner.state.copy())
         self.decisions.append(planner.chosen)
         return trajectory
 
     def finish(self, result: Result, run: int) -> None:
-        """The run is over; `run` is the number by which it is known. Raises as `Trie.learn`."""
+        """Stores the finished run under the number `run`. Raises like `Trie.learn`."""
         self._trie.learn(self, result, run)

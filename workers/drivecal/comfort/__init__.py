@@ -1,1 +1,1 @@
-"""How comfortable a drive was: metrics measured from its time series, and the reference scale that rates them."""
+"""Comfort of a run: metrics of its time series, and the evaluators that rate it."""

@@ -1,4 +1,4 @@
-"""What the learned evaluator looks at: six channels of a run on a fixed length, in whole numbers."""
+"""Input of the learned evaluator: six channels of a run, resampled to a fixed length, in whole numbers."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from drivecal.plugins.ports import Floats
 LENGTH = 160
 """Samples per channel, spread over the whole run."""
 WINDOW = 50
-"""Rows of `dynamics` (0.01 s each) that accelerations, jerks and yaw rate are averaged over, as the reference scale averages its peaks."""
+"""Rows of `dynamics` (0.01 s each) over which accelerations, jerks and yaw rate are averaged, like the peaks of the reference scale."""
 SHORTEST, LONGEST = 1000, 3000
-"""Rows: runs of 10 to 30 s can be rated."""
+"""Rows of the shortest and the longest run that can be rated: 10 and 30 s."""
 UNITS: Floats = np.array([1.0, 1.0, 1.0, 1.0, 0.04, 0.25])
-"""Of longitudinal and lateral acceleration (m/s^2), longitudinal and lateral jerk (m/s^3), yaw rate (rad/s) and offset (m)."""
+"""Units of longitudinal and lateral acceleration (m/s^2), longitudinal and lateral jerk (m/s^3), yaw rate (rad/s) and offset (m)."""
 RESOLUTION, LARGEST = 256, 2047
-"""Whole numbers per unit, and the largest one: 8 units. Convolutions over all channels stay below 2^18, exact in 32 bits."""
+"""Steps per unit and largest value, 8 units. Convolutions over all channels stay below 2^18, exact in 32 bits."""
 
 
 @njit(cache=True)
 def _sample(signal: Floats, position: float) -> float:
-    """Linear between samples; `position` is cut to the signal."""
+    """Interpolates linearly between samples; clips `position` to the signal."""
     last = signal.shape[0] - 1
     position = min(max(position, 0.0), float(last))
     row = min(int(position), last - 1)
@@ -63,22 +63,22 @@ def _whole(value: float) -> int:
 
 
 MIRROR: npt.NDArray[np.int32] = np.array([[1], [-1], [1], [-1], [-1], [-1]], dtype=np.int32)
-"""Channels times this are those of the same run seen in a mirror, left and right exchanged."""
+"""Factors that turn channels into those of the mirrored run, with left and right exchanged."""
 
 
 def channels_of(dynamics: Floats, offset: Floats) -> npt.NDArray[np.int32]:
-    """The channels in the order of `UNITS`, shape (6, LENGTH), in 1/256 of their units, cut at 8 units.
+    """Returns the channels in the order of `UNITS`, shape (6, LENGTH), in 1/256 of their units, clipped at 8 units.
 
-    `dynamics` (n, 5) and `offset` (m,) as of `ports.Series`. Raises ValueError where the run is too short or too long, or where a value is
-    not finite.
+    `dynamics` (n, 5) and `offset` (m,) as in `ports.Series`. Raises ValueError if the run is too short or too long, or if a value is not
+    finite.
     """
     rows = dynamics.shape[0]
     if not SHORTEST <= rows <= LONGEST or offset.shape[0] < 2:
         raise ValueError(
-            f"the run lasts {rows / 100:g} s; the learned evaluator knows runs of {SHORTEST // 100} to {LONGEST // 100} s"
+            f"the run lasts {rows / 100:g} s; the learned evaluator rates runs of {SHORTEST // 100} to {LONGEST // 100} s"
         )
     if not (np.isfinite(dynamics).all() and np.isfinite(offset).all()):
         raise ValueError("a value of the series is not finite; only finite series can be rated")
-    found = np.zeros((len(UNITS), LENGTH), dtype=np.int32)
-    _fill(np.ascontiguousarray(dynamics), np.ascontiguousarray(offset), UNITS, found)
-    return found
+    channels = np.zeros((len(UNITS), LENGTH), dtype=np.int32)
+    _fill(np.ascontiguousarray(dynamics), np.ascontiguousarray(offset), UNITS, channels)
+    return channels

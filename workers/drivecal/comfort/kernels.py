@@ -12,10 +12,11 @@ from drivecal.plugins.ports import Floats
 
 @njit(cache=True)
 def peaks(signal: Floats, window: int, rate: float) -> tuple[float, float]:
-    """Largest absolute moving average of `signal`, and of its derivative, over `window` samples at `rate` Hz.
+    """Returns the largest absolute moving average of `signal`, and of its derivative, over `window` samples at `rate` Hz.
 
-    The average of a derivative is the difference of the ends over the time between them: jumps between single samples, as where a new
-    plan sets in, count no more than they move the acceleration for good. A signal shorter than the window is one window.
+    The average of a derivative is the difference of the window's ends over the time between them. Jumps between single samples, as at the
+    begin of a new plan, therefore count only as far as they change the acceleration permanently. A signal shorter than the window is
+    averaged as a whole.
     """
     n = signal.shape[0]
     window = min(window, n)
@@ -35,7 +36,7 @@ def peaks(signal: Floats, window: int, rate: float) -> tuple[float, float]:
 
 @njit(cache=True)
 def root_mean_square(signal: Floats) -> float:
-    """sqrt(<signal^2>), summed in one order on every machine (a BLAS is not that careful)."""
+    """Returns sqrt(<signal^2>), summed in the same order on every machine, which a BLAS does not guarantee."""
     total = 0.0
     for value in signal:
         total += value * value
@@ -44,8 +45,11 @@ def root_mean_square(signal: Floats) -> float:
 
 @njit(cache=True)
 def weighted_root_mean_square(first: Floats, second: Floats, sections: Floats) -> tuple[float, float]:
-    """R.m.s. of two signals of one length after the second-order `sections`, shape (n, 6), a0 = 1, starting from rest (transposed direct
-    form II). Side by side: a filter waits for its last value, so two take no longer than one."""
+    """Returns the r.m.s. of two signals of equal length, filtered by second-order `sections`, shape (n, 6), a0 = 1, from rest.
+
+    Uses the transposed direct form II. Each step of a filter depends on the one before, so that two interleaved filters take no longer
+    than a single one.
+    """
     n = sections.shape[0]
     memory = np.zeros((n, 4))
     first_total = second_total = 0.0
@@ -65,7 +69,7 @@ def weighted_root_mean_square(first: Floats, second: Floats, sections: Floats) -
 
 @njit(cache=True)
 def reversals(angle: Floats, gap: float) -> int:
-    """How often `angle` turns back by at least `gap` after having moved by at least `gap` (zigzag count with hysteresis)."""
+    """Counts how often `angle` turns back by at least `gap` after moving by at least `gap` (zigzag count with hysteresis)."""
     count = 0
     direction = 0
     low = high = angle[0]
@@ -85,10 +89,10 @@ def reversals(angle: Floats, gap: float) -> int:
 
 @njit(cache=True)
 def overshoot(offset: Floats, noticeable: float, centred: float, settled: int) -> float:
-    """How far (m) a swing back to the centre went beyond it.
+    """Returns the largest overshoot (m) beyond the centre after an excursion.
 
-    An excursion begins when |offset| reaches `noticeable`; what follows on the other side is overshoot until the offset has stayed below
-    `centred` for `settled` samples. An overshoot that is noticeable itself begins the next excursion.
+    An excursion begins when |offset| reaches `noticeable`. Offsets on the other side count as overshoot until |offset| has stayed below
+    `centred` for `settled` samples. An overshoot that reaches `noticeable` begins the next excursion.
     """
     largest = 0.0
     side = 0.0

@@ -1,4 +1,4 @@
-"""The learned evaluator as a plug-in. Light enough for the coordinator: the kernels are imported when a worker rates."""
+"""Plug-in of the learned evaluator. Light enough for the coordinator: workers import the kernels when they rate."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Learned:
 
     @cached_property
     def version(self) -> str:
-        """Follows the arrays. Raises DamagedArraysError where these cannot be used."""
+        """Version derived from the arrays. Raises DamagedArraysError if they cannot be used."""
         return f"1.{content_digest(arrays_of(shipped()))[:8]}"
 
     @cached_property
@@ -33,14 +33,16 @@ class Learned:
         return Rater(shipped())
 
     def rate(self, manoeuvre: Manoeuvre, metrics: Mapping[str, float]) -> Rating:
-        """Raises ValueError: metrics do not say how a run went."""
+        """Raises ValueError: metrics are no substitute for time series."""
         raise ValueError(
             f"a {manoeuvre.value} with {len(metrics)} metrics and no time series cannot be rated; simulate it again"
         )
 
     def rate_series(self, manoeuvre: Manoeuvre, series: Series) -> Rating:
-        """The rating of a run that did not fail. Raises ValueError where it is shorter than 10 s or longer than 30 s, DamagedArraysError
-        where the arrays cannot be used."""
+        """Rates a run that did not fail.
+
+        Raises ValueError if it is shorter than 10 s or longer than 30 s, and DamagedArraysError if the arrays cannot be used.
+        """
         return self._rater.rate(manoeuvre, series)
 
 

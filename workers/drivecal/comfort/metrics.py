@@ -1,4 +1,4 @@
-"""What is measured of every run, and stored: the metrics of the reference scale and others that an evaluator may rate."""
+"""Metrics measured and stored for every run: those of the reference scale and others for user-defined evaluators."""
 
 from __future__ import annotations
 
@@ -12,29 +12,29 @@ from drivecal.plugins.ports import Floats
 RATE = 100
 """Rows of `dynamics` per second."""
 WINDOW = RATE // 2
-"""Rows in 0.5 s, over which peaks are averaged: UN R79 prescribes it for the lateral jerk of lane change systems."""
+"""Rows in 0.5 s, the averaging window of peaks, which UN R79 prescribes for the lateral jerk of lane change systems."""
 REVERSAL_GAP = 0.001
-"""Front wheel angle (rad) by which the steering must turn back to count as reversed: one degree at a steering wheel geared 17 to 1."""
+"""Front wheel angle (rad) of a steering reversal: one degree at a steering wheel with a ratio of 17 to 1."""
 NOTICEABLE, CENTRED, SETTLED = 0.1, 0.05, 10
-"""An offset of 0.1 m is an excursion; below 0.05 m for 10 samples (1 s) it is over."""
+"""Excursions begin at an offset of 0.1 m and end after 10 samples (1 s) below 0.05 m."""
 
 _HORIZONTAL = weighting.digital(weighting.WD, RATE)
 _SICKNESS = weighting.digital(weighting.WF, RATE)
 
 
 def comfort_metrics(dynamics: Floats, offset: Floats) -> dict[str, float]:
-    """The metrics of one run by name; names carry units.
+    """Returns the metrics of a run by name; names carry units.
 
     `dynamics`: one row per 0.01 s: speed, longitudinal acceleration, lateral acceleration, yaw rate, steering angle of the front wheels
     (SI), shape (n, 5). `offset`: signed distance (m) from the centre of the target lane every 0.1 s, shape (m,).
 
-    Peaks are the largest absolute moving averages over 0.5 s, of jerk as well. `iso2631_*_rms` are weighted by Wd with k = 1 (ISO 2631-1,
-    Section 8.2: comfort of seated persons, on the seat); `iso2631_*_msdv` are motion sickness dose values in m/s^1.5 (Annex D) weighted
-    by Wf: the standard defines them for vertical motion, here they are taken of the horizontal one, as is usual for cars.
-    Raises ValueError where a series is empty.
+    Peaks are the largest absolute moving averages over 0.5 s, including those of jerk. `iso2631_*_rms` are weighted by Wd with k = 1 (ISO
+    2631-1, Section 8.2: comfort of seated persons, on the seat). `iso2631_*_msdv` are motion sickness dose values in m/s^1.5 (Annex D)
+    weighted by Wf. The standard defines them for vertical motion; here they are applied to horizontal motion, as is usual for cars.
+    Raises ValueError if a series is empty.
     """
     if dynamics.shape[0] == 0 or offset.shape[0] == 0:
-        raise ValueError("comfort is measured of at least one row of dynamics and one offset")
+        raise ValueError("a series is empty; comfort metrics need at least one row of dynamics and one offset")
     longitudinal, lateral, yaw_rate, steering = np.ascontiguousarray(dynamics.T[1:5])
     offset = np.ascontiguousarray(offset)
     seconds = dynamics.shape[0] / RATE

@@ -1,4 +1,4 @@
-"""The reference evaluator as a plug-in. Pure Python: the coordinator re-rates stored metrics with it."""
+"""Plug-in of the reference evaluator. Pure Python, so that the coordinator can re-rate stored metrics with it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class ReferenceEvaluator:
     version = "1"
 
     def rate(self, manoeuvre: Manoeuvre, metrics: Mapping[str, float]) -> Rating:
-        """The rating of a run that did not fail."""
+        """Rates a run that did not fail."""
         return scale.rate(manoeuvre, metrics)
 
 

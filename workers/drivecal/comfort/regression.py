@@ -1,4 +1,4 @@
-"""The learned evaluator at work: from a series to features to a rating."""
+"""Rating of a time series by MiniRocket features and a ridge regression."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from drivecal.plugins.ports import Floats, Series
 
 @njit(cache=True)
 def _weighted(features: Floats, weights: Floats, intercept: float) -> float:
-    """In one order of summation on every machine."""
+    """Sums in the same order on every machine."""
     total = 0.0
     for k in range(features.shape[0]):
         total += weights[k] * features[k]
@@ -27,29 +27,29 @@ def _weighted(features: Floats, weights: Floats, intercept: float) -> float:
 
 
 def features_of(regression: Regression, channels: rocket.Integers) -> Floats:
-    """The MiniRocket features that a class of manoeuvres is rated by, shape (n,).
+    """Returns the MiniRocket features of a regression, shape (n,), averaged over the run and its mirror image.
 
-    Their mean over the run and its mirror image: how comfortable a manoeuvre is does not depend on its side.
+    The comfort of a manoeuvre does not depend on its side.
     """
-    one = regression
-    parts = (rocket.KERNELS, one.dilations, one.per_dilation, one.n_channels, one.channels, one.biases)
-    seen: Floats = rocket.transform(channels, *parts)
-    mirrored: Floats = rocket.transform(channels * MIRROR, *parts)
-    return 0.5 * (seen + mirrored)
+    dilations, per_dilation = regression.dilations, regression.per_dilation
+    structure = (rocket.KERNELS, dilations, per_dilation, regression.n_channels, regression.channels, regression.biases)
+    original: Floats = rocket.transform(channels, *structure)
+    mirrored: Floats = rocket.transform(channels * MIRROR, *structure)
+    return 0.5 * (original + mirrored)
 
 
 class Rater:
-    """Rates series by one regression for each class."""
+    """Rates time series by one regression per class of manoeuvres."""
 
     def __init__(self, regressions: Mapping[Manoeuvre, Regression]) -> None:
         self._regressions = dict(regressions)
 
     def rate(self, manoeuvre: Manoeuvre, series: Series) -> Rating:
-        """The rating, cut to 0..7, and its rounding (half up). Raises ValueError where the series cannot be rated."""
+        """Returns the rating, clipped to 0..7, and its rounding (half up). Raises ValueError if the series cannot be rated."""
         return self.rate_channels(manoeuvre, channels_of(series.dynamics, series.offset))
 
     def rate_channels(self, manoeuvre: Manoeuvre, channels: rocket.Integers) -> Rating:
-        """The same from `channels_of` a series."""
+        """Rates the result of `channels_of`."""
         regression = self._regressions[manoeuvre]
         features = features_of(regression, channels)
         rating = float(np.clip(_weighted(features, regression.weights, regression.intercept.item()), 0.0, BEST))

@@ -1,4 +1,4 @@
-"""The arrays of the learned evaluator: one regression for each class of manoeuvres."""
+"""Arrays of the learned evaluator: one regression per class of manoeuvres."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ KERNELS, CHANNELS, LARGEST_DILATION = 84, 6, 19
 
 @dataclass(frozen=True, slots=True)
 class Regression:
-    """One class of manoeuvres: which MiniRocket features, see `rocket.transform`, and their weights in the rating.
+    """MiniRocket features, see `rocket.transform`, and their weights in the rating of one class of manoeuvres.
 
     `dilations` (d,), `per_dilation` (d,), `n_channels` (84 d,), `channels` (sum of n_channels,), `biases` (84 sum of per_dilation,): whole
-    numbers. `weights`, as many as biases, and `intercept` (1,): the rating is their product's sum.
+    numbers. `weights`, one per bias, and `intercept` (1,): the rating is features @ weights + intercept.
     """
 
     dilations: npt.NDArray[np.int32]
@@ -36,7 +36,7 @@ class Regression:
     intercept: Floats
 
     def __post_init__(self) -> None:
-        # The kernels index by these without looking: whatever does not fit together must not reach them.
+        # The kernels index by these arrays without bounds checks, so that inconsistent arrays must not reach them.
         fits = (
             len(self.dilations) == len(self.per_dilation) > 0
             and self.dilations.min() >= 1
@@ -62,25 +62,31 @@ _EXPECTED = {
 
 
 def arrays_of(regressions: Mapping[Manoeuvre, Regression]) -> dict[str, Array]:
-    """By name, as they are stored."""
-    return {f"{key.value}_{name}": getattr(one, name) for key, one in regressions.items() for name in _KINDS}
+    """Returns the stored arrays by name."""
+    return {
+        f"{manoeuvre.value}_{name}": getattr(regression, name)
+        for manoeuvre, regression in regressions.items()
+        for name in _KINDS
+    }
 
 
 def write(path: Path, regressions: Mapping[Manoeuvre, Regression]) -> None:
-    """Stores one regression for each class."""
+    """Stores one regression per class."""
     write_arrays(path, KIND, arrays_of(regressions))
 
 
 def read(path: Path = FILE) -> dict[Manoeuvre, Regression]:
-    """Reads the regressions. Raises DamagedArraysError where the file is missing, damaged or something else."""
+    """Reads the regressions. Raises DamagedArraysError if the file is missing, damaged or of another kind."""
     arrays = read_arrays(path, KIND, _EXPECTED)
     try:
-        return {one: Regression(**{name: arrays[f"{one.value}_{name}"] for name in _KINDS}) for one in Manoeuvre}
+        return {
+            manoeuvre: Regression(**{name: arrays[f"{manoeuvre.value}_{name}"] for name in _KINDS}) for manoeuvre in Manoeuvre
+        }
     except ValueError as error:
         raise DamagedArraysError(path.name, str(error)) from error
 
 
 @cache
 def shipped() -> dict[Manoeuvre, Regression]:
-    """The regressions that drivecal is shipped with."""
+    """Returns the regressions that drivecal is shipped with."""
     return read()

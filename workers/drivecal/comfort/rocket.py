@@ -1,8 +1,8 @@
 """MiniRocket features of a multivariate series (Dempster, Schmidt and Webb, 2021), in whole numbers.
 
-84 kernels of length 9 (weights -1, three of them 2), several dilations, each over a subset of the channels; a feature is the share of time
-at which the convolution is above a bias. Series and biases are integers here, so sums are exact in whatever order and width they are
-taken: features are the same bits on every machine, and those of other implementations fed with the same integers.
+84 kernels of length 9 (weights -1, three of them 2) are combined with several dilations, each over a subset of the channels. A feature is
+the share of time during which the convolution exceeds a bias. Series and biases are integers here, so that sums are exact in any order and
+width: features have the same bits on every machine, and equal those of other implementations for the same integers.
 """
 
 from __future__ import annotations
@@ -19,14 +19,17 @@ Integers = npt.NDArray[np.int32]
 
 TAPS = 9
 KERNELS: Integers = np.array(list(combinations(range(TAPS), 3)), dtype=np.int32)
-"""Which three of the nine weights are 2, shape (84, 3)."""
+"""Positions of the three weights of 2 among the nine, shape (84, 3)."""
 
 
 @njit(cache=True)
 def _convolve(
     padded: Integers, sums: Integers, channels: Integers, taps: Integers, dilation: int, margin: int, out: Integers
 ) -> None:
-    """`out`, shape (n,): minus the sum of all nine samples plus three times that of `taps`, over the channels; zero beyond the ends."""
+    """Writes to `out`, shape (n,), three times the sum of the `taps` minus the sum of all nine samples, over the channels.
+
+    Samples beyond the ends are zero.
+    """
     out[:] = 0
     n = out.shape[0]
     first = margin + (taps[0] - 4) * dilation
@@ -48,10 +51,10 @@ def transform(
     channels: Integers,
     biases: Integers,
 ) -> Floats:
-    """The features of `series`, shape (channels, n): in the order of dilation, kernel, bias.
+    """Returns the features of `series`, shape (channels, n), in the order of dilation, kernel, bias.
 
-    `per_dilation`: biases per kernel by dilation. `n_channels`, by (dilation, kernel): how many of `channels` it uses, one after the other.
-    As in the original, every other combination leaves out the ends, where the kernel hangs over.
+    `per_dilation`: biases per kernel, by dilation. `n_channels`: number of consecutive `channels`, by (dilation, kernel). As in the
+    original, every other combination leaves out the ends, at which the kernel extends beyond the series.
     """
     count, n = series.shape
     margin = 4 * int(dilations.max())
@@ -86,7 +89,7 @@ def transform(
 
 @njit(cache=True)
 def convolution_of(series: Integers, taps: Integers, dilation: int, channels: Integers) -> Integers:
-    """One convolution of `series`, shape (n,): what biases are drawn from."""
+    """Returns one convolution of `series`, shape (n,), from which biases are drawn."""
     count, n = series.shape
     margin = 4 * dilation
     padded = np.zeros((count, n + 2 * margin), dtype=np.int32)

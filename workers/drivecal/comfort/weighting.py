@@ -2,9 +2,9 @@
 
 The standard defines them as products of analogue second-order sections (Annex A; parameters also in ISO 8041-1, Table 3): band limits,
 transition from acceleration to velocity, upward step. Each section becomes a digital one whose poles are the exact images of the
-analogue ones, z = exp(s T), and whose numerator gives the analogue magnitude at zero, at the section's own frequency and at half the
-sampling rate (Vicanek, Matched Second Order Digital Filters, 2016). A bilinear transform would be 3 % off at 10 Hz already and could
-not hold the band limit of 100 Hz at all.
+analogue poles, z = exp(s T). Its numerator matches the analogue magnitude at zero, at the section's own frequency and at half the sampling
+rate (Vicanek, Matched Second Order Digital Filters, 2016). A bilinear transform would be 3 % off at 10 Hz already and could not represent
+the band limit of 100 Hz.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Section:
     quality: float
 
     def gain(self, frequency: float) -> float:
-        """The magnitude at `frequency`, Hz."""
+        """Returns the magnitude at `frequency` (Hz)."""
         s = 2j * math.pi * frequency
         w = 2.0 * math.pi * self.frequency
         b0, b1, b2 = self.numerator
@@ -34,35 +34,38 @@ class Section:
 
 
 def high_pass(frequency: float) -> Section:
-    """Butterworth high-pass of order 2."""
+    """Returns a Butterworth high-pass of order 2."""
     return Section((0.0, 0.0, (2.0 * math.pi * frequency) ** -2), frequency, math.sqrt(0.5))
 
 
 def low_pass(frequency: float, quality: float = math.sqrt(0.5)) -> Section:
-    """Low-pass of order 2, Butterworth unless another quality is given."""
+    """Returns a low-pass of order 2, by default a Butterworth filter."""
     return Section((1.0, 0.0, 0.0), frequency, quality)
 
 
 def transition(zero: float, pole: float, quality: float) -> Section:
-    """Proportional to acceleration below, to velocity above: a zero at `zero` Hz, a pair of poles at `pole` Hz."""
+    """Returns the acceleration-velocity transition: a zero at `zero` Hz, a pair of poles at `pole` Hz.
+
+    It is proportional to acceleration at lower and to velocity at higher frequencies.
+    """
     return Section((1.0, 1.0 / (2.0 * math.pi * zero), 0.0), pole, quality)
 
 
 def upward_step(zeros: float, zeros_quality: float, poles: float, poles_quality: float) -> Section:
-    """A step up of about 6 dB per octave between `zeros` and `poles` (Hz); gain 1 at high frequency."""
+    """Returns an upward step of about 6 dB per octave between `zeros` and `poles` (Hz), with gain 1 at high frequency."""
     w = 2.0 * math.pi * zeros
     scale = (zeros / poles) ** 2
     return Section((scale, scale / (zeros_quality * w), scale / (w * w)), poles, poles_quality)
 
 
 WD = (high_pass(0.4), low_pass(100.0), transition(2.0, 2.0, 0.63))
-"""Horizontal acceleration of a seated person."""
+"""Weighting of horizontal acceleration for seated persons."""
 WF = (high_pass(0.08), low_pass(0.63), low_pass(0.25, 0.86), upward_step(0.0625, 0.80, 0.1, 0.80))
-"""Motion sickness; its transition has no zero."""
+"""Weighting of motion sickness; its transition has no zero."""
 
 
 def analogue_gain(sections: tuple[Section, ...], frequency: float) -> float:
-    """The magnitude of a weighting at `frequency` (Hz) as the standard defines it."""
+    """Returns the magnitude of a weighting at `frequency` (Hz) as defined by the standard."""
     return math.prod(section.gain(frequency) for section in sections)
 
 
@@ -71,10 +74,10 @@ def _digital(section: Section, rate: float) -> tuple[float, ...]:
     root = np.exp(w * (-0.5 / section.quality + np.emath.sqrt(0.25 / section.quality**2 - 1.0)))
     a1, a2 = float(-2.0 * root.real), float(abs(root) ** 2)
     if 2.0 * section.quality < 1.0:
-        raise ValueError("real poles are not needed by any weighting and not supported")
+        raise ValueError("sections with real poles are not supported; no weighting needs them")
 
     def squared(frequency: float) -> float:
-        """|numerator|^2 needed at `frequency`."""
+        """Returns the required |numerator|^2 at `frequency`."""
         z = np.exp(-2j * math.pi * frequency / rate)
         return float((section.gain(frequency) * abs(1.0 + a1 * z + a2 * z * z)) ** 2)
 
@@ -89,5 +92,5 @@ def _digital(section: Section, rate: float) -> tuple[float, ...]:
 
 
 def digital(sections: tuple[Section, ...], rate: float) -> Floats:
-    """The weighting as second-order sections for signals sampled at `rate` Hz, shape (n, 6), as `scipy.signal.sosfilt` takes them."""
+    """Returns a weighting as second-order sections for signals sampled at `rate` Hz, shape (n, 6), as in `scipy.signal.sosfilt`."""
     return np.array([_digital(section, rate) for section in sections])

@@ -1,1 +1,1 @@
-"""One run from start to rating: planner, vehicle and traffic in closed loop."""
+"""A run from start to rating: planner, vehicle and traffic in a closed loop."""

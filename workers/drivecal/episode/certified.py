@@ -1,4 +1,4 @@
-"""Runs that are answered by a certificate where there is one, and simulated where there is none."""
+"""A runner that answers by a certificate if it can, and simulates otherwise."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from drivecal.plugins.ports import DrivingFunction, Evaluator, VehicleModel
 
 
 class CertifiedRunner(EpisodeRunner):
-    """A runner that remembers decisions where its driving function can be certified."""
+    """A runner that records decisions if its driving function can be certified."""
 
     def __init__(
         self,
@@ -24,23 +24,25 @@ class CertifiedRunner(EpisodeRunner):
         evaluator: Evaluator,
         memory: Memory,
     ) -> None:
-        """See `EpisodeRunner`; `memory`: for what is remembered."""
+        """Like `EpisodeRunner`. `memory`: limits the recorded decisions."""
         super().__init__(scenario, driving_function, vehicle, evaluator)
         self._certifiable = driving_function.certifiable
         self._memory = memory
         self._trie: Trie[RunResult] | None = None
 
     def answer(self, parameters: Sequence[float], number: int, *, check: bool) -> Answered:
-        """The result for these parameter values, by a certificate where there is one. A run that is simulated may certify others, as
-        number `number`. `check`: simulated in any case. Raises as `run`."""
+        """Returns the result for these parameter values, by a certificate if possible.
+
+        A simulated run is recorded under `number` and may certify later ones. `check`: simulate in any case. Raises like `run`.
+        """
         if not self._certifiable:
             return Answered(self.run(parameters))
         if self._trie is None:
-            planner: Any = self.planner  # a driving function that is `certifiable` makes `CertifiablePlanner`s
+            planner: Any = self.planner  # a `certifiable` driving function creates `CertifiablePlanner`s
             self._trie = Trie(planner, self._memory)
-        proof = self._trie.prove(parameters)
-        if proof is not None and not check:
-            return Answered(proof.result, proof.proven_by)
+        certificate = self._trie.prove(parameters)
+        if certificate is not None and not check:
+            return Answered(certificate.result, certificate.proven_by)
         recording = self._trie.record()
         result = self.run(parameters, recording)
         try:
@@ -48,13 +50,15 @@ class CertifiedRunner(EpisodeRunner):
         except NotDeterministicError:
             self.forget()
             return Answered(result, agrees=False)
-        return Answered(result) if proof is None else Answered(result, proof.proven_by, result == proof.result)
+        if certificate is None:
+            return Answered(result)
+        return Answered(result, certificate.proven_by, result == certificate.result)
 
     def prove(self, parameters: Sequence[float]) -> int | None:
-        """The number of the run that these parameters would provably repeat; None where that is not known. Simulates nothing."""
-        proof = None if self._trie is None else self._trie.prove(parameters)
-        return None if proof is None else proof.proven_by
+        """Returns the number of the run that these parameters would provably repeat, or None. Simulates nothing."""
+        certificate = None if self._trie is None else self._trie.prove(parameters)
+        return None if certificate is None else certificate.proven_by
 
     def forget(self) -> None:
-        """Gives the memory back; what comes is simulated again."""
+        """Forgets all recorded runs and frees their memory."""
         self._trie = None

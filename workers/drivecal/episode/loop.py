@@ -1,4 +1,4 @@
-"""The closed loop: planner, vehicle model and SUMO, one scenario step (0.1 s) after the other."""
+"""The closed loop of planner, vehicle model and SUMO, in scenario steps of 0.1 s."""
 
 from __future__ import annotations
 
@@ -16,17 +16,19 @@ from drivecal.traffic.geometry import place, with_directions
 from drivecal.traffic.simulation import Simulation
 
 SAMPLE_TIME = 0.01
-"""Of the vehicle's dynamics, s."""
+"""Sample time of the vehicle's dynamics (s)."""
 
 Watcher = Callable[[int, Floats | None, Floats, Floats], None]
-"""Called after each step with its number, the trajectory if one was just planned, the vehicle's pose and the neighbours."""
+"""Callback after each step, with its number, the new trajectory if the step planned one, the vehicle's pose and the neighbours."""
 
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """What happened. `motion`: the ego vehicle's Frenet motion (s, s', s'', d, d', d'') at the start and after each of n steps, shape
-    (n + 1, 6); `dynamics`: as from `VehicleModel.follow`, shape (10 n, 5); `failure`: what ended it early. Views of the loop's buffers,
-    overwritten by the next drive."""
+    """Time series of a run, as views of the loop's buffers that the next run overwrites.
+
+    `motion`: the ego vehicle's Frenet motion (s, s', s'', d, d', d'') at the start and after each of n steps, shape (n + 1, 6). `dynamics`:
+    as from `VehicleModel.follow`, shape (10 n, 5). `failure`: the reason of an early end.
+    """
 
     motion: Floats
     dynamics: Floats
@@ -34,10 +36,10 @@ class Drive:
 
 
 class ClosedLoop:
-    """Drives one scenario again and again; everything that does not depend on the parameters is prepared once."""
+    """Drives a scenario repeatedly; everything that does not depend on the parameters is prepared once."""
 
     def __init__(self, scenario: Scenario, planner: Planner, vehicle: VehicleModel, simulation: Simulation) -> None:
-        """Raises InvalidInputError where scenario step, planning period and the vehicle's sample time do not fit."""
+        """Prepares the runs. Raises InvalidInputError if scenario step, planning period and the vehicle's sample time do not fit."""
         self._scenario, self._planner, self._vehicle, self._simulation = scenario, planner, vehicle, simulation
         self._steps = round(scenario.duration / scenario.step)
         self._steps_per_plan = round(planner.period / scenario.step)
@@ -59,12 +61,12 @@ class ClosedLoop:
         self._start = (x, y, heading + ego.heading, ego.speed)
 
     def drive(self, parameters: Sequence[float], watch: Watcher | None = None, planner: Planner | None = None) -> Drive:
-        """One run; `planner` plans in place of the loop's own. Raises SimulationError where SUMO fails."""
+        """Drives one run. `planner` replaces the loop's own. Raises SimulationError if SUMO fails."""
         scenario, vehicle, simulation = self._scenario, self._vehicle, self._simulation
         planner = planner or self._planner
         step, steps_per_plan = scenario.step, self._steps_per_plan
         line, outline, motions, front = self._line, self._outline, self._motions, self._front
-        front_values = front.data  # plain items are several times faster through a memoryview
+        front_values = front.data  # a memoryview returns single items several times faster
         simulation.load(scenario)
         simulation.reset()
         neighbours = simulation.neighbours

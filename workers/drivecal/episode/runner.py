@@ -1,4 +1,4 @@
-"""From a parameter set to a rated run."""
+"""Simulation and rating of parameter sets in one scenario."""
 
 from __future__ import annotations
 
@@ -15,32 +15,33 @@ from drivecal.traffic.simulation import simulation
 
 
 class EpisodeRunner:
-    """Simulates and rates parameter sets in one scenario, all of them in this process's one SUMO simulation.
+    """Simulates and rates parameter sets in one scenario, in the only SUMO simulation of this process.
 
-    Runners of several scenarios live side by side; changing from one to another costs a reload of some milliseconds. The same
-    parameters give the same bits, whatever was run before.
+    Runners of several scenarios may coexist; switching between them costs a reload of some milliseconds. Equal parameters give equal bits,
+    independent of earlier runs.
     """
 
     def __init__(
         self, scenario: Scenario, driving_function: DrivingFunction, vehicle: VehicleModel, evaluator: Evaluator
     ) -> None:
-        """`vehicle`: as from `Vehicle.create`; runners must not share one."""
+        """Creates a runner. `vehicle`: as from `Vehicle.create`; runners must not share it."""
         self._scenario = scenario
         self._evaluator = evaluator
-        self._series_evaluator = evaluator if isinstance(evaluator, SeriesEvaluator) else None  # to ask takes microseconds
+        self._series_evaluator = evaluator if isinstance(evaluator, SeriesEvaluator) else None  # isinstance takes microseconds
         self._vehicle = vehicle
         self.planner = driving_function.create(scenario)
         self._loop = ClosedLoop(scenario, self.planner, vehicle, simulation())
 
     def run(self, parameters: Sequence[float], planner: Planner | None = None) -> RunResult:
-        """One run with these parameter values, in the order of the driving function's parameters; `planner` plans in place of its own.
+        """Runs one simulation with these parameter values, in the order of the driving function's parameters.
 
-        Raises SimulationError where SUMO fails: that is no result, unlike a `failure` of the driving function.
+        `planner` replaces the runner's own. Raises SimulationError if SUMO fails, which is not a result, unlike a `failure` of the driving
+        function.
         """
         return self._result(self._loop.drive(parameters, planner=planner))
 
     def trace(self, parameters: Sequence[float]) -> Trace:
-        """The same run with its time series."""
+        """Runs the same simulation and returns its time series, too."""
         recorder = Recorder(self._scenario)
         drive = self._loop.drive(parameters, recorder)
         return recorder.trace(drive, self._result(drive))
@@ -53,9 +54,8 @@ class EpisodeRunner:
             "final_offset_m": offsets.item(-1),
             "final_speed_error_mps": speed_errors(drive.motion[-1:], self._scenario).item(),
         }
-        if (
-            measured := getattr(self._vehicle, "metrics", None)
-        ) is not None:  # `SelfMeasuring`; some know of it after a run only
+        measured = getattr(self._vehicle, "metrics", None)  # `SelfMeasuring`, in some vehicles only after a run
+        if measured is not None:
             metrics |= measured
         failure = drive.failure
         if failure is None and not fulfilled(drive.motion, self._scenario):

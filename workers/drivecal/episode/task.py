@@ -1,4 +1,4 @@
-"""Was the task fulfilled? Pure."""
+"""Check of the scenario's task. Pure."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from drivecal.domain.scenarios import Scenario
 
 
 def target_offsets(motion: Floats, scenario: Scenario) -> Floats:
-    """Offset (m, to the left) from the target lane's centre, shape (n,), of Frenet motions of shape (n, 6)."""
+    """Returns the offsets (m, to the left) from the target lane's centre, shape (n,), of Frenet motions of shape (n, 6)."""
     offsets: Floats = motion[:, 3] - scenario.task.target_lane * scenario.road.lane_width
     return offsets
 
 
 def speed_errors(motion: Floats, scenario: Scenario) -> Floats:
-    """Speed along the road less the desired speed there (m/s), shape (n,), of Frenet motions of shape (n, 6)."""
+    """Returns the speed along the road minus the desired speed (m/s), shape (n,), of Frenet motions of shape (n, 6)."""
     knots = np.array([knot.s for knot in scenario.task.speeds])
     speeds = np.array([knot.speed for knot in scenario.task.speeds])
     current = np.maximum(np.searchsorted(knots, motion[:, 0], side="right") - 1, 0)
@@ -24,7 +24,7 @@ def speed_errors(motion: Floats, scenario: Scenario) -> Floats:
 
 
 def fulfilled(motion: Floats, scenario: Scenario) -> bool:
-    """True where the whole scenario was driven and the task's tolerances were held during its last `hold` seconds.
+    """Returns True if the whole scenario was driven and the task's tolerances held during its last `hold` seconds.
 
     `motion`: the Frenet motion at the start and after each step, shape (n + 1, 6).
     """

@@ -1,4 +1,4 @@
-"""The time series of one run, for people to look at."""
+"""Time series of a run for inspection."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ PLAN_COLUMNS = ("time_s", "x_m", "y_m", "heading_rad", "curvature_1pm", "speed_m
 NEIGHBOUR_COLUMNS = ("s_m", "d_m", "s_dot_mps", "d_dot_mps", "x_m", "y_m", "heading_rad")
 PLAN_DIGITS = 6
 JERK_SECONDS = 0.5
-"""Over which jerk is averaged, as the reference scale averages its peaks."""
+"""Averaging window of jerk, like that of the peaks in the reference scale."""
 
 
 @dataclass(frozen=True, slots=True)
 class Trace:
-    """One run step by step; rows are the moments after each step. SI units.
+    """Time series of a run, with one row after each step. SI units.
 
-    `times`: (n,) s. `ego`: (n, 10), `EGO_COLUMNS`. `frenet`: (n, 2), s and d. `plans`: by the time when each was made, (m, 7),
+    `times`: (n,) s. `ego`: (n, 10), `EGO_COLUMNS`. `frenet`: (n, 2), s and d. `plans`: trajectories by planning time, (m, 7),
     `PLAN_COLUMNS`. `neighbours`: by vehicle id, (n, 7), `NEIGHBOUR_COLUMNS`.
     """
 
@@ -49,7 +49,7 @@ class Trace:
     result: RunResult
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data: one list per quantity; plans are rounded to `PLAN_DIGITS` digits."""
+        """Returns plain data with one list per quantity; plans are rounded to `PLAN_DIGITS` digits."""
         rating = self.result.rating
         return {
             "scenario": self.scenario,
@@ -72,7 +72,7 @@ def _columns(names: tuple[str, ...], rows: Floats) -> dict[str, list[float]]:
 
 @dataclass(slots=True)
 class Recorder:
-    """Notes what happens in a run: the closed loop's `Watcher`."""
+    """Records a run as the closed loop's `Watcher`."""
 
     scenario: Scenario
     _poses: list[Floats] = field(default_factory=list)
@@ -80,16 +80,16 @@ class Recorder:
     _plans: dict[float, Floats] = field(default_factory=dict)
 
     def __call__(self, index: int, plan: Floats | None, pose: Floats, neighbours: Floats) -> None:
-        """After step `index`."""
+        """Records step `index`."""
         self._poses.append(pose.copy())
         self._neighbours.append(neighbours[:, :4].copy())
         if plan is not None:
             self._plans[round(index * self.scenario.step, 9)] = plan.copy()
 
     def trace(self, drive: Drive, result: RunResult) -> Trace:
-        """What was noted. A last step that left the road has no row, because SUMO never saw it."""
+        """Returns the recorded run. A last step that left the road has no row, because SUMO never received it."""
         n = len(self._poses)
-        neighbours = self._placed(np.array(self._neighbours).reshape(n, len(self.scenario.traffic), 4))
+        neighbours = self._with_poses(np.array(self._neighbours).reshape(n, len(self.scenario.traffic), 4))
         return Trace(
             scenario=self.scenario.id,
             times=np.arange(1, n + 1, dtype=np.float64) * self.scenario.step,
@@ -100,19 +100,19 @@ class Recorder:
             result=result,
         )
 
-    def _placed(self, frenet: Floats) -> Floats:
-        """Neighbours with their poses on the plane; a vehicle's heading is that of the road and its own way across it."""
+    def _with_poses(self, frenet: Floats) -> Floats:
+        """Adds Cartesian poses to neighbours; a vehicle's heading is that of the road plus its lateral motion."""
         line = reference_line(self.scenario.road)
-        placed = np.empty((*frenet.shape[:2], len(NEIGHBOUR_COLUMNS)))
-        placed[:, :, :4] = frenet
+        neighbours = np.empty((*frenet.shape[:2], len(NEIGHBOUR_COLUMNS)))
+        neighbours[:, :, :4] = frenet
         for step, vehicle in np.ndindex(*frenet.shape[:2]):
             s, d, along, across = frenet[step, vehicle].tolist()
             x, y, heading = to_cartesian(line, s, d)
-            placed[step, vehicle, 4:] = x, y, heading + (atan2(across, along) if along > 1.0 else 0.0)
-        return placed
+            neighbours[step, vehicle, 4:] = x, y, heading + (atan2(across, along) if along > 1.0 else 0.0)
+        return neighbours
 
     def _jerks(self, dynamics: Floats, n: int) -> Floats:
-        """Of longitudinal and lateral acceleration over the last `JERK_SECONDS`, after each of n steps, shape (n, 2)."""
+        """Returns longitudinal and lateral jerk over the last `JERK_SECONDS`, after each of n steps, shape (n, 2)."""
         samples = round(self.scenario.step / SAMPLE_TIME)
         ends = np.arange(1, n + 1) * samples - 1
         begins = np.maximum(ends - round(JERK_SECONDS / SAMPLE_TIME), 0)

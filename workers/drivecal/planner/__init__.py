@@ -1,1 +1,1 @@
-"""The driving function to calibrate: a sampling planner in the Frenet frame."""
+"""The built-in driving function: a sampling planner in the Frenet frame."""

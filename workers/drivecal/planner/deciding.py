@@ -1,8 +1,8 @@
-"""Deciding again in a stored planning state: what a certificate needs of the planner, compiled.
+"""Compiled repetition of decisions in stored planning states, for certificates.
 
-The arithmetic of a cost is that of `kernel.costs_of`, operation by operation; tests hold the two together. Nothing here decides what is
-driven, so it is no part of the planner's version. It imports nothing compiled or constant from the kernel, because numba's cache would
-not notice its edits.
+Costs use the arithmetic of `kernel.costs_of`, operation by operation; tests compare the two. No driven decision is made here, so that the
+module is not part of the planner's version. It imports neither compiled functions nor constants of the kernel, because numba's cache would
+not notice edits there.
 
 lateral (6, n_lateral), longitudinal (2, n_longitudinal), combined (7, n_longitudinal, n_lateral): features as in the kernel.
 """
@@ -17,15 +17,15 @@ from numba import njit
 compiled = njit(cache=True, error_model="numpy")
 
 INFEASIBLE = 32768
-"""As in `drivecal.certification.nodes`."""
+"""Same value as in `drivecal.certification.nodes`."""
 
 TERM = np.array([0, 1, 3, 5, 6, 9, 0, 1, 0, 2, 4, 7, 8, 10, 11])
-"""Which weight each row of `lateral`, `longitudinal` and `combined` is multiplied by, one after the other."""
+"""Index of the weight of each row of `lateral`, `longitudinal` and `combined`, in this order."""
 
 
 @compiled
 def by_term(lateral: Any, longitudinal: Any, combined: Any, features: Any) -> None:
-    """The features of all candidates added up by weight, shape (n_candidates, 12)."""
+    """Writes the features of all candidates, added up by weight, to `features`, shape (n_candidates, 12)."""
     n_longitudinal, n_lateral = combined.shape[1], combined.shape[2]
     features[:] = 0.0
     for j in range(n_longitudinal):
@@ -41,7 +41,7 @@ def by_term(lateral: Any, longitudinal: Any, combined: Any, features: Any) -> No
 
 @compiled
 def values_of(lateral: Any, longitudinal: Any, combined: Any, candidates: Any, values: Any) -> None:
-    """What the costs of some candidates are computed from: their rows of lateral, longitudinal, combined, shape (n, 15)."""
+    """Writes the values that determine the costs of some candidates to `values`, shape (n, 15): rows of all three feature arrays."""
     n_lateral = combined.shape[2]
     for index in range(len(candidates)):
         j, i = candidates[index] // n_lateral, candidates[index] % n_lateral
@@ -58,9 +58,9 @@ def walk(
     weights: Any, node: int, grid: float, packed: Any, candidate: Any, row_start: Any, row_count: Any, beside_start: Any, beside_count: Any,
     places: Any, values: Any, first_child: Any, next_sibling: Any, decision: Any,
 ) -> int:  # fmt: skip
-    """Decides again from `node` on, as `plan` does, see `ports.CertifiablePlanner.walk`. Gives the node where the way ends.
+    """Repeats the decisions of `plan`, beginning at `node`, and returns the last node, see `ports.CertifiablePlanner.walk`.
 
-    A contender's values are those of `values_of`, its cost is that of `costs_of`, term by term. The arrays are those of
+    A contender's values equal those of `values_of`, its cost equals that of `costs_of`, term by term. The arrays are those of
     `drivecal.certification.nodes.Nodes`.
     """
     v = np.empty(15)

@@ -1,4 +1,4 @@
-"""The planner as a plug-in. Light: the kernels are imported by `create` only."""
+"""Plug-in of the planner. Light: only `create` imports the kernels."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Frenet:
 
     name = "frenet"
     version = "1." + digest(b"".join(path.read_bytes() for path in [*ARITHMETIC, Path(roads.__file__)]))[:8]
-    """Of everything that decides what is driven: whoever tunes a magnitude cannot be given results from before."""
+    """Digest of all code that decides what is driven, so that a changed magnitude never reuses earlier results."""
     certifiable = True
 
     def __init__(self) -> None:
@@ -26,7 +26,7 @@ class Frenet:
         self.limits = dict(LIMITS)
 
     def create(self, scenario: Scenario) -> Planner:
-        """The planner for one scenario."""
+        """Creates the planner for one scenario."""
         from drivecal.planner.planner import FrenetPlanner  # numba is for workers only
 
         return FrenetPlanner(scenario)

@@ -1,4 +1,4 @@
-"""The calibration parameters P1..P11 of the paper with our meaning, and the two built-in search spaces over them."""
+"""Calibration parameters P1..P11 of the paper, as interpreted by drivecal, and the two built-in search spaces."""
 
 from __future__ import annotations
 
@@ -35,4 +35,4 @@ HIGHWAY_TABLE9 = tuple(
 LIMITS: Mapping[str, tuple[float | None, float | None]] = {
     name: (-60.0, 60.0) if unit == "dB" else (0.0, None) for name, *_, unit, _ in RANGES
 }
-"""A negative weight would reward what is to be avoided; beyond 60 dB of smoothing nothing else counts any more."""
+"""Limits of user-defined spaces. A negative weight would reward undesired motion; beyond 60 dB, smoothing outweighs all other terms."""

@@ -1,1 +1,1 @@
-"""What runs in a worker process: batches of cells in, plain results out."""
+"""Code of a worker process, which runs batches of cells and returns plain results."""

@@ -1,4 +1,4 @@
-"""Compiles what workers need: `NUMBA_CACHE_DIR=FOLDER python -m drivecal.runtime`, once, where an image is made."""
+"""Compiles the kernels of workers, once per image: `NUMBA_CACHE_DIR=FOLDER python -m drivecal.runtime`."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ from drivecal.runtime.worker import Worker
 
 
 def trial(vehicle_name: str, evaluator_name: str) -> Batch:
-    """One cell of drivecal's own plug-ins, the middle of the space in the first scenario: simulated, then remembered, certified by
-    decisions, and often enough for its states to be described."""
+    """Returns a batch for built-in plug-ins: the middle of the space in the first scenario, four times.
+
+    The cell is simulated, recorded, and certified so often that the states of its run are described.
+    """
     catalogue, function = registry.catalogue("highway"), registry.driving_function("frenet")
     vehicle, evaluator = registry.vehicle(vehicle_name), registry.evaluator(evaluator_name)
     name, scenario = next(iter(catalogue.scenarios.items()))
@@ -31,5 +33,5 @@ def trial(vehicle_name: str, evaluator_name: str) -> Batch:
 
 if __name__ == "__main__":
     worker = Worker("compiles")
-    for one in (trial("single_track", "reference"), trial("hybrid", "learned")):
-        worker.warm(one)
+    for batch in (trial("single_track", "reference"), trial("hybrid", "learned")):
+        worker.warm(batch)

@@ -1,4 +1,4 @@
-"""Where numba keeps what it compiled, so that workers start in a fraction of a second."""
+"""Folder of numba's compiled kernels, with which workers start in a fraction of a second."""
 
 from __future__ import annotations
 
@@ -9,32 +9,32 @@ from contextlib import suppress
 from pathlib import Path
 
 SHIPPED = "DRIVECAL_KERNELS"
-"""Environment variable: a folder with compiled kernels that an image brought along. Nobody can write into an image, so they are copied."""
+"""Environment variable: a folder with compiled kernels inside an image. Images are read-only, so that the kernels are copied."""
 
 
 def prepare_cache() -> None:
-    """Gives numba a folder for compiled kernels where it would find none itself. To be called before numba is imported.
+    """Sets a folder for compiled kernels if numba has none. Call it before importing numba.
 
-    numba keeps them beside the sources, or, where drivecal is installed read-only, in the user's cache folder; several processes may
-    share either, for files are replaced in one step. Without a writable one of the two (containers, service accounts) it would refuse
-    to compile: then they go into a new temporary folder that only this process knows, which costs the compilation at every start.
+    numba stores kernels beside the sources or, if drivecal is installed read-only, in the user's cache folder. Several processes may share
+    either folder, because files are replaced atomically. If neither is writable (containers, service accounts), numba would refuse to
+    compile. This process then uses a new temporary folder, at the cost of compiling at every start.
 
-    Where `NUMBA_CACHE_DIR` names a folder that does not exist yet, it begins with what an image brought along (`DRIVECAL_KERNELS`). numba
-    compiles anew what was compiled for another processor.
+    If `NUMBA_CACHE_DIR` names a folder that does not exist yet, it is created as a copy of the image's kernels (`DRIVECAL_KERNELS`). numba
+    recompiles kernels of other processors.
     """
     folder = os.environ.get("NUMBA_CACHE_DIR")
     if folder:
         shipped = Path(os.environ.get(SHIPPED) or os.devnull)
         if shipped.is_dir():
-            _begin_with(Path(folder), shipped)
+            _copy_kernels(shipped, Path(folder))
         return
-    beside_sources = Path(__file__).parent
-    if not os.access(beside_sources, os.W_OK) and not _can_be_made(Path("~/.cache/numba").expanduser()):
+    sources = Path(__file__).parent
+    if not os.access(sources, os.W_OK) and not _is_writable(Path("~/.cache/numba").expanduser()):
         os.environ["NUMBA_CACHE_DIR"] = tempfile.mkdtemp(prefix="drivecal-numba-")
 
 
-def _begin_with(folder: Path, shipped: Path) -> None:
-    """In one step, for workers of one node start at the same time; who comes second finds it there."""
+def _copy_kernels(shipped: Path, folder: Path) -> None:
+    """Copies the kernels unless the folder exists. Atomic, because workers of a node start concurrently."""
     if folder.exists():
         return
     folder.parent.mkdir(parents=True, exist_ok=True)
@@ -45,7 +45,7 @@ def _begin_with(folder: Path, shipped: Path) -> None:
     shutil.rmtree(copy, ignore_errors=True)
 
 
-def _can_be_made(folder: Path) -> bool:
+def _is_writable(folder: Path) -> bool:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError:

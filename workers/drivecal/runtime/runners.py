@@ -1,4 +1,4 @@
-"""From the names in a request to something that runs: plug-ins by the registry, versions compared by the run fingerprint."""
+"""Creation of runners from requests, with plug-ins of the registry and a check of their versions by the run fingerprint."""
 
 from __future__ import annotations
 
@@ -19,28 +19,30 @@ from drivecal.plugins.setups import setup_of
 
 
 class RefusedError(DrivecalError):
-    """This worker cannot run a setup, whatever the parameters: its installation is to blame, no cell is."""
+    """This worker cannot run a setup with any parameters, because of its installation."""
 
 
 class Runner(Protocol):
-    """Simulates and rates one parameter set after the other in one setup."""
+    """Simulates and rates parameter sets in one setup."""
 
     @property
     def parameters(self) -> Sequence[str]:
-        """The names of the driving function's parameters in the order that `run` expects."""
+        """Names of the driving function's parameters in the order of `run`."""
 
     def run(self, parameters: Sequence[float]) -> RunResult:
-        """One run."""
+        """Simulates and rates one parameter set."""
 
     def answer(self, parameters: Sequence[float], number: int, *, check: bool) -> Answered:
-        """As `run`, or without one where it would provably repeat an earlier one; `number`: under which it is known to later ones;
-        `check`: simulated in any case."""
+        """Returns the result of `run`, without simulation if it would provably repeat an earlier run.
+
+        A simulated run is recorded under `number`. `check`: simulate in any case.
+        """
 
     def prove(self, parameters: Sequence[float]) -> int | None:
-        """The number of the run that these parameters would provably repeat; None where that is not known. Nothing is simulated."""
+        """Returns the number of the run that these parameters would provably repeat, or None. Simulates nothing."""
 
     def trace(self, parameters: Sequence[float]) -> dict[str, Any]:
-        """The same run with its time series, as plain data."""
+        """Runs the same simulation and returns its time series as plain data."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,11 +55,11 @@ class _Installed:
 
 class _EpisodeRunner:
     def __init__(self, request: SetupRequest, installed: _Installed, memory: Memory) -> None:
-        from drivecal.episode.certified import CertifiedRunner as Episode  # libsumo and numba, in workers only
+        from drivecal.episode.certified import CertifiedRunner  # libsumo and numba, in workers only
 
         self.parameters = tuple(parameter.name for parameter in next(iter(installed.function.spaces.values())))
         model = installed.vehicle.create(request.vehicle_parameters)
-        self._episode = Episode(installed.scenario, installed.function, model, installed.evaluator, memory)
+        self._episode = CertifiedRunner(installed.scenario, installed.function, model, installed.evaluator, memory)
 
     def run(self, parameters: Sequence[float]) -> RunResult:
         return self._episode.run(parameters)
@@ -73,17 +75,16 @@ class _EpisodeRunner:
 
 
 def make_runner(request: SetupRequest, memory: Memory) -> Runner:
-    """The runner of a setup; `memory` is for what it remembers to certify other runs.
+    """Creates the runner of a setup. `memory`: limits the decisions recorded for certificates.
 
-    Raises RefusedError where a plug-in or the simulator is not usable here, or is another version than the coordinator's (results of
-    both must not mix), or lacks what it was shipped with. What else the plug-ins raise while they are put together goes through: another
-    worker's would raise it, too.
+    Raises RefusedError if a plug-in or the simulator is unusable, lacks shipped files, or differs in version from the coordinator's, whose
+    results must not mix with others. Other exceptions from the creation of plug-ins propagate, because every worker would raise them.
     """
     try:
         installed = _find(request)
     except DrivecalError as error:
         raise RefusedError(str(error)) from error
-    except Exception as error:  # what a package may raise that is installed badly
+    except Exception as error:  # a badly installed package may raise any exception
         raise RefusedError(f"a plug-in cannot be loaded: {type(error).__name__}: {error}") from error
     try:
         return _EpisodeRunner(request, installed, memory)
@@ -92,7 +93,7 @@ def make_runner(request: SetupRequest, memory: Memory) -> Runner:
 
 
 def _find(request: SetupRequest) -> _Installed:
-    import_module("drivecal.episode.runner")  # raises UnavailableError where there is no simulator
+    import_module("drivecal.episode.runner")  # raises UnavailableError without a simulator
     catalogue = registry.catalogue(request.catalogue)
     if request.scenario not in catalogue.scenarios:
         remedy = f"it has {', '.join(catalogue.scenarios)}"
@@ -108,18 +109,20 @@ def _find(request: SetupRequest) -> _Installed:
 
 
 def refuse_other_evaluators(request: SetupRequest, installed: Evaluator) -> None:
-    """Raises ConflictError with both versions where the worker would rate by another one than was asked for; reading its version, an
-    evaluator finds out whether it has what it was shipped with."""
-    version, wanted = installed.version, request.evaluator_version
-    if wanted not in {None, version}:
+    """Raises ConflictError naming both versions if the worker's evaluator differs from the request.
+
+    Reading the version also makes an evaluator check its shipped files.
+    """
+    version, requested = installed.version, request.evaluator_version
+    if requested not in {None, version}:
         raise ConflictError(
-            f"coordinator and worker differ: the evaluator {installed.name} is {wanted} at the coordinator and {version} at the worker;"
+            f"coordinator and worker differ: the evaluator {installed.name} is {requested} at the coordinator and {version} at the worker;"
             " install the same drivecal and plug-ins on both"
         )
 
 
 def refuse_other_versions(request: SetupRequest, installed: Setup) -> None:
-    """Raises ConflictError naming what differs, with both values, where the worker would run something else than was asked for."""
+    """Raises ConflictError naming each difference with both values if the worker's setup differs from the request."""
     if installed.fingerprint == request.run_fingerprint:
         return
     differences = [
@@ -128,7 +131,9 @@ def refuse_other_versions(request: SetupRequest, installed: Setup) -> None:
         if name in request.document and request.document[name] != here
     ]
     if not differences:
-        differences = [f"run fingerprint {request.run_fingerprint} was asked for, the worker has {installed.fingerprint}"]
+        differences = [
+            f"the run fingerprint is {request.run_fingerprint} in the request and {installed.fingerprint} at the worker"
+        ]
     raise ConflictError(
         f"coordinator and worker differ: {'; '.join(differences)}; install the same drivecal and plug-ins on both"
     )

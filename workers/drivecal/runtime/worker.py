@@ -1,4 +1,4 @@
-"""A worker: runs batches of cells, one after the other, and turns whatever goes wrong in a cell into plain data."""
+"""A worker, which runs batches of cells in sequence and turns every error of a cell into plain data."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ from drivecal.runtime.compilation import prepare_cache
 from drivecal.runtime.runners import RefusedError, Runner, make_runner
 
 MOST_RUNNERS = 32
-"""Runners kept at a time; the least recently used goes first. Studies of vehicle parameters go through hundreds of setups."""
+"""Size of the least-recently-used cache of runners. Studies of vehicle parameters use hundreds of setups."""
 LARGEST_TRACE = 8_000_000
-"""Bytes; the built-in scenarios stay far below."""
+"""Largest size of time series in bytes; the built-in scenarios stay far below."""
 LONGEST_DETAIL = 500
-"""Characters."""
+"""Largest length of an error description in characters."""
 
 
 @dataclass(frozen=True, slots=True)
 class WorkerFacts:
-    """Where a worker runs."""
+    """Node and process of a worker."""
 
     node: str
     pid: int
 
 
 class Worker:
-    """Lives in a process of its own (a Ray actor), because a process can hold one SUMO simulation only."""
+    """Runs batches in its own process (a Ray actor), because a process can hold only one SUMO simulation."""
 
     def __init__(
         self,
@@ -48,27 +48,29 @@ class Worker:
         make: Callable[[SetupRequest], Runner] | None = None,
         certificates_mb: int | None = None,
     ) -> None:
-        """`make` makes runners, those of the registry where it is not given; `certificates_mb`: memory for what certifies other runs."""
+        """Creates a worker. `make`: creates runners, by default from the registry; `certificates_mb`: memory limit of certificates."""
         self._name = name
         self._memory = Memory(certificates_mb)
         self._make = make or partial(make_runner, memory=self._memory)
         self._runners: OrderedDict[tuple[object, ...], Runner] = OrderedDict()
 
     def warm(self, trial: Batch) -> WorkerFacts:
-        """Simulates `trial`: loads and compiles what the first batch would have to pay for, and shows that this worker can work.
+        """Simulates `trial`, which loads and compiles everything for the first batch and tests this worker.
 
-        Raises UnavailableError saying why where it cannot.
+        Raises UnavailableError naming the reason if the trial fails.
         """
         prepare_cache()
         result = self.run(trial)
-        for reason in (result.refusal, *(one.detail for one in result.results)):
+        for reason in (result.refusal, *(cell.detail for cell in result.results)):
             if reason is not None:
                 raise UnavailableError(reason)
         return WorkerFacts(socket.gethostname(), os.getpid())
 
     def run(self, batch: Batch) -> BatchResult:
-        """Simulates every cell, or none where this worker cannot run the setup: the result has a `refusal` then. Raises nothing that
-        a cell or a plug-in is to blame for: the cell's result has a `breakdown` then."""
+        """Simulates all cells. If this worker cannot run the setup, simulates none and returns a `refusal`.
+
+        Exceptions of a cell or a plug-in do not propagate: the cell's result has a `breakdown` instead.
+        """
         start = time.perf_counter()
         results: tuple[CellResult, ...] = ()
         refusal = None
@@ -86,27 +88,30 @@ class Worker:
             parameters = [cell.parameters[name] for name in runner.parameters]
             if cell.trace:
                 return _traced(cell, runner.trace(parameters), start)
-            done = runner.answer(parameters, cell.id, check=cell.check) if cell.certify else Answered(runner.run(parameters))
-            rating = _finite("the rating", done.result.rating.rating)
-            metrics = {name: _finite(name, value) for name, value in done.result.metrics.items()}
-            failure = done.result.failure.value if done.result.failure else None
+            answered = (
+                runner.answer(parameters, cell.id, check=cell.check) if cell.certify else Answered(runner.run(parameters))
+            )
+            result = answered.result
+            rating = _finite("the rating", result.rating.rating)
+            metrics = {name: _finite(name, value) for name, value in result.metrics.items()}
+            failure = result.failure.value if result.failure else None
             milliseconds = _milliseconds(start)
             return CellResult(
                 id=cell.id,
                 rating=rating,
-                score=int(done.result.rating.score),
+                score=int(result.rating.score),
                 metrics=metrics,
                 failure=failure,
                 milliseconds=milliseconds,
-                proven_by=done.proven_by,
-                agrees=done.agrees,
+                proven_by=answered.proven_by,
+                agrees=answered.agrees,
                 probed=_probed(runner, cell.probes),
             )
         except RefusedError:
             raise
         except MemoryError as error:
             return self._broken(setup, cell, Breakdown.MEMORY, error, start)
-        except (Exception, SystemExit) as error:  # noqa: BLE001  # a plug-in may raise anything; it must not cost the worker
+        except (Exception, SystemExit) as error:  # noqa: BLE001  # a plug-in may raise any exception; the worker must survive
             return self._broken(setup, cell, Breakdown.ERROR, error, start)
 
     def _runner(self, setup: SetupRequest) -> Runner:
@@ -119,40 +124,36 @@ class Worker:
         return self._runners[key]
 
     def _broken(self, setup: SetupRequest, cell: Cell, cause: Breakdown, error: BaseException, start: int) -> CellResult:
-        self._runners.pop(_key(setup), None)  # what was interrupted may be in any state
+        self._runners.pop(_key(setup), None)  # an interrupted runner may be in any state
         return CellResult(cell.id, None, None, {}, None, _milliseconds(start), cause.value, describe(error))
 
 
 def describe(error: BaseException) -> str:
-    """An error in one printable line: drivecal's own in its words, others with their kind and the place in the code."""
+    """Returns an error as one printable line: only the message of drivecal's own errors, type and location of others."""
     frames = traceback.extract_tb(error.__traceback__)
     if isinstance(error, DrivecalError) or not frames:
-        words, place = str(error), ""
+        message, location = str(error), ""
     else:
-        words, place = (
-            "".join(traceback.format_exception_only(error)),
-            f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})",
-        )
-    words = " ".join(words.split())
-    text = words[: LONGEST_DETAIL - len(place)] + place
+        message = "".join(traceback.format_exception_only(error))
+        location = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})"
+    message = " ".join(message.split())
+    text = message[: LONGEST_DETAIL - len(location)] + location
     return "".join(character if character.isprintable() else "?" for character in text)
 
 
 def _traced(cell: Cell, document: Mapping[str, Any], start: int) -> CellResult:
-    """The result of a run with its time series."""
+    """Returns the result of a run with its compressed time series."""
     content = gzip.compress(json.dumps(document, separators=(",", ":"), allow_nan=False).encode(), mtime=0)
     if len(content) > LARGEST_TRACE:
-        raise ConflictError(
-            f"the time series take {len(content):,} bytes, more than the {LARGEST_TRACE:,} that are kept of a run"
-        )
+        raise ConflictError(f"the time series of the run take {len(content):,} bytes, more than the limit of {LARGEST_TRACE:,}")
     rating, score, metrics, failure = (document[name] for name in ("rating", "score", "metrics", "failure"))
     return CellResult(cell.id, rating, score, metrics, failure, _milliseconds(start), trace=content)
 
 
 def _probed(runner: Runner, probes: Sequence[Probe]) -> tuple[tuple[int, int], ...]:
-    """What is known of the probes."""
-    found = ((one.id, runner.prove([one.parameters[name] for name in runner.parameters])) for one in probes)
-    return tuple((probe, proof) for probe, proof in found if proof is not None)
+    """Returns the ids of proven probes with the numbers of their runs."""
+    runs = ((probe.id, runner.prove([probe.parameters[name] for name in runner.parameters])) for probe in probes)
+    return tuple((probe, run) for probe, run in runs if run is not None)
 
 
 def _key(setup: SetupRequest) -> tuple[object, ...]:
@@ -164,12 +165,12 @@ def _sorted(values: Mapping[str, float]) -> list[tuple[str, float]]:
 
 
 def _milliseconds(start: int) -> float:
-    """CPU time of this thread since `start` (of `time.thread_time_ns`); Ray's own threads do not count."""
+    """Returns the CPU time of this thread since `start` (of `time.thread_time_ns`), without Ray's own threads."""
     return (time.thread_time_ns() - start) / 1e6
 
 
 def _finite(name: str, value: float) -> float:
     value = float(value)
     if not math.isfinite(value):
-        raise ValueError(f"{name} is {value}, which no result may be")
+        raise ValueError(f"{name} is {value}; results must be finite")
     return value

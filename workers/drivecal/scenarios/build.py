@@ -1,7 +1,7 @@
 """Builds the SUMO networks of the built-in scenarios: `python -m drivecal.scenarios.build` (`make networks`).
 
-Plain nodes and edges are written from each scenario's road and turned into a network by netconvert. The same roads give the same
-bytes: what netconvert adds about time and place is left out. netconvert comes with `eclipse-sumo`, which only this module needs.
+Writes each road as plain nodes and edges, which netconvert turns into a network. Equal roads give equal bytes, because netconvert's comment
+on time and place is removed. netconvert is part of `eclipse-sumo`, which only this module needs.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from drivecal.scenarios.definitions import DEFINITIONS
 from drivecal.scenarios.highway import network_name
 
 POINT_SPACING = 20.0
-"""Metres between points of an edge that bends: on a radius of 900 m the chord stays within 6 cm of the arc."""
+"""Metres between points of a bent edge: on a radius of 900 m the chord stays within 6 cm of the arc."""
 LONGEST_BENT_EDGE = 300.0
-"""Metres. SUMO searches all points of nearby edges each time the ego vehicle is placed; shorter edges cost at their joints."""
+"""Metres. SUMO searches all points of nearby edges at each placement of the ego vehicle; shorter edges cost time at their joints."""
 DECIMALS = 4
 NETWORKS = Path(__file__).parent / "networks"
 
 
 def edge_ranges(road: Road, line: Floats) -> list[tuple[float, float, float]]:
-    """(begin, end, speed limit) of each edge, m and m/s: one per speed limit, several where the road bends."""
+    """Returns (begin, end, speed limit) of each edge, m and m/s: one edge per speed limit, several on bent roads."""
     ranges = []
     ends = [knot.s for knot in road.limits[1:]] + [road.length]
     for knot, end in zip(road.limits, ends, strict=True):
@@ -45,7 +45,7 @@ def edge_ranges(road: Road, line: Floats) -> list[tuple[float, float, float]]:
 
 
 def plain_nodes(road: Road, line: Floats) -> Element:
-    """netconvert's nodes: where edges begin and end, on the left border of the carriageway."""
+    """Returns netconvert's nodes: begins and ends of edges, on the left border of the carriageway."""
     nodes = Element("nodes")
     for index, s in enumerate([begin for begin, _, _ in edge_ranges(road, line)] + [road.length]):
         x, y, _ = to_cartesian(line, s, road.left_edge)
@@ -54,7 +54,7 @@ def plain_nodes(road: Road, line: Floats) -> Element:
 
 
 def plain_edges(road: Road, line: Floats) -> Element:
-    """netconvert's edges. An edge's shape is the left border of its lanes."""
+    """Returns netconvert's edges. The shape of an edge is the left border of its lanes."""
     edges = Element("edges")
     for index, (begin, end, speed) in enumerate(edge_ranges(road, line)):
         points = (to_cartesian(line, s, road.left_edge)[:2] for s in stations(line, begin, end))
@@ -75,7 +75,7 @@ def plain_edges(road: Road, line: Floats) -> Element:
 
 
 def stations(line: Floats, begin: float, end: float) -> Iterator[float]:
-    """Where an edge gets a point: at its ends and, where the road bends, every `POINT_SPACING` metres or closer."""
+    """Returns the arc lengths of an edge's points: its ends and, on bent roads, at least every `POINT_SPACING` metres."""
     parts = max(1, ceil((end - begin) / POINT_SPACING - 1e-9))
     for part in range(parts + 1):
         s = begin + (end - begin) * part / parts
@@ -85,33 +85,30 @@ def stations(line: Floats, begin: float, end: float) -> Iterator[float]:
 
 
 def netconvert() -> str:
-    """The path of netconvert, of this environment first. Raises UnavailableError where there is none."""
-    beside = shutil.which("netconvert", path=sysconfig.get_path("scripts")) or shutil.which("netconvert")
-    if beside is None:
-        raise UnavailableError("netconvert is not installed, which builds the networks; install eclipse-sumo")
-    return beside
+    """Returns the path of netconvert, preferably of this environment. Raises UnavailableError if it is missing."""
+    executable = shutil.which("netconvert", path=sysconfig.get_path("scripts")) or shutil.which("netconvert")
+    if executable is None:
+        raise UnavailableError("netconvert, which builds the networks, is not installed; install eclipse-sumo")
+    return executable
 
 
 def build(road: Road) -> bytes:
-    """The network file of a road.
-
-    Raises UnavailableError where netconvert is missing or fails.
-    """
+    """Returns the network file of a road. Raises UnavailableError if netconvert is missing or fails."""
     line = reference_line(road)
     with tempfile.TemporaryDirectory() as folder:
-        here = Path(folder)
-        (here / "road.nod.xml").write_bytes(tostring(plain_nodes(road, line)))
-        (here / "road.edg.xml").write_bytes(tostring(plain_edges(road, line)))
+        path = Path(folder)
+        (path / "road.nod.xml").write_bytes(tostring(plain_nodes(road, line)))
+        (path / "road.edg.xml").write_bytes(tostring(plain_edges(road, line)))
         options = ["--no-internal-links", "--no-turnarounds", "--offset.disable-normalization", "--precision", str(DECIMALS)]
         command = [netconvert(), *options, "-n", "road.nod.xml", "-e", "road.edg.xml", "-o", "road.net.xml"]
-        done = subprocess.run(command, cwd=here, capture_output=True, text=True, check=False)  # noqa: S603  # nothing of a user's
-        if done.returncode != 0:
-            raise UnavailableError(f"netconvert failed: {done.stderr.strip()}")
-        return without_origin((here / "road.net.xml").read_bytes())
+        process = subprocess.run(command, cwd=path, capture_output=True, text=True, check=False)  # noqa: S603  # no user input
+        if process.returncode != 0:
+            raise UnavailableError(f"netconvert failed: {process.stderr.strip()}")
+        return without_origin((path / "road.net.xml").read_bytes())
 
 
 def without_origin(network: bytes) -> bytes:
-    """The network without the comment that says when and from where it was made."""
+    """Removes the comment with time and place of the network's creation."""
     return re.sub(rb"<!-- generated on .*?-->\s*", b"", network, count=1, flags=re.DOTALL)
 
 

@@ -1,7 +1,7 @@
-"""S1..S6 of the paper's Section IV-A on a three-lane German motorway, as data. The networks are added by `plugin`.
+"""Definitions of S1..S6 of the paper's Section IV-A on a three-lane German motorway; `highway` adds the networks.
 
-Roads follow the usual design: 3.75 m lanes, clothoids between straights and arcs. Every scenario has traffic that matters and an
-excitation, so that the parameters of a planner show in how it drives: a planner that has nothing to do drives well with any of them.
+Roads follow the usual design: 3.75 m lanes, clothoids between straights and arcs. Every scenario has relevant traffic and an excitation, so
+that the planner's parameters affect the drive: without either, a planner drives well with any parameters.
 """
 
 from __future__ import annotations
@@ -20,29 +20,29 @@ from drivecal.domain.scenarios import (
 STEP = 0.1
 LANE_WIDTH = 3.75
 UNBUILT = b""
-"""The network of a scenario whose road has not been built yet."""
+"""Network of a scenario before its road is built."""
 
 
 def kmh(speed: float) -> float:
-    """km/h to m/s."""
+    """Converts km/h to m/s."""
     return speed / 3.6
 
 
 def straight(length: float, *limits: tuple[float, float]) -> Road:
-    """A straight road; `limits` are (s, km/h)."""
+    """Returns a straight road; `limits` are (s, km/h)."""
     return road(length, (CurvatureKnot(0.0, 0.0), CurvatureKnot(length, 0.0)), *limits)
 
 
 def road(length: float, knots: tuple[CurvatureKnot, ...], *limits: tuple[float, float]) -> Road:
-    """A three-lane road; `limits` are (s, km/h)."""
+    """Returns a three-lane road; `limits` are (s, km/h)."""
     return Road(length, 3, LANE_WIDTH, knots, tuple(SpeedKnot(s, kmh(speed)) for s, speed in limits))
 
 
 def bends(length: float, *arcs: tuple[float, float, float, float]) -> tuple[CurvatureKnot, ...]:
-    """Curvature knots of a road of straights, clothoids and arcs.
+    """Returns the curvature knots of a road of straights, clothoids and arcs.
 
-    Each arc is (where its first clothoid begins, length of either clothoid, length of the arc between them, radius); positive radii
-    bend to the left.
+    Each arc is (begin of its first clothoid, length of either clothoid, length of the arc between them, radius); positive radii bend to the
+    left.
     """
     knots = [CurvatureKnot(0.0, 0.0)]
     for begin, clothoid, arc, radius in arcs:
@@ -55,7 +55,7 @@ def bends(length: float, *arcs: tuple[float, float, float, float]) -> tuple[Curv
 
 
 def truck(name: str, lane: int, s: float, speed: float, drift: tuple[tuple[float, float], ...] = ()) -> TrafficVehicle:
-    """A lorry: long, wide, slow to change its speed."""
+    """Returns a lorry, which is long, wide and changes its speed slowly."""
     return TrafficVehicle(
         name, lane, s, speed, speed, length=12.0, width=2.5, acceleration=0.8, deceleration=2.0, time_headway=1.8, drift=drift
     )

@@ -1,4 +1,4 @@
-"""The built-in catalogue: `HIGHWAY` = S1..S6 with their networks. Light: the coordinator loads it too."""
+"""Plug-in of the built-in catalogue, S1..S6 with their networks. Light enough for the coordinator."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from drivecal.scenarios.definitions import DEFINITIONS
 
 
 def network_name(scenario: Scenario) -> str:
-    """The file name of a built-in scenario's network."""
+    """Returns the file name of a built-in scenario's network."""
     return f"{scenario.id}.net.xml"
 
 
 class HighwayCatalogue:
-    """S1..S6, each with the network file that is part of the installation (`ports.Catalogue`)."""
+    """The scenarios S1..S6, each with its installed network file (`ports.Catalogue`)."""
 
     name = "highway"
 
     @cached_property
     def scenarios(self) -> Mapping[str, Scenario]:
-        """By id, in the order of the paper's Section IV-A."""
+        """Scenarios by id, in the order of the paper's Section IV-A."""
         networks = resources.files("drivecal.scenarios") / "networks"
         return MappingProxyType(
             {

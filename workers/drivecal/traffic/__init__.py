@@ -1,1 +1,1 @@
-"""SUMO at work: the only place that imports libsumo."""
+"""Interface to SUMO, the only package that imports libsumo."""

@@ -1,4 +1,4 @@
-"""What SUMO is told about a scenario: its options and its vehicle types. Pure."""
+"""SUMO's command line options and route file of a scenario. Pure."""
 
 from __future__ import annotations
 
@@ -9,41 +9,41 @@ from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.scenarios import Scenario, TrafficVehicle
 
 EGO = "ego"
-"""The ego vehicle's id and type in SUMO."""
+"""Id and type of the ego vehicle in SUMO."""
 ROUTE = "road"
 
 
 def edges(network: bytes, lanes: int) -> list[str]:
-    """The names of a network's edges in the direction of travel; they must form one carriageway with `lanes` lanes.
+    """Returns the names of a network's edges in the direction of travel.
 
-    Raises InvalidInputError where they do not: SUMO itself can crash on a damaged network.
+    Raises InvalidInputError unless they form one carriageway with `lanes` lanes: SUMO itself can crash on a damaged network.
     """
     try:
         root = fromstring(network)  # noqa: S314  # expat expands no external entities, its own limits stop the rest
     except ParseError as error:
-        raise _refused(f"it is no XML ({error})") from error
+        raise _refused(f"it is not XML ({error})") from error
     by_start = {edge.get("from"): edge for edge in root.iter("edge") if edge.get("function") is None}
-    here = next(iter(set(by_start) - {edge.get("to") for edge in by_start.values()}), None)
+    node = next(iter(set(by_start) - {edge.get("to") for edge in by_start.values()}), None)
     names = []
-    while here in by_start:
-        edge = by_start.pop(here)
+    while node in by_start:
+        edge = by_start.pop(node)
         names.append(edge.get("id", ""))
-        here = edge.get("to")
+        node = edge.get("to")
         if len(edge.findall("lane")) != lanes:
-            raise _refused(f"edge {names[-1]} has not {lanes} lanes")
+            raise _refused(f"edge {names[-1]} does not have {lanes} lanes")
     if by_start or not names:
         raise _refused("its edges do not form one carriageway")
     return names
 
 
-def _refused(why: str) -> InvalidInputError:
-    return InvalidInputError(Problem("network", why, "build it from the scenario's road"))
+def _refused(message: str) -> InvalidInputError:
+    return InvalidInputError(Problem("network", message, "build it from the scenario's road"))
 
 
 def routes(scenario: Scenario) -> bytes:
-    """The route file: one route over the whole road, one vehicle type per vehicle, no vehicles (they are added for each run).
+    """Returns the route file: one route over the whole road, one vehicle type per vehicle, no vehicles (each run adds them).
 
-    Raises InvalidInputError as `edges`.
+    Raises InvalidInputError like `edges`.
     """
     root = Element("routes")
     SubElement(root, "route", id=ROUTE, edges=" ".join(edges(scenario.network, scenario.road.lanes)))
@@ -54,7 +54,7 @@ def routes(scenario: Scenario) -> bytes:
 
 
 EXACT = {"carFollowModel": "IDM", "speedFactor": "1", "speedDev": "0"}
-"""The intelligent driver model (Treiber et al. 2000) without any randomness."""
+"""Parameters of the intelligent driver model (Treiber et al. 2000) without randomness."""
 
 
 def _type(vehicle: TrafficVehicle) -> dict[str, str]:
@@ -70,9 +70,9 @@ def _type(vehicle: TrafficVehicle) -> dict[str, str]:
 
 
 def options(scenario: Scenario, network: str, route_file: str) -> list[str]:
-    """SUMO's command line for a scenario whose files were written to these paths.
+    """Returns SUMO's command line options for a scenario with files at these paths.
 
-    Collisions are only noted, nothing is teleported: drivecal checks the ego vehicle's collisions itself.
+    SUMO only warns of collisions and teleports no vehicles: drivecal checks the ego vehicle's collisions itself.
     """
     values = {
         "net-file": network,
@@ -92,7 +92,7 @@ def options(scenario: Scenario, network: str, route_file: str) -> list[str]:
 
 
 def drift_offsets(vehicle: TrafficVehicle, scenario: Scenario) -> list[float]:
-    """The vehicle's offset from its lane's centre (m, to the left) after each step of the scenario."""
+    """Returns the vehicle's offset from its lane's centre (m, to the left) after each step of the scenario."""
     steps = round(scenario.duration / scenario.step)
     return [_interpolate(vehicle.drift, (step + 1) * scenario.step) for step in range(steps)]
 

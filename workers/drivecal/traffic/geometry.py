@@ -1,6 +1,6 @@
-"""Compiled geometry of a run: where the vehicles are on the road, whether the ego vehicle has left it or hit one.
+"""Compiled geometry of a run: positions on the road, road departure and collisions of the ego vehicle.
 
-Functions that call each other share this module, because numba's cache does not notice edits in imported ones.
+Functions that call each other share this module, because numba's cache does not notice edits in imported modules.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from numba import njit
 from drivecal.domain.roads import Floats
 
 TOLERANCE = 1e-9
-"""Metres; Newton's steps end here."""
+"""Step (m) at which Newton's iteration ends."""
 
 
 @njit(cache=True)
 def with_directions(line: Floats) -> Floats:
-    """The table of `drivecal.domain.roads.reference_line`, shape (n, 5), with the cosine and sine of the heading beside it, shape (n, 7).
+    """Extends the table of `drivecal.domain.roads.reference_line`, shape (n, 5), by cosine and sine of the heading, shape (n, 7).
 
-    Compiled, so that they are those that the functions here would compute, to the bit.
+    Compiled, so that both equal the values computed by the functions here to the bit.
     """
     table = np.empty((len(line), 7))
     table[:, :5] = line
@@ -31,9 +31,9 @@ def with_directions(line: Floats) -> Floats:
 
 @njit(cache=True)
 def foot(line: Floats, x: float, y: float, near: float) -> tuple[float, float, float, float, float, float, float]:
-    """s, d, and the reference line's heading, its cosine and sine, curvature and change of curvature (1/m²) at the foot point of (x, y).
+    """Returns s, d, and the line's heading, its cosine and sine, curvature and change of curvature (1/m²) at the foot point of (x, y).
 
-    The compiled twin of `drivecal.domain.roads.project`: same interpolation, same Newton iteration from s = `near`. `line` as from
+    Compiled version of `drivecal.domain.roads.project`, with equal interpolation and Newton iteration from s = `near`. `line`: as from
     `with_directions`.
     """
     spacing = line[1, 0]
@@ -73,13 +73,12 @@ def foot(line: Floats, x: float, y: float, near: float) -> tuple[float, float, f
 
 @njit(cache=True)
 def locate(line: Floats, raw: Floats, neighbours: Floats, outlines: Floats, step: float) -> None:
-    """Turns SUMO's answers into Frenet states and outlines, in place.
+    """Updates Frenet states and outlines in place from SUMO's raw values.
 
-    `line` as from `with_directions`.
-    `raw`: (x, y) of each vehicle's front, its speed and its offset d, shape (n, 4): SUMO's lanes are chords of the curves, so d would
-    be rough if it were taken from x and y. `neighbours`: (s, d, s', d', length, width) of its centre, shape (n, 6), holding the
-    values of `step` seconds ago; a `step` of 0 means that there are none. `outlines`: (x, y, heading, half length, half width),
-    shape (n, 5).
+    `line`: as from `with_directions`. `raw`: (x, y) of each vehicle's front, its speed and its offset d, shape (n, 4). SUMO's lanes are
+    chords of the curves, so that d computed from x and y would be rough. `neighbours`: (s, d, s', d', length, width) of each centre, shape
+    (n, 6), with the values of `step` seconds ago; a `step` of 0 means that these do not exist. `outlines`: (x, y, heading, half length,
+    half width), shape (n, 5).
     """
     for i in range(len(raw)):
         half_length = 0.5 * neighbours[i, 4]
@@ -103,12 +102,12 @@ def locate(line: Floats, raw: Floats, neighbours: Floats, outlines: Floats, step
 
 @njit(cache=True)
 def place(line: Floats, pose: Floats, near: float, outline: Floats, motion: Floats, front: Floats) -> bool:
-    """Writes the ego vehicle's Frenet motion (s, s', s'', d, d', d''), shape (6,), to `motion`, and to `front`, shape (3,), what SUMO calls
-    its position: x and y of its front, and the angle in degrees clockwise from north. True while it is on the road.
+    """Writes the ego vehicle's Frenet motion and SUMO's position of it; returns whether it is on the road.
 
-    `line` as from `with_directions`.
-    `pose` as from `ports.VehicleModel`, accelerations in the vehicle's own axes; `outline`: (half length, half width, right edge, left
-    edge), m, the edges as offsets d of the carriageway's borders. Formulas as in `drivecal.domain.roads.to_frenet`.
+    `motion`: (s, s', s'', d, d', d''), shape (6,). `front`: SUMO's position, i.e. x and y of the front and the angle in degrees clockwise
+    from north, shape (3,). `line`: as from `with_directions`. `pose`: as from `ports.VehicleModel`, accelerations in the vehicle's own
+    axes. `outline`: (half length, half width, right edge, left edge), m; the edges are offsets d of the carriageway's borders. Formulas as
+    in `drivecal.domain.roads.to_frenet`.
     """
     s, d, heading, _, _, curvature, bend = foot(line, pose[0], pose[1], near)
     yaw = pose[2] - heading
@@ -133,7 +132,7 @@ def place(line: Floats, pose: Floats, near: float, outline: Floats, motion: Floa
 
 @njit(cache=True)
 def hits(outlines: Floats, pose: Floats, outline: Floats) -> bool:
-    """Does the ego vehicle's rectangle overlap one of `outlines`, shape (n, 5) as from `locate`? By the separating axis theorem."""
+    """Returns whether the ego vehicle's rectangle overlaps one of `outlines`, shape (n, 5), see `locate`; separating axis theorem."""
     c, s = cos(pose[2]), sin(pose[2])
     for i in range(len(outlines)):
         dx, dy = outlines[i, 0] - pose[0], outlines[i, 1] - pose[1]
@@ -155,6 +154,6 @@ def hits(outlines: Floats, pose: Floats, outline: Floats) -> bool:
 
 @njit(cache=True)
 def settle(line: Floats, raw: Floats, neighbours: Floats, outlines: Floats, step: float, pose: Floats, outline: Floats) -> bool:
-    """`locate`, then `hits`, in one call."""
+    """Combines `locate` and `hits` in one call."""
     locate(line, raw, neighbours, outlines, step)
     return hits(outlines, pose, outline)

@@ -1,7 +1,7 @@
-"""One SUMO simulation per process, reset between runs by taking all vehicles out and putting them in again.
+"""The SUMO simulation of a process, which removes and re-adds all vehicles between runs.
 
-libsumo keeps the simulation in global state, so every process has exactly one `Simulation`: `simulation()`. A reset is bit-identical
-to a fresh start, because nothing in the simulation is random (see `configuration.EXACT`) and nothing depends on the clock.
+libsumo keeps the simulation in global state, so that every process has exactly one `Simulation`, returned by `simulation()`. A reset is
+bit-identical to a fresh start, because the simulation has no randomness (see `configuration.EXACT`) and does not depend on the clock.
 """
 
 from __future__ import annotations
@@ -25,22 +25,22 @@ try:
     import libsumo
     from libsumo import _libsumo as compiled
 except ImportError as error:
-    raise UnavailableError(f"the SUMO simulator cannot be used: {error}; install libsumo, nothing stands in for it") from error
+    raise UnavailableError(f"the SUMO simulator cannot be used: {error}; install libsumo") from error
 
 GET_POSITION, GET_SPEED, MOVE_TO_XY = compiled.vehicle_getPosition, compiled.vehicle_getSpeed, compiled.vehicle_moveToXY
 STEP = compiled.simulation_step
-"""What `libsumo` calls, without the Python function around it, which costs a third of the call: a run has two thousand."""
+"""Compiled functions behind `libsumo`, without its Python wrappers, which take a third of a call; a run has two thousand calls."""
 SUMO_ERRORS = (libsumo.TraCIException, libsumo.FatalTraCIError)
 PLACE_TOLERANCE = 0.5
-"""Metres from where a vehicle should start to the nearest place on a lane."""
+"""Largest distance (m) between the start of a vehicle and the nearest position on a lane."""
 MAPPED_ANYWHERE = 2
-"""moveToXY's `keepRoute`: put the vehicle at exactly these coordinates."""
+"""moveToXY's `keepRoute`: places the vehicle at exactly these coordinates."""
 MAPPED_WITHIN = 10.0
-"""moveToXY's `matchThreshold`, m: how far SUMO looks for the lane."""
+"""moveToXY's `matchThreshold` (m): SUMO's search radius for the lane."""
 
 
 class SimulationError(DrivecalError):
-    """SUMO refused something, in its own words."""
+    """SUMO failed; the message quotes SUMO."""
 
 
 class Simulation:
@@ -55,9 +55,9 @@ class Simulation:
         self._step = 0.0
         self._line: Floats = np.zeros((0, 7))
         self._places: list[tuple[str, str, float, float]] = []
-        """Id, lane, position of the front along it (m) and speed (m/s) at the start; the ego vehicle comes last."""
+        """Id, lane, position of the front along the lane (m) and speed (m/s) at the start; the ego vehicle comes last."""
         self._drifts: list[tuple[int, str, list[float]]] = []
-        """Row, id and offset from the lane's centre (m) after each step, of the vehicles that drift."""
+        """Row, id and offsets from the lane's centre (m) after each step, of all drifting vehicles."""
         self._start: Floats = np.zeros((0, 6))
         self._names: list[str] = []
         self._lanes: list[float] = []
@@ -65,15 +65,12 @@ class Simulation:
         self._ego: Floats = np.zeros(2)
         """Half length and half width of the ego vehicle."""
         self._cells: Any = self._raw.reshape(-1).data
-        """`_raw` again: plain item assignment is several times faster through a memoryview than through numpy."""
+        """Memoryview of `_raw`, which assigns single items several times faster than numpy."""
         self.neighbours: Floats = np.zeros((0, 6))
         self.outlines: Floats = np.zeros((0, 5))
 
     def load(self, scenario: Scenario) -> None:
-        """Makes `scenario` the loaded one; does nothing where it is already.
-
-        Raises SimulationError where SUMO does not accept it.
-        """
+        """Loads `scenario` unless it is loaded already. Raises SimulationError if SUMO rejects it."""
         if scenario is self._scenario:
             return
         self._scenario = None
@@ -110,17 +107,16 @@ class Simulation:
         self._names = [vehicle.id for vehicle in traffic]
         self._lanes = self._start[:, 1].tolist()
         self._raw = np.zeros((len(rows), 4))
-        self._raw[:, 3] = self._lanes  # nobody but the ego vehicle changes lane: `reset` switches that off
+        self._raw[:, 3] = self._lanes  # only the ego vehicle changes lane: `reset` disables it for others
         self._cells = self._raw.reshape(-1).data
         self.neighbours = self._start.copy()
         self.outlines = np.zeros((len(rows), 5))
         self._scenario = scenario
 
     def reset(self) -> None:
-        """Takes all vehicles out and puts them in at their starts.
+        """Removes all vehicles and adds them at their starts.
 
-        Raises SimulationError where one is not there afterwards: SUMO can leave vehicles out without a word. The next `load` then
-        starts from nothing.
+        Raises SimulationError if a vehicle is missing afterwards, which SUMO does not report. The next `load` then reloads the scenario.
         """
         vehicle = libsumo.vehicle
         try:
@@ -144,11 +140,10 @@ class Simulation:
         locate(self._line, self._raw, self.neighbours, self.outlines, 0.0)
 
     def advance(self, index: int, front: Sequence[float], pose: Floats) -> bool:
-        """One step, number `index` of the run, with the ego vehicle at `pose` at its end and its front as from `geometry.place`. True where
-        it has hit another vehicle.
+        """Simulates step number `index` of the run; returns whether the ego vehicle has hit another vehicle.
 
-        The front must be on the road: SUMO would move the ego vehicle anywhere. Raises SimulationError where a vehicle is lost;
-        the next `load` then starts from nothing.
+        `pose`: the ego vehicle at the end of the step; `front`: as from `geometry.place`, on the road, which SUMO does not
+        check. Raises SimulationError if a vehicle is lost; the next `load` then reloads the scenario.
         """
         vehicle = libsumo.vehicle
         try:
@@ -174,16 +169,16 @@ class Simulation:
 
 
 def _lane_at(line: Floats, name: str, s: float, d: float) -> tuple[str, float]:
-    """SUMO's lane and its position along it: on curved edges that is not the arc length."""
+    """Returns SUMO's lane and the position along it, which differs from the arc length on curved edges."""
     x, y, _ = to_cartesian(line, s, d)
     edge, position, lane = libsumo.simulation.convertRoad(x, y)
-    there_x, there_y = libsumo.simulation.convert2D(edge, position, lane)
-    if hypot(there_x - x, there_y - y) > PLACE_TOLERANCE:
+    mapped_x, mapped_y = libsumo.simulation.convert2D(edge, position, lane)
+    if hypot(mapped_x - x, mapped_y - y) > PLACE_TOLERANCE:
         raise SimulationError(f"the network has no lane for vehicle {name} at s = {s} m, d = {d} m; place it on the road")
     return f"{edge}_{lane}", position
 
 
 @cache
 def simulation() -> Simulation:
-    """This process's simulation."""
+    """Returns the simulation of this process."""
     return Simulation()

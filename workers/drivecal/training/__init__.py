@@ -1,1 +1,1 @@
-"""Makes the learned parts anew: `python -m drivecal.training` (`make train`). Nothing that runs imports it."""
+"""Training of the learned parts: `python -m drivecal.training` (`make train`). No other package imports it."""

@@ -1,4 +1,4 @@
-"""`python -m drivecal.training [vehicle] [comfort]`: makes the learned parts and the tables of their model cards anew."""
+"""Trains the learned parts and rewrites the tables of their model cards: `python -m drivecal.training [vehicle] [comfort]`."""
 
 from __future__ import annotations
 
@@ -10,62 +10,62 @@ from pathlib import Path
 
 
 def train_vehicle() -> None:
-    """The hybrid vehicle's residual."""
+    """Trains the hybrid vehicle's residual."""
     from drivecal.training import vehicle, vehicle_card
     from drivecal.training.drives import Drives
     from drivecal.training.tables import write_table
     from drivecal.vehicle.residual import FILE
 
-    _say("driving the multi-body vehicle")
+    _print("driving the multi-body vehicle")
     drives = Drives.of(vehicle.training_drives())
     baseline = vehicle.fit_baseline(drives)
-    _say("fitting the residual")
+    _print("fitting the residual")
     residual = vehicle.fit_residual(drives, baseline)
     residual.write(FILE)
-    _say("driving the manoeuvres that are held out")
+    _print("driving the held-out manoeuvres")
     card = FILE.with_suffix(".md")
     held_out = vehicle.held_out_drives()
     errors = vehicle_card.error_table(residual, vehicle_card.kinds_of(held_out), Drives.of(held_out))
     write_table(card, vehicle_card.ERRORS, errors)
     write_table(card, vehicle_card.RANGE, vehicle_card.range_table(residual))
-    _say(errors, FILE)
+    _print(errors, FILE)
 
 
 def train_comfort() -> None:
-    """The learned comfort evaluator."""
+    """Trains the learned comfort evaluator."""
     from drivecal.comfort.regression_arrays import FILE, write
     from drivecal.domain.scenarios import Manoeuvre
     from drivecal.training import comfort, comfort_card
     from drivecal.training.tables import write_table
 
-    _say("driving the manoeuvres to learn from")
+    _print("driving the training manoeuvres")
     drives = comfort.drives(held_out=False)
     panel = comfort.rated_by_panel(drives)
-    found = {}
+    regressions = {}
     for manoeuvre in Manoeuvre:
-        _say(f"fitting {manoeuvre.value}")
+        _print(f"fitting {manoeuvre.value}")
         places = [place for place, drive in enumerate(drives) if drive.manoeuvre is manoeuvre]
-        found[manoeuvre] = comfort.fit([drives[place] for place in places], panel[places], comfort.SEED).regression
-    write(FILE, found)
-    _say("driving the manoeuvres that are held out")
+        regressions[manoeuvre] = comfort.fit([drives[place] for place in places], panel[places], comfort.SEED).regression
+    write(FILE, regressions)
+    _print("driving the held-out manoeuvres")
     card, held_out = FILE.with_suffix(".md"), comfort.drives(held_out=True)
-    ratings = comfort_card.ratings(found, held_out)
+    ratings = comfort_card.ratings(regressions, held_out)
     agreement = comfort_card.agreement_table(ratings, held_out)
     write_table(card, comfort_card.AGREEMENT, agreement)
     write_table(card, comfort_card.CALIBRATION, comfort_card.calibration_table(ratings, held_out))
-    _say(agreement, FILE)
+    _print(agreement, FILE)
 
 
 PARTS: dict[str, Callable[[], None]] = {"vehicle": train_vehicle, "comfort": train_comfort}
 
 
-def _say(words: str, file: Path | None = None) -> None:
-    sys.stdout.write(f"{words}\n" + (f"written: {file.name} and {file.stem}.md\n" if file else ""))
+def _print(text: str, file: Path | None = None) -> None:
+    sys.stdout.write(f"{text}\n" + (f"written: {file.name} and {file.stem}.md\n" if file else ""))
     sys.stdout.flush()
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Trains what is named, everything by default."""
+    """Trains the named parts, by default all of them."""
     parser = argparse.ArgumentParser(prog="python -m drivecal.training", description=__doc__)
     parser.add_argument("parts", nargs="*", help="vehicle, comfort; both by default")
     chosen = parser.parse_args(arguments).parts or list(PARTS)
@@ -75,7 +75,7 @@ def main(arguments: list[str] | None = None) -> int:
     for part in chosen:
         begin = time.perf_counter()
         PARTS[part]()
-        _say(f"{part}: {time.perf_counter() - begin:.0f} s")
+        _print(f"{part}: {time.perf_counter() - begin:.0f} s")
     return 0
 
 

@@ -1,4 +1,4 @@
-"""The tables of the learned evaluator's model card, from its arrays and manoeuvres that it was not trained on."""
+"""Tables of the learned evaluator's model card, from its arrays and held-out manoeuvres."""
 
 from __future__ import annotations
 
@@ -18,44 +18,45 @@ AGREEMENT, CALIBRATION = "agreement on held-out manoeuvres", "calibration"
 
 
 def ratings(regressions: Mapping[Manoeuvre, Regression], drives: Sequence[RatedDrive]) -> Floats:
-    """What the evaluator says, shape (n,)."""
+    """Returns the evaluator's ratings, shape (n,)."""
     rater = Rater(regressions)
-    return np.array([rater.rate_channels(one.manoeuvre, one.channels).rating for one in drives])
+    return np.array([rater.rate_channels(drive.manoeuvre, drive.channels).rating for drive in drives])
 
 
 def agreement_table(ours: Floats, drives: Sequence[RatedDrive]) -> str:
-    """Of these ratings with the panel's, by class; beside it the agreement of the reference scale itself, which nothing learned from the
-    panel can beat."""
+    """Returns the table of agreement between these ratings and the panel's, by class.
+
+    It includes the agreement of the reference scale itself, an upper bound for evaluators learned from the panel.
+    """
     panel = rated_by_panel(drives)
-    reference = np.array([one.rating for one in drives])
-    ran = np.array([one.group.startswith("set ") for one in drives])
+    reference = np.array([drive.rating for drive in drives])
+    simulated = np.array([drive.group.startswith("set ") for drive in drives])
     rows = []
     for manoeuvre in Manoeuvre:
-        chosen = np.array([one.manoeuvre is manoeuvre for one in drives])
-        for label, which, rated in (
-            (manoeuvre.value, chosen, ours),
-            (f"{manoeuvre.value}, built-in scenarios only", chosen & ran, ours),
-            (f"{manoeuvre.value}, the reference scale itself", chosen, reference),
+        in_class = np.array([drive.manoeuvre is manoeuvre for drive in drives])
+        for label, selected, rated in (
+            (manoeuvre.value, in_class, ours),
+            (f"{manoeuvre.value}, built-in scenarios only", in_class & simulated, ours),
+            (f"{manoeuvre.value}, the reference scale itself", in_class, reference),
         ):
-            one = PanelAgreement.of(rated[which], panel[which])
-            rows.append(
-                [label, str(one.count), f"{one.equal:.2f}", f"{one.within_one:.2f}", f"{one.kappa:.2f}", f"{one.error:.2f}"]
-            )
+            agreement = PanelAgreement.of(rated[selected], panel[selected])
+            shares = (agreement.equal, agreement.within_one, agreement.kappa, agreement.error)
+            rows.append([label, str(agreement.count), *(f"{share:.2f}" for share in shares)])
     return table(
         ["class", "manoeuvres", "equal score", "within one", "quadratic weighted kappa", "r.m.s. error of the rating"], rows
     )
 
 
 def calibration_table(ours: Floats, drives: Sequence[RatedDrive]) -> str:
-    """The panel's mean rating where these ratings gave each score, by class, and how often they did."""
+    """Returns the table of the panel's mean rating by class and score of these ratings, with the number of drives."""
     panel = rated_by_panel(drives)
     scores = np.floor(ours + 0.5).astype(int)
     rows = []
     for manoeuvre in Manoeuvre:
-        chosen = np.array([one.manoeuvre is manoeuvre for one in drives])
+        in_class = np.array([drive.manoeuvre is manoeuvre for drive in drives])
         means = []
         for score in range(8):
-            which = chosen & (scores == score)
-            means.append(f"{panel[which].mean():.1f} ({which.sum()})" if which.any() else "none")
+            selected = in_class & (scores == score)
+            means.append(f"{panel[selected].mean():.1f} ({selected.sum()})" if selected.any() else "none")
         rows.append([manoeuvre.value, *means])
     return table(["score given", *(str(score) for score in range(8))], rows)

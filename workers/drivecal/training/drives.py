@@ -1,4 +1,4 @@
-"""Free drives of the single track beside recorded ones: the same steering and speeds, its own yaw rate, acceleration and position."""
+"""Free drives of the single track with the steering and speeds of recordings, but its own yaw rate, acceleration and position."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from drivecal.vehicle.residual import Residual
 SECONDS = 4.0
 BEGIN, STEPS = round(QUIET / STEP), round(SECONDS / STEP)
 EVERY = 10
-"""Samples between those that a fit looks at."""
+"""Interval of the samples that a fit uses."""
 
 
 @njit
-def _drive(plant: Floats, given: Floats, start: Floats, out: Floats, extremes: Floats) -> int:
-    """Drives freely with the steering and speeds of a recording.
+def _drive(plant: Floats, inputs: Floats, start: Floats, out: Floats, extremes: Floats) -> int:
+    """Drives freely with the steering and speeds of a recording; returns the number of steps outside the residual's range.
 
-    `given`: (n + 1, 2), steering angle and speed; `start`: (3,), heading, side slip, yaw rate; `out`: (n, 3), yaw rate, lateral
-    acceleration, lateral position; `extremes`: (8,), raised to the magnitudes of the residual's six inputs and two outputs, or (0,) where
-    nobody asks. Answers how many steps were outside the residual's range.
+    `inputs`: (n + 1, 2), steering angle and speed; `start`: (3,), heading, side slip, yaw rate; `out`: (n, 3), yaw rate, lateral
+    acceleration, lateral position; `extremes`: (8,), raised to the magnitudes of the residual's six inputs and two outputs, or (0,) to skip
+    them.
     """
     state = np.zeros(10)
-    state[2], state[3], state[4], state[5], state[8] = start[0], given[0, 1], start[1], start[2], given[0, 0]
+    state[2], state[3], state[4], state[5], state[8] = start[0], inputs[0, 1], start[1], start[2], inputs[0, 0]
     outside = 0
     for k in range(out.shape[0]):
-        state[8], state[3] = given[k, 0], given[k, 1]
-        rate, acceleration = (given[k + 1, 0] - given[k, 0]) / 0.01, (given[k + 1, 1] - given[k, 1]) / 0.01
+        state[8], state[3] = inputs[k, 0], inputs[k, 1]
+        rate, acceleration = (inputs[k + 1, 0] - inputs[k, 0]) / 0.01, (inputs[k + 1, 1] - inputs[k, 1]) / 0.01
         if extremes.shape[0] > 0:
             v, yaw_rate = state[3], state[5]
             slip, yaw = kernels.plain_slip_and_yaw(v, state[4], yaw_rate, state[8], plant)
@@ -48,62 +48,68 @@ def _drive(plant: Floats, given: Floats, start: Floats, out: Floats, extremes: F
 
 
 @njit
-def _drive_all(plant: Floats, given: Floats, starts: Floats, out: Floats, extremes: Floats) -> int:
+def _drive_all(plant: Floats, inputs: Floats, starts: Floats, out: Floats, extremes: Floats) -> int:
     outside = 0
-    for k in range(given.shape[0]):
-        outside += _drive(plant, given[k], starts[k], out[k], extremes)
+    for k in range(inputs.shape[0]):
+        outside += _drive(plant, inputs[k], starts[k], out[k], extremes)
     return outside
 
 
 @dataclass(frozen=True, slots=True)
 class Drives:
-    """Recordings as arrays: `given` (m, n + 1, 2), `starts` (m, 3), `truth` (m, n, 3)."""
+    """Recordings as arrays, see `_drive`: `inputs` (m, n + 1, 2), `starts` (m, 3), `truth` (m, n, 3)."""
 
-    given: Floats
+    inputs: Floats
     starts: Floats
     truth: Floats
 
     @classmethod
     def of(cls, recordings: Sequence[Recording]) -> Drives:
-        """From the end of the quiet second on."""
+        """Cuts the recordings to `SECONDS` after the quiet second."""
         end = BEGIN + STEPS
-        given = [np.column_stack([one.steering_angle, one.speed])[BEGIN : end + 1] for one in recordings]
-        starts = [[one.heading[BEGIN], one.side_slip[BEGIN], one.yaw_rate[BEGIN]] for one in recordings]
+        inputs = [np.column_stack([drive.steering_angle, drive.speed])[BEGIN : end + 1] for drive in recordings]
+        starts = [[drive.heading[BEGIN], drive.side_slip[BEGIN], drive.yaw_rate[BEGIN]] for drive in recordings]
         truth = [
-            np.column_stack([one.yaw_rate, one.lateral_acceleration, one.y - one.y[BEGIN]])[BEGIN + 1 : end + 1]
-            for one in recordings
+            np.column_stack([drive.yaw_rate, drive.lateral_acceleration, drive.y - drive.y[BEGIN]])[BEGIN + 1 : end + 1]
+            for drive in recordings
         ]
-        return cls(np.array(given), np.array(starts), np.array(truth))
+        return cls(np.array(inputs), np.array(starts), np.array(truth))
 
     def outputs(self, plant: Floats) -> Floats:
-        """What the vehicle of this `plant` does instead, as `truth`."""
+        """Returns the motion of the vehicle with this `plant`, in the format of `truth`."""
         out = np.empty_like(self.truth)
-        _drive_all(plant, self.given, self.starts, out, np.zeros(0))
+        _drive_all(plant, self.inputs, self.starts, out, np.zeros(0))
         return out
 
     def derivatives(self, plant: Floats, places: Sequence[int], steps: Floats) -> Floats:
-        """Of `outputs` at every `EVERY`-th sample, with respect to entries of `plant`: (places, m, n / EVERY, 3). Forward differences."""
-        found = np.empty((len(places), len(self.truth), STEPS // EVERY, 3))
+        """Returns derivatives of every `EVERY`-th sample of `outputs` with respect to entries of `plant`, by forward differences.
+
+        Shape: (places, m, n / EVERY, 3).
+        """
+        slopes = np.empty((len(places), len(self.truth), STEPS // EVERY, 3))
         base = self.outputs(plant)[:, EVERY - 1 :: EVERY]
         for index, (place, step) in enumerate(zip(places, steps, strict=True)):
             changed = plant.copy()
             changed[place] += step
-            found[index] = (self.outputs(changed)[:, EVERY - 1 :: EVERY] - base) / step
-        return found
+            slopes[index] = (self.outputs(changed)[:, EVERY - 1 :: EVERY] - base) / step
+        return slopes
 
     def errors(self, plant: Floats) -> Floats:
-        """R.m.s. over time of yaw rate (rad/s) and lateral acceleration (m/s^2), magnitude of lateral position after 4 s (m): (m, 3)."""
+        """Returns errors of all drives, shape (m, 3).
+
+        R.m.s. over time of yaw rate (rad/s) and lateral acceleration (m/s^2), magnitude of lateral position after 4 s (m).
+        """
         difference = self.outputs(plant) - self.truth
         over_time = np.sqrt((difference[:, :, :2] ** 2).mean(axis=1))
         return np.column_stack([over_time, np.abs(difference[:, -1, 2])])
 
     def extremes(self, plant: Floats) -> tuple[Floats, float]:
-        """Largest magnitudes of the residual's six inputs and two outputs, (8,), and the share of steps outside its range."""
-        found = np.zeros(8)
-        outside = _drive_all(plant, self.given, self.starts, np.empty_like(self.truth), found)
-        return found, outside / (len(self.given) * STEPS)
+        """Returns the largest magnitudes of the residual's six inputs and two outputs, (8,), and the share of steps out of range."""
+        extremes = np.zeros(8)
+        outside = _drive_all(plant, self.inputs, self.starts, np.empty_like(self.truth), extremes)
+        return extremes, outside / (len(self.inputs) * STEPS)
 
 
 def hybrid_plant(parameters: SingleTrackParameters, residual: Residual) -> Floats:
-    """All that the kernels need of a hybrid vehicle."""
+    """Returns the `plant` of a hybrid vehicle."""
     return np.concatenate([kernels.pack_plant(parameters), residual.pack(parameters)])

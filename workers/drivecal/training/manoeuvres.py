@@ -1,4 +1,4 @@
-"""Open-loop highway manoeuvres for training and testing the hybrid vehicle: steering and pull over time, drawn from a seed."""
+"""Random open-loop highway manoeuvres, i.e. steering and acceleration over time, for training and testing the hybrid vehicle."""
 
 from __future__ import annotations
 
@@ -12,16 +12,19 @@ from drivecal.plugins.ports import Floats
 
 STEP = 0.01
 QUIET = 1.0
-"""Seconds straight on at first: the multi-body model heaves while its suspension settles; they are dropped."""
+"""Seconds of straight driving at the begin, in which the suspension of the multi-body model settles. They are dropped."""
 DURATION = 5.0
 TRAINED = ("lane change", "curve", "slalom", "corrections")
 UNSEEN = "swerve"
-"""A kind that training never sees: aside and back again at once, as in a double lane change."""
+"""A kind that is not used in training: aside and back at once, as in a double lane change."""
 
 
 @dataclass(frozen=True, slots=True)
 class OpenLoopManoeuvre:
-    """`steering`: front wheel angle (rad) over time, twice differentiable; `pull`: wanted longitudinal acceleration (m/s^2), shape (n,)."""
+    """Inputs of a vehicle over time.
+
+    `steering`: front wheel angle (rad), twice differentiable; `pull`: desired longitudinal acceleration (m/s^2), shape (n,).
+    """
 
     kind: str
     speed: float
@@ -31,13 +34,13 @@ class OpenLoopManoeuvre:
 
 
 def _smooth(u: Floats) -> Floats:
-    """From 0 to 1 with two derivatives that vanish at both ends."""
+    """Rises from 0 to 1, with two derivatives that vanish at both ends."""
     u = np.clip(u, 0.0, 1.0)
     return u**3 * (10.0 - 15.0 * u + 6.0 * u * u)
 
 
 def _shape(kind: str, time: Floats, rng: np.random.Generator) -> Floats:
-    """Steering of magnitude 1 over the time since the quiet second, shape (n,)."""
+    """Returns steering of magnitude 1 over the time since the quiet second, shape (n,)."""
     if kind == "lane change":
         takes = rng.uniform(2.5, 6.0)
         window = _smooth(time / (0.15 * takes)) * _smooth((takes - time) / (0.15 * takes))
@@ -59,7 +62,10 @@ def _shape(kind: str, time: Floats, rng: np.random.Generator) -> Floats:
 
 
 def draw(kind: str, rng: np.random.Generator, wheelbase: float) -> OpenLoopManoeuvre:
-    """One manoeuvre of this kind: 14 to 36 m/s, up to 4.6 m/s^2 across (of a neutral vehicle), half of them braking or accelerating."""
+    """Draws a manoeuvre of this kind: 14 to 36 m/s, lateral acceleration up to 4.6 m/s^2 (of a neutral vehicle).
+
+    Half of all manoeuvres brake or accelerate.
+    """
     speed = rng.uniform(14.0, 36.0)
     across = rng.uniform(0.3, 4.6) * rng.choice([-1.0, 1.0])
     times = np.round(np.arange(round((QUIET + DURATION - 1.0) / STEP) + 1) * STEP, 9)

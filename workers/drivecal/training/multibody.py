@@ -1,4 +1,4 @@
-"""The multi-body vehicle that the residual is learned from: `vehicle_dynamics_mb` of commonroad-vehicle-models, vehicle 2 (a BMW 320i).
+"""The multi-body vehicle behind the residual: `vehicle_dynamics_mb` of commonroad-vehicle-models, vehicle 2 (a BMW 320i).
 
 Althoff and Würsching, CommonRoad: Vehicle Models, 2020, Chapter 10: 29 states, roll, pitch, suspension, magic-formula tyres.
 """
@@ -24,15 +24,15 @@ from drivecal.vehicle.parameters import SingleTrackParameters
 GRAVITY = 9.81
 RELATIVE_TOLERANCE, ABSOLUTE_TOLERANCE = 1e-7, 1e-8
 MOST_CALLS = 200_000
-"""Of the equations of motion in one manoeuvre; some 8,000 are usual."""
+"""Largest number of evaluations of the equations of motion per manoeuvre; 8,000 are usual."""
 _VX, _YAW, _YAW_RATE, _VY = 3, 4, 5, 10
 
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """What the multi-body vehicle did in a manoeuvre, every 0.01 s; each of shape (n,), SI units.
+    """Motion of the multi-body vehicle in a manoeuvre, every 0.01 s; arrays of shape (n,), SI units.
 
-    `acceleration` is that of the speed over ground, `lateral_acceleration` that of the centre of mass across its course.
+    `acceleration`: derivative of the speed over ground; `lateral_acceleration`: of the centre of mass, perpendicular to its course.
     """
 
     manoeuvre: OpenLoopManoeuvre
@@ -47,7 +47,7 @@ class Recording:
 
 
 def _plain(parameters: Any) -> Any:
-    """The same values as plain attributes: the package's own containers cost most of the time."""
+    """Converts parameters to plain attributes; access to the package's own containers takes most of the time."""
     fields = parameters if isinstance(parameters, Mapping) else vars(parameters)
     return SimpleNamespace(
         **{name: value if value is None or isinstance(value, int | float) else _plain(value) for name, value in fields.items()}
@@ -56,23 +56,26 @@ def _plain(parameters: Any) -> Any:
 
 @cache
 def vehicle() -> Any:
-    """The parameters of vehicle 2."""
+    """Returns the parameters of vehicle 2."""
     return _plain(parameters_vehicle2())
 
 
 def converted() -> SingleTrackParameters:
-    """Vehicle 2 as the package converts it to a single track: stiffness of pure side slip at zero slip, proportional to static load."""
+    """Returns vehicle 2 as a single track, converted as in the package.
+
+    The stiffness is that of pure side slip at zero slip, proportional to the static load.
+    """
     p = vehicle()
     per_load, wheelbase = -p.tire.p_ky1 * p.m * GRAVITY, p.a + p.b
     return SingleTrackParameters(p.m, per_load * p.b / wheelbase, per_load * p.a / wheelbase, p.a, p.b, p.I_z)
 
 
 class _ChatteringError(Exception):
-    """The tyres' lateral shift changes sign with camber at once; where a manoeuvre rests on that edge, steps become ever smaller."""
+    """The integration chatters: the tyres' lateral shift jumps when camber changes its sign, and steps near that point become tiny."""
 
 
 def record(manoeuvre: OpenLoopManoeuvre) -> Recording | None:
-    """Drives a manoeuvre; None where it cannot be integrated in reasonable time. Raises ArithmeticError where the integration fails."""
+    """Drives a manoeuvre; returns None if the integration takes too long. Raises ArithmeticError if it fails."""
     p = vehicle()
     steering, pull = manoeuvre.steering, manoeuvre.pull
 
@@ -84,8 +87,8 @@ def record(manoeuvre: OpenLoopManoeuvre) -> Recording | None:
         if calls > MOST_CALLS:
             raise _ChatteringError
         inputs = [float(steering(time, 1)), float(np.interp(time, manoeuvre.times, pull))]
-        found: list[float] = vehicle_dynamics_mb([float(value) for value in state], inputs, p)
-        return found
+        rates: list[float] = vehicle_dynamics_mb([float(value) for value in state], inputs, p)
+        return rates
 
     start = init_mb([0.0, 0.0, 0.0, manoeuvre.speed, 0.0, 0.0, 0.0], p)
     try:

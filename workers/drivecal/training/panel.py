@@ -1,8 +1,8 @@
-"""A simulated panel that rates manoeuvres: the reference scale as people with different tastes would read it. No human rated anything.
+"""A simulated panel that applies the reference scale with individual tastes. No human rated any manoeuvre.
 
-Rater i gives round(clip(7 - g_i (7 - r) + b_i + e)): r is the reference rating, g_i ~ N(1, 0.1) how strict the rater is, b_i ~ N(0, 0.4)
-how friendly, e ~ N(0, 0.6) what the same rater would not repeat. The panel's rating is the mean of all raters, its score that mean
-rounded.
+Rater i gives round(clip(7 - g_i (7 - r) + b_i + e)), with the reference rating r, strictness g_i ~ N(1, 0.1), friendliness
+b_i ~ N(0, 0.4) and inconsistency e ~ N(0, 0.6), which varies between ratings. The panel's rating is the mean of all raters, its score the
+rounded mean.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ BEST = 7.0
 
 @dataclass(frozen=True, slots=True)
 class Panel:
-    """`strictness`, `friendliness`: of each rater, shape (n,)."""
+    """Raters with their `strictness` and `friendliness`, shape (n,)."""
 
     strictness: Floats
     friendliness: Floats
 
     @classmethod
     def of(cls, seed: int) -> Panel:
-        """A panel of `RATERS`."""
+        """Draws a panel of `RATERS` raters."""
         rng = np.random.default_rng(seed)
         return cls(rng.normal(1.0, STRICTNESS, RATERS), rng.normal(0.0, FRIENDLINESS, RATERS))
 
     def rate(self, reference: float, rng: np.random.Generator) -> float:
-        """The panel's rating of a manoeuvre with this reference rating."""
-        heard = BEST - (BEST - reference) * self.strictness + self.friendliness + rng.normal(0.0, INCONSISTENCY, RATERS)
-        return float(np.floor(np.clip(heard, 0.0, BEST) + 0.5).mean())
+        """Returns the panel's rating of a manoeuvre with this reference rating."""
+        ratings = BEST - (BEST - reference) * self.strictness + self.friendliness + rng.normal(0.0, INCONSISTENCY, RATERS)
+        return float(np.floor(np.clip(ratings, 0.0, BEST) + 0.5).mean())

@@ -1,4 +1,4 @@
-"""Manoeuvres to learn comfort from: runs of the built-in scenarios and synthetic profiles, both rated by the reference scale."""
+"""Manoeuvres for training the comfort evaluator: runs of the built-in scenarios and synthetic profiles, rated by the reference scale."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ from drivecal.vehicle.residual import shipped
 STEP = 0.1
 FINE = 0.01
 IDLE = 0.15
-"""Share of profiles without a change of lane or speed, and without each of the disturbances: else a calm drive would be unlike anything
-learned from."""
+"""Share of profiles without a change of lane or speed, and without each disturbance, so that training includes calm drives."""
 
 
 @dataclass(frozen=True, slots=True)
 class RatedDrive:
-    """One manoeuvre. `group` is the same for those that belong together, as one parameter set in several scenarios: they are never split.
+    """A manoeuvre with the reference scale's `rating` in 0..7.
 
-    `name` tells it from all others. `channels` as from `channels_of`; `rating` that of the reference scale, in 0..7.
+    `group`: common to related drives, e.g. of one parameter set in several scenarios, which are never split between training and test.
+    `name`: unique. `channels`: as from `channels_of`.
     """
 
     manoeuvre: Manoeuvre
@@ -44,7 +44,7 @@ class RatedDrive:
 
 
 class _Recorder:
-    """An evaluator that rates by the reference scale and keeps what it saw."""
+    """An evaluator that rates by the reference scale and keeps the channels of the last run."""
 
     name, version = "recorder", "1"
 
@@ -52,43 +52,46 @@ class _Recorder:
         self.channels: Integers | None = None
 
     def rate(self, manoeuvre: Manoeuvre, metrics: Mapping[str, float]) -> Rating:
-        """By the reference scale."""
+        """Rates by the reference scale."""
         return scale.rate(manoeuvre, metrics)
 
     def rate_series(self, manoeuvre: Manoeuvre, series: Series) -> Rating:
-        """By the reference scale."""
+        """Rates by the reference scale and keeps the channels."""
         self.channels = channels_of(series.dynamics, series.offset)
         return self.rate(manoeuvre, comfort_metrics(series.dynamics, series.offset))
 
 
 def group_of_set(number: int) -> str:
-    """That of a simulated parameter set."""
+    """Returns the group of a simulated parameter set."""
     return f"set {number}"
 
 
 def group_of_profile(manoeuvre: Manoeuvre, number: int) -> str:
-    """That of a synthetic profile."""
+    """Returns the group of a synthetic profile."""
     return f"{manoeuvre.value} {number}"
 
 
 def simulated(total: int, numbers: Sequence[int], seed: int) -> list[RatedDrive]:
-    """Of `total` random parameter sets (Latin hypercube over the whole space) those with these numbers, in all scenarios of the highway
-    catalogue, odd ones in the hybrid vehicle and even ones in the plain one; failed runs are left out."""
+    """Simulates the given numbers of `total` random parameter sets (Latin hypercube over the space) in all scenarios of the catalogue.
+
+    Odd numbers use the hybrid vehicle, even ones the single track. Failed runs are omitted.
+    """
     space = FRENET.spaces["highway"]
     unit = qmc.LatinHypercube(len(space), seed=seed).random(total)
-    found = []
+    drives = []
     for scenario in HIGHWAY.scenarios.values():
         recorder = _Recorder()
         models = SingleTrackModel(NOMINAL), HybridModel(NOMINAL, shipped())
         runners = [EpisodeRunner(scenario, FRENET, model, recorder) for model in models]
         for number in numbers:
             row = zip(unit[number], space, strict=True)
-            result = runners[number % 2].run([float(one.value(round(u * (one.n_values - 1)))) for u, one in row])
+            values = [float(parameter.value(round(u * (parameter.n_values - 1)))) for u, parameter in row]
+            result = runners[number % 2].run(values)
             if result.failure is None and recorder.channels is not None:
                 group = group_of_set(number)
                 name = f"{group} {scenario.id}"
-                found.append(RatedDrive(scenario.manoeuvre, group, name, recorder.channels, result.rating.rating))
-    return found
+                drives.append(RatedDrive(scenario.manoeuvre, group, name, recorder.channels, result.rating.rating))
+    return drives
 
 
 def _eased(u: Floats) -> Floats:
@@ -97,19 +100,19 @@ def _eased(u: Floats) -> Floats:
 
 
 def _waves(time: Floats, rng: np.random.Generator, lowest: float, highest: float) -> Floats:
-    """Four waves of random frequency (Hz) and phase, r.m.s. 1, beginning softly."""
+    """Returns the sum of four waves of random frequency (Hz) and phase, with r.m.s. 1 and a soft begin."""
     frequency, phase = rng.uniform(lowest, highest, 4), rng.uniform(0.0, 2.0 * np.pi, 4)
     waves = np.sin(2.0 * np.pi * np.outer(time, frequency) + phase).sum(axis=1)
     return np.asarray(waves / np.sqrt((waves**2).mean()) * _eased(time / 1.5))
 
 
 def _size(rng: np.random.Generator, mean: float) -> float:
-    """Of a disturbance; none at all in `IDLE` of the profiles."""
+    """Draws the size of a disturbance, which is 0 in `IDLE` of the profiles."""
     return float(rng.exponential(mean) * (rng.random() > IDLE))
 
 
 def _profile(manoeuvre: Manoeuvre, time: Floats, rng: np.random.Generator) -> tuple[Floats, Floats, Floats]:
-    """Offset from the target lane's centre (m), speed (m/s) and curvature of the road (1/m) over time, each of shape (n,)."""
+    """Draws offset from the target lane's centre (m), speed (m/s) and curvature of the road (1/m) over time, each of shape (n,)."""
     speed = np.full_like(time, rng.uniform(20.0, 36.0))
     offset = _size(rng, 0.01) * _waves(time, rng, 0.05, 0.4)
     road = np.zeros_like(time)
@@ -139,7 +142,7 @@ def _profile(manoeuvre: Manoeuvre, time: Floats, rng: np.random.Generator) -> tu
 
 
 def _trajectory(offset: Floats, speed: Floats, road: Floats) -> Floats:
-    """The path as a planner gives it, rows every 0.1 s; from profiles every 0.01 s."""
+    """Returns the trajectory of a planner, with rows every 0.1 s, from profiles every 0.01 s."""
     time = np.arange(len(offset)) * FINE
     curvature = road + np.gradient(np.gradient(offset, FINE), FINE) / speed**2
 
@@ -153,8 +156,10 @@ def _trajectory(offset: Floats, speed: Floats, road: Floats) -> Floats:
 
 
 def synthetic(manoeuvre: Manoeuvre, number: int, seed: int) -> RatedDrive | None:
-    """A profile of offset, speed and curvature drawn at random and followed by the single-track vehicle for 12 to 22 s; None where that
-    is beyond it."""
+    """Draws a profile of offset, speed and curvature, and lets the single-track vehicle follow it for 12 to 22 s.
+
+    Returns None if the vehicle cannot follow the profile.
+    """
     rng = np.random.default_rng([seed, list(Manoeuvre).index(manoeuvre), number])
     steps = round(rng.uniform(12.0, 22.0) / STEP)
     time = np.arange((steps + 15) * round(STEP / FINE) + 1, dtype=np.float64) * FINE

@@ -1,4 +1,4 @@
-"""Tables of the model cards: the cards are prose with marked places, and the tables between the marks are what training writes."""
+"""Tables of the model cards, which training writes between marks in their prose."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A markdown table."""
+    """Formats a Markdown table."""
     lines = [head, ["---"] * len(head), *rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
@@ -18,15 +18,15 @@ def _mark(name: str) -> re.Pattern[str]:
 
 
 def read_table(card: Path, name: str) -> str:
-    """What stands between the marks. Raises ValueError where the card has no such place."""
-    found = _mark(name).search(card.read_text(encoding="utf-8"))
-    if found is None:
-        raise ValueError(f"{card.name} has no place for {name}")
-    return found[2].strip()
+    """Returns the text between the marks. Raises ValueError if the card has no such marks."""
+    match = _mark(name).search(card.read_text(encoding="utf-8"))
+    if match is None:
+        raise ValueError(f"{card.name} has no marks for the table {name!r}")
+    return match[2].strip()
 
 
 def write_table(card: Path, name: str, content: str) -> None:
-    """Puts a table in its place. Raises ValueError where the card has none."""
+    """Replaces the table between the marks. Raises ValueError if the card has no such marks."""
     read_table(card, name)
     text = card.read_text(encoding="utf-8")
     card.write_text(_mark(name).sub(lambda match: f"{match[1]}{content}\n{match[3]}", text), encoding="utf-8")

@@ -1,8 +1,8 @@
-"""Trains the hybrid vehicle's residual on the multi-body model and writes its arrays and its model card.
+"""Training of the hybrid vehicle's residual on the multi-body model.
 
-What is minimised is the error of whole drives: the vehicle with its residual runs freely for four seconds beside the multi-body one, both
-steered alike. (Fitting derivatives instead, state by state, would charge the network with roll and suspension, whose state a single track
-does not have.) Least squares by trust region (SciPy), Jacobian by finite differences in numba.
+The objective is the error of whole drives: the vehicle with its residual drives freely for four seconds with the steering of the multi-body
+vehicle. (A fit of derivatives, state by state, would burden the network with roll and suspension, whose state a single track does not
+have.) Least squares by trust region (SciPy), Jacobian by finite differences in numba.
 """
 
 from __future__ import annotations
@@ -27,40 +27,40 @@ TRAINING, HELD_OUT = 128, 32
 UNITS = 8
 MOST_ACROSS = 5.0
 FASTEST = 38.0
-"""m/s^2 and m/s; manoeuvres beyond them are drawn again. Faster, the multi-body car hardly keeps its course by itself (it is nearly
-neutral), and free drives say more about the instant at which it turned than about its tyres; the built-in scenarios stay below 34 m/s."""
+"""Limits in m/s^2 and m/s; manoeuvres beyond them are drawn again. At higher speed the multi-body car hardly keeps its course by itself (it
+is nearly neutral), and a free drive depends more on the instant of turning than on the tyres. The built-in scenarios stay below 34 m/s."""
 YAW_RATE_SCALE, ACCELERATION_SCALE, POSITION_SCALE = 0.005, 0.15, 0.5
-"""Errors that weigh alike: rad/s, m/s^2, m; about what is left of the single track's."""
+"""Errors of equal weight: rad/s, m/s^2, m; about the remaining errors of the single track."""
 DECAY = 0.05
 """Weight of the penalty on the network's weights."""
 TYPICAL: Floats = np.array([*[10.0] * 12, *[1.0] * 3, 0.01, 0.01])
-"""Size of a unit's weights: of its lateral inputs, of the others, of its outputs. By it the search scales its steps."""
+"""Typical weights of a unit's lateral inputs, other inputs and outputs, by which the search scales its steps."""
 ITERATIONS = 40
 BOUND = 1.25
-"""The residual is cut to this much of the largest that it had in training."""
+"""Bound of the residual, relative to its largest magnitude in training."""
 
 
 def record_all(kinds: Sequence[str], count: int, seed: int) -> list[Recording]:
-    """`count` drives of the multi-body vehicle, kinds in turn, none beyond `MOST_ACROSS` or `FASTEST`."""
+    """Records `count` drives of the multi-body vehicle within `MOST_ACROSS` and `FASTEST`, alternating between kinds."""
     rng = np.random.default_rng(seed)
     wheelbase = multibody.converted().wheelbase
-    found: list[Recording] = []
-    while len(found) < count:
-        recording = multibody.record(draw(kinds[len(found) % len(kinds)], rng, wheelbase))
+    recordings: list[Recording] = []
+    while len(recordings) < count:
+        recording = multibody.record(draw(kinds[len(recordings) % len(kinds)], rng, wheelbase))
         if recording is None:
             continue
         if np.abs(recording.lateral_acceleration).max() < MOST_ACROSS and recording.speed.max() < FASTEST:
-            found.append(recording)
-    return found
+            recordings.append(recording)
+    return recordings
 
 
 def training_drives() -> list[Recording]:
-    """What is learned from."""
+    """Returns the drives for training."""
     return record_all(TRAINED, TRAINING, SEED)
 
 
 def held_out_drives() -> list[Recording]:
-    """Other manoeuvres of the same kinds, and of one that training never saw."""
+    """Returns other manoeuvres of the same kinds and of a kind that is not used in training."""
     return record_all((*TRAINED, UNSEEN), HELD_OUT + HELD_OUT // len(TRAINED), SEED + 1000)
 
 
@@ -72,9 +72,9 @@ def _scaled(difference: Floats) -> Floats:
 
 
 def fit_baseline(drives: Drives) -> SingleTrackParameters:
-    """The single track with the stiffness that follows the multi-body vehicle best: what the residual is to add to.
+    """Fits the stiffness of the single track to the multi-body vehicle, as the baseline of the residual.
 
-    Else the network would learn to mend stiffness values of one vehicle, which Table 8's vehicles do not have.
+    Otherwise the network would learn to correct stiffness values of one vehicle, which the vehicles of Table 8 do not have.
     """
     start = multibody.converted()
 
@@ -90,8 +90,8 @@ def fit_baseline(drives: Drives) -> SingleTrackParameters:
 
 
 def fit_residual(drives: Drives, baseline: SingleTrackParameters) -> Residual:
-    """The network whose vehicle follows the multi-body one best over whole drives."""
-    speeds = drives.given[:, :, 1]
+    """Fits the network, so that the hybrid vehicle follows the multi-body one over whole drives."""
+    speeds = drives.inputs[:, :, 1]
     centre, reach = 0.5 * (speeds.max() + speeds.min()), 0.5 * (speeds.max() - speeds.min())
     generator = np.random.default_rng(SEED)
     free = Residual(
@@ -117,8 +117,8 @@ def fit_residual(drives: Drives, baseline: SingleTrackParameters) -> Residual:
         slopes = drives.derivatives(plant_of(weights), places, 1e-6 * typical) / _SCALES
         return np.vstack([slopes.reshape(len(places), -1).T, np.diag(DECAY / typical)])
 
-    found = least_squares(residuals, begin, jac=jacobian, x_scale=typical, max_nfev=ITERATIONS)
-    layers = found.x.reshape(UNITS, 17)
+    optimum = least_squares(residuals, begin, jac=jacobian, x_scale=typical, max_nfev=ITERATIONS)
+    layers = optimum.x.reshape(UNITS, 17)
     free = replace(free, hidden=layers[:, :15].copy(), output=layers[:, 15:].copy())
     extremes, _ = drives.extremes(hybrid_plant(baseline, free))
     return replace(free, limits=extremes[:6], bounds=BOUND * extremes[6:])

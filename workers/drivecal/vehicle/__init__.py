@@ -1,1 +1,1 @@
-"""The ego vehicle: a linear dynamic single-track model with the values of Table 8 and the controller that follows trajectories."""
+"""The ego vehicle: a linear dynamic single-track model with the values of Table 8, and its tracking controller."""

@@ -1,4 +1,4 @@
-"""The hybrid vehicle as a plug-in: light enough for the coordinator, the kernels are imported when a worker creates a model."""
+"""Plug-in of the hybrid vehicle. Light enough for the coordinator: workers import the kernels when they create a model."""
 
 from __future__ import annotations
 
@@ -21,12 +21,14 @@ class Hybrid:
 
     @cached_property
     def version(self) -> str:
-        """Follows the single track's version and the residual's arrays. Raises DamagedArraysError where these cannot be used."""
+        """Version derived from the single track's version and the residual's arrays. Raises DamagedArraysError if these are unusable."""
         return f"1.{SINGLE_TRACK.version}.{content_digest(shipped().arrays)[:8]}"
 
     def create(self, parameters: Mapping[str, float]) -> VehicleModel:
-        """The model with these values; the residual stays as it is. Raises InvalidInputError naming the parameter that does not fit,
-        DamagedArraysError where the residual cannot be used."""
+        """Creates the model with these values and the unchanged residual.
+
+        Raises InvalidInputError naming the faulty parameter, and DamagedArraysError if the residual cannot be used.
+        """
         values, residual = SingleTrackParameters.of(parameters), shipped()
         from drivecal.vehicle.model import HybridModel  # numba belongs to workers
 

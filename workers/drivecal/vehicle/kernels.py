@@ -1,13 +1,13 @@
-"""The vehicle's numba kernels: equations of motion, Runge-Kutta step, tracking controller, and the loop over 0.01 s steps.
+"""Numba kernels of the vehicle: equations of motion, Runge-Kutta step, tracking controller, and the loop over 0.01 s steps.
 
-They call each other and therefore live in one module (numba's cache does not notice edits in imported ones). Arrays are packed:
+They call each other and therefore share one module: numba's cache does not notice edits in imported modules. Arrays are packed:
 
 `state`, shape (9,): x, y, heading psi, speed v, side-slip angle beta, yaw rate, longitudinal acceleration, lateral acceleration, steering
 angle of the front wheels. `plant`, shape (8,): the coefficients of `pack_plant`. `trajectory`, shape (n, 7): as from `Planner.plan`.
-The position is that of the centre of mass, whose course over ground is psi + beta.
+The position is the centre of mass, whose course over ground is psi + beta.
 
-A hybrid vehicle's `plant` goes on with what `drivecal.vehicle.residual.pack` gives, and its `state` has shape (10,): the last entry
-counts the steps at whose begin the vehicle was outside the range that its residual was trained for.
+The `plant` of a hybrid vehicle continues with the result of `drivecal.vehicle.residual.pack`. Its `state` has shape (10,): the last entry
+counts the steps that began outside the training range of the residual.
 """
 
 from __future__ import annotations
@@ -24,56 +24,56 @@ STEP = 0.01
 """Integration step, s."""
 
 FOLLOWED, UNSTABLE, TOO_SHORT = 0, 1, 2
-"""What `follow` answers."""
+"""Results of `follow`."""
 
 KINEMATIC_BELOW = 3.0
 DYNAMIC_ABOVE = 5.0
 """Speeds (m/s) between which the kinematic and the dynamic model are blended. The stiffest corner of Table 8 has an eigenvalue of about
 -540/v; at 3 m/s times 0.01 s that is -1.8, inside Runge-Kutta's stability interval of -2.78."""
 SETTLING_TIME = 0.1
-"""Time constant (s) with which side slip and yaw rate settle on the kinematic relations."""
+"""Time constant (s) with which side slip and yaw rate approach the kinematic relations."""
 
 ADHESION_LIMIT = 9.81
-"""Lateral acceleration (m/s^2) that no road tyre gives: the linear model has lost its meaning, the vehicle its grip.
+"""Lateral acceleration (m/s^2) that exceeds the grip of road tyres, so that the linear model is no longer valid.
 
-A spin shows here first: steady side slip per acceleration is at most m l_f / (c_r L) = 0.0144 rad per m/s^2 in Table 8's box, so the limit
-is reached before side slip is 0.15 rad."""
+A spin exceeds this limit first: steady side slip per acceleration is at most m l_f / (c_r L) = 0.0144 rad per m/s^2 in Table 8's box, so
+that the limit is reached before side slip reaches 0.15 rad."""
 
 STEERING_LAG = 0.08
 STEERING_RATE_LIMIT = 0.4
 STEERING_LIMIT = 0.5
-"""Steering actuator: first-order lag (s), largest rate (rad/s at the wheels, as in CommonRoad's parameter sets), largest angle (rad)."""
+"""Steering actuator: first-order lag (s), largest rate (rad/s at the wheels, from CommonRoad's parameter sets), largest angle (rad)."""
 DRIVE_LAG = 0.15
 LOWEST_ACCELERATION, HIGHEST_ACCELERATION = -9.0, 4.0
 """Drive and brakes: first-order lag (s), smallest and largest acceleration (m/s^2)."""
 
 LATERAL_STIFFNESS, LATERAL_DAMPING = 1.0, 2.0
 YAW_RATE_GAIN = 0.75
-"""Lateral feedback: 1/s^2 on the lateral error, 1/s on its derivative (slow against the vehicle, they alone would give a
-double pole at -1/s), and the share of the yaw rate's error, which damps oversteering vehicles. Chosen so that every corner of Table 8's
-box that is stable without a controller is stable with it from 10 to 40 m/s."""
+"""Lateral feedback: 1/s^2 on the lateral error, 1/s on its derivative, and the share of the yaw rate's error, which damps oversteering
+vehicles. The first two are slow compared with the vehicle and alone would give a double pole at -1/s. With these values every corner of
+Table 8's box that is stable without a controller is stable with it from 10 to 40 m/s."""
 SPEED_GAIN = 1.0
 POSITION_GAIN = 0.25
 """Longitudinal feedback: 1/s on the speed error, 1/s^2 on the position error (0.5 rad/s, critically damped)."""
 
 GRAVITY = 9.81
 COEFFICIENTS = 8
-"""Of the single-track model in `plant`; where there are more, the residual's follow."""
+"""Number of coefficients of the single-track model in `plant`; the residual's values follow, if there are any."""
 YAW_SCALE, STEERING_SCALE, SPEED_CENTRE, SPEED_REACH, LIMITS, BOUNDS, LAYERS = 8, 9, 10, 11, 12, 18, 20
-"""Where in `plant` the residual's parts begin: two scales that depend on the vehicle, the range, the bounds, the layers."""
+"""Positions of the residual's values in `plant`: two scales that depend on the vehicle, the range, the bounds, the layers."""
 N_LATERAL, N_INPUTS, N_OUTPUTS = 4, 15, 2
 FADE = 0.1
-"""The share of the range over which the residual fades out beyond the range's end, so that nothing jumps there."""
+"""Share of the range over which the residual fades out beyond the range's end, to avoid a jump."""
 
 _STEERING_SHARE = 1.0 - math.exp(-STEP / STEERING_LAG)
 _DRIVE_SHARE = 1.0 - math.exp(-STEP / DRIVE_LAG)
 
 
 def pack_controller(nominal: SingleTrackParameters) -> Floats:
-    """What the controller knows of the vehicle, shape (6,): see `_steering_rate`.
+    """Returns the vehicle data of the controller, shape (6,), see `_steering_rate`.
 
-    Wheelbase, understeer gradient, side-slip gradient (rad per m/s^2), distance of the rear axle, and of the yaw and side-slip dynamics
-    v times the damping (m/s^2) and v^2 times the determinant over the steady steering angle per curvature (m/s^4).
+    Wheelbase, understeer gradient, side-slip gradient (rad per m/s^2), distance of the rear axle. For the yaw and side-slip dynamics: v
+    times the damping (m/s^2), and v^2 times the determinant over the steady steering angle per curvature (m/s^4).
     """
     front, rear = nominal.cornering_stiffness_front, nominal.cornering_stiffness_rear
     ahead, behind = nominal.distance_front, nominal.distance_rear
@@ -90,7 +90,7 @@ def pack_controller(nominal: SingleTrackParameters) -> Floats:
 
 
 def pack_plant(parameters: SingleTrackParameters) -> Floats:
-    """The coefficients of the equations of motion, shape (8,): see `_slip_and_yaw`."""
+    """Returns the coefficients of the equations of motion, shape (8,), see `_slip_and_yaw`."""
     front, rear = parameters.cornering_stiffness_front, parameters.cornering_stiffness_rear
     ahead, behind = parameters.distance_front, parameters.distance_rear
     return np.array(
@@ -109,7 +109,7 @@ def pack_plant(parameters: SingleTrackParameters) -> Floats:
 
 @njit(cache=True)
 def _within(value: float, lowest: float, highest: float) -> float:
-    """`value` cut to the limits; NaN stays NaN, so that a broken trajectory shows."""
+    """Clips `value` to the limits; NaN stays NaN, so that a faulty trajectory is detected."""
     if value > highest:
         return highest
     if value < lowest:
@@ -119,7 +119,7 @@ def _within(value: float, lowest: float, highest: float) -> float:
 
 @njit(cache=True)
 def plain_slip_and_yaw(v: float, beta: float, yaw_rate: float, delta: float, plant: Floats) -> tuple[float, float]:
-    """Derivatives of side-slip angle and yaw rate of the linear dynamic model (Rajamani, Section 2.3).
+    """Returns the derivatives of side-slip angle and yaw rate of the linear dynamic model (Rajamani, Section 2.3).
 
     Tyre forces are c_f (delta - beta - l_f r / v) and c_r (-beta + l_r r / v).
     """
@@ -129,7 +129,7 @@ def plain_slip_and_yaw(v: float, beta: float, yaw_rate: float, delta: float, pla
 
 @njit(cache=True)
 def _within_range(lateral: tuple[float, float, float, float], speed: float, pull: float, plant: Floats) -> float:
-    """How far the residual counts: 1 inside the range it was trained for, 0 from `FADE` of the range beyond it on."""
+    """Returns the weight of the residual: 1 inside its training range, 0 beyond `FADE` of the range outside."""
     largest = max(abs(speed) / plant[LIMITS + 4], abs(pull) / plant[LIMITS + 5])
     for k in range(N_LATERAL):
         largest = max(largest, abs(lateral[k]) / plant[LIMITS + k])
@@ -140,11 +140,11 @@ def _within_range(lateral: tuple[float, float, float, float], speed: float, pull
 def residual_inputs(
     v: float, yaw_rate: float, beta_rate: float, yaw_acceleration: float, delta_rate: float, acceleration: float, plant: Floats
 ) -> tuple[tuple[float, float, float, float], float, float]:
-    """What the residual depends on, without dimension, from the single-track model's own derivatives.
+    """Returns the dimensionless inputs of the residual, from the single-track model's own derivatives.
 
     Lateral: lateral acceleration over g; yaw acceleration over that of forces of each axle's load (l_f l_r m g / (L theta_z)); centripetal
-    less lateral acceleration over g; force over load that the front axle gains in 0.1 s of this steering rate. Then speed (centred,
-    over its reach) and longitudinal acceleration over g. So they mean the same for every vehicle of Table 8's box.
+    less lateral acceleration over g; force over load that the front axle gains in 0.1 s of this steering rate. Then speed (centred, over
+    its half width) and longitudinal acceleration over g. They are comparable for all vehicles in Table 8's box.
     """
     lateral = v * (beta_rate + yaw_rate) / GRAVITY
     yaw, steering = yaw_acceleration * plant[YAW_SCALE], delta_rate * plant[STEERING_SCALE]
@@ -156,10 +156,11 @@ def residual_inputs(
 def residual_outputs(
     lateral: tuple[float, float, float, float], speed: float, pull: float, plant: Floats
 ) -> tuple[float, float]:
-    """What the network adds to lateral acceleration over g and to the yaw acceleration (scaled as its inputs are).
+    """Returns the network's additions to lateral acceleration over g and to yaw acceleration (scaled like its inputs).
 
-    One hidden layer of tanh over `lateral` times (1, speed, pull) and over (1, speed, pull), less the same with `lateral` mirrored: odd,
-    so that mirrored manoeuvres stay mirrored and straight on stays straight on. One fixed order of summation. Cut to the bounds.
+    One hidden layer of tanh over `lateral` times (1, speed, pull) and over (1, speed, pull), minus the same with `lateral` mirrored. The
+    function is odd, so that mirrored manoeuvres stay mirrored and straight driving stays straight. The order of summation is fixed. Outputs
+    are clipped to the bounds.
     """
     first, second = 0.0, 0.0
     width = N_INPUTS + N_OUTPUTS
@@ -178,7 +179,10 @@ def residual_outputs(
 
 @njit(cache=True)
 def residual_accelerations(state: Floats, delta_rate: float, acceleration: float, plant: Floats) -> tuple[float, float, bool]:
-    """The residual's lateral (m/s^2) and yaw acceleration (rad/s^2), zero where the vehicle has none; True within its range."""
+    """Returns the residual's lateral (m/s^2) and yaw acceleration (rad/s^2), and whether the state is within its range.
+
+    A vehicle without residual gets zeros and False.
+    """
     v, yaw_rate = state[3], state[5]
     if plant.shape[0] <= COEFFICIENTS or not v >= DYNAMIC_ABOVE:
         return 0.0, 0.0, False
@@ -194,10 +198,10 @@ def _slip_and_yaw(
     v: float, beta: float, yaw_rate: float, delta: float, delta_rate: float, acceleration: float, plant: Floats,
     more_lateral: float, more_yaw: float,
 ) -> tuple[float, float]:  # fmt: skip
-    """Derivatives of side-slip angle and yaw rate.
+    """Returns the derivatives of side-slip angle and yaw rate.
 
-    Dynamic, plus the residual's accelerations; below `DYNAMIC_ABOVE` blended with the kinematic relations beta = l_r / L delta and
-    r = v delta / L, on which both settle while they move with them.
+    The dynamic model plus the residual's accelerations. Below `DYNAMIC_ABOVE` it is blended with the kinematic relations
+    beta = l_r / L delta and r = v delta / L, which both variables follow and approach.
     """
     if v >= DYNAMIC_ABOVE:
         beta_rate, yaw_acceleration = plain_slip_and_yaw(v, beta, yaw_rate, delta, plant)
@@ -214,9 +218,9 @@ def _slip_and_yaw(
 
 @njit(cache=True)
 def advance(state: Floats, delta_rate: float, acceleration: float, plant: Floats, step: float) -> bool:
-    """One classical Runge-Kutta step (order 4) of `step` seconds with constant steering rate and acceleration; `state` is overwritten.
+    """Overwrites `state` by one classical Runge-Kutta step (order 4) of `step` seconds at constant steering rate and acceleration.
 
-    The residual of a hybrid vehicle is that of the step's begin. Answers whether the vehicle was within the residual's range then.
+    The residual of a hybrid vehicle is evaluated at the begin of the step. Returns whether it was within its range.
     """
     more, turn, within = residual_accelerations(state, delta_rate, acceleration, plant)
     x, y, psi, v, beta, yaw, delta = state[0], state[1], state[2], state[3], state[4], state[5], state[8]
@@ -254,13 +258,13 @@ def advance(state: Floats, delta_rate: float, acceleration: float, plant: Floats
 
 @njit(cache=True)
 def _wrapped(angle: float) -> float:
-    """The angle (rad) moved by whole turns into [-pi, pi); unchanged to the bit where it is there already."""
+    """Returns the angle (rad) shifted by whole turns into [-pi, pi); angles in that range keep all their bits."""
     return angle - 2.0 * math.pi * math.floor((angle + math.pi) / (2.0 * math.pi))
 
 
 @njit(cache=True)
 def _sample(trajectory: Floats, column: int, time: float, spacing: float) -> float:
-    """One column of the trajectory at `time`, linear between rows, constant beyond the last one."""
+    """Returns one column of the trajectory at `time`, linear between rows, constant beyond the last row."""
     position = time / spacing
     row = int(position)
     last = trajectory.shape[0] - 1
@@ -280,11 +284,11 @@ def _steering_rate(
     time: float,
     spacing: float,
 ) -> float:
-    """The rate (rad/s) that the steering actuator gives for the next step.
+    """Returns the steering actuator's rate (rad/s) for the next step.
 
-    Feed-forward is the nominal vehicle's steady steering angle for the curvature that is due when the vehicle will have reacted:
-    after the actuator's lag plus the delay between steering angle and lateral acceleration at low frequency. The yaw rate is
-    compared with the one due now: it leads the course by the time that the side slip needs to build up.
+    Feed-forward is the nominal vehicle's steady steering angle for the curvature due when the vehicle will have reacted: after the
+    actuator's lag plus the delay between steering angle and lateral acceleration at low frequency. The yaw rate is compared with the one
+    due now; it leads the course by the time in which side slip builds up.
     """
     v = max(state[3], DYNAMIC_ABOVE)
     steering_per_curvature = controller[0] + controller[1] * v * v
@@ -301,24 +305,24 @@ def _steering_rate(
 def _acceleration(
     state: Floats, position_error: float, course_error: float, trajectory: Floats, time: float, spacing: float
 ) -> float:
-    """The acceleration (m/s^2) that drive and brakes give for the next step."""
+    """Returns the acceleration (m/s^2) of drive and brakes for the next step."""
     speed_error = state[3] * math.cos(course_error) - _sample(trajectory, 5, time, spacing)
     target = _sample(trajectory, 6, time + DRIVE_LAG, spacing) - SPEED_GAIN * speed_error - POSITION_GAIN * position_error
     target = _within(target, LOWEST_ACCELERATION, HIGHEST_ACCELERATION)
     acceleration: float = state[6] + (target - state[6]) * _DRIVE_SHARE
     standstill: float = -state[3] / STEP
-    return acceleration if not acceleration < standstill else standstill  # brakes hold a standing vehicle, they do not push it
+    return acceleration if not acceleration < standstill else standstill  # brakes hold a standing vehicle without pushing it
 
 
 @njit(cache=True)
 def _row_due(trajectory: Floats, time: float, spacing: float) -> int:
-    """The row of the trajectory that is due at `time` or was last, not the last one."""
+    """Returns the last row of the trajectory due at or before `time`, at most the last but one."""
     return min(int(time / spacing + 1e-9), trajectory.shape[0] - 2)
 
 
 @njit(cache=True)
 def _directions(trajectory: Floats, row: int) -> tuple[float, float, float, float]:
-    """Cosine and sine of the heading in this row and in the next."""
+    """Returns cosine and sine of the heading in this row and in the next."""
     here, there = trajectory[row, 3], trajectory[row + 1, 3]
     return math.cos(here), math.sin(here), math.cos(there), math.sin(there)
 
@@ -327,10 +331,10 @@ def _directions(trajectory: Floats, row: int) -> tuple[float, float, float, floa
 def _errors(
     state: Floats, trajectory: Floats, time: float, spacing: float, row: int, directions: tuple[float, float, float, float]
 ) -> tuple[float, float, float]:
-    """How far the vehicle is ahead of the trajectory's point due now (m), to its left (m), and its course turned from it (rad).
-    `row`: as from `_row_due`; `directions`: there.
+    """Returns the distance of the vehicle ahead of the trajectory's point due now (m) and to its left (m), and the course error (rad).
 
-    Between rows the path is a cubic Hermite curve: chords would cut curves by millimetres ten times a second.
+    `row`: as from `_row_due`; `directions`: as from `_directions` of that row. Between rows the path is a cubic Hermite curve: chords would
+    cut curves by millimetres ten times a second.
     """
     p = time / spacing + 1e-9 - row
     here, there = trajectory[row, 3], trajectory[row + 1, 3]
@@ -349,7 +353,7 @@ def _errors(
 
 @njit(cache=True)
 def _record(state: Floats, dynamics: Floats, row: int) -> None:
-    """Speed, longitudinal acceleration, lateral acceleration, yaw rate, steering angle."""
+    """Writes speed, longitudinal acceleration, lateral acceleration, yaw rate and steering angle to a row of `dynamics`."""
     dynamics[row, 0] = state[3]
     dynamics[row, 1] = state[6]
     dynamics[row, 2] = state[7]
@@ -361,14 +365,14 @@ def _record(state: Floats, dynamics: Floats, row: int) -> None:
 def follow(
     state: Floats, plant: Floats, controller: Floats, trajectory: Floats, since: float, steps: int, dynamics: Floats
 ) -> int:
-    """Follows `trajectory` from `since` seconds after its start for `steps` steps; answers FOLLOWED, UNSTABLE or TOO_SHORT.
+    """Follows `trajectory` from `since` seconds after its start for `steps` steps; returns FOLLOWED, UNSTABLE or TOO_SHORT.
 
-    `state` is overwritten; `dynamics`, shape (steps, 5), gets a row (see `_record`) at the end of each step. From the step on that went
-    unstable, state and rows stay at the last sound values.
+    Overwrites `state` and writes a row (see `_record`) to `dynamics`, shape (steps, 5), at the end of each step. From an unstable step on,
+    state and rows keep the last valid values.
     """
     last = trajectory.shape[0] - 1
     spacing = trajectory[min(last, 1), 0] - trajectory[0, 0]
-    # Asked the other way round, a time that is no number would pass.
+    # A negated comparison also rejects a time of NaN.
     if not (last >= 1 and spacing > 0.0 and since >= 0.0 and since + (steps - 1) * STEP <= last * spacing + 1e-9):
         return TOO_SHORT
     before = state.copy()
@@ -385,12 +389,12 @@ def follow(
         acceleration = _acceleration(state, position_error, course_error, trajectory, time, spacing)
         before[:] = state
         within = advance(state, rate, acceleration, plant, STEP)
-        # Comparisons with NaN are false: a state that is no longer finite is not sound either.
-        sound = abs(state[7]) <= ADHESION_LIMIT and abs(state[0]) + abs(state[1]) + abs(state[3]) < 1e9
-        if not sound:
+        # Comparisons with NaN are false, so that a state that is not finite is unstable, too.
+        stable = abs(state[7]) <= ADHESION_LIMIT and abs(state[0]) + abs(state[1]) + abs(state[3]) < 1e9
+        if not stable:
             state[:] = before
-            for left in range(k, steps):
-                _record(state, dynamics, left)
+            for remaining in range(k, steps):
+                _record(state, dynamics, remaining)
             return UNSTABLE
         _record(state, dynamics, k)
         if not within and plant.shape[0] > COEFFICIENTS:

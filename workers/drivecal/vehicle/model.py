@@ -1,4 +1,4 @@
-"""The single-track vehicle at work."""
+"""Models of the single-track and the hybrid vehicle."""
 
 from __future__ import annotations
 
@@ -13,10 +13,7 @@ from drivecal.vehicle.residual import Residual
 
 
 class SingleTrackModel:
-    """A vehicle that follows trajectories (port `VehicleModel`).
-
-    The controller knows the nominal vehicle only, whatever `parameters` are.
-    """
+    """A vehicle that follows trajectories (port `VehicleModel`). Its controller is that of the nominal vehicle for all `parameters`."""
 
     def __init__(self, parameters: SingleTrackParameters) -> None:
         self.parameters = parameters
@@ -26,7 +23,7 @@ class SingleTrackModel:
         self._pose = self._state[:8]
 
     def start(self, x: float, y: float, heading: float, speed: float) -> None:
-        """Starts a new run: straight ahead, without acceleration. Position of the centre of mass in m, heading in rad, speed in m/s."""
+        """Starts a new run straight ahead, without acceleration. Centre of mass in m, heading in rad, speed in m/s."""
         self._state[:] = 0.0
         self._state[:4] = (x, y, heading, speed)
 
@@ -34,15 +31,15 @@ class SingleTrackModel:
     def pose(self) -> Floats:
         """(x, y, heading, speed, side slip angle, yaw rate, longitudinal acceleration, lateral acceleration), shape (8,), SI.
 
-        A live view: it moves on with the vehicle; copy it to keep it. The course over ground is heading plus side-slip angle.
+        A live view that changes with the vehicle; copy it to keep it. The course over ground is heading plus side-slip angle.
         """
         return self._pose
 
     def follow(self, trajectory: Floats, since: float, duration: float, dynamics: Floats) -> bool:
         """Tracks `trajectory` from `since` seconds after its start for `duration` seconds; see `ports.VehicleModel.follow`.
 
-        False where the vehicle went unstable: it then stays at its last sound state, and so do the remaining rows. Raises ValueError
-        where the trajectory ends before `since` + `duration` or `dynamics` has not one row per 0.01 s.
+        Returns False if the vehicle became unstable: its state and the remaining rows keep their last valid values. Raises ValueError if
+        the trajectory ends before `since` + `duration`, or if `dynamics` does not have one row per 0.01 s.
         """
         steps = round(duration / kernels.STEP)
         if dynamics.shape[0] != steps:
@@ -54,9 +51,9 @@ class SingleTrackModel:
 
 
 class HybridModel(SingleTrackModel):
-    """The single-track vehicle with a neural residual, which stays the same whatever `parameters` are.
+    """The single-track vehicle with a neural residual, which is the same for all `parameters`.
 
-    Outside the range that the residual was trained for it is the single-track vehicle again.
+    Outside the training range of the residual, it equals the single-track vehicle.
     """
 
     def __init__(self, parameters: SingleTrackParameters, residual: Residual) -> None:
@@ -67,5 +64,5 @@ class HybridModel(SingleTrackModel):
 
     @property
     def metrics(self) -> Mapping[str, float]:
-        """Seconds of the run outside the range that the residual was trained for, where the vehicle fell back to the single track."""
+        """Seconds of the run outside the residual's training range, in which the vehicle fell back to the single track."""
         return {"outside_training_range_s": self._state.item(9) * kernels.STEP}

@@ -1,4 +1,4 @@
-"""Parameters of the single-track model (Table 8 of the paper) and what follows from them in closed form.
+"""Parameters of the single-track model (Table 8 of the paper) and quantities derived from them in closed form.
 
 Sign convention throughout: x forward, y to the left, angles counter-clockwise; SI units.
 """
@@ -20,12 +20,12 @@ TABLE_8: tuple[VehicleParameter, ...] = (
     VehicleParameter("distance_rear", "m", 1.55, 1.0, 2.0, "l_r, rear axle to centre of mass"),
     VehicleParameter("yaw_inertia", "kg m^2", 3832.0, 2000.0, 4500.0, "theta_z, moment of inertia about the vertical axis"),
 )
-"""Nominal values and bounds as printed; the table calls both distances l_f, the second one is l_r."""
+"""Nominal values and bounds as printed. The table labels both distances l_f; the second is l_r."""
 
 
 @dataclass(frozen=True, slots=True)
 class SingleTrackParameters:
-    """One value per row of Table 8."""
+    """Values of the parameters in Table 8."""
 
     mass: float
     cornering_stiffness_front: float
@@ -36,10 +36,12 @@ class SingleTrackParameters:
 
     @classmethod
     def of(cls, values: Mapping[str, float]) -> SingleTrackParameters:
-        """From values by name. Raises InvalidInputError where one is missing, unknown, or not a positive finite number."""
+        """Creates parameters from values by name. Raises InvalidInputError for missing, unknown, non-positive or non-finite values."""
         names = [parameter.name for parameter in TABLE_8]
         problems = [
-            Problem(f"vehicle.parameters.{name}", "is missing", "give all of them") for name in names if name not in values
+            Problem(f"vehicle.parameters.{name}", "the value is missing", "give all parameters")
+            for name in names
+            if name not in values
         ]
         for name, value in values.items():
             if name not in names:
@@ -53,7 +55,7 @@ class SingleTrackParameters:
 
     @property
     def wheelbase(self) -> float:
-        """l_f + l_r, m."""
+        """Wheelbase l_f + l_r (m)."""
         return self.distance_front + self.distance_rear
 
 
@@ -61,7 +63,7 @@ NOMINAL = SingleTrackParameters(*(parameter.nominal for parameter in TABLE_8))
 
 
 def understeer_gradient(parameters: SingleTrackParameters) -> float:
-    """K_us = m / (l_f + l_r) (l_r / c_f - l_f / c_r), rad per m/s^2 (Rajamani, Vehicle Dynamics and Control, Section 3.3).
+    """Returns K_us = m / (l_f + l_r) (l_r / c_f - l_f / c_r), rad per m/s^2 (Rajamani, Vehicle Dynamics and Control, Section 3.3).
 
     The steady steering angle on a curve is (wheelbase + K_us v^2) times its curvature; K_us < 0 is oversteer.
     """
@@ -71,10 +73,10 @@ def understeer_gradient(parameters: SingleTrackParameters) -> float:
 
 
 def critical_speed(parameters: SingleTrackParameters) -> float | None:
-    """The speed (m/s) above which an oversteering vehicle is unstable without a controller, sqrt(-wheelbase / K_us).
+    """Returns the speed (m/s) above which an oversteering vehicle is unstable without a controller, sqrt(-wheelbase / K_us).
 
-    None where the vehicle understeers or is neutral: it is stable at every speed. Source: the determinant of the yaw and side-slip
-    dynamics changes its sign there (Rajamani, Section 3.3; Mitschke and Wallentowitz, Dynamik der Kraftfahrzeuge, Chapter 20).
+    Returns None for an understeering or neutral vehicle, which is stable at every speed. At the critical speed the determinant of the yaw
+    and side-slip dynamics changes its sign (Rajamani, Section 3.3; Mitschke and Wallentowitz, Dynamik der Kraftfahrzeuge, Chapter 20).
     """
     gradient = understeer_gradient(parameters)
     return math.sqrt(-parameters.wheelbase / gradient) if gradient < 0.0 else None

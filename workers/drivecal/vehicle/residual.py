@@ -1,4 +1,4 @@
-"""The hybrid vehicle's neural residual: its arrays, where they are read from, and how they are handed to the kernels."""
+"""Neural residual of the hybrid vehicle: its arrays, their file, and their layout for the kernels."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ KIND = "drivecal hybrid vehicle residual 1"
 MOST_UNITS = 64
 GRAVITY = 9.81
 STEERING_HORIZON = 0.1
-"""Seconds of steering rate that make its input: about as long as a tyre takes to build up its force."""
+"""Seconds over which the steering rate input extrapolates, about the time in which a tyre builds up its force."""
 
 _EXPECTED = {
     "hidden": Expected("float64", (None, 15)),
@@ -32,13 +32,13 @@ _EXPECTED = {
 
 @dataclass(frozen=True, slots=True)
 class Residual:
-    """A network with one hidden layer of tanh units; see `kernels.residual_inputs` and `.residual_outputs` for what goes in and comes out.
+    """A network with one hidden layer of tanh units; `kernels.residual_inputs` and `.residual_outputs` define its inputs and outputs.
 
     `hidden`: (units, 15), weights of the four lateral inputs, of the same times speed, of the same times longitudinal acceleration, of 1,
     speed and longitudinal acceleration.
-    `output`: (units, 2), to lateral and yaw acceleration. `limits`: (6,), largest magnitude of each input in training. `bounds`: (2,),
-    what the outputs are cut to. `speed`: (2,), centre and reach (m/s) of the speeds of training. `baseline`: (6,), the single-track
-    parameters that stood for the vehicle in training, in the order of Table 8.
+    `output`: (units, 2), weights to lateral and yaw acceleration. `limits`: (6,), largest magnitude of each input in training. `bounds`:
+    (2,), magnitudes at which the outputs are clipped. `speed`: (2,), centre and half width (m/s) of the speeds in training. `baseline`:
+    (6,), single-track parameters of the vehicle in training, in the order of Table 8.
     """
 
     hidden: Floats
@@ -50,21 +50,23 @@ class Residual:
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.hidden) == len(self.output) <= MOST_UNITS:
-            raise ValueError(f"{len(self.hidden)} hidden and {len(self.output)} output rows; 1 to {MOST_UNITS} of both fit")
+            raise ValueError(
+                f"{len(self.hidden)} hidden and {len(self.output)} output rows; give as many of both, 1 to {MOST_UNITS}"
+            )
         if min(self.limits.min(), self.bounds.min(), self.speed.min(), self.baseline.min()) <= 0.0:
             raise ValueError("limits, bounds, speed and baseline must be positive")
 
     @property
     def arrays(self) -> Mapping[str, Array]:
-        """By name, as they are stored."""
+        """Stored arrays by name."""
         return {name: getattr(self, name) for name in _EXPECTED}
 
     def write(self, path: Path) -> None:
-        """Stores it."""
+        """Writes the arrays to a file."""
         write_arrays(path, KIND, self.arrays)
 
     def pack(self, parameters: SingleTrackParameters) -> Floats:
-        """What follows the plant's coefficients in the kernels: for one vehicle, shape (12 + 17 units,)."""
+        """Returns the values that follow the coefficients of one vehicle in `plant`, shape (12 + 17 units,)."""
         p = parameters
         yaw = p.yaw_inertia * p.wheelbase / (p.mass * GRAVITY * p.distance_front * p.distance_rear)
         load = p.mass * GRAVITY * p.distance_rear / p.wheelbase
@@ -74,7 +76,7 @@ class Residual:
 
 
 def read(path: Path = FILE) -> Residual:
-    """Reads a residual. Raises DamagedArraysError where the file is missing, damaged or something else."""
+    """Reads a residual. Raises DamagedArraysError if the file is missing, damaged or of another kind."""
     arrays = read_arrays(path, KIND, _EXPECTED)
     try:
         return Residual(**arrays)
@@ -84,5 +86,5 @@ def read(path: Path = FILE) -> Residual:
 
 @cache
 def shipped() -> Residual:
-    """The residual that drivecal is shipped with."""
+    """Returns the residual that drivecal is shipped with."""
     return read()

@@ -1,4 +1,4 @@
-"""The single-track vehicle as a plug-in: light enough for the coordinator, the kernels are imported when a worker creates a model."""
+"""Plug-in of the single-track vehicle. Light enough for the coordinator: workers import the kernels when they create a model."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class SingleTrack:
     parameters: tuple[VehicleParameter, ...] = TABLE_8
 
     def create(self, parameters: Mapping[str, float]) -> VehicleModel:
-        """The model with these values. Raises InvalidInputError naming the parameter that does not fit."""
+        """Creates the model with these values. Raises InvalidInputError naming the faulty parameter."""
         values = SingleTrackParameters.of(parameters)
         from drivecal.vehicle.model import SingleTrackModel  # numba belongs to workers
 
