@@ -25,7 +25,7 @@ def test_from_the_form_to_the_replay_and_back_through_a_restart(tmp_path: Path, 
         expect(page.get_by_text("for 180 proposed cells")).to_be_visible()
         page.get_by_role("button", name="Start it").click()
         page.get_by_role("button", name="Pause").click()
-        expect(page.get_by_text(re.compile("Asked to pause|Resting"))).to_be_visible()
+        expect(page.get_by_text(re.compile("Asked to pause|Paused\\. All"))).to_be_visible()
     expect(page.get_by_text("Connection lost")).to_be_visible()
 
     with serving(tmp_path, port=port):
@@ -41,7 +41,7 @@ def test_from_the_form_to_the_replay_and_back_through_a_restart(tmp_path: Path, 
         expect(page.get_by_role("heading", level=1)).to_contain_text("S5 · evaluation")
         expect(page.get_by_role("img", name=re.compile("Top view of the road at 0 s"))).to_be_visible()
         expect(page.get_by_role("heading", name="Jerk")).to_be_visible()
-        expect(page.get_by_role("heading", name="Where the answer comes from")).to_be_visible()
+        expect(page.get_by_role("heading", name="Origin of the result")).to_be_visible()
         assert barriers(page) == []
         page.get_by_role("slider", name="Moment").fill("3.5")
         page.get_by_role("button", name="A step ahead").click()
@@ -59,7 +59,7 @@ def test_from_the_form_to_the_replay_and_back_through_a_restart(tmp_path: Path, 
         page.get_by_text("Weigh the scenarios differently").click()
         page.get_by_role("slider", name="S5").fill("3")
         expect(page.get_by_text("Ranked anew under S3=1,S5=3")).to_be_visible()
-        page.get_by_role("button", name="Search anew under these weights").click()
+        page.get_by_role("button", name="Search again under these weights").click()
         page.get_by_role("link", name="compare", exact=True).click()
         expect(page.get_by_role("row", name="weights.S5")).to_contain_text("3")
         expect(page.get_by_text("Their weights differ")).to_be_visible()

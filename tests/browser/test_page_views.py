@@ -105,7 +105,7 @@ def test_a_study_leads_with_what_it_examines_and_what_it_found(shown: Shown, ope
     page.goto(f"{shown.api.url}/#/compare?a={shown.study.id}&b={shown.study.id}")
     row = page.get_by_role("table", name="Degrees of robustness side by side").get_by_role("row").nth(1)
     expect(row).to_contain_text("set 1, set 1 of the other")
-    expect(page.get_by_role("heading", name="What was found")).to_have_count(0)
+    expect(page.get_by_role("heading", name="Results")).to_have_count(0)
 
 
 def test_an_overview_says_what_was_asked_for_and_leads_to_the_replay(shown: Shown, opening: Opening) -> None:

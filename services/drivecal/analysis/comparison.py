@@ -44,14 +44,14 @@ class Course:
 
     @property
     def optimum(self) -> float | None:
-        """The best objective of the whole run that is true of its set; None where there is none yet. What is reused may be off, and a
+        """The best objective of the whole run that is true of its set; None before any result. What is reused may be off, and a
         search prefers what is off upwards, so scores of references count for the search and not here. Of a confirmed run it is that of
         the first set of its ranking, of others a lower bound."""
         believed = self.best[-1] if self.best else None
         if not self.reused:
             return believed
-        found = self.simulated_best
-        return believed if found is not None and believed is not None and abs(found - believed) <= EQUAL else found
+        simulated = self.simulated_best
+        return believed if simulated is not None and believed is not None and abs(simulated - believed) <= EQUAL else simulated
 
     @property
     def simulated(self) -> int:
@@ -76,7 +76,7 @@ class Course:
 
 
 def best_of_all(courses: Iterable[Course]) -> float | None:
-    """The best optimum that any run found; None where none has one."""
+    """The best optimum of all runs; None if no run has one."""
     return max((course.optimum for course in courses if course.optimum is not None), default=None)
 
 
@@ -108,11 +108,11 @@ class RunGroup:
 def groups(courses: Sequence[Course]) -> list[RunGroup]:
     """Runs with equal optimizer, population and reduction together, in the order of the first of each."""
     best = best_of_all(courses)
-    found: dict[tuple[str, int, str], list[Course]] = {}
+    courses_by_group: dict[tuple[str, int, str], list[Course]] = {}
     for course in courses:
         conditions = course.conditions
-        found.setdefault((conditions.optimizer, conditions.population, conditions.reduction), []).append(course)
-    return [_group(*key, members, best) for key, members in found.items()]
+        courses_by_group.setdefault((conditions.optimizer, conditions.population, conditions.reduction), []).append(course)
+    return [_group(*key, members, best) for key, members in courses_by_group.items()]
 
 
 def _group(optimizer: str, population: int, reduction: str, members: Sequence[Course], best: float | None) -> RunGroup:
@@ -150,9 +150,9 @@ class Pair:
 
     @property
     def difference(self) -> float:
-        """The optimum with the reduction less the one without; 0 where they are equal but for rounding."""
-        found = (self.run.optimum or 0.0) - (self.base.optimum or 0.0)
-        return 0.0 if abs(found) <= EQUAL else found
+        """The optimum with the reduction less the one without; 0 if they are equal but for rounding."""
+        difference = (self.run.optimum or 0.0) - (self.base.optimum or 0.0)
+        return 0.0 if abs(difference) <= EQUAL else difference
 
     @property
     def saved(self) -> int:
@@ -168,8 +168,8 @@ def pairs(courses: Sequence[Course]) -> list[Pair]:
     first = courses[0].conditions.reduction
     whole = {course.conditions: course for course in courses if course.ended and course.optimum is not None}
     return [
-        Pair(one, whole[base])
-        for conditions, one in whole.items()
+        Pair(course, whole[base])
+        for conditions, course in whole.items()
         if conditions.reduction != first and (base := conditions._replace(reduction=first)) in whole
     ]
 
@@ -196,13 +196,13 @@ class Effect:
     saved_share: float
 
 
-def effects(found: Sequence[Pair]) -> list[Effect]:
-    """By reduction, optimizer and population, and, where there are several such, of each reduction over all of them."""
+def effects(pairs: Sequence[Pair]) -> list[Effect]:
+    """By reduction, optimizer and population, and, if there are several such groups, of each reduction over all of them."""
     wanted: dict[tuple[str, str | None, int | None], list[Pair]] = {}
-    for course in found:
+    for course in pairs:
         conditions = course.run.conditions
         wanted.setdefault((conditions.reduction, conditions.optimizer, conditions.population), []).append(course)
-    for reduction in dict.fromkeys(course.run.conditions.reduction for course in found):
+    for reduction in dict.fromkeys(course.run.conditions.reduction for course in pairs):
         parts = [listed for key, listed in wanted.items() if key[0] == reduction]
         if len(parts) > 1:
             wanted[reduction, None, None] = [course for listed in parts for course in listed]

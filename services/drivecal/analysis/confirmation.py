@@ -1,7 +1,7 @@
-"""Whether the best set of a search is as good as it seems: where its scores are references', it is simulated after the search. Pure.
+"""Confirmation of a search's best set by simulation, if its scores are references'. Pure.
 
-A search that reuses scores prefers sets whose references are too good. So the first set of the ranking is simulated where it has a
-reference's score, and the ranking is made anew; one set after the other, until the first one owes nothing to references.
+A search that reuses scores prefers sets whose references are too good. So the first set of the ranking is simulated if it has a
+reference's score, and the ranking is computed again. This repeats until the first set has only scores of its own.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from drivecal.analysis.solutions import EQUAL, EvaluatedSet, Ranking
 
 CONFIRMED = "confirmed by simulation"
-"""How the verdict begins where the best set has only scores of its own."""
+"""How the verdict begins if the best set has only scores of its own."""
 NOT_CONFIRMED = "not confirmed"
 """How it begins where a score of the best set is still a reference's."""
 
@@ -26,7 +26,7 @@ class Confirmation:
     tried: list[int] = field(default_factory=list)
 
     def choose(self, ranking: Ranking) -> EvaluatedSet | None:
-        """The next set to simulate; None where the first of the ranking has only scores of its own, or nothing more may be tried."""
+        """The next set to simulate; None if the first of the ranking has only scores of its own, or nothing more may be tried."""
         return None if len(self.tried) >= self.limit else ranking.doubtful(self.tried)
 
     def changed(self, best: EvaluatedSet) -> bool:
@@ -48,7 +48,7 @@ class Confirmation:
 
 
 def verdict_in(notes: Iterable[str]) -> str | None:
-    """The verdict among a campaign's notes; None before it was told."""
+    """The verdict among a campaign's notes; None before it is reported."""
     return next((note for note in notes if note.startswith((CONFIRMED, NOT_CONFIRMED))), None)
 
 

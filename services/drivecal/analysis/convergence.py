@@ -26,7 +26,7 @@ def converged_at(values: Sequence[float | None], unchanged: int, tolerance: floa
 
 
 def best_at(best: Sequence[float | None]) -> int | None:
-    """Table 5: the iteration in which the best solution was found, where it then stayed for at least 10 iterations."""
+    """Table 5: the iteration in which the best solution was found, if it then stayed for at least 10 iterations."""
     return converged_at(best, UNCHANGED_BEST)
 
 
@@ -35,7 +35,7 @@ def alternatives_at(alternatives: Sequence[int]) -> int | None:
     return converged_at([float(count) for count in alternatives], UNCHANGED_ALTERNATIVES + 1)
 
 
-def _equal(one: float | None, other: float | None, tolerance: float) -> bool:
-    if one is None or other is None:
-        return one is other
-    return abs(one - other) <= tolerance
+def _equal(first: float | None, other: float | None, tolerance: float) -> bool:
+    if first is None or other is None:
+        return first is other
+    return abs(first - other) <= tolerance

@@ -29,18 +29,18 @@ def regions(points: Floats, neighbours: float = NEIGHBOURS) -> npt.NDArray[np.in
     A region is flooded from its first point, some of its points at a time: the distances of all from all would not fit into memory
     where thousands of sets share the best objective.
     """
-    found: npt.NDArray[np.int64] = np.full(len(points), -1, dtype=np.int64)
+    numbers: npt.NDArray[np.int64] = np.full(len(points), -1, dtype=np.int64)
     left = np.arange(len(points))
     number = 0
     while left.size:
         edge, left = left[:1], left[1:]
-        found[edge] = number
+        numbers[edge] = number
         while edge.size:
             near = (distances(points[edge[:AT_A_TIME]], points[left]) <= neighbours).any(axis=0)
             edge, left = np.concatenate([edge[AT_A_TIME:], left[near]]), left[~near]
-            found[edge] = number
+            numbers[edge] = number
         number += 1
-    return found
+    return numbers
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,12 +53,12 @@ class Optimum:
 
 def optima(best: Floats, worse: Floats, neighbours: float = NEIGHBOURS) -> list[Optimum]:
     """Of the best sets, shape (n, n_p), and all others that were evaluated, shape (m, n_p), in the unit cube."""
-    found = regions(best, neighbours)
-    return [Optimum(int(region), distance) for region, distance in zip(found, to_nearest(best, worse), strict=True)]
+    numbers = regions(best, neighbours)
+    return [Optimum(int(region), distance) for region, distance in zip(numbers, to_nearest(best, worse), strict=True)]
 
 
 def to_nearest(points: Floats, others: Floats) -> list[float | None]:
-    """How far, in shares of the ranges, the nearest of `others` lies from each of `points`; None where there are none."""
+    """How far, in shares of the ranges, the nearest of `others` lies from each of `points`; None if there are none."""
     if not len(others):
         return [None] * len(points)
     return [float(np.sqrt(((others - point) ** 2).mean(axis=1).min())) for point in points]

@@ -70,16 +70,16 @@ def vehicles(
 ) -> list[dict[str, float]]:
     """The vehicles at `points` of the unit box, shape (samples, n), around the nominal one; `radius`: half its width in shares of each
     parameter's range. What reaches beyond a bound lies between nominal value and bound, so that no vehicle is left out."""
-    found = []
+    drawn = []
     for point in points.tolist():
         values = {}
-        for one, towards in zip(parameters, point, strict=True):
-            centre, width = nominal[one.name], radius * (one.maximum - one.minimum)
-            room = one.maximum - centre if towards > 0 else centre - one.minimum
+        for parameter, towards in zip(parameters, point, strict=True):
+            centre, width = nominal[parameter.name], radius * (parameter.maximum - parameter.minimum)
+            room = parameter.maximum - centre if towards > 0 else centre - parameter.minimum
             value = float(f"{centre + towards * min(width, room):.{SIGNIFICANT}g}")
-            values[one.name] = min(max(value, one.minimum), one.maximum)
-        found.append(values)
-    return found
+            values[parameter.name] = min(max(value, parameter.minimum), parameter.maximum)
+        drawn.append(values)
+    return drawn
 
 
 def deviation(nominal: Floats, scores: Floats, condition: Condition) -> Floats:
@@ -143,7 +143,7 @@ class RobustnessStudy:
     ) -> None:
         """`nominal_scores`: of the solutions in the nominal vehicle, shape (n_solutions, n_s).
 
-        Raises InvalidInputError where the nominal vehicle is outside its parameters' bounds.
+        Raises InvalidInputError if the nominal vehicle is outside its parameters' bounds.
         """
         check_nominal(parameters, nominal)
         self._scores = nominal_scores
@@ -160,8 +160,8 @@ class RobustnessStudy:
                 return None
             number = self._boxes + 1
             points = directions(len(self._parameters), self._settings.samples, self._settings.seed, number)
-            drawn = {solution: vehicles(self._parameters, self._nominal, solution, points) for solution in set(radius.values())}
-            self._asked = Box(number, radius, {solution: drawn[one] for solution, one in radius.items()})
+            drawn = {width: vehicles(self._parameters, self._nominal, width, points) for width in set(radius.values())}
+            self._asked = Box(number, radius, {solution: drawn[width] for solution, width in radius.items()})
         return self._asked
 
     def tell(self, scores: Mapping[int, Floats]) -> None:

@@ -56,7 +56,7 @@ def account(
     answered = sum(row.repeated + row.reused + row.certified for row in rows)
     totals = {name: sum(getattr(row, name) for row in rows) for name in _SECONDS}
     saved = totals["repeated_saved_seconds"] + totals["reused_saved_seconds"] + totals["certified_saved_seconds"]
-    found = Accounting(
+    accounting = Accounting(
         campaign=campaign,
         state=state,
         sensitivity=sensitivity,
@@ -75,7 +75,7 @@ def account(
         break_even=None if used is None else break_even(used.seconds, totals["reused_saved_seconds"], requested),
         sentence="",
     )
-    return found.model_copy(update={"sentence": _sentence(found)})
+    return accounting.model_copy(update={"sentence": _sentence(accounting)})
 
 
 _NOTHING = AuditCount("", 0, 0, 0)
@@ -97,7 +97,7 @@ def sensitivity_cost(costs: Iterable[OutcomeCosts]) -> SensitivityCost:
 
 
 def break_even(map_seconds: float, reused_saved_seconds: float, requested: int) -> BreakEven | None:
-    """When a map pays that cost `map_seconds`, at the rate at which `requested` cells saved `reused_saved_seconds`; None where it cost
+    """When a map pays that cost `map_seconds`, at the rate at which `requested` cells saved `reused_saved_seconds`; None if it cost
     nothing."""
     if not map_seconds:
         return None
@@ -161,15 +161,13 @@ def _map_cost(origin: MapOrigin, campaign: str) -> MapCost:
     )
 
 
-def _sentence(one: Accounting) -> str:
-    if one.share_without_simulation is None:
-        return (
-            f"No cell of the calibration stage has its answer yet; the sensitivity stage took {one.sensitivity.seconds:,.1f} s."
-        )
-    share = f"{one.share_without_simulation:.1%} of {one.requested:,} requested cells were answered without a simulation"
-    balance = f"that saved {one.saved_seconds:,.1f} s of CPU time"
-    if one.sensitivity.requested:
-        verb = "net saving" if one.net_seconds >= 0 else "net loss"
-        cost = f"the sensitivity stage cost {one.sensitivity.seconds:,.1f} s ({one.sensitivity.simulated:,} runs)"
-        balance = f"{balance}, {cost}: a {verb} of {abs(one.net_seconds):,.1f} s"
+def _sentence(accounting: Accounting) -> str:
+    if accounting.share_without_simulation is None:
+        return f"No cell of the calibration stage has its answer yet; the sensitivity stage took {accounting.sensitivity.seconds:,.1f} s."
+    share = f"{accounting.share_without_simulation:.1%} of {accounting.requested:,} requested cells were answered without a simulation"
+    balance = f"that saved {accounting.saved_seconds:,.1f} s of CPU time"
+    if accounting.sensitivity.requested:
+        verb = "net saving" if accounting.net_seconds >= 0 else "net loss"
+        cost = f"the sensitivity stage cost {accounting.sensitivity.seconds:,.1f} s ({accounting.sensitivity.simulated:,} runs)"
+        balance = f"{balance}, {cost}: a {verb} of {abs(accounting.net_seconds):,.1f} s"
     return f"{share}; {balance}."

@@ -13,7 +13,7 @@ EQUAL = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class EvaluatedSet:
-    """A parameter set with a result in every weighted scenario; `iteration` and `individual` say where it was found first."""
+    """A parameter set with a result in every weighted scenario; `iteration` and `individual` locate its first occurrence."""
 
     parameter_set: int
     objective: float
@@ -71,14 +71,14 @@ class Ranking:
 
     def doubtful(self, tried: Collection[int] = ()) -> EvaluatedSet | None:
         """The best of the solutions that owe a score to a reference and rank before every one that owes none, but for those `tried`, by
-        their ids; None where there is none."""
+        their ids; None if there is none."""
         surest = min((solution.order for solution in self._solutions.values() if not solution.reused), default=None)
-        found = [
-            one
-            for number, one in self._solutions.items()
-            if one.reused and number not in tried and (surest is None or one.order < surest)
+        candidates = [
+            candidate
+            for number, candidate in self._solutions.items()
+            if candidate.reused and number not in tried and (surest is None or candidate.order < surest)
         ]
-        return min(found, key=lambda solution: solution.order, default=None)
+        return min(candidates, key=lambda solution: solution.order, default=None)
 
     def get(self, parameter_set: int) -> EvaluatedSet | None:
         """A parameter set's solution, None where a result is missing; `parameter_set` is its id."""

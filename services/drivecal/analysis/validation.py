@@ -1,4 +1,4 @@
-"""Validation of the reduction (Section V of the paper): are answers really the same where the influence map says so?
+"""Validation of the reduction (Section V of the paper): are answers really the same when the influence map says so?
 
 Sets are drawn over the whole space until those that lie in some non-influential region cover all main effects and interactions of the
 parameters that can be reduced; each is compared with variants that differ from it inside those regions only.
@@ -37,8 +37,8 @@ class ReducibleSpace:
     @property
     def reducible(self) -> Indices:
         """The columns of the parameters with a region of more than one value."""
-        found: Indices = np.flatnonzero([max(map(len, members)) > 1 for members in self._members])
-        return found
+        columns: Indices = np.flatnonzero([max(map(len, members)) > 1 for members in self._members])
+        return columns
 
     def variable(self, points: Indices) -> npt.NDArray[np.bool_]:
         """Which values could be another one of the same region, shape (n, n_searched)."""
@@ -47,12 +47,12 @@ class ReducibleSpace:
 
     def variant(self, point: Indices, columns: Indices, generator: np.random.Generator) -> Indices:
         """`point`, shape (n_searched,), with another value of the same region in each of `columns`."""
-        found = point.copy()
+        changed = point.copy()
         for column in columns.tolist():
             members = self._members[column][point[column]]
             other = members[int(generator.integers(0, len(members) - 1))]
-            found[column] = members[-1] if other == point[column] else other
-        return found
+            changed[column] = members[-1] if other == point[column] else other
+        return changed
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +79,7 @@ def coverage(masks: npt.NDArray[np.bool_]) -> Coverage:
         return _coverage_to_third_order(masks)
     covered = np.zeros(1 << n, dtype=np.bool_)
     covered[masks @ (1 << np.arange(n))] = True
-    for bit in range(n):  # a subset is covered where it, or it with one parameter more, is
+    for bit in range(n):  # a subset is covered if it, or it with one parameter more, is
         split = covered.reshape(-1, 2, 1 << bit)
         split[:, 0] |= split[:, 1]
     return Coverage(n, (1 << n) - 1, int(covered[1:].sum()))
@@ -87,9 +87,9 @@ def coverage(masks: npt.NDArray[np.bool_]) -> Coverage:
 
 def _coverage_to_third_order(masks: npt.NDArray[np.bool_]) -> Coverage:
     n = masks.shape[1]
-    one = masks.astype(np.float64)
-    pairs = one.T @ one > 0
-    triples = sum(int(np.triu(one[:, j + 1 :].T @ (one[:, j + 1 :] * one[:, [j]]) > 0, 1).sum()) for j in range(n - 2))
+    member = masks.astype(np.float64)
+    pairs = member.T @ member > 0
+    triples = sum(int(np.triu(member[:, j + 1 :].T @ (member[:, j + 1 :] * member[:, [j]]) > 0, 1).sum()) for j in range(n - 2))
     covered = int(np.diag(pairs).sum()) + int(np.triu(pairs, 1).sum()) + triples
     return Coverage(n, n + n * (n - 1) // 2 + n * (n - 1) * (n - 2) // 6, covered)
 
@@ -109,7 +109,7 @@ def design(space: ReducibleSpace, samples: int, references: int, seed: int, larg
     """The validation of one scenario; None where nothing can be reduced.
 
     Latin hypercubes of `samples`, 2 `samples`, 4 `samples` ... points are drawn until their qualifying sets cover all effects, at most
-    `largest`: what is left uncovered then is told by the coverage. Of those sets as many are kept as it takes to cover the same, and in the
+    `largest`: the coverage reports what is left uncovered then. Of those sets as many are kept as it takes to cover the same, and in the
     order of the draw up to `samples`: a large hypercube finds the few sets in which small regions meet, and is full of others. Each variant
     changes a random non-empty subset of what can vary.
     """
@@ -120,15 +120,15 @@ def design(space: ReducibleSpace, samples: int, references: int, seed: int, larg
         points = _latin_hypercube(space.n_values, size, seed)
         varies = space.variable(points)
         qualified, masks = points[varies.any(axis=1)], varies[varies.any(axis=1)][:, reducible]
-        found = coverage(masks)
-        if found.complete:
+        covered = coverage(masks)
+        if covered.complete:
             break
     qualified = qualified[_kept(masks, samples)]
     generator = np.random.Generator(np.random.PCG64([seed, 1]))
     variants = np.array(
         [[_variant(space, base, generator) for _ in range(references)] for base in qualified], dtype=np.int64
     ).reshape(len(qualified), references, len(space.n_values))
-    return ValidationDesign(qualified, variants, size, found)
+    return ValidationDesign(qualified, variants, size, covered)
 
 
 def _kept(masks: npt.NDArray[np.bool_], samples: int) -> Indices:

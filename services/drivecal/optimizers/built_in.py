@@ -32,7 +32,7 @@ class GeneticSettings(OptimizerSpecification):
 
 
 class RandomSettings(OptimizerSpecification):
-    """`renewal` is the share of the population drawn anew in each iteration after the first.
+    """`renewal` is the share of the population redrawn in each iteration after the first.
 
     Its default is what the genetic algorithm renews with its own defaults, so that both request equally many cells.
     """
@@ -44,7 +44,7 @@ class RandomSettings(OptimizerSpecification):
 
     @property
     def renewed(self) -> int:
-        """Individuals drawn anew per iteration, at least one."""
+        """Individuals redrawn per iteration, at least one."""
         return max(1, round(self.renewal * self.population))
 
 
@@ -66,7 +66,7 @@ class Resumable(Optimizer, Protocol):
     """An optimizer whose state can be replaced by a saved one."""
 
     def resume(self, state: Mapping[str, Any]) -> None:
-        """Goes on from `state`. Raises InvalidInputError where it does not fit."""
+        """Continues from `state`. Raises InvalidInputError if it does not fit."""
 
 
 class BuiltIn(ABC, Generic[Chosen]):
@@ -100,7 +100,7 @@ class BuiltIn(ABC, Generic[Chosen]):
         return self._optimizer(chosen, first, n_values, generator)
 
     def restore(self, settings: BaseModel, n_values: Indices, state: Mapping[str, Any]) -> Optimizer:
-        """See `drivecal.plugins.ports.OptimizerPlugin`. Raises InvalidInputError where the state does not fit."""
+        """See `drivecal.plugins.ports.OptimizerPlugin`. Raises InvalidInputError if the state does not fit."""
         chosen = self._checked(settings)
         blank = np.zeros((chosen.population, len(n_values)), dtype=np.int64)
         optimizer = self._optimizer(chosen, blank, n_values, np.random.Generator(np.random.PCG64(chosen.seed)))

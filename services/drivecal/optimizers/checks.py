@@ -1,4 +1,4 @@
-"""What every optimizer checks: the grid that it is to search, what it is told, a state that it is to go on from."""
+"""Checks shared by all optimizers: the grid to search, the answers, and a saved state."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Individuals = TypeVar("Individuals", bound=npt.NDArray[Any])
 
 
 def searchable(n_values: Indices) -> Indices:
-    """Grid sizes, shape (n_searched,). Raises InvalidInputError where there is nothing to search."""
+    """Grid sizes, shape (n_searched,). Raises InvalidInputError if there is nothing to search."""
     if n_values.size == 0:
         raise InvalidInputError(Problem("fixed", "every parameter is fixed", "leave at least one to be searched"))
     if n_values.min() < 2:
@@ -24,7 +24,7 @@ def searchable(n_values: Indices) -> Indices:
 
 
 def checked_answers(objectives: Floats, tie_breakers: Floats, count: int) -> tuple[Floats, Floats]:
-    """Copies of both. Raises ValueError where there is not one finite number or NaN for each of `count` individuals."""
+    """Copies of both. Raises ValueError if there is no finite number or NaN for each of `count` individuals."""
     for name, values in (("objectives", objectives), ("tie_breakers", tie_breakers)):
         if values.shape != (count,) or np.isinf(values).any():
             raise ValueError(f"{name} must be {count} numbers, finite or NaN")
@@ -32,7 +32,7 @@ def checked_answers(objectives: Floats, tie_breakers: Floats, count: int) -> tup
 
 
 def fitting(saved: Individuals, own: npt.NDArray[Any]) -> Individuals:
-    """`saved` individuals. Raises InvalidInputError where they are of a population of another size or of another space than `own`."""
+    """`saved` individuals. Raises InvalidInputError if they are of a population of another size or of another space than `own`."""
     if saved.shape != own.shape:
         remedy = "resume with the settings and the parameters it was saved with"
         raise InvalidInputError(Problem("optimizer", f"the saved population is {saved.shape}, not {own.shape}", remedy))

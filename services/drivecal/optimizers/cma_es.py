@@ -30,7 +30,7 @@ class CmaSettings(OptimizerSpecification):
 class CmaEngine:
     """Searches the unit cube from the best of the start population on; what is proposed is the grid point next to each of its points.
 
-    It is told ranks, which is all that CMA-ES uses: equal objectives are ordered by the rating.
+    It receives ranks, the only input that CMA-ES uses: equal objectives are ordered by the rating.
     """
 
     def __init__(self, settings: CmaSettings, n_values: Indices) -> None:

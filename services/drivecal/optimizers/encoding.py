@@ -22,7 +22,7 @@ class BitEncoding:
     """The chromosomes of one search space: the patterns of all parameters, one after the other."""
 
     def __init__(self, n_values: Indices) -> None:
-        """`n_values`: grid sizes, shape (n_searched,). Raises InvalidInputError where there is nothing to search."""
+        """`n_values`: grid sizes, shape (n_searched,). Raises InvalidInputError if there is nothing to search."""
         self.n_values = searchable(n_values)
         self.bits: Indices = np.array([(n - 1).bit_length() for n in n_values.tolist()], dtype=np.int64)
         """Bits per parameter, k, shape (n_searched,)."""

@@ -54,14 +54,14 @@ class ReplacementOptimizer(ABC):
     def tell(self, objectives: Floats, tie_breakers: Floats) -> None:
         """The answers to the last `ask`, see `drivecal.plugins.ports.Optimizer`.
 
-        Raises RuntimeError where they were given already, ValueError where there is not one finite number or NaN per individual.
+        Raises RuntimeError if they were given already, ValueError if there is no finite number or NaN per individual.
         """
         if self._objectives is not None:
             raise RuntimeError("the objectives of this population are known already; ask for the next one")
         self._objectives, self._tie_breakers = checked_answers(objectives, tie_breakers, len(self._changed))
 
     def state(self) -> dict[str, Any]:
-        """All of it as data for strict JSON: individuals, what the last `ask` changed, their answers if told, the generator."""
+        """The state as data for strict JSON: individuals, what the last `ask` changed, their answers if known, the generator."""
         return {
             "individuals": self._individuals.tolist(),
             "changed": self._changed.tolist(),
@@ -71,7 +71,7 @@ class ReplacementOptimizer(ABC):
         }
 
     def resume(self, state: Mapping[str, Any]) -> None:
-        """Goes on from `state`. Raises InvalidInputError where it belongs to a population of another size or another space."""
+        """Continues from `state`. Raises InvalidInputError if it belongs to a population of another size or another space."""
         self._individuals = fitting(np.array(state["individuals"], dtype=np.int64), self._individuals)
         self._changed = np.array(state["changed"], dtype=np.bool_)
         self._objectives = load_floats(state["objectives"])

@@ -1,7 +1,7 @@
 """Optimizers of other libraries behind drivecal's port.
 
-Their inner state is theirs and cannot be stored as plain data. So what is stored is what they were told: all of them are deterministic for
-a seed, and one that is told the same again is in the same state.
+Their internal state cannot be stored as plain data. So the answers are stored: all of them are deterministic for a seed, and replaying
+the same answers restores the same state.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from drivecal.plugins.ports import Floats, Proposal
 
 
 def require(package: str, extra: str) -> None:
-    """Raises InvalidInputError where a library is not installed. To be called before it is imported."""
+    """Raises InvalidInputError if a library is not installed. To be called before it is imported."""
     if find_spec(package) is None:
         raise InvalidInputError(
             Problem(
@@ -36,7 +36,7 @@ class Engine(Protocol):
         """The next population, shape (n, n_searched)."""
 
     def learn(self, population: Indices, objectives: Floats, tie_breakers: Floats) -> None:
-        """What became of a population, the first one included, which the library has not proposed; as in `ports.Optimizer.tell`."""
+        """Takes the objectives of a population, also of the first, which the library has not proposed. See `ports.Optimizer.tell`."""
 
 
 class Replayed:
@@ -59,7 +59,7 @@ class Replayed:
         return Proposal(self._population.copy(), self._changed.copy())
 
     def tell(self, objectives: Floats, tie_breakers: Floats) -> None:
-        """The answers to the last `ask`. Raises RuntimeError where they were given already, ValueError where they do not fit."""
+        """The answers to the last `ask`. Raises RuntimeError if they were given already, ValueError if they do not fit."""
         if self._told:
             raise RuntimeError("the objectives of this population are known already; ask for the next one")
         answers = checked_answers(objectives, tie_breakers, len(self._changed))
@@ -68,7 +68,7 @@ class Replayed:
         self._told = True
 
     def state(self) -> dict[str, Any]:
-        """The start population and all that it was told since, as data for strict JSON."""
+        """The start population and all answers since, as data for strict JSON."""
         return {
             "first": self._first.tolist(),
             "told": [[dump_floats(objectives), dump_floats(ties)] for objectives, ties in self._history],
@@ -76,7 +76,7 @@ class Replayed:
         }
 
     def resume(self, state: Mapping[str, Any]) -> None:
-        """Is told all of it again. Raises InvalidInputError where it belongs to a population of another size or another space."""
+        """Replays all answers. Raises InvalidInputError if it belongs to a population of another size or another space."""
         self._first = self._population = fitting(np.array(state["first"], dtype=np.int64), self._first)
         for objectives, ties in state["told"]:
             self.ask()

@@ -18,7 +18,7 @@ def start_population(
 
     `lhs` draws from `generator`: each parameter's range is cut into as many equal strata as there are points, and each stratum has one.
     `halton` is the plain sequence without its first point, the corner of the space; it is the same for every seed (Section IV-B starts
-    both optimizers from one such population per size). Raises ValueError where `given` has more rows than fit.
+    both optimizers from one such population per size). Raises ValueError if `given` has more rows than fit.
     """
     from scipy.stats import qmc  # takes more than a second, which commands that only look things up need not pay
 

@@ -50,15 +50,15 @@ class ParticleSwarm:
     def tell(self, objectives: Floats, tie_breakers: Floats) -> None:
         """The answers to the last `ask`, see `drivecal.plugins.ports.Optimizer`.
 
-        Raises RuntimeError where they were given already, ValueError where there is not one finite number or NaN per particle.
+        Raises RuntimeError if they were given already, ValueError if there is no finite number or NaN per particle.
         """
         if self._told:
             raise RuntimeError("the objectives of this population are known already; ask for the next one")
-        found = fitness(*checked_answers(objectives, tie_breakers, len(self._changed)))
-        better = (found[:, 0] > self._best_fitness[:, 0]) | (
-            (found[:, 0] == self._best_fitness[:, 0]) & (found[:, 1] > self._best_fitness[:, 1])
+        reached = fitness(*checked_answers(objectives, tie_breakers, len(self._changed)))
+        better = (reached[:, 0] > self._best_fitness[:, 0]) | (
+            (reached[:, 0] == self._best_fitness[:, 0]) & (reached[:, 1] > self._best_fitness[:, 1])
         )
-        self._best_fitness[better] = found[better]
+        self._best_fitness[better] = reached[better]
         self._best_positions[better] = self._positions[better]
         self._told = True
 
@@ -75,7 +75,7 @@ class ParticleSwarm:
         }
 
     def resume(self, state: Mapping[str, Any]) -> None:
-        """Goes on from `state`. Raises InvalidInputError where it belongs to a swarm of another size or another space."""
+        """Continues from `state`. Raises InvalidInputError if it belongs to a swarm of another size or another space."""
         self._positions = fitting(np.array(state["individuals"], dtype=np.float64), self._positions)
         self._velocities = np.array(state["velocities"], dtype=np.float64)
         self._best_positions = np.array(state["best_individuals"], dtype=np.float64)

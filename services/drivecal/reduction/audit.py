@@ -31,12 +31,12 @@ def error_rates(
 
     Reuse in a scenario is stopped once the lower end of the interval passes `max_error`, and stays stopped (`before`).
     """
-    found = {count.scenario: count for count in counts}
+    by_scenario = {count.scenario: count for count in counts}
     rates: dict[str, ErrorRate] = {}
     for scenario in scenarios:
         was_stopped = scenario in before and before[scenario].stopped
         contradicting = (contradictions or {}).get(scenario, 0)
-        count = found.get(scenario)
+        count = by_scenario.get(scenario)
         if count is None or count.audited == 0:
             rates[scenario] = ErrorRate(stopped=was_stopped, contradictions=contradicting)
             continue
@@ -53,13 +53,13 @@ def error_rates(
 
 
 def stopped_after(counts: Iterable[tuple[int, AuditCount]], max_error: float) -> tuple[int, AuditCount] | None:
-    """The iteration at whose end reuse in a scenario was stopped, and the audits until then; None where it never was.
+    """The iteration at whose end reuse in a scenario was stopped, and the audits until then; None if it never was.
 
     `counts`: of each iteration alone, in order.
     """
     audited = different = wrong = 0
-    for iteration, one in counts:
-        audited, different, wrong = audited + one.audited, different + one.different, wrong + one.wrong
+    for iteration, count in counts:
+        audited, different, wrong = audited + count.audited, different + count.different, wrong + count.wrong
         if audited and clopper_pearson(wrong, audited)[0] > max_error:
-            return iteration, AuditCount(one.scenario, audited, different, wrong)
+            return iteration, AuditCount(count.scenario, audited, different, wrong)
     return None

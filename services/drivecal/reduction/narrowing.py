@@ -52,11 +52,11 @@ class SearchArea:
 
     def narrowed(self) -> list[Narrowed]:
         """The parameters of which something is left out."""
-        found: list[Narrowed] = []
+        narrowed: list[Narrowed] = []
         for parameter, first, last in zip(self.space.searched, self.first.tolist(), self.last.tolist(), strict=True):
             left = last - first + 1
             if left < parameter.n_values:
-                found.append(
+                narrowed.append(
                     Narrowed(
                         parameter=parameter.name,
                         lower=float(parameter.value(first)),
@@ -67,7 +67,7 @@ class SearchArea:
                         removed_values=parameter.n_values - left,
                     )
                 )
-        return found
+        return narrowed
 
     def note(self) -> str:
         """What was removed, in words."""
@@ -93,13 +93,13 @@ def common_area(space: ParameterSpace, influence_map: InfluenceMap, scenarios: S
 
     Values that the map does not speak of count as influential.
 
-    A parameter that influences no scenario is held at the given sets' value, or in the middle of its range where there are none. Where
+    A parameter that influences no scenario is held at the given sets' value, or in the middle of its range if there are none. Where
     nothing would be left to search, for no parameter influences any scenario, the area is the whole space.
     """
     first, last = full_area(space).first, full_area(space).last
     for column, parameter in enumerate(space.searched):
         listed = [influence_map.influence(scenario, parameter.name) for scenario in scenarios]
-        reach = [found for one in listed if (found := _influential_indices(parameter, one)) is not None]
+        reach = [indices for entry in listed if (indices := _influential_indices(parameter, entry)) is not None]
         reach += _uncovered_indices(parameter, influence_map.ranges.get(parameter.name))
         reach += [(index, index) for index in given[:, column].tolist()]
         middle = (parameter.n_values - 1) // 2
@@ -121,7 +121,7 @@ def _uncovered_indices(parameter: Parameter, covered: tuple[Decimal, Decimal] | 
 
 
 def _influential_indices(parameter: Parameter, influence: Influence) -> tuple[int, int] | None:
-    """The grid indices between the bounds; where the bounds lie between two values, these two; None where nothing is influential here."""
+    """The grid indices between the bounds; if the bounds lie between two values, these two; None if nothing is influential here."""
     if not influence.influential:
         return None
     values = parameter.all_billionths

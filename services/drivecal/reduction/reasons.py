@@ -10,40 +10,43 @@ from drivecal.domain.evaluations import AuditCount
 _SAME = "it takes equal parameter sets, and runs that a certificate proves to be the same, only"
 
 
-def sentence(one: Explanation, stop: tuple[int, AuditCount] | None = None) -> str:
-    """What an explanation says, in a few sentences. `stop`: after which iteration and by which audits reuse was stopped."""
-    told = _reason(one, stop)
-    return told if one.proof is None else f"{told} {_proven(one.proof, one)}"
+def sentence(explanation: Explanation, stop: tuple[int, AuditCount] | None = None) -> str:
+    """An explanation in a few sentences. `stop`: after which iteration and by which audits reuse was stopped."""
+    reason = _reason(explanation, stop)
+    return reason if explanation.proof is None else f"{reason} {_proven(explanation.proof, explanation)}"
 
 
-def _reason(one: Explanation, stop: tuple[int, AuditCount] | None) -> str:
-    beginning = {None: "To be simulated", "failed": "Sent to be simulated, without a result"}.get(one.outcome, "Simulated")
-    where = "" if one.reference is None else _where(one.reference, one.campaign)
-    match one.reason:
+def _reason(explanation: Explanation, stop: tuple[int, AuditCount] | None) -> str:
+    beginning = {None: "To be simulated", "failed": "Sent to be simulated, without a result"}.get(
+        explanation.outcome, "Simulated"
+    )
+    where = "" if explanation.reference is None else _where(explanation.reference, explanation.campaign)
+    match explanation.reason:
         case "repeated":
-            return f"{_copied('Repeated', one)}: {where} has the same parameter set in the same setup."
+            return f"{_copied('Repeated', explanation)}: {where} has the same parameter set in the same setup."
         case "reused":
-            listed = _listed(one.differences)
-            return f"{_copied('Reused', one)}: {where} differs only where {one.scenario} is not influenced: {listed}."
+            listed = _listed(explanation.differences)
+            return f"{_copied('Reused', explanation)}: {where} differs only where {explanation.scenario} is not influenced: {listed}."
         case "certified":
-            names = ", ".join(difference.parameter for difference in one.differences) or "nothing"
+            names = ", ".join(difference.parameter for difference in explanation.differences) or "nothing"
             return f"Certified: with these values every decision is that of {where}, so both runs are the same. They differ in {names}."
         case "audited":
-            return f"{beginning} to check the reduction, which would have reused {where}: {_listed(one.differences)}. {_verdict(one)}"
+            listed = _listed(explanation.differences)
+            return f"{beginning} to check the reduction, which would have reused {where}: {listed}. {_verdict(explanation)}"
         case "confirmation":
             trusted = f"the best set's score here was that of {where}, which differs only where it should not matter"
-            return f"{beginning} after the search, to confirm it: {trusted}: {_listed(one.differences)}. {_verdict(one)}"
+            return f"{beginning} after the search, to confirm it: {trusted}: {_listed(explanation.differences)}. {_verdict(explanation)}"
         case "blocked":
-            blocking = [difference for difference in one.differences if difference.blocks]
+            blocking = [difference for difference in explanation.differences if difference.blocks]
             count = f"{len(blocking)} parameter{'s' if len(blocking) != 1 else ''}"
             nearest = f"the nearest, {where}, is blocked by {count}: {_listed(blocking)}"
-            return f"{beginning}: none of {one.stored:,} stored sets fits; {nearest}."
+            return f"{beginning}: none of {explanation.stored:,} stored sets fits; {nearest}."
         case "nothing_stored":
             return f"{beginning}: nothing was stored for this setup when the campaign asked."
         case "unanswered":
             return f"{beginning}: the cell that was to answer it ended without a result; since then {where} would fit."
         case "stopped":
-            return f"{beginning}: {_stopped(one.scenario, stop)}"
+            return f"{beginning}: {_stopped(explanation.scenario, stop)}"
         case "no_map":
             return f"{beginning}: without an influence map only equal parameter sets are answered from the table, and this one was new."
         case "exact_only":
@@ -58,9 +61,9 @@ def _reason(one: Explanation, stop: tuple[int, AuditCount] | None) -> str:
             return f"{beginning}: the sensitivity analysis makes the map that reuse rests on, so {_SAME}."
 
 
-def _proven(proof: Proof, one: Explanation) -> str:
-    where = _where(proof.reference, one.campaign)
-    if one.outcome == "simulated":
+def _proven(proof: Proof, explanation: Explanation) -> str:
+    where = _where(proof.reference, explanation.campaign)
+    if explanation.outcome == "simulated":
         verdict = "and it did" if proof.agrees else "and it did not"
         return f"It also checked a certificate: it was to repeat {where} bit for bit, {verdict}."
     text = f"A certificate says that a simulation would have repeated {where}"
@@ -71,9 +74,9 @@ def _proven(proof: Proof, one: Explanation) -> str:
     return f"{text}, with score {proof.score}: reuse is {'wrong here' if proof.wrong else 'off by no more than 1'}."
 
 
-def _copied(done: str, one: Explanation) -> str:
+def _copied(done: str, explanation: Explanation) -> str:
     state = {None: " (its answer is awaited)", "failed": " without a result"}
-    return f"{done}{state.get(one.outcome, '')}"
+    return f"{done}{state.get(explanation.outcome, '')}"
 
 
 def _where(reference: Reference, campaign: str) -> str:
@@ -86,42 +89,44 @@ def _listed(differences: Sequence[Difference]) -> str:
     return "; ".join(map(_difference, differences)) or "no parameter differs"
 
 
-def _difference(one: Difference) -> str:
-    return f"{one.parameter} is {one.value:g} here and {one.reference_value:g} there ({_regions(one)})"
+def _difference(difference: Difference) -> str:
+    return (
+        f"{difference.parameter} is {difference.value:g} here and {difference.reference_value:g} there ({_regions(difference)})"
+    )
 
 
-def _regions(one: Difference) -> str:
-    if one.region == one.reference_region == "anywhere":
+def _regions(difference: Difference) -> str:
+    if difference.region == difference.reference_region == "anywhere":
         return "of no influence"
-    if one.region == one.reference_region:
-        return f"both {_region(one, one.region)}"
-    return f"{_region(one, one.region)} and {_region(one, one.reference_region)}"
+    if difference.region == difference.reference_region:
+        return f"both {_region(difference, difference.region)}"
+    return f"{_region(difference, difference.region)} and {_region(difference, difference.reference_region)}"
 
 
-def _region(one: Difference, region: str) -> str:
+def _region(difference: Difference, region: str) -> str:
     if region == "below":
-        return f"below {one.lower:g}"
+        return f"below {difference.lower:g}"
     if region == "anywhere":
         return "where it has no influence"
     if region == "outside":
         return "outside of what the map covers"
-    return f"above {one.upper:g}" if region == "above" else _bounds(one)
+    return f"above {difference.upper:g}" if region == "above" else _bounds(difference)
 
 
-def _bounds(one: Difference) -> str:
-    if one.lower is None and one.upper is None:
+def _bounds(difference: Difference) -> str:
+    if difference.lower is None and difference.upper is None:
         return "influential everywhere"
-    if one.lower is None:
-        return f"influential up to {one.upper:g}"
-    if one.upper is None:
-        return f"influential from {one.lower:g} on"
-    return f"influential from {one.lower:g} to {one.upper:g}"
+    if difference.lower is None:
+        return f"influential up to {difference.upper:g}"
+    if difference.upper is None:
+        return f"influential from {difference.lower:g} on"
+    return f"influential from {difference.lower:g} to {difference.upper:g}"
 
 
-def _verdict(one: Explanation) -> str:
-    audit = one.audit
+def _verdict(explanation: Explanation) -> str:
+    audit = explanation.audit
     if audit is None or audit.agrees is None or audit.score is None:
-        return "The two cannot be compared: one of them has no result." if one.outcome else "Its answer is awaited."
+        return "The two cannot be compared: one of them has no result." if explanation.outcome else "Its answer is awaited."
     scores = f"the simulation gave {audit.score}, the reference {audit.reference_score}"
     if audit.agrees:
         return f"They agree: {scores}."

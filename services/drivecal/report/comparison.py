@@ -60,32 +60,40 @@ def collect_comparison(client: Client, campaign: Campaign) -> ComparisonData:
     )
 
 
-def write_comparison(found: ComparisonData, tables: Mapping[str, Iterable[bytes]], folder: Path) -> list[Path]:
+def write_comparison(comparison: ComparisonData, tables: Mapping[str, Iterable[bytes]], folder: Path) -> list[Path]:
     """Writes page, figures, the `tables` (CSV by name, in pieces) and the comparison as it was submitted; returns what was written, the
-    page last. Raises InvalidInputError where it cannot be written."""
+    page last. Raises InvalidInputError if it cannot be written."""
     with writable(folder) as target:
-        searches = [target.draw(figure) for figure in search_figures(found.runs, found.generations)]
-        searches.append(target.draw(optima_figure(found.runs)) if any(run.best is not None for run in found.runs) else "")
-        reduced = target.draw(effects_figure(found.pairs, found.effects)) if found.pairs else ""
+        searches = [target.draw(figure) for figure in search_figures(comparison.runs, comparison.generations)]
+        searches.append(
+            target.draw(optima_figure(comparison.runs)) if any(run.best is not None for run in comparison.runs) else ""
+        )
+        reduced = target.draw(effects_figure(comparison.pairs, comparison.effects)) if comparison.pairs else ""
         for name, pieces in tables.items():
             target.write(f"tables/{name}.csv", pieces)
-        specification = json.dumps(found.campaign.spec, indent=2, ensure_ascii=False)
+        specification = json.dumps(comparison.campaign.spec, indent=2, ensure_ascii=False)
         target.write(SPECIFICATION, [specification.encode() + b"\n"])
-        target.write("index.html", [_page(found, searches, reduced, target.files).encode()])
+        target.write("index.html", [_page(comparison, searches, reduced, target.files).encode()])
     return target.written
 
 
-def _page(found: ComparisonData, searches: Sequence[str], reduced: str, names: Sequence[str]) -> str:
-    campaign = found.campaign
-    several = len({group.reduction for group in found.groups}) > 1
-    doubted = any(run.best != run.simulated_best or run.confirmations for run in found.runs)
+def _page(comparison: ComparisonData, searches: Sequence[str], reduced: str, names: Sequence[str]) -> str:
+    campaign = comparison.campaign
+    several = len({group.reduction for group in comparison.groups}) > 1
+    doubted = any(run.best != run.simulated_best or run.confirmations for run in comparison.runs)
     believed = [paragraph(BELIEVED)] if doubted else []
     sections = {
-        "Summary": [paragraph(text, "key") for text in summary(found)],
+        "Summary": [paragraph(text, "key") for text in summary(comparison)],
         "Problem": [_problem(campaign)],
-        "Optimizers": [_table_5(found.groups, several=several), paragraph(CONVERGED), paragraph(COUNTED), *believed, *searches],
-        "Reduction": [_effects(found.effects), reduced, _pairs(found.pairs)] if found.effects else [],
-        "Runs": [_runs(found.runs, several=several)],
+        "Optimizers": [
+            _table_5(comparison.groups, several=several),
+            paragraph(CONVERGED),
+            paragraph(COUNTED),
+            *believed,
+            *searches,
+        ],
+        "Reduction": [_effects(comparison.effects), reduced, _pairs(comparison.pairs)] if comparison.effects else [],
+        "Runs": [_runs(comparison.runs, several=several)],
         "Again": [verbatim(f"drivecal compare-optimizers {SPECIFICATION} --wait")],
         "Files": [files(names)],
     }
@@ -102,24 +110,24 @@ def _page(found: ComparisonData, searches: Sequence[str], reduced: str, names: S
     return document(campaign.name, parts)
 
 
-def summary(found: ComparisonData) -> list[str]:
-    """What the comparison says, in sentences."""
-    told = []
-    best = max((run.simulated_best for run in found.runs if run.simulated_best is not None), default=None)
+def summary(comparison: ComparisonData) -> list[str]:
+    """Sentences that summarise the comparison."""
+    sentences = []
+    best = max((run.simulated_best for run in comparison.runs if run.simulated_best is not None), default=None)
     if best is not None:
         groups: dict[str, list[ComparedRun]] = {}
-        for run in found.runs:
+        for run in comparison.runs:
             groups.setdefault(run.optimizer, []).append(run)
         shares = ", ".join(f"{name} in {sum(run.success for run in runs)} of {len(runs)} runs" for name, runs in groups.items())
-        told.append(f"The best objective that any run found is {best:.4f}: {shares}.")
-    for effect in found.effects:
-        overall = effect.optimizer is None or sum(one.reduction == effect.reduction for one in found.effects) == 1
+        sentences.append(f"The best objective that any run found is {best:.4f}: {shares}.")
+    for effect in comparison.effects:
+        overall = effect.optimizer is None or sum(other.reduction == effect.reduction for other in comparison.effects) == 1
         if overall:
-            told.append(_told(effect))
-    return told
+            sentences.append(_effect_sentence(effect))
+    return sentences
 
 
-def _told(effect: ReductionEffect) -> str:
+def _effect_sentence(effect: ReductionEffect) -> str:
     different = effect.better + effect.worse
     interval = ""
     if effect.lower_95 is not None and effect.upper_95 is not None:
@@ -146,9 +154,9 @@ def _plain(value: object) -> str:
     if isinstance(value, str):
         return value
     if isinstance(value, list):
-        return ", ".join(_plain(one) for one in value)
+        return ", ".join(_plain(item) for item in value)
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{name}: {_plain(one)}" for name, one in value.items() if one not in (None, {}, [])) + "}"
+        return "{" + ", ".join(f"{name}: {_plain(item)}" for name, item in value.items() if item not in (None, {}, [])) + "}"
     return json.dumps(value)
 
 
@@ -224,22 +232,22 @@ def _runs(runs: Sequence[ComparedRun], *, several: bool) -> str:
     believed = any(run.best != run.simulated_best for run in runs)
     failed, analysed = any(run.state != "succeeded" for run in runs), any(run.analysis for run in runs)
     columns: list[tuple[str, Callable[[ComparedRun], object]]] = [
-        ("optimizer", lambda one: one.optimizer),
-        ("size", lambda one: one.population),
-        ("seed", lambda one: one.seed),
+        ("optimizer", lambda row: row.optimizer),
+        ("size", lambda row: row.population),
+        ("seed", lambda row: row.seed),
         *([("reduction", _reduction)] if several else []),
         *([("state", _state)] if failed else []),
-        ("best", lambda one: _number(one.simulated_best, 4)),
+        ("best", lambda row: _number(row.simulated_best, 4)),
         *([("believed", _believed)] if believed else []),
-        ("rating", lambda one: _number(one.rating, 3)),
-        ("sets", lambda one: one.alternatives),
-        ("mean", lambda one: _number(one.mean, 3)),
-        ("simulations", lambda one: one.simulations),
+        ("rating", lambda row: _number(row.rating, 3)),
+        ("sets", lambda row: row.alternatives),
+        ("mean", lambda row: _number(row.mean, 3)),
+        ("simulations", lambda row: row.simulations),
         *([("confirming", _confirming)] if any(run.confirmations for run in runs) else []),
         *([("analysis", _analysis)] if analysed else []),
-        ("converged", lambda one: one.converged_at),
-        ("after", lambda one: one.simulations_to_converge),
-        ("run", lambda one: one.run[:8]),
+        ("converged", lambda row: row.converged_at),
+        ("after", lambda row: row.simulations_to_converge),
+        ("run", lambda row: row.run[:8]),
     ]
     rows = [[tell(run) for _, tell in columns] for run in runs]
     caption = (
@@ -251,24 +259,24 @@ def _runs(runs: Sequence[ComparedRun], *, several: bool) -> str:
     return table([name for name, _ in columns], rows, caption)
 
 
-def _reduction(one: ComparedRun) -> str:
-    return one.reduction
+def _reduction(run: ComparedRun) -> str:
+    return run.reduction
 
 
-def _state(one: ComparedRun) -> str:
-    return one.state
+def _state(run: ComparedRun) -> str:
+    return run.state
 
 
-def _believed(one: ComparedRun) -> Number | None:
-    return _number(one.best, 4)
+def _believed(run: ComparedRun) -> Number | None:
+    return _number(run.best, 4)
 
 
-def _confirming(one: ComparedRun) -> int:
-    return one.confirmations
+def _confirming(run: ComparedRun) -> int:
+    return run.confirmations
 
 
-def _analysis(one: ComparedRun) -> int:
-    return one.analysis
+def _analysis(run: ComparedRun) -> int:
+    return run.analysis
 
 
 def _number(value: float | None, digits: int) -> Number | None:

@@ -31,7 +31,7 @@ class Studied(Generic[Row]):
 
 @dataclass(frozen=True, slots=True)
 class ReportData:
-    """A campaign with what it found. `basis`: what its influence map rests on, None where it has none or a user posted it; `accounting`:
+    """A campaign with what it found. `basis`: what its influence map rests on, None if it has none or a user posted it; `accounting`:
     None before the first answered cell; `titles`: of scenarios, by id; `optima`: the sets that share the best objective; studies are
     those in the campaign's own vehicle first, of these the newest, whichever campaign made them."""
 
@@ -59,7 +59,7 @@ def collect(client: Client, identifier: str) -> ReportData:
     used = client.map_of(campaign)
     answered = campaign.cells.requested or campaign.sensitivity_cells.requested
     own = (campaign.spec.get("vehicle") or {}).get("model")
-    studies = sorted(client.studies(identifier).items, key=lambda one: one.vehicle != own)
+    studies = sorted(client.studies(identifier).items, key=lambda study: study.vehicle != own)
     return ReportData(
         campaign=campaign,
         setup=client.setup(identifier),
@@ -79,5 +79,5 @@ def _studied(
     studies: Sequence[Study], stage: Literal["robustness", "validation"], rows: Callable[[str], list[Row]]
 ) -> list[Studied[Row]]:
     wanted = islice((study for study in studies if study.stage == stage), MOST_STUDIES)
-    found = [Studied(study, rows(study.campaign)) for study in wanted]
-    return [one for one in found if one.rows]
+    studied = [Studied(study, rows(study.campaign)) for study in wanted]
+    return [study_rows for study_rows in studied if study_rows.rows]

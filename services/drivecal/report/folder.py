@@ -56,7 +56,7 @@ class Folder:
 
 @contextmanager
 def writable(path: Path) -> Iterator[Folder]:
-    """A folder to write to. Raises InvalidInputError where something cannot be written."""
+    """A folder to write to. Raises InvalidInputError if something cannot be written."""
     try:
         yield Folder(path)
     except OSError as error:

@@ -34,7 +34,7 @@ def page(findings: ReportData, drawn: Mapping[str, str], names: Sequence[str], v
         paragraph(f"campaign {campaign.id}, {campaign.state}{_when(campaign)}; drivecal {version}", "sub"),
         contents(kept),
         *(paragraph(text, "warn") for text in (campaign.error, campaign.degraded, *campaign.notes) if text),
-        *(section(title, *found) for title, found in kept.items()),
+        *(section(title, *content) for title, content in kept.items()),
     ]
     return document(campaign.name, parts)
 
@@ -62,10 +62,10 @@ def _influence(findings: ReportData, drawn: Mapping[str, str]) -> list[str]:
 def _search(findings: ReportData, drawn: Mapping[str, str]) -> list[str]:
     if not findings.generations:
         return [paragraph("There is no iteration (yet).")] if _searched(findings.campaign) else []
-    found = search.convergence(findings.generations)
+    converged = search.convergence(findings.generations)
     afterwards = search.afterwards(findings.campaign, findings.generations)
     return [
-        bullets([*found, *([afterwards] if afterwards else [])]) if found else "",
+        bullets([*converged, *([afterwards] if afterwards else [])]) if converged else "",
         *_figures(drawn, "figure-10-"),
         search.population_table(findings.generations),
     ]
@@ -97,15 +97,15 @@ def _robustness(findings: ReportData, drawn: Mapping[str, str]) -> list[str]:
 
 def _reuse(findings: ReportData, drawn: Mapping[str, str]) -> list[str]:
     campaign = findings.campaign
-    found = [reuse.cells_by_stage(campaign)]
+    content = [reuse.cells_by_stage(campaign)]
     if campaign.cells.requested:
-        found = [
+        content = [
             *_figures(drawn, "figure-11-"),
             cells.cells_table(findings.generations),
-            *found,
+            *content,
             *reuse.self_check(campaign, findings.accounting),
         ]
-    return found
+    return content
 
 
 def _validation(findings: ReportData, drawn: Mapping[str, str]) -> list[str]:

@@ -16,7 +16,7 @@ from drivecal.report.sections import robustness, savings
 
 def write_report(findings: ReportData, tables: Mapping[str, Iterable[bytes]], folder: Path) -> list[Path]:
     """Writes the page, the figures, the `tables` (CSV by name, in pieces) and the campaign as it was submitted; returns what was written,
-    the page last. Raises InvalidInputError where it cannot be written."""
+    the page last. Raises InvalidInputError if it cannot be written."""
     with writable(folder) as target:
         drawn = {figure.name: target.draw(figure) for figure in figures(findings)}
         for name, pieces in tables.items():

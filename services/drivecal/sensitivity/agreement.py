@@ -38,7 +38,7 @@ class Agreement:
 
     @property
     def share(self) -> float | None:
-        """`agreeing` of `pairs`; None where they have none in common."""
+        """`agreeing` of `pairs`; None if they have none in common."""
         return self.agreeing / self.pairs if self.pairs else None
 
     def document(self) -> dict[str, Any]:
@@ -66,7 +66,7 @@ class Agreement:
 
 
 def agreement(first: Iterable[InfluenceRow], second: Iterable[InfluenceRow]) -> Agreement:
-    """Two maps agree on a pair where it is influential in both or in neither and both bounds are within one interval."""
+    """Two maps agree on a pair if it is influential in both or in neither and both bounds are within one interval."""
     ours = {(row.scenario, row.parameter): row for row in first}
     theirs = {(row.scenario, row.parameter): row for row in second}
     shared = [pair for pair in ours if pair in theirs]
@@ -87,8 +87,8 @@ def agree(first: InfluenceRow, second: InfluenceRow) -> bool:
     return _near(first.lower, second.lower, allowed) and _near(first.upper, second.upper, allowed)
 
 
-def _near(one: float | None, other: float | None, allowed: float) -> bool:
-    return one == other if one is None or other is None else abs(one - other) <= allowed
+def _near(first: float | None, other: float | None, allowed: float) -> bool:
+    return first == other if first is None or other is None else abs(first - other) <= allowed
 
 
 def _range(row: InfluenceRow) -> float:

@@ -1,6 +1,6 @@
 """The sensitivity analysis of a campaign as ask/tell in phases: intervals, confirmation of what is cut, global analysis in what is left.
 
-Nothing is saved: an analysis that is created anew from the same arguments and told the scores of all finished phases again goes on
+Nothing is saved: an analysis recreated from the same arguments that receives the scores of all finished phases again continues
 exactly as this one would.
 """
 
@@ -51,7 +51,7 @@ class SensitivityAnalysis:
     """One analysis of all scenarios. Deterministic: a function of its arguments and of the scores it was told."""
 
     def __init__(self, space: ParameterSpace, scenarios: Sequence[str], settings: SensitivitySettings) -> None:
-        """Raises InvalidInputError where nothing is searched or the intervals are finer than a parameter's grid."""
+        """Raises InvalidInputError if nothing is searched or the intervals are finer than a parameter's grid."""
         if not space.searched:
             raise InvalidInputError(Problem("fixed", "every parameter is fixed", "leave at least one to be searched"))
         check_intervals(space, settings.intervals)
@@ -78,12 +78,12 @@ class SensitivityAnalysis:
             return None
         if self._designs is None:
             self._designs = self._drawn()
-        return Phase(self._number, self._name, {scenario: one.points for scenario, one in self._designs.items()})
+        return Phase(self._number, self._name, {scenario: design.points for scenario, design in self._designs.items()})
 
     def tell(self, scores: Mapping[str, Floats]) -> None:
         """The scores 0..7 of the points of the phase asked last, by scenario, shape (n,); NaN where a run failed.
 
-        Raises ValueError where they do not fit the phase, RuntimeError where nothing was asked.
+        Raises ValueError if they do not fit the phase, RuntimeError if nothing was asked.
         """
         if self._designs is None or self._name is None:
             raise RuntimeError("there is nothing to tell: ask for a phase first")
@@ -112,11 +112,11 @@ class SensitivityAnalysis:
 
     def influence_map(self) -> InfluenceMap:
         """`result` as the map that the reduction uses. Raises RuntimeError before the analysis is finished."""
-        found = self.result()
+        influences = self.result()
         return InfluenceMap(
             {
-                scenario: {name: parameter.influence for name, parameter in one.parameters.items()}
-                for scenario, one in found.items()
+                scenario: {name: parameter.influence for name, parameter in influence.parameters.items()}
+                for scenario, influence in influences.items()
             }
         )
 
@@ -140,7 +140,7 @@ class SensitivityAnalysis:
                 for scenario, state in self._states.items()
                 if state.waiting
             }
-            return {scenario: regions_design(n_values, one, samples, seed, tag) for scenario, one in regions.items()}
+            return {scenario: regions_design(n_values, region, samples, seed, tag) for scenario, region in regions.items()}
         rows = SobolRows(COLUMNS * len(n_values), seed, _GLOBAL, 1)
         boxes = {scenario: state.box() for scenario, state in self._states.items() if not state.unknown}
         return {scenario: radial_design(n_values, rows, *box, samples) for scenario, box in boxes.items()}

@@ -70,8 +70,8 @@ def cut(column: int, influential: Sequence[bool]) -> list[Region]:
         return [Region(column, "whole", len(influential))]
     below = list(influential).index(True)
     above = list(reversed(influential)).index(True)
-    found = [Region(column, "below", below)] if below else []
-    return [*found, Region(column, "above", above)] if above else found
+    regions = [Region(column, "below", below)] if below else []
+    return [*regions, Region(column, "above", above)] if above else regions
 
 
 def most_confirmations(intervals: int) -> int:

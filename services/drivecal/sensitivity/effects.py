@@ -96,6 +96,6 @@ def measures(effects: Floats) -> EffectStatistics:
     return EffectStatistics(mean, magnitude, float(known.std(ddof=1)), known.size)
 
 
-def smallest_nonzero(found: Sequence[EffectStatistics]) -> float | None:
+def smallest_nonzero(statistics: Sequence[EffectStatistics]) -> float | None:
     """The smallest s_rel that is not zero, None where all are: with few samples a threshold below it means any change at all."""
-    return min((one.s_rel for one in found if one.s_rel > 0), default=None)
+    return min((effect.s_rel for effect in statistics if effect.s_rel > 0), default=None)

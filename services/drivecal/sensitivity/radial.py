@@ -47,23 +47,23 @@ class SobolRows:
 
 def snapped(unit: Floats, lower: Indices, upper: Indices) -> Indices:
     """Grid indices from `lower` to `upper`, both included and all equally likely, for numbers in [0, 1)."""
-    found: Indices = lower + np.floor(unit * (upper - lower + 1)).astype(np.int64)
-    return found
+    indices: Indices = lower + np.floor(unit * (upper - lower + 1)).astype(np.int64)
+    return indices
 
 
 def shortest_steps(lower: Indices, upper: Indices, shortest: float = SHORTEST) -> Indices:
     """The shortest step in grid steps, at least one."""
-    found: Indices = np.maximum(1, np.ceil(shortest * (upper - lower)).astype(np.int64))
-    return found
+    steps: Indices = np.maximum(1, np.ceil(shortest * (upper - lower)).astype(np.int64))
+    return steps
 
 
 def auxiliary_points(
     rows: SobolRows, offset: int, base: Indices, lower: Indices, upper: Indices, shortest: float = SHORTEST
 ) -> Indices:
-    """For each base point where its step along each parameter leads, shape (r, d), as `base`.
+    """End points of each base point's step along each parameter, shape (r, d), as `base`.
 
-    Parameter c takes column `offset` + c of `rows`, and where it is drawn again column `offset` + d + c. `lower`, `upper`: the box, shape
-    (d,), at least one grid step wide everywhere. Raises ValueError where it is not.
+    Parameter c takes column `offset` + c of `rows`, and if it is drawn again column `offset` + d + c. `lower`, `upper`: the box, shape
+    (d,), at least one grid step wide everywhere. Raises ValueError if it is not.
     """
     if np.any(upper <= lower):
         raise ValueError("no step can be made in a box that holds one value of a parameter")
@@ -103,9 +103,9 @@ def add_radial(
     """Adds the runs of a radial design; gives per parameter its column and the rows of its pairs, each of shape (samples,)."""
     base, auxiliary = radial_points(rows, lower, upper, samples, shortest)
     first = builder.add_points(base)
-    found = []
+    blocks = []
     for column in range(base.shape[1]):
         stepped = base.copy()
         stepped[:, column] = auxiliary[:, column]
-        found.append((column, first, builder.add_points(stepped)))
-    return found
+        blocks.append((column, first, builder.add_points(stepped)))
+    return blocks

@@ -29,7 +29,7 @@ class ParameterInfluence:
     """What the analysis found about one parameter in one scenario.
 
     `influence`: what holds. `intervals`: from the lower end to the upper. `confirmations`: of its cut regions, in order. `overall`: the
-    global analysis inside the influential box, None where there was none (the scenario is unknown).
+    global analysis inside the influential box, None if there was none (the scenario is unknown).
     """
 
     influence: Influence
@@ -85,32 +85,32 @@ class ScenarioState:
             self._intervals[column] = tuple(self._verdict(*row) for row in rows)
         self.unknown = tells_nothing(scores)
         if not self.unknown:
-            for column, found in enumerate(self._intervals):
-                self._try(cut(column, [one.influential for one in found]))
+            for column, verdicts in enumerate(self._intervals):
+                self._try(cut(column, [interval.influential for interval in verdicts]))
 
     def take_confirmations(self, effects: Floats, steps: Floats) -> None:
         """Gives back what turned out influential. `effects`, `steps`: shape (n_waiting, r), in the order of `waiting`."""
         regions, self.waiting = self.waiting, []
         for region, *row in zip(regions, effects, steps, strict=True):
-            found = self._verdict(*row)
+            confirmed = self._verdict(*row)
             lower, upper = self.bounds(region)
-            self._confirmations[region.column].append(RegionConfirmation(region, lower, upper, found))
-            if found.influential:
+            self._confirmations[region.column].append(RegionConfirmation(region, lower, upper, confirmed))
+            if confirmed.influential:
                 del self._cut[region.column][region.side]
                 left = region.given_back()
                 self._try([left] if left else [])
 
     def take_overall(self, scores: Floats, effects: Floats, steps: Floats) -> None:
-        """The global analysis: `effects`, `steps` of shape (n_p, r). Where it tells nothing, what the intervals gave stands."""
-        found = [self._verdict(*row) for row in zip(effects, steps, strict=True)]
-        self._overall = found
+        """The global analysis: `effects`, `steps` of shape (n_p, r). If it has no information, the results of the intervals stand."""
+        verdicts = [self._verdict(*row) for row in zip(effects, steps, strict=True)]
+        self._overall = verdicts
         if tells_nothing(scores):
             return
-        for column, one in enumerate(found):
+        for column, overall in enumerate(verdicts):
             whole = "whole" in self._cut[column]
-            if whole and one.influential:
+            if whole and overall.influential:
                 self._cut[column] = {}
-            elif not one.influential and not whole:
+            elif not overall.influential and not whole:
                 self._cut[column] = {"whole": Region(column, "whole", len(self._edges[column]) - 1)}
 
     def bounds(self, region: Region) -> tuple[int, int]:
@@ -125,14 +125,16 @@ class ScenarioState:
 
     def result(self) -> ScenarioInfluence:
         """What it came to, by the names of the searched parameters."""
-        found: dict[str, ParameterInfluence] = {}
+        influences: dict[str, ParameterInfluence] = {}
         for column, parameter in enumerate(self._space.searched):
             overall = None if self._overall is None else self._overall[column]
             confirmations = tuple(self._confirmations[column])
-            found[parameter.name] = ParameterInfluence(self._influence(column), self._intervals[column], confirmations, overall)
-        all_intervals = [one.measures for row in self._intervals for one in row]
-        all_overall: list[EffectStatistics] = [] if self._overall is None else [one.measures for one in self._overall]
-        return ScenarioInfluence(found, self.unknown, smallest_nonzero(all_intervals), smallest_nonzero(all_overall))
+            influences[parameter.name] = ParameterInfluence(
+                self._influence(column), self._intervals[column], confirmations, overall
+            )
+        all_intervals = [interval.measures for row in self._intervals for interval in row]
+        all_overall: list[EffectStatistics] = [] if self._overall is None else [overall.measures for overall in self._overall]
+        return ScenarioInfluence(influences, self.unknown, smallest_nonzero(all_intervals), smallest_nonzero(all_overall))
 
     def _influence(self, column: int) -> Influence:
         regions, parameter = self._cut[column], self._space.searched[column]

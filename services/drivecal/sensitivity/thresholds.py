@@ -60,7 +60,7 @@ def automatic(steps: Floats) -> float:
 class Verdict:
     """What was found about one parameter in one box, and whether that is influential.
 
-    `threshold` is what was applied: on s_rel, or on |mu| and sigma; None where there was nothing to apply it to.
+    `threshold` is what was applied: on s_rel, or on |mu| and sigma; None if there was nothing to apply it to.
     """
 
     measures: EffectStatistics
@@ -68,14 +68,14 @@ class Verdict:
     influential: bool
 
 
-def verdict(found: EffectStatistics, steps: Floats, threshold: Threshold) -> Verdict:
+def verdict(statistics: EffectStatistics, steps: Floats, threshold: Threshold) -> Verdict:
     """Applies a threshold to measures; `steps` are those of the effects that count, shape (n_effects,).
 
     With fewer than two effects nothing is known, which counts as influential.
     """
-    if found.n_effects < 2:
-        return Verdict(found, None, influential=True)
+    if statistics.n_effects < 2:
+        return Verdict(statistics, None, influential=True)
     if isinstance(threshold, MuSigmaThresholds):
-        return Verdict(found, threshold, abs(found.mu) >= threshold.mu or found.sigma >= threshold.sigma)
+        return Verdict(statistics, threshold, abs(statistics.mu) >= threshold.mu or statistics.sigma >= threshold.sigma)
     limit = automatic(steps) if threshold == "auto" else float(threshold)
-    return Verdict(found, limit, found.s_rel >= limit)
+    return Verdict(statistics, limit, statistics.s_rel >= limit)

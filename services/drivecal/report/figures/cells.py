@@ -45,7 +45,7 @@ def drawn(generations: Sequence[Generation]) -> Drawn:
 def cells_table(generations: Sequence[Generation]) -> str:
     """What Figure 11 shows; every outcome, also those that never occurred."""
     totals = accumulated(generations)
-    places = {one.iteration: place for place, one in enumerate(generations)}
+    places = {generation.iteration: place for place, generation in enumerate(generations)}
     lines = shown(generations)
     rows = [
         [line.iteration + 1, sum(values[places[line.iteration]] for values in totals.values())]

@@ -27,7 +27,7 @@ def search_figures(runs: Sequence[ComparedRun], generations: Mapping[str, Sequen
     """One figure per optimizer, every run a line: the best objective over the iterations, and over the simulations; where all runs have the
     same best objective all the time, the rating of the best set over the simulations."""
     kinds = list(dict.fromkeys((run.population, run.reduction) for run in runs))
-    values = [one.best for listed in generations.values() for one in listed if one.best is not None]
+    values = [entry.best for listed in generations.values() for entry in listed if entry.best is not None]
     if not values:
         return
     low, high = min(values), max(values)
@@ -44,10 +44,10 @@ def search_figures(runs: Sequence[ComparedRun], generations: Mapping[str, Sequen
                     axes.set_ylim(low - margin, high + margin)
                 _label(figure, left, right, optimizer, kinds, by_rating=low == high)
             best = max((run.best for run in mine if run.best is not None), default=None)
-            found = "nothing is answered yet" if best is None else f"the best objective found is {best:.3f}"
+            best_text = "nothing is answered yet" if best is None else f"the best objective found is {best:.3f}"
             name = _unlike(f"search-{_slug(optimizer)}", names)
             names.add(name)
-            alt = f"{len(mine)} runs of {optimizer}; {found}."
+            alt = f"{len(mine)} runs of {optimizer}; {best_text}."
             yield Drawn(name, _caption(optimizer, by_rating=low == high), figure, alt=alt)
 
 
@@ -66,12 +66,12 @@ def _draw_runs(
         colour, dashes = _look(kinds, (run.population, run.reduction))
         look: dict[str, Any] = {"color": colour, "linestyle": dashes, "linewidth": 1.0}
         offset = spread * ((place + 0.5) / len(runs) - 0.5)
-        heights = [float("nan") if one.best is None else one.best + offset for one in listed]
-        left.plot([one.iteration + 1 for one in listed], heights, drawstyle="steps-mid", **look)
+        heights = [float("nan") if generation.best is None else generation.best + offset for generation in listed]
+        left.plot([generation.iteration + 1 for generation in listed], heights, drawstyle="steps-mid", **look)
         if run.converged_at is not None:
             left.plot(run.converged_at, heights[run.converged_at - 1], marker="o", markersize=3, color=colour)
-        taken = list(accumulate(one.requested - one.repeated - one.reused for one in listed))
-        ratings = [float("nan") if one.rating is None else one.rating for one in listed]
+        taken = list(accumulate(generation.requested - generation.repeated - generation.reused for generation in listed))
+        ratings = [float("nan") if generation.rating is None else generation.rating for generation in listed]
         right.plot(taken, ratings if by_rating else heights, drawstyle="steps-post", **look)
 
 
@@ -173,7 +173,7 @@ def _look(kinds: Sequence[Kind], kind: Kind) -> tuple[str, Dashes]:
 def _unlike(name: str, others: Collection[str]) -> str:
     """A name of its own: labels that differ may make equal names of files."""
     numbered = (f"{name}-{number}" for number in count(2))
-    return next(one for one in chain([name], numbered) if one not in others)
+    return next(candidate for candidate in chain([name], numbered) if candidate not in others)
 
 
 def _slug(text: str) -> str:

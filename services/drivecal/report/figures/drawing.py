@@ -56,7 +56,7 @@ STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",  # text stays text: to be searched, copied and read aloud
 }
 FALLBACK = "'DejaVu Sans', Verdana, sans-serif"
-"""Verdana is as wide as DejaVu Sans, so that labels keep their places where the latter is missing."""
+"""Verdana is as wide as DejaVu Sans, so that labels keep their places if the latter is missing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +105,7 @@ def inlined(document: str, name: str, title: str) -> str:
     width = re.search(r'<svg[^>]*? width="([0-9.]+)pt"', body)
     limit = f' style="max-width: {float(width[1]) * 4 / 3:.0f}px"' if width else ""
     told = f' width="100%"{limit} role="img" aria-label="{title}"'  # by a function: a backslash in the title is no reference
-    return re.sub(r'(<svg[^>]*?) width="[^"]*"', lambda found: found[1] + told, body, count=1)
+    return re.sub(r'(<svg[^>]*?) width="[^"]*"', lambda match: match[1] + told, body, count=1)
 
 
 def whole_numbers(axes: Axes) -> None:

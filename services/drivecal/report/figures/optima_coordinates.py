@@ -90,8 +90,8 @@ def optima_figure(
             handles.append(line)
         if worse:
             handles.append(Line2D([], [], color=WORSE, linewidth=1.2, label="ranked next"))
-        for place, one in enumerate(parameters):
-            _axis(axes, place, one, same.get(one.name))
+        for place, parameter in enumerate(parameters):
+            _axis(axes, place, parameter, same.get(parameter.name))
         labels = [_name(parameter, same.get(parameter.name)) for parameter in parameters]
         axes.set_xticks(places, labels)
         axes.tick_params(axis="x", length=0, pad=11)
@@ -101,14 +101,14 @@ def optima_figure(
     return figure
 
 
-def _axis(axes: Axes, place: int, one: SearchedParameter, same: float | None) -> None:
+def _axis(axes: Axes, place: int, parameter: SearchedParameter, same: float | None) -> None:
     """The bounds of a parameter, and a diamond where all best sets have the `same` value."""
-    for height, value, side in ((1.03, one.upper, "bottom"), (-0.03, one.lower, "top")):
+    for height, value, side in ((1.03, parameter.upper, "bottom"), (-0.03, parameter.lower, "top")):
         axes.text(place, height, _value(value), ha="center", va=side, fontsize=6.5, color="#555555")
     if same is not None:
-        height = (same - one.lower) / (one.upper - one.lower)
+        height = (same - parameter.lower) / (parameter.upper - parameter.lower)
         axes.vlines(place, 0, 1, color=INK, linewidth=2.2, zorder=4)
-        axes.plot(place, height, "D", color="white", markeredgecolor=INK, markersize=6, zorder=6, gid=f"same.{one.name}")
+        axes.plot(place, height, "D", color="white", markeredgecolor=INK, markersize=6, zorder=6, gid=f"same.{parameter.name}")
 
 
 def _regions(axes: Axes, best: Sequence[OptimumRow], parameters: Sequence[SearchedParameter]) -> list[Line2D]:
@@ -137,10 +137,10 @@ def _lines(axes: Axes, heights: Floats, colour: str, dashes: object, width: floa
     axes.add_collection(lines)
 
 
-def _name(one: SearchedParameter, same: float | None) -> str:
-    unit = "" if one.unit in {"", "1"} else one.unit
+def _name(parameter: SearchedParameter, same: float | None) -> str:
+    unit = "" if parameter.unit in {"", "1"} else parameter.unit
     below = unit if same is None else f"= {_value(same)} {unit}".rstrip()
-    return f"{one.name}\n{below}"
+    return f"{parameter.name}\n{below}"
 
 
 def _value(value: float) -> str:

@@ -34,7 +34,7 @@ def drawn(generations: Sequence[Generation], baseline: float | None = None) -> D
 
 
 def population_figure(generations: Sequence[Generation], baseline: float | None = None) -> Figure:
-    """Left: best, mean and minimum of each population, and the objective of the `baseline` where there is one. Right: how many distinct
+    """Left: best, mean and minimum of each population, and the objective of the `baseline` if there is one. Right: how many distinct
     sets have been found by then whose objective is the best by then."""
     numbers = [generation.iteration + 1 for generation in generations]
     marked = len(numbers) <= LARGEST_WITH_MARKERS

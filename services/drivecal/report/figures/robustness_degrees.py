@@ -54,20 +54,21 @@ def robustness_figure(rows: Sequence[RobustnessRow]) -> Figure:
         axes.grid(visible=False)
         for place, row in enumerate(rows):
             start = 0.0
-            for one in sorted(row.trials, key=lambda trial: trial.radius):
-                worst = _worst(one)
-                piece = Rectangle((start, place - 0.4), one.radius - start, 0.8, edgecolor="white", linewidth=0.6)
+            for trial in sorted(row.trials, key=lambda trial: trial.radius):
+                worst = _worst(trial)
+                piece = Rectangle((start, place - 0.4), trial.radius - start, 0.8, edgecolor="white", linewidth=0.6)
                 piece.set(
-                    facecolor=VERMILION if not one.holds else CHANGED if worst else UNCHANGED, gid=f"box.{row.rank}.{one.box}"
+                    facecolor=VERMILION if not trial.holds else CHANGED if worst else UNCHANGED,
+                    gid=f"box.{row.rank}.{trial.box}",
                 )
-                if not one.holds:
+                if not trial.holds:
                     piece.set(hatch="////", edgecolor="white")
                 axes.add_patch(piece)
-                if one.radius - start > NARROW * widest:
+                if trial.radius - start > NARROW * widest:
                     text = "–" if worst is None else f"{worst:.2g}"
-                    box = {"facecolor": "white", "edgecolor": "none", "pad": 0.8} if not one.holds else None
-                    axes.text((start + one.radius) / 2, place, text, ha="center", va="center", fontsize=6.5, bbox=box)
-                start = one.radius
+                    box = {"facecolor": "white", "edgecolor": "none", "pad": 0.8} if not trial.holds else None
+                    axes.text((start + trial.radius) / 2, place, text, ha="center", va="center", fontsize=6.5, bbox=box)
+                start = trial.radius
             axes.plot([row.radius] * 2, [place - 0.46, place + 0.46], color=INK, linewidth=2.2, solid_capstyle="butt")
         axes.set_yticks(range(len(rows)), [f"{row.rank}{' *' if row.recommended else ''}" for row in rows])
         axes.set(xlim=(0, widest * 1.01), ylim=(len(rows) - 0.45, -0.55))

@@ -23,7 +23,7 @@ UNKNOWN = "//////"
 
 def by_scenario(rows: Sequence[InfluenceRow]) -> dict[str, list[InfluenceRow]]:
     """The rows of each scenario, in order."""
-    return {scenario: list(found) for scenario, found in groupby(rows, key=lambda row: row.scenario)}
+    return {scenario: list(members) for scenario, members in groupby(rows, key=lambda row: row.scenario)}
 
 
 def segment(row: InfluenceRow) -> tuple[float, float] | None:

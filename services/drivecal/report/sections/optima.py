@@ -15,7 +15,7 @@ MOST_REGIONS = 12
 
 
 def searched(parameters: Iterable[SearchedParameter]) -> list[SearchedParameter]:
-    """Those that are not held."""
+    """Parameters that are not held."""
     return [parameter for parameter in parameters if parameter.fixed is None]
 
 
@@ -24,7 +24,7 @@ def constant(sets: Sequence[Solution], parameters: Iterable[SearchedParameter]) 
     if len(sets) < 2:
         return {}
     values = {each.name: {parameter_set.parameters[each.name] for parameter_set in sets} for each in parameters}
-    return {name: next(iter(found)) for name, found in values.items() if len(found) == 1}
+    return {name: next(iter(seen)) for name, seen in values.items() if len(seen) == 1}
 
 
 def count(number: int, what: str) -> str:
@@ -39,12 +39,12 @@ def summary(optima: Sequence[OptimumRow]) -> str:
     return f"{count(len(optima), 'set')} that {share} the best objective, in {count(regions, 'distinct region')}."
 
 
-def parts(optima: Sequence[OptimumRow], found: int, parameters: Sequence[SearchedParameter], drawing: str) -> list[str]:
+def parts(optima: Sequence[OptimumRow], total: int, parameters: Sequence[SearchedParameter], drawing: str) -> list[str]:
     """The section: how many sets and regions, the figure, the regions as a table. `found`: the sets, of which `optima` are the first."""
     same = constant(optima, searched(parameters))
     text = f"The search found {summary(optima)}"
-    if found > len(optima):
-        text = f"The search found {found:,} sets that share the best objective. Of these here: {summary(optima)}"
+    if total > len(optima):
+        text = f"The search found {total:,} sets that share the best objective. Of these here: {summary(optima)}"
     if len(optima) > 1:
         if same:
             text += f" In all of them {', '.join(f'{name} = {value:g}' for name, value in same.items())}."
@@ -55,20 +55,22 @@ def parts(optima: Sequence[OptimumRow], found: int, parameters: Sequence[Searche
 
 def regions_table(optima: Sequence[OptimumRow]) -> str:
     """The regions, by their best-ranked set."""
-    found = [(region, list(members)) for region, members in groupby(sorted(optima, key=lambda one: one.region), key=_region)]
-    rows = [[region, len(members), members[0].rank, *_to_worse(members)] for region, members in found[:MOST_REGIONS]]
+    groups = [
+        (region, list(members)) for region, members in groupby(sorted(optima, key=lambda optimum: optimum.region), key=_region)
+    ]
+    rows = [[region, len(members), members[0].rank, *_to_worse(members)] for region, members in groups[:MOST_REGIONS]]
     caption = (
         f"Regions: chains of sets that are at most {NEIGHBOURS:g} apart (root mean square, in shares of the searched ranges). A set that "
         "lies far from every worse one bears small changes of its parameters"
     )
-    if len(found) > MOST_REGIONS:
-        caption += f"; the first {MOST_REGIONS} of {len(found)}, all in optima.csv"
+    if len(groups) > MOST_REGIONS:
+        caption += f"; the first {MOST_REGIONS} of {len(groups)}, all in optima.csv"
     header = ["region", "sets", "best rank", "nearest worse set: least distance", "largest distance"]
     return table(header, rows, caption, wrap_header=True)
 
 
-def _region(one: OptimumRow) -> int:
-    return one.region
+def _region(row: OptimumRow) -> int:
+    return row.region
 
 
 def _to_worse(members: Iterable[OptimumRow]) -> list[Number | None]:

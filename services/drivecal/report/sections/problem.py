@@ -55,8 +55,8 @@ def _settings(value: object) -> str:
     """A stage's settings in one line; what is empty or null is left out."""
     if not isinstance(value, dict):
         return "none" if value is None else json.dumps(value)
-    kept = {name: one for name, one in value.items() if one is not None and one not in ([], {})}
-    return ", ".join(f"{name} {one if isinstance(one, str) else json.dumps(one)}" for name, one in kept.items())
+    kept = {name: item for name, item in value.items() if item is not None and item not in ([], {})}
+    return ", ".join(f"{name} {item if isinstance(item, str) else json.dumps(item)}" for name, item in kept.items())
 
 
 def versions(setup: CampaignSetup, version: str) -> list[str]:

@@ -49,7 +49,7 @@ def _errors(campaign: Campaign) -> str:
     if not audited:
         return ""
     different, wrong = (sum(getattr(rate, name) for rate in campaign.error_rate.values()) for name in ("different", "wrong"))
-    stopped = [name for name, one in campaign.error_rate.items() if one.stopped]
+    stopped = [name for name, error_rate in campaign.error_rate.items() if error_rate.stopped]
     text = errors_text("audited answers", audited, different, wrong)
     return text + (f" Reuse was stopped in {', '.join(stopped)}." if stopped else "")
 

@@ -29,7 +29,7 @@ def cells_by_stage(campaign: Campaign) -> str:
 
 def self_check(campaign: Campaign, account: Accounting | None) -> list[str]:
     """What the audits of reused cells, the checks of certified ones, and certificates of reused ones found."""
-    found = []
+    content = []
     rates = {name: rate for name, rate in campaign.error_rate.items() if rate.audited or rate.stopped or rate.contradictions}
     if rates:
         rows = [
@@ -47,16 +47,16 @@ def self_check(campaign: Campaign, account: Accounting | None) -> list[str]:
         ]
         header = ["scenario", "audited", "different", "wrong", "R_err", "95 % bound", "contradictions", "reuse"]
         caption = "Self-check: reusable cells that were simulated all the same; wrong: the scores differ by more than 1"
-        found.append(table(header, rows, caption))
+        content.append(table(header, rows, caption))
     else:
-        found.append(paragraph("No cell was audited, so nothing is known about errors of reuse in this campaign."))
-    return [*found, *_proved(account), *_certified(campaign)]
+        content.append(paragraph("No cell was audited, so nothing is known about errors of reuse in this campaign."))
+    return [*content, *_proved(account), *_certified(campaign)]
 
 
-def proved(found: Accounting | None) -> tuple[int, int, int]:
+def proved(account: Accounting | None) -> tuple[int, int, int]:
     """Reused cells of which a certificate says what a simulation would have given, and how many of their references have another score,
     and one that is off by more than 1."""
-    rows = [] if found is None else found.scenarios
+    rows = [] if account is None else account.scenarios
     known, different, wrong = (sum(getattr(row, name) for row in rows) for name in PROVED)
     return known, different, wrong
 
@@ -64,8 +64,8 @@ def proved(found: Accounting | None) -> tuple[int, int, int]:
 PROVED = ("proved", "proved_different", "proved_wrong")
 
 
-def _proved(found: Accounting | None) -> list[str]:
-    if found is None or not proved(found)[0]:
+def _proved(account: Accounting | None) -> list[str]:
+    if account is None or not proved(account)[0]:
         return []
     rows = [
         [
@@ -73,7 +73,7 @@ def _proved(found: Accounting | None) -> list[str]:
             *(getattr(scenario, name) for name in ("reused", *PROVED)),
             Number(f"{scenario.proved_wrong / scenario.proved:.2%}") if scenario.proved else None,
         ]
-        for scenario in found.scenarios
+        for scenario in account.scenarios
         if scenario.reused
     ]
     header = ["scenario", "reused", "proved", "different", "wrong", "R_err"]
@@ -100,13 +100,13 @@ def _certified(campaign: Campaign) -> list[str]:
     return [paragraph(text)]
 
 
-def accounting(found: Accounting | None) -> list[str]:
+def accounting(account: Accounting | None) -> list[str]:
     """Savings and costs, and when the map pays; nothing before the first answered cell."""
-    if found is None:
+    if account is None:
         return []
-    rows = [[item, Number(f"{round(seconds, 1) + 0.0:,.1f}")] for item, seconds in seconds_of(found)]
-    parts = [paragraph(found.sentence), table(["", "CPU seconds"], rows, "Cost accounting, in CPU time of the workers")]
-    even = found.break_even
+    rows = [[item, Number(f"{round(seconds, 1) + 0.0:,.1f}")] for item, seconds in seconds_of(account)]
+    parts = [paragraph(account.sentence), table(["", "CPU seconds"], rows, "Cost accounting, in CPU time of the workers")]
+    even = account.break_even
     if even is not None and even.requested_cells is None:
         parts.append(paragraph("Reuse saved nothing, so at this rate the influence map never pays."))
     elif even is not None:

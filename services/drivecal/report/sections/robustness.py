@@ -33,7 +33,7 @@ def degree(row: RobustnessRow) -> str:
 
 def limits(row: RobustnessRow, settings: Mapping[str, Any]) -> dict[str, float | None]:
     """The scenarios that broke the condition in the smallest box where it did not hold, with their deviations (None: no result)."""
-    trial = min((trial for trial in row.trials if not trial.holds), key=lambda one: one.radius, default=None)
+    trial = min((trial for trial in row.trials if not trial.holds), key=lambda trial: trial.radius, default=None)
     if trial is None:
         return {}
     eta = settings.get("eta", 1.0)
@@ -84,10 +84,10 @@ def parts(studies: Sequence[Robust], optima: Sequence[OptimumRow], campaign: str
         text += f" The vehicle model is {main.study.vehicle}."
     if made_by != campaign:
         text += f" Campaign {made_by} made this study."
-    found = [
+    tables = [
         paragraph(f"Recommended: rank {row.rank}, because it has {row.reason}.", "key") for row in main.rows if row.recommended
     ]
-    return [paragraph(text), *found, _quality(main, others), drawing, _values(main, optima)]
+    return [paragraph(text), *tables, _quality(main, others), drawing, _values(main, optima)]
 
 
 def _quality(main: Robust, others: Sequence[Robust]) -> str:
@@ -102,7 +102,7 @@ def _quality(main: Robust, others: Sequence[Robust]) -> str:
             None if row.rating is None else Number(f"{row.rating:.3f}"),
             *row.scores.values(),
             Number(degree(row)),
-            *(one.get(_key(row.parameters)) for one in elsewhere),
+            *(vehicle.get(_key(row.parameters)) for vehicle in elsewhere),
             Number(f"{row.radius:.4g}"),
             _limited(row, settings),
         ]
@@ -136,8 +136,8 @@ def _values(studied: Robust, optima: Sequence[OptimumRow]) -> str:
 
 
 def _limited(row: RobustnessRow, settings: Mapping[str, Any]) -> str | None:
-    found = limits(row, settings)
-    return ", ".join(f"{name} ({'no result' if away is None else f'{away:.2g}'})" for name, away in found.items()) or None
+    distances = limits(row, settings)
+    return ", ".join(f"{name} ({'no result' if away is None else f'{away:.2g}'})" for name, away in distances.items()) or None
 
 
 def _key(parameters: Mapping[str, float]) -> tuple[tuple[str, float], ...]:

@@ -10,44 +10,44 @@ Row = Sequence[object]
 FIELDS = tuple(ScenarioAccount.model_fields)
 
 
-def by_scenario(found: Accounting) -> Iterator[Row]:
+def by_scenario(account: Accounting) -> Iterator[Row]:
     """A header, a row per scenario, and one for all of them."""
     yield FIELDS
-    for scenario in found.scenarios:
+    for scenario in account.scenarios:
         yield [getattr(scenario, field) for field in FIELDS]
-    yield ["all", *(_total(found, field) for field in FIELDS[1:])]
+    yield ["all", *(_total(account, field) for field in FIELDS[1:])]
 
 
-def balance(found: Accounting) -> Iterator[Row]:
+def balance(account: Accounting) -> Iterator[Row]:
     """A header and a row per item, in CPU seconds of the workers: what was saved, what it cost, what is left."""
     yield "item", "value", "unit"
-    for item, seconds in seconds_of(found):
+    for item, seconds in seconds_of(account):
         yield item, seconds, "s"
-    if found.share_without_simulation is not None:
-        yield "requested cells answered without simulation", found.share_without_simulation, "1"
-    if found.break_even is not None:
-        yield "break-even: requested cells", found.break_even.requested_cells, "1"
-        yield "break-even: campaigns like this one", found.break_even.campaigns, "1"
-        yield "break-even: reruns", found.break_even.reruns, "1"
+    if account.share_without_simulation is not None:
+        yield "requested cells answered without simulation", account.share_without_simulation, "1"
+    if account.break_even is not None:
+        yield "break-even: requested cells", account.break_even.requested_cells, "1"
+        yield "break-even: campaigns like this one", account.break_even.campaigns, "1"
+        yield "break-even: reruns", account.break_even.reruns, "1"
 
 
-def seconds_of(found: Accounting) -> list[tuple[str, float]]:
+def seconds_of(account: Accounting) -> list[tuple[str, float]]:
     """The items that add up to the net, and what stands beside it."""
     items = [
-        ("saved by repeated cells", found.repeated_saved_seconds),
-        ("saved by reused cells", found.reused_saved_seconds),
-        ("saved by certified cells", found.certified_saved_seconds),
-        ("cost of the sensitivity stage", 0.0 - found.sensitivity.seconds),
-        ("net", found.net_seconds),
-        ("simulated", found.simulated_seconds),
-        ("of these for audits", found.audited_seconds),
+        ("saved by repeated cells", account.repeated_saved_seconds),
+        ("saved by reused cells", account.reused_saved_seconds),
+        ("saved by certified cells", account.certified_saved_seconds),
+        ("cost of the sensitivity stage", 0.0 - account.sensitivity.seconds),
+        ("net", account.net_seconds),
+        ("simulated", account.simulated_seconds),
+        ("of these for audits", account.audited_seconds),
     ]
-    if found.map_net_seconds is not None:
-        items.append(("the influence map alone: reused less its cost, whoever paid", found.map_net_seconds))
+    if account.map_net_seconds is not None:
+        items.append(("influence map alone: savings by reuse less its cost, whichever campaign paid", account.map_net_seconds))
     return items
 
 
-def _total(found: Accounting, field: str) -> object:
+def _total(account: Accounting, field: str) -> object:
     if field == "mean_seconds":
-        return found.simulated_seconds / found.simulated if found.simulated else None
-    return sum(getattr(scenario, field) for scenario in found.scenarios)
+        return account.simulated_seconds / account.simulated if account.simulated else None
+    return sum(getattr(scenario, field) for scenario in account.scenarios)

@@ -41,7 +41,7 @@ def convergence(generations: Sequence[Generation]) -> list[str]:
 
 
 def afterwards(campaign: Campaign, generations: Sequence[Generation]) -> str:
-    """Of cells that are in no iteration, for they confirmed the best set; empty where there are none. Before the last iteration is finished
+    """Text about cells that confirmed the best set, in no iteration; empty if there are none. Before the last iteration is finished
     those of an unfinished one are in none, too."""
     wanted = (campaign.spec.get("optimizer") or {}).get("iterations")
     added = campaign.cells.requested - sum(generation.requested for generation in generations)

@@ -24,7 +24,7 @@ PANELS_PER_SHEET = 12
 
 def reducible(rows: Sequence[InfluenceRow]) -> list[str]:
     """The parameters of one scenario that have a region of more than one value in which they do not matter."""
-    found = []
+    parameters = []
     for row in rows:
         if row.space_lower is None or row.space_upper is None or row.n_values is None:
             continue
@@ -36,8 +36,8 @@ def reducible(rows: Sequence[InfluenceRow]) -> list[str]:
             above = 0.0 if row.upper is None else row.space_upper - row.upper
             regions = [round(below / step), round(above / step)]
         if max(regions) > 1:
-            found.append(row.parameter)
-    return found
+            parameters.append(row.parameter)
+    return parameters
 
 
 def drawn(rows: Sequence[ValidationRow]) -> Iterator[Drawn]:

@@ -51,7 +51,7 @@ export function planAt<T extends { made_at_s: number }>(plans: readonly T[], mom
   return (
     plans[
       lastBefore(
-        plans.map((one) => one.made_at_s),
+        plans.map((plan) => plan.made_at_s),
         moment,
       )
     ] ?? null

@@ -15,11 +15,11 @@ const TRACE: Trace = {
   plans: [{ made_at_s: 1, x_m: [130, 160], y_m: [0, 1] }],
 };
 const at = (moment: number): Shape[] => seen(TRACE, SCENE, moment, 800, colours(false));
-const strokes = (shapes: Shape[], colour: string): Shape[] => shapes.filter((one) => "points" in one && one.stroke === colour);
+const strokes = (shapes: Shape[], colour: string): Shape[] => shapes.filter((shape) => "points" in shape && shape.stroke === colour);
 
 test("the road has two edges and a dashed line between its lanes", () => {
   const shapes = at(0);
-  expect(shapes.filter((one) => "points" in one && one.dash).length).toBe(1);
+  expect(shapes.filter((shape) => "points" in shape && shape.dash).length).toBe(1);
   expect(strokes(shapes, "#ffffff").length).toBe(3);
 });
 

@@ -6,7 +6,7 @@ const trial = (radius: number, holds: boolean, deviations: Record<string, number
 
 test("a bar goes from box to box and says what each bears", () => {
   const row = { trials: [trial(0.2, true, { S1: 0, S2: 1 }), trial(0.1, true, { S1: 0, S2: 0 }), trial(0.3, false, { S1: 2, S2: null })] } as RobustRow;
-  expect(pieces(row).map((one) => [one.from, one.to, one.worst, one.looks])).toEqual([
+  expect(pieces(row).map((piece) => [piece.from, piece.to, piece.worst, piece.looks])).toEqual([
     [0, 0.1, 0, "same"],
     [0.1, 0.2, 1, "changes"],
     [0.2, 0.3, null, "fails"],

@@ -31,7 +31,7 @@ export function inside(problem: FieldProblem, path: string): boolean {
 
 /** What to say at the field of `path`: what is about itself and, where it has no `fields` of its own, what is about anything inside it. */
 export function at(problems: readonly FieldProblem[], path: string, fields = false): string[] {
-  return problems.flatMap((one) => (one.field === path ? [said(one)] : !fields && inside(one, path) ? [`${one.field.slice(path.length).replace(/^\./, "")}: ${said(one)}`] : []));
+  return problems.flatMap((problem) => (problem.field === path ? [said(problem)] : !fields && inside(problem, path) ? [`${problem.field.slice(path.length).replace(/^\./, "")}: ${said(problem)}`] : []));
 }
 
 /** The fields of a form in which no JSON stands where there ought to be. */

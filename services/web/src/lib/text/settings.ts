@@ -35,8 +35,8 @@ export function asked(campaign: Asked, setup: Setup | null): [string, string][] 
   const { spec } = campaign;
   const rows: [string, string | null][] = [];
   const vehicle = spec["vehicle"];
-  const function_ = setup?.scenarios.find((one) => one.driving_function)?.driving_function ?? spec["driving_function"];
-  const model = setup?.scenarios.find((one) => one.vehicle)?.vehicle ?? (isSettings(vehicle) ? vehicle["model"] : undefined);
+  const function_ = setup?.scenarios.find((scenario) => scenario.driving_function)?.driving_function ?? spec["driving_function"];
+  const model = setup?.scenarios.find((scenario) => scenario.vehicle)?.vehicle ?? (isSettings(vehicle) ? vehicle["model"] : undefined);
   if (setup === null) {
     rows.push(["Scenarios", spec["catalogue"] === undefined ? null : text(spec["catalogue"])]);
     rows.push(["Weights", isSettings(spec.weights) && Object.keys(spec.weights).length > 0 ? list(spec.weights) : null]);
@@ -47,7 +47,7 @@ export function asked(campaign: Asked, setup: Setup | null): [string, string][] 
   rows.push(["Held fixed", isSettings(spec["fixed"]) ? list(spec["fixed"]) : null]);
   rows.push(["To compare with", isSettings(spec["baseline"]) ? list(spec["baseline"]) : null]);
   if (Array.isArray(spec["optimizers"])) {
-    rows.push(["Optimizers", spec["optimizers"].filter(isSettings).map((one) => named(one["label"] ?? one["kind"], list(one, ["kind", "label"]))).join("; ")]);
+    rows.push(["Optimizers", spec["optimizers"].filter(isSettings).map((setting) => named(setting["label"] ?? setting["kind"], list(setting, ["kind", "label"]))).join("; ")]);
     for (const name of ["populations", "seeds", "iterations", "start"]) rows.push([name.charAt(0).toUpperCase() + name.slice(1), spec[name] === undefined ? null : text(spec[name])]);
     rows.push(["Reductions", Array.isArray(spec["reductions"]) ? spec["reductions"].map((one) => (isSettings(one) ? named(one["mode"], list(one, ["mode"])) : String(one))).join("; ") : null]);
   }

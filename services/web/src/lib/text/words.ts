@@ -1,4 +1,4 @@
-/** What the words mean, said where they are shown. */
+/** Meanings of the terms, shown as tooltips. */
 
 import type { Cells, Moving } from "../server/types";
 
@@ -39,7 +39,7 @@ export function stagesOf(campaign: Moving): string[] {
   return Object.keys(STAGES).filter((stage) => (cellsOf(campaign, stage).proposed ?? 0) > 0 || campaign.stage === stage);
 }
 
-/** The stage by which a campaign is told in a line: the search, else what it does now, else what it did last. */
+/** The stage that represents a campaign in one line: the search, else what it does now, else what it did last. */
 export function leadingStage(campaign: Moving): string {
   if (campaign.cells.proposed > 0) return "calibration";
   return campaign.stage ?? stagesOf(campaign).at(-1) ?? "calibration";
@@ -56,12 +56,12 @@ export function sentence(campaign: Moving & { kind?: string }): string {
   if (asked === "pause") return "Asked to pause: what runs at the workers is finished first.";
   if (asked === "cancel" || state === "cancelling") return "Asked to end: what runs at the workers is finished first, and kept.";
   if (state === "queued") return "Waiting for its turn.";
-  if (state === "paused") return "Resting. Nothing is lost; resume it whenever you like.";
+  if (state === "paused") return "Paused. All results are kept; resume it at any time.";
   if (state === "succeeded") return "Finished.";
   if (state === "cancelled") return "Ended on request; what was finished is kept.";
   if (state === "failed") return "Ended with an error.";
   if (campaign.kind === "comparison") return "Searching, several runs side by side.";
-  if (stage === "sensitivity") return "Finding out where which parameter matters.";
+  if (stage === "sensitivity") return "Analysing the influence of the parameters.";
   if (stage === "calibration") return `Searching: iteration ${(campaign.iteration ?? 0) + 1}.`;
   if (stage === "robustness") return "Driving the best sets in other vehicles.";
   if (stage === "validation") return "Checking the influence map by simulation.";
