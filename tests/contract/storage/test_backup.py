@@ -198,7 +198,7 @@ def test_a_backup_that_fails_leaves_nothing_behind(used: Database, tmp_path: Pat
 def test_places_where_no_backup_can_be_are_named(database: Database, tmp_path: Path) -> None:
     with pytest.raises(DatabaseError, match=rf"{re.escape(str(tmp_path))}(?!/)"):
         backup.write(database, tmp_path, silent)
-    with pytest.raises(DatabaseError, match=r"missing/backup\.db.*No such file or directory"):
+    with pytest.raises(DatabaseError, match=r"/missing.*No such file or directory"):
         backup.write(database, tmp_path / "missing" / "backup.db", silent)
 
 
