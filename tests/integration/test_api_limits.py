@@ -56,7 +56,7 @@ def test_the_queue_is_never_longer_than_it_may_be_however_many_come_at_once(api:
         assert connection.scalar(select(func.count()).select_from(campaigns)) == PLACES
     refused = next(response for response in responses if response.status_code == 429)
     assert int(refused.headers["retry-after"]) > 0
-    assert "5 campaigns and evaluations wait already" in problem(refused, 429)["detail"]
+    assert "5 campaigns" in problem(refused, 429)["detail"]
 
 
 def test_a_full_queue_still_knows_what_it_took_and_what_contradicts_it(api: RunningApi) -> None:
@@ -140,7 +140,7 @@ def test_a_campaign_that_is_too_large_is_refused_with_its_numbers(
     document = problem(small.http.post(f"/api/v1/campaigns{query}", json=specification), 413)
     assert [error["field"] for error in document["errors"]] == [field]
     assert said in document["detail"]
-    assert "this server takes 10,000; reduce" in document["detail"]
+    assert "10,000" in document["detail"]
     with Client(small.url) as client, pytest.raises(InvalidInputError, match="reduce"):
         client.submit(specification)
 

@@ -77,7 +77,7 @@ def test_a_certified_cell_is_explained_by_the_run_that_it_repeats(database: Data
     assert explained.reference is not None
     assert explained.reference.evaluation == certified.reference
     assert {one.parameter for one in explained.differences} <= {f"P{i}" for i in range(1, 12)}
-    assert f"every decision is that of evaluation {certified.reference}" in explained.sentence
+    assert f"evaluation {certified.reference}" in explained.sentence
 
 
 def test_certified_results_are_references_like_simulated_ones(database: Database) -> None:

@@ -43,7 +43,7 @@ def test_a_database_goes_through_a_file_to_another_backend_and_back(url: str, po
         written = db("backup", there, "--database-url", url)
     assert (written.exit_code, written.stderr) == (0, "")
     assert f"{there} holds" in written.stdout
-    assert "(2 campaigns, " in written.stdout
+    assert "2 campaigns" in written.stdout
     restored = db("restore", there, "--database-url", postgres_url)
     assert (restored.exit_code, restored.stderr) == (0, "")
     assert restored.stdout.splitlines()[-1].endswith("is current and whole")
@@ -65,7 +65,7 @@ def test_a_restored_database_is_one_that_nobody_serves_and_that_was_empty(url: s
     with locks.hold(target):
         refused = db("restore", file, "--database-url", target)
     assert refused.exit_code == 1
-    assert f"another drivecal server (process {os.getpid()}) uses" in refused.stderr
+    assert str(os.getpid()) in refused.stderr
     refused = db("restore", file, "--database-url", url)
     assert refused.exit_code == 1
     assert "has rows already" in refused.stderr

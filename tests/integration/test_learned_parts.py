@@ -87,7 +87,8 @@ def test_a_worker_with_another_version_of_the_evaluator_refuses_to_rate() -> Non
     assert answer.refusal is None  # nothing was asked of it
     answer = Worker("w").run(Batch(request, (Cell(1, {}),)))
     assert answer.refusal is not None
-    assert f"is 1.fromelsewhere at the coordinator and {LEARNED.version} at the worker" in answer.refusal
+    assert "1.fromelsewhere" in answer.refusal
+    assert LEARNED.version in answer.refusal
 
 
 def test_a_worker_whose_files_are_damaged_refuses_the_setup_and_blames_no_cell(damaged: tuple[str, SetupRequest]) -> None:
@@ -96,4 +97,4 @@ def test_a_worker_whose_files_are_damaged_refuses_the_setup_and_blames_no_cell(d
     answer = Worker("w").run(Batch(request, (Cell(1, dict(zip(names, CALM, strict=True))),)))
     assert answer.results == ()
     assert answer.refusal is not None
-    assert f"{file} cannot be used" in answer.refusal
+    assert str(file) in answer.refusal

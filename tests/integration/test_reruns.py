@@ -159,14 +159,14 @@ def test_start_sets_that_do_not_fit_are_refused_by_name() -> None:
     with pytest.raises(InvalidInputError) as caught:
         resolve(specification)
     text = str(caught.value)
-    assert "optimizer.start_sets[0].P1: 0.033 is not on the grid" in text
-    assert "optimizer.start_sets[0].P2: the value is missing" in text
-    assert "optimizer.start_sets: 3 sets" in text
+    assert "optimizer.start_sets[0].P1: 0.033" in text
+    assert "optimizer.start_sets[0].P2: " in text
+    assert "optimizer.start_sets: 3" in text
 
 
 def test_without_a_map_there_is_nothing_to_narrow_by() -> None:
     specification = CampaignSpecification.model_validate(WITH_ANALYSIS | {"sensitivity": None, "reduction": {"narrow": True}})
-    with pytest.raises(InvalidInputError, match=r"reduction\.narrow: there is no influence map"):
+    with pytest.raises(InvalidInputError, check=lambda error: error.problems[0].field == "reduction.narrow"):
         resolve(specification)
 
 
@@ -277,5 +277,5 @@ def test_a_single_evaluation_by_another_evaluator_is_answered_from_the_stored_ru
 
 def test_an_evaluator_that_is_not_installed_is_refused(database: Database) -> None:
     first = _run(database)
-    with pytest.raises(InvalidInputError, match="evaluator: there is no evaluator 'learnt'"):
+    with pytest.raises(InvalidInputError, check=lambda error: error.problems[0].field == "evaluator"):
         submission.rerun(database, LIMITS, first.id, RerunSpecification(weights={}, evaluator="learnt"), None)

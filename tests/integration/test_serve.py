@@ -76,7 +76,8 @@ def test_a_port_in_use_is_refused(tmp_path: Path) -> None:
         port = taken.getsockname()[1]
         code, words = refused(tmp_path, "--port", str(port))
     assert code == 1
-    assert f"port {port} of 127.0.0.1 is in use; choose another one by --port" in words
+    assert str(port) in words
+    assert "--port" in words
     assert not (tmp_path / "home").exists()
 
 

@@ -24,8 +24,10 @@ def refused(folder: Path, *arguments: str, **settings: str) -> tuple[int, str]:
 def test_without_tokens_nobody_else_is_let_in(tmp_path: Path, host: str) -> None:
     code, words = refused(tmp_path, "--host", host, "--port", "0")
     assert code == 2
-    assert f"everyone who reaches {host} could use this server" in words
-    assert "--tokens-file or DRIVECAL_TOKENS_FILE, or listen on 127.0.0.1" in words
+    assert host in words
+    assert "--tokens-file" in words
+    assert "DRIVECAL_TOKENS_FILE" in words
+    assert "127.0.0.1" in words
     assert not (tmp_path / "home").exists()
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import gzip
 import json
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from datetime import timedelta
@@ -215,7 +216,7 @@ def test_time_series_are_saved_as_what_the_file_is_called(tmp_path: Path) -> Non
     trace = TraceAnswer.model_validate(document(computed("S1", Cell(1, MIDDLE))))
     for suffix in files.SUFFIXES:
         files.save(trace, tmp_path / f"run{suffix}")
-        with pytest.raises(InvalidInputError, match=f"nowhere/run{suffix}: it cannot be written: "):
+        with pytest.raises(InvalidInputError, match=rf"nowhere/run{re.escape(suffix)}"):
             files.save(trace, tmp_path / "nowhere" / f"run{suffix}")
     with (tmp_path / "run.csv").open() as file:
         rows = list(csv.DictReader(file))

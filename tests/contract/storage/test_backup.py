@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import re
 import signal
 import sqlite3
 from collections.abc import Callable, Iterator
@@ -172,7 +173,7 @@ def test_a_backup_of_an_older_revision_is_restored_and_upgraded(
 def test_an_existing_file_is_replaced_only_by_force(database: Database, tmp_path: Path) -> None:
     file = tmp_path / "backup.db"
     file.write_text("precious")
-    with pytest.raises(DatabaseError, match=r"backup\.db exists already; name another file, or replace it by --force"):
+    with pytest.raises(DatabaseError, match=r"backup\.db.*--force"):
         backup.write(database, file, silent)
     assert file.read_text() == "precious"
     backup.write(database, file, silent, force=True)
@@ -195,9 +196,9 @@ def test_a_backup_that_fails_leaves_nothing_behind(used: Database, tmp_path: Pat
 
 
 def test_places_where_no_backup_can_be_are_named(database: Database, tmp_path: Path) -> None:
-    with pytest.raises(DatabaseError, match="is a folder; name a file in it"):
+    with pytest.raises(DatabaseError, match=rf"{re.escape(str(tmp_path))}(?!/)"):
         backup.write(database, tmp_path, silent)
-    with pytest.raises(DatabaseError, match="cannot be written: No such file or directory; name a file in another folder"):
+    with pytest.raises(DatabaseError, match=r"/missing.*No such file or directory"):
         backup.write(database, tmp_path / "missing" / "backup.db", silent)
 
 
@@ -229,7 +230,7 @@ def test_a_database_without_one_of_its_tables_is_not_copied(empty_url: str, tmp_
     with database.transaction() as connection:
         connection.execute(text("DROP TABLE leases"))
     with (
-        pytest.raises(DatabaseError, match="lacks tables of its revision: leases"),
+        pytest.raises(DatabaseError, match="leases"),
         database.read() as source,
         target.transaction() as connection,
     ):
@@ -241,7 +242,7 @@ def test_a_database_without_one_of_its_tables_is_not_copied(empty_url: str, tmp_
 def test_a_database_with_rows_is_not_restored_into(used: Database, tmp_path: Path) -> None:
     file = tmp_path / "backup.db"
     backup.write(used, file, silent)
-    with pytest.raises(DatabaseError, match=r"has rows already \(.*\d in campaigns.*\); name an empty database"):
+    with pytest.raises(DatabaseError, match=r"\d in campaigns"):
         backup.restore(file, used, silent)
     with used.read() as connection:
         assert connection.scalar(text("SELECT count(*) FROM runs")) > 300
@@ -254,7 +255,7 @@ def test_another_programs_database_is_not_restored_into(
     target = Database.open(target_url("postgresql"))
     with target.transaction() as connection:
         connection.execute(text("CREATE TABLE moz_places (id INTEGER)"))
-    with pytest.raises(DatabaseError, match=r"another program's tables \(moz_places\)"):
+    with pytest.raises(DatabaseError, match="moz_places"):
         backup.restore(tmp_path / "backup.db", target, silent)
     target.dispose()
 
@@ -278,9 +279,9 @@ def test_what_is_no_backup_is_not_restored(empty_url: str, tmp_path: Path, conte
     file = tmp_path / "notes.txt"
     file.write_bytes(content)
     database = Database.open(empty_url)
-    with pytest.raises(DatabaseError, match=r"notes\.txt (is no SQLite database|holds no database of drivecal)"):
+    with pytest.raises(DatabaseError, match=r"notes\.txt"):
         backup.restore(file, database, silent)
-    with pytest.raises(DatabaseError, match="there is no file"):
+    with pytest.raises(DatabaseError, match=re.escape(str(tmp_path / "missing"))):
         backup.restore(tmp_path / "missing", database, silent)
     assert file.read_bytes() == content
     database.dispose()
@@ -313,7 +314,7 @@ def test_a_backup_of_a_newer_release_is_not_restored(
     with closing(sqlite3.connect(file)) as plain, plain:
         plain.execute(f"UPDATE {schema.REVISION_TABLE} SET version_num = '9999'")
     target = Database.open(target_url("sqlite"))
-    with pytest.raises(DatabaseError, match=r"backup\.db was made by a newer drivecal \(revision 9999\)"):
+    with pytest.raises(DatabaseError, match=r"backup\.db.*9999"):
         backup.restore(file, target, silent)
     target.dispose()
 

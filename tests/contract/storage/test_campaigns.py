@@ -34,9 +34,9 @@ def test_a_campaign_is_found_by_its_id_and_by_its_number(database: Database) -> 
 def test_a_campaign_that_is_not_there_is_not_found_whatever_is_asked_for(database: Database, unknown: str) -> None:
     with database.transaction() as connection:
         campaign(connection)
-        with pytest.raises(NotFoundError, match="there is no campaign"):
+        with pytest.raises(NotFoundError, check=lambda error: error.kind == "campaign"):
             campaigns.get(connection, unknown)
-        with pytest.raises(NotFoundError, match="there is no campaign"):
+        with pytest.raises(NotFoundError, check=lambda error: error.kind == "campaign"):
             campaigns.request_action(connection, unknown, "cancel")
     with database.read() as connection, pytest.raises(NotFoundError):
         campaigns.by_sequence(connection, 10**6)
@@ -109,7 +109,10 @@ def test_the_list_can_be_narrowed_to_a_state(database: Database) -> None:
 
 
 def test_a_cursor_of_another_list_is_refused_by_name(database: Database) -> None:
-    with database.read() as connection, pytest.raises(InvalidInputError, match="cursor"):
+    with (
+        database.read() as connection,
+        pytest.raises(InvalidInputError, check=lambda error: error.problems[0].field == "cursor"),
+    ):
         campaigns.page(connection, cursor="WzEsMl0")
 
 
@@ -301,7 +304,7 @@ def test_a_request_that_comes_too_late_is_a_conflict(database: Database, state: 
         else:
             campaigns.change_state(connection, stored.sequence, {RUNNING}, state)
         for action in actions:
-            with pytest.raises(ConflictError, match=f"too late to {action} it"):
+            with pytest.raises(ConflictError, match=action):
                 campaigns.request_action(connection, stored.id, action)
 
 

@@ -40,7 +40,7 @@ def test_runs_belong_to_their_comparison_and_see_nobody_elses_results(database: 
         assert [one.id for one in campaigns.active(connection)] == [comparison.id]
         assert comparisons.comparison_of(connection, runs[0].parent_sequence) == comparison.id
         assert comparisons.comparison_of(connection, comparison.parent_sequence) is None
-        with pytest.raises(ConflictError, match=f"is a run of the comparison {comparison.id}: pause that"):
+        with pytest.raises(ConflictError, match=comparison.id):
             campaigns.request_action(connection, runs[0].id, "pause")
 
 

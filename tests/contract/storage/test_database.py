@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import re
 import sqlite3
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
@@ -108,7 +109,7 @@ def test_json_columns_keep_the_order_of_names(database: Database) -> None:
 
 
 def test_a_database_that_is_not_migrated_is_refused_with_the_remedy(empty_url: str) -> None:
-    with pytest.raises(DatabaseError, match=r"run `drivecal db upgrade`|`drivecal db upgrade` creates it"):
+    with pytest.raises(DatabaseError, match="`drivecal db upgrade`"):
         Database.open(empty_url).check()
 
 
@@ -117,7 +118,7 @@ def test_another_programs_database_is_refused_and_left_as_it_was(empty_url: str)
     with database.transaction() as connection:
         connection.execute(text("CREATE TABLE moz_places (id INTEGER)"))
     for use in (database.check, database.upgrade):
-        with pytest.raises(DatabaseError, match=r"another program's tables \(moz_places\)"):
+        with pytest.raises(DatabaseError, match="moz_places"):
             use()
     with database.read() as connection:
         if connection.dialect.name == "sqlite":
@@ -138,7 +139,7 @@ def test_a_database_of_a_newer_drivecal_is_refused(empty_url: str) -> None:
     with database.transaction() as connection:
         connection.execute(text(f"UPDATE {REVISION_TABLE} SET version_num = '9999'"))
     for use in (database.check, database.upgrade):
-        with pytest.raises(DatabaseError, match=r"newer drivecal \(revision 9999\)"):
+        with pytest.raises(DatabaseError, match="9999"):
             use()
 
 
@@ -147,7 +148,7 @@ def test_a_file_that_is_no_database_is_refused_and_left_as_it_was(tmp_path: Path
     file = tmp_path / "notes.txt"
     file.write_bytes(content)
     for use in (Database.open(f"sqlite:///{file}").check, Database.open(f"sqlite:///{file}").upgrade):
-        with pytest.raises(DatabaseError, match=r"notes\.txt is no SQLite database"):
+        with pytest.raises(DatabaseError, match=r"notes\.txt"):
             use()
     assert file.read_bytes() == content
 
@@ -163,20 +164,20 @@ def test_a_damaged_database_is_called_damaged(migrated_sqlite: Path, tmp_path: P
 
 def test_a_missing_file_is_not_created_by_looking_for_it(tmp_path: Path) -> None:
     file = tmp_path / "drivecal.db"
-    with pytest.raises(DatabaseError, match="there is no database"):
+    with pytest.raises(DatabaseError, match="`drivecal db upgrade`"):
         Database.open(f"sqlite:///{file}").check()
     assert not file.exists()
 
 
 def test_a_folder_in_place_of_the_file_is_refused(tmp_path: Path) -> None:
     for use in (Database.open(f"sqlite:///{tmp_path}").check, Database.open(f"sqlite:///{tmp_path}").upgrade):
-        with pytest.raises(DatabaseError, match="is a folder; name a file in it"):
+        with pytest.raises(DatabaseError, match=rf"{re.escape(str(tmp_path))}(?!/)"):
             use()
 
 
 def test_a_folder_that_cannot_be_created_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(DatabaseError, match=r"the folder .*file cannot be created"):
+    with pytest.raises(DatabaseError, match=re.escape(str(tmp_path / "file"))):
         Database.open(f"sqlite:///{tmp_path / 'file' / 'drivecal.db'}").upgrade()
 
 
@@ -190,11 +191,11 @@ def test_a_folder_without_the_right_to_write_is_named(tmp_path: Path, monkeypatc
 def test_an_unreachable_postgresql_is_named_without_the_password() -> None:
     database = Database.open("postgresql://someone:s3cret@127.0.0.1:1/drivecal?password=s3cret")
     for use in (database.check, database.upgrade):
-        with pytest.raises(DatabaseError, match="does not answer") as caught:
+        with pytest.raises(DatabaseError, match=r"127\.0\.0\.1:1/drivecal") as caught:
             use()
         assert "s3cret" not in str(caught.value)
         assert "someone:***@127.0.0.1:1/drivecal" in str(caught.value)
-    with pytest.raises(UnavailableError, match="does not answer"), database.read():
+    with pytest.raises(UnavailableError, match=r"127\.0\.0\.1:1/drivecal"), database.read():
         pass
 
 

@@ -40,9 +40,7 @@ def test_a_moment_without_a_time_zone_is_refused(database: Database) -> None:
 
 def test_a_second_server_is_refused_and_told_who_holds_the_database(empty_url: str) -> None:
     with locks.hold(empty_url) as lock:
-        with pytest.raises(
-            DatabaseError, match=rf"another drivecal server \(process {os.getpid()}\b.*stop it, or name another"
-        ):
+        with pytest.raises(DatabaseError, match=rf"\b{os.getpid()}\b"):
             locks.hold(empty_url)
         lock.renew()
     locks.hold(empty_url).release()

@@ -47,7 +47,10 @@ def test_pages_and_stream_give_every_row_once_in_order(database: Database) -> No
     "cursor", ["", "x", "W10", "WzEsMl0", cursors.encode(2, 0, 2**40, "S1"), cursors.encode(2, 0, 0, "S\0")]
 )
 def test_a_cursor_that_is_not_of_this_list_is_refused_by_name(database: Database, cursor: str) -> None:
-    with database.read() as connection, pytest.raises(InvalidInputError, match="cursor: it does not come from this list"):
+    with (
+        database.read() as connection,
+        pytest.raises(InvalidInputError, check=lambda error: error.problems[0].field == "cursor"),
+    ):
         results.page(connection, 1, cursor=cursor)
 
 
@@ -61,7 +64,7 @@ def test_a_cursor_of_a_stage_that_does_not_exist_ends_the_list(database: Databas
 
 @pytest.mark.parametrize("unknown", [0, -1, 1, 2**63, 10**30])
 def test_an_evaluation_that_is_not_there_is_not_found(database: Database, unknown: int) -> None:
-    with database.read() as connection, pytest.raises(NotFoundError, match="there is no evaluation"):
+    with database.read() as connection, pytest.raises(NotFoundError, check=lambda error: error.kind == "evaluation"):
         results.by_id(connection, unknown)
 
 

@@ -117,7 +117,7 @@ def test_an_address_or_a_head_that_is_too_long_is_refused() -> None:
 def test_there_are_no_more_places_than_there_are() -> None:
     places = Places(2, "chairs are taken", retry_seconds=7)
     first, _ = places.take(), places.take()
-    with pytest.raises(OverloadError, match="2 chairs are taken already; try again later") as caught:
+    with pytest.raises(OverloadError, match="2 chairs") as caught:
         places.take()
     assert caught.value.retry_seconds == 7
     first.give_back()
@@ -230,7 +230,7 @@ def test_event_streams_have_places_of_their_own_until_they_end() -> None:
             refused = await client.get("/events")
             assert refused.status_code == 429
             assert int(refused.headers["retry-after"]) > 0
-            assert "2 event streams are open already" in refused.json()["detail"]
+            assert "2 event streams" in refused.json()["detail"]
             go.set()
             answers: list[Any] = [await one for one in listening]
             assert [one.status_code for one in answers] == [200, 200]

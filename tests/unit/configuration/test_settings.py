@@ -50,12 +50,12 @@ def test_the_file_here_may_move_the_home_folder_but_the_file_at_home_may_not(tmp
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"workers = ", "drivecal.toml: the config file cannot be read"),
-        (b"\xff\xfe", "drivecal.toml: the config file cannot be read"),
-        (b"worker = 2", "worker: there is no such setting; one of certificates_mb, database_password_file, .*home, "),
-        (b"workers = 0", "workers: 0 does not fit.*greater than or equal to 1.*DRIVECAL_WORKERS"),
+        (b"workers = ", "drivecal.toml: "),
+        (b"\xff\xfe", "drivecal.toml: "),
+        (b"worker = 2", "^worker: .*certificates_mb, database_password_file, .*home, "),
+        (b"workers = 0", "^workers: 0 .*1.*DRIVECAL_WORKERS"),
         (b"workers = 1e30", "workers: "),
-        (b"url = 'localhost:8000'", "url: 'localhost:8000' does not fit: it is no web address"),
+        (b"url = 'localhost:8000'", "^url: 'localhost:8000'"),
         (b'ray_address = "a\\nb"', "ray_address: "),
         (b"home = 3", "home: "),
     ],
@@ -83,7 +83,7 @@ def test_an_environment_variable_that_is_wrong_is_refused_and_an_empty_one_is_no
 def test_the_token_shows_up_in_no_message(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "secret" not in repr(load_settings(token="secret"))
     monkeypatch.setenv("DRIVECAL_TOKEN", "secret\n\n")
-    with pytest.raises(InvalidInputError, match="token: the value does not fit") as caught:
+    with pytest.raises(InvalidInputError, check=lambda error: error.problems[0].field == "token") as caught:
         load_settings()
     assert "secret" not in str(caught.value)
 
@@ -102,7 +102,7 @@ def test_a_child_process_is_not_told_the_users_own_token() -> None:
 
 @pytest.mark.parametrize("token", ["a b", "é", "a\tb", ""])
 def test_a_token_that_no_header_can_carry_is_refused(token: str) -> None:
-    with pytest.raises(InvalidInputError, match="token: the value does not fit"):
+    with pytest.raises(InvalidInputError, check=lambda error: error.problems[0].field == "token"):
         load_settings(token=token)
 
 
@@ -121,11 +121,11 @@ def test_the_password_of_the_database_may_lie_in_a_file_and_stays_there(
 @pytest.mark.parametrize(
     ("url", "content", "message"),
     [
-        ("postgresql://me@db/drivecal", None, "password cannot be read: No such file or directory; make the file"),
-        ("postgresql://me@db/drivecal", b"\n", "password is empty; write the database's password into it"),
-        ("postgresql://me@db/drivecal", b"\xff", "password cannot be read: it is no text"),
-        ("postgresql://me:known@db/drivecal", b"word", "no place in the database URL; name a user and no password"),
-        ("postgresql://db/drivecal", b"word", "no place in the database URL; name a user"),
+        ("postgresql://me@db/drivecal", None, "password .*No such file or directory"),
+        ("postgresql://me@db/drivecal", b"\n", "password is empty"),
+        ("postgresql://me@db/drivecal", b"\xff", "password .*text"),
+        ("postgresql://me:known@db/drivecal", b"word", "database URL.*no password"),
+        ("postgresql://db/drivecal", b"word", "database URL.*user"),
     ],
 )
 def test_a_missing_password_is_named_with_its_file(tmp_path: Path, url: str, content: bytes | None, message: str) -> None:

@@ -81,9 +81,9 @@ def test_every_mistake_is_told_at_once() -> None:
 
 
 def test_what_is_no_readable_file_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InvalidInputError, match=r"cannot be read: No such file.*DRIVECAL_TOKENS_FILE"):
+    with pytest.raises(InvalidInputError, match=r"No such file.*DRIVECAL_TOKENS_FILE"):
         TokenFile(tmp_path / "nothing")
-    with pytest.raises(InvalidInputError, match="cannot be read: Is a directory"):
+    with pytest.raises(InvalidInputError, match="Is a directory"):
         TokenFile(tmp_path)
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(InvalidInputError, match="it is no file"):
@@ -132,7 +132,7 @@ def test_a_version_that_is_wrong_leaves_the_tokens_as_they_were_and_says_so_once
 def test_other_machines_are_let_in_with_tokens_only(address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("DRIVECAL_TOKENS_FILE", raising=False)
-    with pytest.raises(InvalidInputError, match=r"--tokens-file or DRIVECAL_TOKENS_FILE, or listen on 127\.0\.0\.1"):
+    with pytest.raises(InvalidInputError, match=r"--tokens-file.*DRIVECAL_TOKENS_FILE.*127\.0\.0\.1"):
         check_exposure(address, load_settings())
     check_exposure(address, load_settings(tokens_file="tokens"))
 

@@ -100,7 +100,7 @@ def test_of_very_many_wrong_values_the_first_ones_are_told() -> None:
 
 def test_very_many_wrong_values_behind_good_ones_are_counted() -> None:
     regions: dict[str, object] = {f"P{other}": {} if other < 100 else 1 for other in range(190)}
-    with pytest.raises(InvalidInputError, match=r"^900 values do not fit, none of them among the first 30"):
+    with pytest.raises(InvalidInputError, match=r"^900 "):
         validated(InfluenceMapSpecification, {"scenarios": {f"S{one}": regions for one in range(10)}})
 
 
@@ -110,7 +110,7 @@ def test_a_large_document_that_fits_is_read_whole() -> None:
 
 
 def test_what_is_missing_from_a_large_document_is_told() -> None:
-    with pytest.raises(InvalidInputError, match=r"^scenarios: the value is missing; give it$"):
+    with pytest.raises(InvalidInputError, check=lambda error: error.problems[0].field == "scenarios"):
         validated(
             InfluenceMapSpecification,
             {"parameters": [{"name": f"P{i}", "lower": 0, "upper": 1, "step": 1} for i in range(190)]},

@@ -27,21 +27,21 @@ def test_urls_of_both_backends_get_the_driver_that_drivecal_brings(given: str, d
 
 @pytest.mark.parametrize("given", ["", "drivecal.db", "sqlite:", "://", "postgresql://me:s3cret@host:port/db"])
 def test_a_url_that_cannot_be_read_is_refused_with_examples_and_without_its_password(given: str) -> None:
-    with pytest.raises(DatabaseError, match=r"give e\.g\. sqlite:////home") as caught:
+    with pytest.raises(DatabaseError, match="sqlite:////home") as caught:
         urls.parse(given)
     assert "s3cret" not in str(caught.value)
 
 
 @pytest.mark.parametrize("given", ["mysql://me:s3cret@host/db", "oracle://me:s3cret@host/db"])
 def test_another_backend_is_refused_by_name(given: str) -> None:
-    with pytest.raises(DatabaseError, match=r"cannot use '(mysql|oracle)'") as caught:
+    with pytest.raises(DatabaseError, match=r"'(mysql|oracle)'") as caught:
         urls.parse(given)
     assert "s3cret" not in str(caught.value)
 
 
 @pytest.mark.parametrize("given", ["sqlite://", "sqlite:///:memory:", "sqlite:///file:x?mode=memory&uri=true"])
 def test_a_database_that_processes_cannot_share_is_refused(given: str) -> None:
-    with pytest.raises(DatabaseError, match="SQLite needs a plain file"):
+    with pytest.raises(DatabaseError, match="SQLite"):
         urls.parse(given)
 
 
