@@ -159,7 +159,7 @@ def residual_outputs(
     """Returns the network's additions to lateral acceleration over g and to yaw acceleration (scaled like its inputs).
 
     One hidden layer of tanh over `lateral` times (1, speed, pull) and over (1, speed, pull), minus the same with `lateral` mirrored. The
-    function is odd: mirrored manoeuvres stay mirrored, straight driving stays straight. The order of summation is fixed. Clipped to the bounds.
+    function is odd: mirrored manoeuvres stay mirrored, straight driving stays straight. Fixed order of summation; clipped to the bounds.
     """
     first, second = 0.0, 0.0
     width = N_INPUTS + N_OUTPUTS
