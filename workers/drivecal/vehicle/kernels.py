@@ -159,8 +159,7 @@ def residual_outputs(
     """Returns the network's additions to lateral acceleration over g and to yaw acceleration (scaled like its inputs).
 
     One hidden layer of tanh over `lateral` times (1, speed, pull) and over (1, speed, pull), minus the same with `lateral` mirrored. The
-    function is odd, so that mirrored manoeuvres stay mirrored and straight driving stays straight. The order of summation is fixed. Outputs
-    are clipped to the bounds.
+    function is odd: mirrored manoeuvres stay mirrored, straight driving stays straight. Fixed order of summation; clipped to the bounds.
     """
     first, second = 0.0, 0.0
     width = N_INPUTS + N_OUTPUTS
@@ -179,10 +178,7 @@ def residual_outputs(
 
 @njit(cache=True)
 def residual_accelerations(state: Floats, delta_rate: float, acceleration: float, plant: Floats) -> tuple[float, float, bool]:
-    """Returns the residual's lateral (m/s^2) and yaw acceleration (rad/s^2), and whether the state is within its range.
-
-    A vehicle without residual gets zeros and False.
-    """
+    """Returns the residual's lateral (m/s^2) and yaw acceleration (rad/s^2), 0 without residual, and whether it is within its range."""
     v, yaw_rate = state[3], state[5]
     if plant.shape[0] <= COEFFICIENTS or not v >= DYNAMIC_ABOVE:
         return 0.0, 0.0, False
