@@ -58,7 +58,7 @@ def test_from_the_form_to_the_replay_and_back_through_a_restart(tmp_path: Path, 
         page.get_by_role("link", name="Ranking").click()
         page.get_by_text("Weigh the scenarios differently").click()
         page.get_by_role("slider", name="S5").fill("3")
-        expect(page.get_by_text("Ranked anew under S3=1,S5=3")).to_be_visible()
+        expect(page.get_by_text("Ranked under S3=1,S5=3")).to_be_visible()
         page.get_by_role("button", name="Search again under these weights").click()
         page.get_by_role("link", name="compare", exact=True).click()
         expect(page.get_by_role("row", name="weights.S5")).to_contain_text("3")

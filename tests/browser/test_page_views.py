@@ -242,7 +242,7 @@ def test_where_tokens_are_asked_for_the_page_asks_for_one_and_keeps_none(tmp_pat
         page.reload()
         expect(page.get_by_text("Finished.")).to_be_visible()
         page.goto(f"{api.url}/#/evaluations/1")
-        expect(page.get_by_text("Yours may only read.")).to_be_visible()
+        expect(page.get_by_text("Your token is read-only.")).to_be_visible()
         kept = page.evaluate("JSON.stringify([document.cookie, {...localStorage}, {...sessionStorage}])")
         assert json.loads(kept) == ["", {}, {}]
         page.get_by_role("button", name="Log out").click()
