@@ -12,15 +12,17 @@ from dataclasses import dataclass
 from typing import Literal
 
 from drivecal.domain.evaluations import Donor, Outcome
+from drivecal.domain.parameters import ParameterSet
 
 
 @dataclass(frozen=True, slots=True)
 class RequestedCell:
-    """A cell that the optimizer asks for. `reference_key` is None where no influence map is used."""
+    """A cell that a stage asks for. `individual` numbers the parameter sets of an iteration; `reference_key` is None without an influence
+    map."""
 
     individual: int
     scenario: str
-    parameter_key: bytes
+    parameters: ParameterSet
     reference_key: bytes | None = None
 
 
@@ -49,21 +51,23 @@ class Policy:
     stopped: Collection[str] = ()
 
 
-Donors = Mapping[tuple[str, bytes], Donor]
+def assign(
+    cells: Sequence[RequestedCell],
+    policy: Policy,
+    exact: Mapping[tuple[str, ParameterSet], Donor],
+    references: Mapping[tuple[str, bytes], Donor],
+) -> list[Assignment]:
+    """Returns the assignment of each cell, in order.
 
-
-def assign(cells: Sequence[RequestedCell], policy: Policy, exact: Donors, references: Donors) -> list[Assignment]:
-    """One assignment per cell, in order.
-
-    `exact` holds stored results by (scenario, parameter key), `references` by (scenario, reference key).
+    `exact` holds stored results by (scenario, parameter set), `references` by (scenario, reference key).
     """
     if policy.mode == "off":
         return [Assignment(Outcome.SIMULATED) for _ in cells]
-    same_set: dict[tuple[str, bytes], int] = {}
+    same_set: dict[tuple[str, ParameterSet], int] = {}
     same_class: dict[tuple[str, bytes], int] = {}
     assignments: list[Assignment] = []
     for position, cell in enumerate(cells):
-        identity = (cell.scenario, cell.parameter_key)
+        identity = (cell.scenario, cell.parameters)
         if identity in exact:
             assignments.append(Assignment(Outcome.REPEATED, donor=exact[identity]))
             continue
@@ -91,7 +95,7 @@ def assign(cells: Sequence[RequestedCell], policy: Policy, exact: Donors, refere
 
 def is_audited(cell: RequestedCell, policy: Policy) -> bool:
     """Whether this cell is simulated although it could be reused: by a hash of seed, scenario and parameter set."""
-    return _drawn(f"{policy.seed}:{cell.scenario}:".encode() + cell.parameter_key, policy.audit)
+    return _drawn(f"{policy.seed}:{cell.scenario}:".encode() + cell.parameters.key, policy.audit)
 
 
 def is_checked(campaign: int, scenario: str, parameter_key: bytes, share: float) -> bool:

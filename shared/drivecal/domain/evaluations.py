@@ -56,23 +56,16 @@ FAILED_RATING = Rating(rating=0.0, score=0)
 
 @dataclass(frozen=True, slots=True)
 class RunResult:
-    """Result of one simulation: its rating, the measured metrics (names carry units) and the failure, if any."""
-
-    rating: Rating
-    metrics: Mapping[str, float]
-    failure: Failure | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Answered:
-    """A result and its certificate.
+    """Result of one simulation: its rating, the measured metrics (names carry units), the failure, if any, and its certificate.
 
     `proven_by`: the number of the run that the result provably repeats, None without a certificate. `agrees`: whether a simulation gave
     the same result as the certificate, None if it was not simulated. `agrees` is False without `proven_by` if the simulation turned out
     not to be deterministic.
     """
 
-    result: RunResult
+    rating: Rating
+    metrics: Mapping[str, float]
+    failure: Failure | None = None
     proven_by: int | None = None
     agrees: bool | None = None
 

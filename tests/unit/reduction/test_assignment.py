@@ -6,19 +6,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivecal.domain.evaluations import Donor, Outcome
+from drivecal.domain.parameters import ParameterSet
 from drivecal.reduction.assignment import Assignment, Policy, RequestedCell, assign, is_audited
 
 DONOR = Donor(evaluation=7, run=3, score=5, rating=5.2, failure=None)
 
 
-def _cell(individual: int, parameter_key: str, reference_key: str | None = None, scenario: str = "S1") -> RequestedCell:
-    return RequestedCell(
-        individual, scenario, parameter_key.encode(), None if reference_key is None else reference_key.encode()
-    )
+def _set(label: str) -> ParameterSet:
+    return ParameterSet(("P1",), (int.from_bytes(label.encode()),))
+
+
+def _cell(individual: int, label: str, reference_key: str | None = None, scenario: str = "S1") -> RequestedCell:
+    return RequestedCell(individual, scenario, _set(label), None if reference_key is None else reference_key.encode())
 
 
 def test_a_stored_set_is_repeated_even_where_a_reference_exists_too() -> None:
-    found = assign([_cell(0, "a", "k")], Policy("influence"), {("S1", b"a"): DONOR}, {("S1", b"k"): DONOR})
+    found = assign([_cell(0, "a", "k")], Policy("influence"), {("S1", _set("a")): DONOR}, {("S1", b"k"): DONOR})
     assert found == [Assignment(Outcome.REPEATED, donor=DONOR)]
 
 
@@ -45,11 +48,13 @@ def test_exact_mode_copies_nothing_but_equal_sets() -> None:
 
 def test_off_simulates_everything() -> None:
     cells = [_cell(0, "a", "k"), _cell(1, "a", "k")]
-    assert assign(cells, Policy("off"), {("S1", b"a"): DONOR}, {("S1", b"k"): DONOR}) == [Assignment(Outcome.SIMULATED)] * 2
+    assert (
+        assign(cells, Policy("off"), {("S1", _set("a")): DONOR}, {("S1", b"k"): DONOR}) == [Assignment(Outcome.SIMULATED)] * 2
+    )
 
 
 def test_scenarios_answer_only_themselves() -> None:
-    found = assign([_cell(0, "a", "k", "S2")], Policy("influence"), {("S1", b"a"): DONOR}, {("S1", b"k"): DONOR})
+    found = assign([_cell(0, "a", "k", "S2")], Policy("influence"), {("S1", _set("a")): DONOR}, {("S1", b"k"): DONOR})
     assert found == [Assignment(Outcome.SIMULATED)]
 
 
@@ -94,4 +99,4 @@ def test_every_leader_stands_earlier_and_is_simulated(
             assert one.leader is not None
         if one.plan is Outcome.REPEATED:
             assert one.leader is not None
-            assert cells[one.leader].parameter_key == cells[position].parameter_key
+            assert cells[one.leader].parameters == cells[position].parameters

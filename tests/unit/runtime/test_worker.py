@@ -13,7 +13,7 @@ import pytest
 
 from drivecal.contracts.work import Batch, Cell, CellResult, CertificateMemory, Probe, SetupRequest
 from drivecal.domain.errors import UnavailableError
-from drivecal.domain.evaluations import Answered, Failure, Rating, RunResult
+from drivecal.domain.evaluations import Failure, Rating, RunResult
 from drivecal.plugins import registry
 from drivecal.plugins.setups import setup_of, simulator
 from drivecal.runtime import compilation
@@ -37,18 +37,18 @@ class ScriptedRunner:
     runs: int = 0
     known: dict[float, tuple[int, RunResult]] = field(default_factory=dict)
 
-    def answer(self, parameters: Sequence[float], number: int, *, check: bool) -> Answered:
+    def answer(self, parameters: Sequence[float], number: int, *, check: bool) -> RunResult:
         first, second = parameters
         if second in self.known and not check:
             by, result = self.known[second]
-            return Answered(result, by)
+            return replace(result, proven_by=by)
         result = self.run(parameters)
         if first == 8.0:
-            return Answered(result, agrees=False)
+            return replace(result, agrees=False)
         if second in self.known:
-            return Answered(result, self.known[second][0], first != 7.0)
+            return replace(result, proven_by=self.known[second][0], agrees=first != 7.0)
         self.known[second] = number, result
-        return Answered(result)
+        return result
 
     def prove(self, parameters: Sequence[float]) -> int | None:
         return self.known[parameters[1]][0] if parameters[1] in self.known else None

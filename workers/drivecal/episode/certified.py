@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 from drivecal.certification.memory import Memory
 from drivecal.certification.trie import NotDeterministicError, Trie
-from drivecal.domain.evaluations import Answered, RunResult
+from drivecal.domain.evaluations import RunResult
 from drivecal.domain.scenarios import Scenario
 from drivecal.episode.runner import EpisodeRunner
 from drivecal.plugins.ports import DrivingFunction, Evaluator, VehicleModel
@@ -30,29 +31,29 @@ class CertifiedRunner(EpisodeRunner):
         self._memory = memory
         self._trie: Trie[RunResult] | None = None
 
-    def answer(self, parameters: Sequence[float], number: int, *, check: bool) -> Answered:
+    def answer(self, parameters: Sequence[float], number: int, *, check: bool) -> RunResult:
         """Returns the result for these parameter values, by a certificate if possible.
 
         A simulated run is recorded under `number` and may certify later ones. `check`: simulate in any case. Raises like `run`.
         """
         if not self._certifiable:
-            return Answered(self.run(parameters))
+            return self.run(parameters)
         if self._trie is None:
             planner: Any = self.planner  # a `certifiable` driving function creates `CertifiablePlanner`s
             self._trie = Trie(planner, self._memory)
         certificate = self._trie.prove(parameters)
         if certificate is not None and not check:
-            return Answered(certificate.result, certificate.proven_by)
+            return replace(certificate.result, proven_by=certificate.proven_by)
         recording = self._trie.record()
         result = self.run(parameters, recording)
         try:
             recording.finish(result, number)
         except NotDeterministicError:
             self.forget()
-            return Answered(result, agrees=False)
+            return replace(result, agrees=False)
         if certificate is None:
-            return Answered(result)
-        return Answered(result, certificate.proven_by, result == certificate.result)
+            return result
+        return replace(result, proven_by=certificate.proven_by, agrees=result == certificate.result)
 
     def prove(self, parameters: Sequence[float]) -> int | None:
         """Returns the number of the run that these parameters would provably repeat, or None. Simulates nothing."""

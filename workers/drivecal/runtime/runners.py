@@ -10,7 +10,7 @@ from typing import Any, Protocol
 from drivecal.certification.memory import Memory
 from drivecal.contracts.work import SetupRequest
 from drivecal.domain.errors import ConflictError, DrivecalError, InvalidInputError, Problem, UnavailableError
-from drivecal.domain.evaluations import Answered, RunResult
+from drivecal.domain.evaluations import RunResult
 from drivecal.domain.scenarios import Scenario
 from drivecal.domain.setups import Setup
 from drivecal.plugins import registry
@@ -32,7 +32,7 @@ class Runner(Protocol):
     def run(self, parameters: Sequence[float]) -> RunResult:
         """Simulates and rates one parameter set."""
 
-    def answer(self, parameters: Sequence[float], number: int, *, check: bool) -> Answered:
+    def answer(self, parameters: Sequence[float], number: int, *, check: bool) -> RunResult:
         """Returns the result of `run`, without simulation if it would provably repeat an earlier run.
 
         A simulated run is recorded under `number`. `check`: simulate in any case.
@@ -64,7 +64,7 @@ class _EpisodeRunner:
     def run(self, parameters: Sequence[float]) -> RunResult:
         return self._episode.run(parameters)
 
-    def answer(self, parameters: Sequence[float], number: int, *, check: bool) -> Answered:
+    def answer(self, parameters: Sequence[float], number: int, *, check: bool) -> RunResult:
         return self._episode.answer(parameters, number, check=check)
 
     def prove(self, parameters: Sequence[float]) -> int | None:

@@ -19,7 +19,7 @@ from typing import Any
 from drivecal.certification.memory import Memory
 from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult, CertificateMemory, Probe, SetupRequest
 from drivecal.domain.errors import ConflictError, DrivecalError, UnavailableError
-from drivecal.domain.evaluations import Answered, Breakdown
+from drivecal.domain.evaluations import Breakdown
 from drivecal.runtime.compilation import prepare_cache
 from drivecal.runtime.runners import RefusedError, Runner, make_runner
 
@@ -88,10 +88,7 @@ class Worker:
             parameters = [cell.parameters[name] for name in runner.parameters]
             if cell.trace:
                 return _traced(cell, runner.trace(parameters), start)
-            answered = (
-                runner.answer(parameters, cell.id, check=cell.check) if cell.certify else Answered(runner.run(parameters))
-            )
-            result = answered.result
+            result = runner.answer(parameters, cell.id, check=cell.check) if cell.certify else runner.run(parameters)
             rating = _finite("the rating", result.rating.rating)
             metrics = {name: _finite(name, value) for name, value in result.metrics.items()}
             failure = result.failure.value if result.failure else None
@@ -103,8 +100,8 @@ class Worker:
                 metrics=metrics,
                 failure=failure,
                 milliseconds=milliseconds,
-                proven_by=answered.proven_by,
-                agrees=answered.agrees,
+                proven_by=result.proven_by,
+                agrees=result.agrees,
                 probed=_probed(runner, cell.probes),
             )
         except RefusedError:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
@@ -23,15 +23,6 @@ from drivecal.storage import evaluations
 from drivecal.storage.engine.database import Database
 from drivecal.storage.evaluations import NewEvaluation
 from drivecal.storage.references import parameter_sets, reference_keys, runs, setups
-
-
-@dataclass(frozen=True, slots=True)
-class WantedCell:
-    """A cell that a stage asks for. `individual` numbers the parameter sets of an iteration."""
-
-    individual: int
-    scenario: str
-    parameters: ParameterSet
 
 
 @dataclass(frozen=True)
@@ -88,14 +79,13 @@ def _keys_of(view: View, scenario: str, names: tuple[str, ...], values: npt.NDAr
 
 @MEASURES.timed("lookup")
 def plan_cells(
-    connection: Connection, view: View, policy: Policy, stage: StageName, iteration: int, wanted: Sequence[WantedCell]
+    connection: Connection, view: View, policy: Policy, stage: StageName, iteration: int, wanted: Sequence[RequestedCell]
 ) -> list[NewEvaluation]:
     """Returns the planned answer of each requested cell, in order."""
     setup_ids = ensure_setups(connection, view.bench)
-    sets = {cell.parameters: None for cell in wanted}
-    set_ids = dict(zip(sets, parameter_sets.ensure(connection, list(sets)), strict=True))
-    set_keys = {parameter_set: parameter_set.key for parameter_set in sets}
-    exact: dict[tuple[str, bytes], Donor] = {}
+    sets = list(dict.fromkeys(cell.parameters for cell in wanted))
+    set_ids = dict(zip(sets, parameter_sets.ensure(connection, sets), strict=True))
+    exact: dict[tuple[str, ParameterSet], Donor] = {}
     references: dict[tuple[str, bytes], Donor] = {}
     class_keys: dict[tuple[str, ParameterSet], bytes] = {}
     stocked = runs.stocked(connection, setup_ids.values())  # nothing is known in other vehicles that were never driven
@@ -107,18 +97,13 @@ def plan_cells(
             keys = view.keys[scenario].keys(billionths_matrix(here))
             class_keys |= {(scenario, asked): key for asked, key in zip(here, keys, strict=True)}
         if policy.mode != "off" and setup_id in stocked:
-            by_id = {set_ids[parameter_set]: set_keys[parameter_set] for parameter_set in here}
+            by_id = {set_ids[parameter_set]: parameter_set for parameter_set in here}
             known = _exact(connection, view, scenario, setup_id, list(by_id))
             exact |= {(scenario, by_id[set_id]): donor for set_id, donor in known.items()}
         if policy.mode == "influence" and scenario in view.keys and setup_id in stocked:
             stored = _references(connection, view, scenario, setup_id, list(dict.fromkeys(keys)))
             references |= {(scenario, key): donor for key, donor in stored.items()}
-    cells = [
-        RequestedCell(
-            cell.individual, cell.scenario, set_keys[cell.parameters], class_keys.get((cell.scenario, cell.parameters))
-        )
-        for cell in wanted
-    ]
+    cells = [replace(cell, reference_key=class_keys.get((cell.scenario, cell.parameters))) for cell in wanted]
     return [
         NewEvaluation(
             stage=stage,
@@ -126,14 +111,14 @@ def plan_cells(
             individual=cell.individual,
             scenario=cell.scenario,
             setup_id=setup_ids[cell.scenario],
-            parameter_set_id=set_ids[asked.parameters],
+            parameter_set_id=set_ids[cell.parameters],
             plan=assignment.plan,
             reference_key=cell.reference_key,
             donor=assignment.donor,
             leader=assignment.leader,
             audited=assignment.audited,
         )
-        for asked, cell, assignment in zip(wanted, cells, assign(cells, policy, exact, references), strict=True)
+        for cell, assignment in zip(cells, assign(cells, policy, exact, references), strict=True)
     ]
 
 

@@ -16,7 +16,7 @@ from sqlalchemy import Connection
 from drivecal.analysis.confirmation import Confirmation, verdict_in
 from drivecal.analysis.solutions import EQUAL, EvaluatedSet, Ranking
 from drivecal.campaigns.cells.cell_tracker import Work
-from drivecal.campaigns.cells.planning import View, WantedCell, sync_reference_keys
+from drivecal.campaigns.cells.planning import View, sync_reference_keys
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.resolve.search_area import given_indices, search_area
 from drivecal.campaigns.stages.stage import CampaignStage, Round
@@ -26,7 +26,7 @@ from drivecal.domain.errors import NoResultError
 from drivecal.domain.events import EventKind
 from drivecal.domain.parameters import ParameterSet
 from drivecal.plugins.ports import Optimizer, Proposal
-from drivecal.reduction.assignment import Policy
+from drivecal.reduction.assignment import Policy, RequestedCell
 from drivecal.reduction.audit import error_rates
 from drivecal.storage import audits, campaigns, events, generations, results
 from drivecal.storage.campaigns import Snapshot, StoredCampaign
@@ -135,7 +135,7 @@ class Calibration(CampaignStage):
         changed = [int(index) for index in np.flatnonzero(proposal.changed)]
         sets = problem.space.parameter_sets(self._area.expand(proposal.population[changed]))
         wanted = [
-            WantedCell(individual, scenario, parameters)
+            RequestedCell(individual, scenario, parameters)
             for individual, parameters in zip(changed, sets, strict=True)
             for scenario in problem.scenarios
         ]
@@ -189,7 +189,7 @@ class Calibration(CampaignStage):
             self._save(connection)
         if chosen is None:
             return None
-        wanted = [WantedCell(0, scenario, parameters) for scenario in chosen.reused]
+        wanted = [RequestedCell(0, scenario, parameters) for scenario in chosen.reused]
         tried.append(chosen.parameter_set)
         return Round(first + len(tried) - 1, [(self._problem.bench, wanted)], Policy("exact"))
 

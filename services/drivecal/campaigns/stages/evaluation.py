@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from drivecal.campaigns.cells.cell_tracker import Work
-from drivecal.campaigns.cells.planning import View, WantedCell
+from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.cells.rerating import rate_stored_runs
 from drivecal.campaigns.resolve.problem import EvaluationProblem
 from drivecal.campaigns.stages.stage import Round, Stage
 from drivecal.domain.campaigns import StageName
-from drivecal.reduction.assignment import Policy
+from drivecal.reduction.assignment import Policy, RequestedCell
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 
@@ -38,7 +38,7 @@ class SingleEvaluation(Stage):
             return None
         self._asked = True
         bench, parameters = self._problem.bench, self._problem.parameter_set
-        cells = [WantedCell(0, scenario, parameters) for scenario in bench.scenarios]
+        cells = [RequestedCell(0, scenario, parameters) for scenario in bench.scenarios]
         return Round(0, [(bench, cells)], Policy("off" if self._view.traced else "exact"))
 
     def _tell(self, asked: Round) -> None:

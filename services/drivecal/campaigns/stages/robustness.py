@@ -12,7 +12,7 @@ from sqlalchemy import Connection
 from drivecal.analysis.optima import one_per_region_first, optima
 from drivecal.analysis.robustness import Robustness, RobustnessSettings, RobustnessStudy
 from drivecal.analysis.solutions import EQUAL, Ranking
-from drivecal.campaigns.cells.planning import View, WantedCell
+from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.results.optima import MOST_BEST, MOST_WORSE, unit_cube
 from drivecal.campaigns.stages.stage import Round
@@ -23,6 +23,7 @@ from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
 from drivecal.domain.evaluations import CellScore
 from drivecal.domain.parameters import ParameterSet
 from drivecal.plugins.ports import Floats
+from drivecal.reduction.assignment import RequestedCell
 from drivecal.storage import campaigns, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -127,7 +128,7 @@ class RobustnessStage(StudyStage):
         bench, scenarios = self._problem.bench, self._problem.scenarios
         if self._study is None:
             cells = [
-                WantedCell(index, scenario, examined.parameters)
+                RequestedCell(index, scenario, examined.parameters)
                 for index, examined in enumerate(self._examined)
                 for scenario in scenarios
             ]
@@ -136,12 +137,12 @@ class RobustnessStage(StudyStage):
         if box is None:
             return None
         samples, asked = self._settings.samples, []
-        by_vehicle: dict[tuple[tuple[str, float], ...], list[WantedCell]] = {}
+        by_vehicle: dict[tuple[tuple[str, float], ...], list[RequestedCell]] = {}
         for solution, vehicles in box.vehicles.items():
             for sample, vehicle in enumerate(vehicles):
                 cells = by_vehicle.setdefault(tuple(vehicle.items()), [])
                 cells += [
-                    WantedCell(solution * samples + sample, scenario, self._examined[solution].parameters)
+                    RequestedCell(solution * samples + sample, scenario, self._examined[solution].parameters)
                     for scenario in scenarios
                 ]
         for values, cells in by_vehicle.items():

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from sqlalchemy import Connection
 
-from drivecal.campaigns.cells.planning import View, WantedCell
+from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.resolve.maps import analysis_to_document, smallest_s_rel, stored_map
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.resolve.spaces import space_to_document
@@ -21,6 +21,7 @@ from drivecal.domain.events import EventKind
 from drivecal.domain.influence import InfluenceMap
 from drivecal.domain.parameters import ParameterSet, text
 from drivecal.plugins.ports import Floats
+from drivecal.reduction.assignment import RequestedCell
 from drivecal.reduction.keys import ReferenceKeys, billionths_matrix
 from drivecal.sensitivity.analysis import Phase, SensitivityAnalysis
 from drivecal.sensitivity.scenario import ScenarioInfluence
@@ -88,13 +89,13 @@ class Sensitivity(CampaignStage):
         for note in self._problem.notes:
             events.add(connection, sequence, EventKind.NOTE, {"text": note})
 
-    def _wanted(self, phase: Phase) -> list[WantedCell]:
+    def _wanted(self, phase: Phase) -> list[RequestedCell]:
         sets: dict[int, list[ParameterSet]] = {}
         for points in phase.points.values():
             if id(points) not in sets:  # scenarios may share one array
                 sets[id(points)] = self._problem.space.parameter_sets(points)
         return [
-            WantedCell(individual, scenario, parameters)
+            RequestedCell(individual, scenario, parameters)
             for scenario, points in phase.points.items()
             for individual, parameters in enumerate(sets[id(points)])
         ]

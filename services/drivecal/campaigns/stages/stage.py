@@ -11,14 +11,14 @@ from typing import ClassVar
 from sqlalchemy import Connection
 
 from drivecal.campaigns.cells.cell_tracker import CellTracker, Work
-from drivecal.campaigns.cells.planning import View, WantedCell, plan_cells
+from drivecal.campaigns.cells.planning import View, plan_cells
 from drivecal.campaigns.job import Job
 from drivecal.campaigns.resolve.problem import Bench, CalibrationProblem
 from drivecal.campaigns.stages.eta import EtaEstimate
 from drivecal.contracts.campaign import Progress
 from drivecal.domain.campaigns import StageName
 from drivecal.execution.scheduling.scheduler import Completed
-from drivecal.reduction.assignment import Policy
+from drivecal.reduction.assignment import Policy, RequestedCell
 from drivecal.storage import campaign_stages, campaigns, results
 from drivecal.storage.campaigns import Snapshot, StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -29,7 +29,7 @@ class Round:
     """Cells that a stage requests together, with their bench and the permitted kinds of answer."""
 
     number: int
-    cells: Sequence[tuple[Bench, Sequence[WantedCell]]]
+    cells: Sequence[tuple[Bench, Sequence[RequestedCell]]]
     policy: Policy
     carried_over: int = 0
 

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drivecal.analysis.validation import ReducibleSpace, ValidationDesign, design
-from drivecal.campaigns.cells.planning import View, WantedCell
+from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.stages.stage import Round
 from drivecal.campaigns.stages.study import StudyStage
@@ -18,6 +18,7 @@ from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import CellScore
 from drivecal.domain.influence import InfluenceMap
 from drivecal.domain.parameters import ParameterSpace
+from drivecal.reduction.assignment import RequestedCell
 from drivecal.reduction.audit import clopper_pearson
 from drivecal.reduction.keys import ReferenceKeys
 from drivecal.storage.campaigns import StoredCampaign
@@ -83,7 +84,7 @@ class ValidationStage(StudyStage):
             if pairs is None:
                 continue
             together = np.concatenate([pairs.bases[:, None], pairs.variants], axis=1).reshape(-1, pairs.bases.shape[1])
-            cells += [WantedCell(number, scenario, each) for number, each in enumerate(space.parameter_sets(together))]
+            cells += [RequestedCell(number, scenario, each) for number, each in enumerate(space.parameter_sets(together))]
         return Round(0, [(self._problem.bench, cells)], self._exact) if cells else None
 
     def _take(self, number: int, answers: Sequence[CellScore]) -> None:
