@@ -13,7 +13,7 @@ from sqlalchemy import make_url
 from tests.support.misbehaviour import FOLDER
 from tests.support.postgres import running_postgres
 
-from drivecal.dispatch.trial import trial
+from drivecal.campaigns.resolve.problem import trial
 from drivecal.execution.ray.backend import RayBackend, RayOptions
 
 # No test asserts a time: a first example that imports or compiles something may take as long as it likes.

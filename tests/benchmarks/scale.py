@@ -26,8 +26,8 @@ from tests.support.computed import computed
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.contracts.work import Batch, BatchResult
 from drivecal.dispatch.dispatcher import Dispatcher
-from drivecal.dispatch.leasing import StoredLeases
 from drivecal.execution.backend import Finished, Lost, Slot, WorkerInfo
+from drivecal.execution.leasing import StoredLeases
 from drivecal.execution.pool import WorkPool
 from drivecal.plugins import registry
 from drivecal.plugins.setups import setup_of

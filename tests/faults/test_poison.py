@@ -20,6 +20,7 @@ from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.pool import WorkPool
 from drivecal.execution.ray.backend import RayBackend
 from drivecal.execution.scheduling.batching import BatchPolicy
+from drivecal.execution.scheduling.in_flight import Work
 from drivecal.execution.scheduling.scheduler import ATTEMPTS, Completed
 from drivecal.storage.engine.tables import evaluations
 
@@ -66,11 +67,11 @@ def test_a_segfault_a_hang_and_exhausted_memory_in_a_batch_of_sixteen_cost_their
     pool = WorkPool(healed, policy=ALL_AT_ONCE)
     setup = misbehaving_setup(name="poisonous")
     begin = time.monotonic()
-    pool.submit(setup, [Cell(1, {"dose": 0.0})], tag="test")  # tells what a cell costs, without which batches are of one
+    pool.submit(Work(setup, [Cell(1, {"dose": 0.0})]), tag="test")  # tells what a cell costs, without which batches are of one
     _drain(pool)
     deadline = max(SHORTEST_DEADLINE_SECONDS, PATIENCE_FACTOR * (time.monotonic() - begin))
     monkeypatch.setattr(healed, "_options", replace(healed._options, deadline_seconds=deadline))
-    pool.submit(setup, [Cell(100 + dose, {"dose": float(dose)}) for dose in range(POISON.DOSES)], tag="test")
+    pool.submit(Work(setup, [Cell(100 + dose, {"dose": float(dose)}) for dose in range(POISON.DOSES)]), tag="test")
     completed = {one.result.id - 100: one for one in _drain(pool)}
     assert max(len(batch) for batch in sent) == len(completed) == POISON.DOSES
     assert {dose: one.result.breakdown for dose, one in completed.items() if one.result.breakdown} == CAUSES

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -46,7 +48,7 @@ def test_what_is_certified_is_what_a_simulation_gives_bit_for_bit(name: str) -> 
     for number, parameters in enumerate(sets(seed=4, families=3, members=20)):
         answered = certifying.answer(parameters, number, check=False)
         truth = judge.run(parameters)
-        assert answered.result == truth
+        assert replace(answered, proven_by=None) == truth
         if answered.proven_by is None:
             simulated[number] = truth
         else:
@@ -80,7 +82,7 @@ def test_a_small_memory_forgets_in_all_scenarios_and_stays_right() -> None:
     for number, parameters in enumerate(sets(seed=9, families=3, members=6)):
         for name in names:
             answered = certifying[name].answer(parameters, number, check=False)
-            assert answered.result == judges[name].run(parameters)
+            assert replace(answered, proven_by=None) == judges[name].run(parameters)
             assert memory.bytes <= memory.limit
             forgot += memory.bytes < before
             before = memory.bytes

@@ -13,13 +13,13 @@ from tests.support.comparisons import runs_of, submit_comparison
 from tests.support.computed import ComputedBackend, computed
 from tests.support.runs import dispatcher, everything, get, nothing_matters, post_map, run, submit
 
-from drivecal.campaigns.cells.cell_tracker import Work
 from drivecal.campaigns.comparisons.resolve import CONFIRMED
 from drivecal.campaigns.comparisons.results import compared as read_compared
 from drivecal.campaigns.results.verification import verify
 from drivecal.campaigns.stages.campaign import StagedCampaign
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import CampaignState
+from drivecal.execution.scheduling.in_flight import Work
 from drivecal.execution.scheduling.scheduler import Completed
 from drivecal.storage import campaigns, generations, results
 from drivecal.storage.campaigns import StoredCampaign
@@ -30,7 +30,7 @@ def cells_of(database: Database, one: StoredCampaign, iteration: int = 0) -> lis
     """What a run asked for in an iteration."""
     with database.read() as connection:
         return [
-            (row.scenario, *row.parameters.values())
+            (row.scenario, *row.parameters.floats.values())
             for row in results.stream(connection, one.sequence)
             if row.iteration == iteration
         ]
@@ -97,7 +97,7 @@ def test_what_runs_have_in_common_is_simulated_once_and_counted_by_each(
     for one in runs:
         with database.read() as connection:
             rows = list(results.stream(connection, one.sequence))
-        distinct = {(row.scenario, *row.parameters.values()) for row in rows}
+        distinct = {(row.scenario, *row.parameters.floats.values()) for row in rows}
         assert one.cells.simulated == len(distinct), "what it would have taken alone"
         assert one.cells.repeated == len(rows) - len(distinct)
 

@@ -20,9 +20,9 @@ from drivecal.contracts.campaign import Best
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.leadership import Leadership
-from drivecal.dispatch.leasing import StoredLeases
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome
+from drivecal.execution.leasing import StoredLeases
 from drivecal.execution.pool import WorkPool
 from drivecal.storage import campaigns, events, generations, results
 from drivecal.storage.campaigns import StoredCampaign

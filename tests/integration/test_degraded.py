@@ -12,8 +12,8 @@ from drivecal.contracts.specification import CampaignSpecification
 from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.heartbeat import Heartbeat
 from drivecal.dispatch.leadership import Leadership
-from drivecal.dispatch.leasing import StoredLeases
 from drivecal.domain.campaigns import CampaignState
+from drivecal.execution.leasing import StoredLeases
 from drivecal.execution.pool import WorkPool
 from drivecal.storage import campaigns, processes
 from drivecal.storage.campaigns import StoredCampaign

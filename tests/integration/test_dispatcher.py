@@ -133,7 +133,7 @@ def test_every_copy_names_the_simulated_evaluation_that_answers_it(database: Dat
         assert donor.outcome is Outcome.SIMULATED
         assert (donor.scenario, donor.score, donor.rating) == (row.scenario, row.score, row.rating)
         assert (donor.iteration, donor.individual) < (row.iteration, row.individual)
-        differing = {name for name, value in row.parameters.items() if donor.parameters[name] != value}
+        differing = {name for name, value in row.parameters.floats.items() if donor.parameters.floats[name] != value}
         assert differing <= {IGNORED.get(row.scenario)}
         assert (row.outcome is Outcome.REPEATED) == (not differing)
 
@@ -284,4 +284,4 @@ def test_a_baseline_is_evaluated_first_and_shown(database: Database) -> None:
     with database.read() as connection:
         first = next(iter(results.stream(connection, campaign.sequence)))
     assert first.stage is StageName.CALIBRATION
-    assert (first.iteration, first.individual, first.parameters) == (0, 0, middle)
+    assert (first.iteration, first.individual, first.parameters.floats) == (0, 0, middle)

@@ -17,10 +17,10 @@ from drivecal.contracts.specification import CampaignSpecification, EvaluationSp
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.leadership import Leadership
-from drivecal.dispatch.leasing import StoredLeases
 from drivecal.domain.actions import Action
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import UnavailableError
+from drivecal.execution.leasing import StoredLeases
 from drivecal.execution.pool import WorkPool
 from drivecal.storage import campaigns, generations, results
 from drivecal.storage.campaigns import StoredCampaign

@@ -18,11 +18,11 @@ from tests.support.server import new_database
 from drivecal.contracts.work import Batch, Cell, CellResult
 from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.leadership import Leadership
-from drivecal.dispatch.leasing import StoredLeases
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import SupersededError
 from drivecal.domain.evaluations import Outcome
 from drivecal.execution.backend import Finished, Lost
+from drivecal.execution.leasing import StoredLeases
 from drivecal.execution.measures import MEASURES
 from drivecal.execution.pool import WorkPool
 from drivecal.execution.scheduling.scheduler import ATTEMPTS

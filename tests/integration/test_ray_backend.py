@@ -17,6 +17,7 @@ from drivecal.contracts.work import Batch, Cell
 from drivecal.execution.backend import Finished, Lost
 from drivecal.execution.pool import WorkPool
 from drivecal.execution.ray.backend import RayBackend
+from drivecal.execution.scheduling.in_flight import Work
 from drivecal.execution.scheduling.scheduler import Completed
 
 
@@ -39,7 +40,7 @@ def drain(pool: WorkPool) -> list[Completed]:
 
 def test_two_workers_share_the_cells_and_agree(pool: WorkPool) -> None:
     cells = misbehaving_cells([Behaviour.WELL] * 200)
-    pool.submit(misbehaving_setup(), cells, tag="test")
+    pool.submit(Work(misbehaving_setup(), cells), tag="test")
     completed = drain(pool)
     assert sorted(one.result.id for one in completed) == [cell.id for cell in cells]
     assert len({one.worker for one in completed}) == 2
@@ -48,7 +49,7 @@ def test_two_workers_share_the_cells_and_agree(pool: WorkPool) -> None:
 
 
 def test_workers_killed_from_outside_cost_no_cell(pool: WorkPool) -> None:
-    pool.submit(misbehaving_setup(), misbehaving_cells([Behaviour.WELL] * 400), tag="test")
+    pool.submit(Work(misbehaving_setup(), misbehaving_cells([Behaviour.WELL] * 400)), tag="test")
     completed = pool.poll(30.0)
     victim = next(worker for worker in pool.workers() if worker.pid is not None)
     assert victim.pid is not None
@@ -76,14 +77,14 @@ def test_an_answer_that_cannot_be_read_is_an_error_of_its_batch_only(ray_backend
 def test_another_version_at_the_coordinator_costs_no_cell_and_names_both_versions(pool: WorkPool) -> None:
     good = misbehaving_setup()
     other = replace(good, run_fingerprint="another", document=dict(good.document) | {"driving_function_version": "0.9"})
-    pool.submit(other, misbehaving_cells([Behaviour.WELL] * 20), tag="test")
+    pool.submit(Work(other, misbehaving_cells([Behaviour.WELL] * 20)), tag="test")
     completed: list[Completed] = []
     for _ in range(100):
         completed += pool.poll(0.1)
         if "2 workers refuse S1" in (pool.trouble() or ""):
             break
     assert "driving_function_version is 0.9 at the coordinator and 1 at the worker" in (pool.trouble() or "")
-    pool.submit(good, misbehaving_cells([Behaviour.WELL] * 20, first=101), tag="others")
+    pool.submit(Work(good, misbehaving_cells([Behaviour.WELL] * 20, first=101)), tag="others")
     while pool.held("others"):
         completed += pool.poll(0.5)
     assert sorted(one.result.id for one in completed) == list(range(101, 121))
@@ -115,7 +116,7 @@ def test_ray_leaves_the_signal_handlers_alone() -> None:
 
 WITHOUT_SUMO = """
 from drivecal.execution.backend import BackendLostError
-from drivecal.dispatch.trial import trial
+from drivecal.campaigns.resolve.problem import trial
 from drivecal.execution.ray.backend import RayBackend, RayOptions
 backend = RayBackend(RayOptions(workers=1), trial())
 try:

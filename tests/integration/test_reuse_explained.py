@@ -75,10 +75,10 @@ def test_every_simulated_cell_names_the_nearest_set_that_the_campaign_saw(databa
         expected = min(  # every blocking parameter differs by one or two halves of its range, 1
             visible,
             key=lambda row: (
-                _blocks(cell.scenario, cell.parameters, row.parameters),
+                _blocks(cell.scenario, cell.parameters.floats, row.parameters.floats),
                 sum(
-                    (cell.parameters[name] - value) ** 2
-                    for name, value in row.parameters.items()
+                    (cell.parameters.floats[name] - value) ** 2
+                    for name, value in row.parameters.floats.items()
                     if IGNORED.get(cell.scenario) != name
                 ),
                 row.campaign_sequence,
@@ -88,7 +88,11 @@ def test_every_simulated_cell_names_the_nearest_set_that_the_campaign_saw(databa
         )
         assert found.reference is not None
         assert found.reference.evaluation == expected.id
-        assert sum(one.blocks for one in found.differences) == _blocks(cell.scenario, cell.parameters, expected.parameters) > 0
+        assert (
+            sum(one.blocks for one in found.differences)
+            == _blocks(cell.scenario, cell.parameters.floats, expected.parameters.floats)
+            > 0
+        )
 
 
 def test_the_first_cell_of_all_finds_nothing_stored(database: Database) -> None:

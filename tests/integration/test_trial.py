@@ -9,7 +9,7 @@ import sys
 WARM_THEN_WORK = """
 import gc, json
 from drivecal.campaigns.resolve.problem import resolve
-from drivecal.dispatch.trial import trial
+from drivecal.campaigns.resolve.problem import trial
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.contracts.work import Batch, Cell
 from drivecal.runtime.worker import Worker

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 from drivecal.contracts.work import BatchResult, Cell, CellResult, SetupRequest
 from drivecal.execution.scheduling.batching import BatchPolicy
+from drivecal.execution.scheduling.in_flight import Work
 from drivecal.execution.scheduling.scheduler import Completed, Dispatch, Scheduler
 
 TARGET = BatchPolicy().target_seconds
@@ -65,7 +66,7 @@ class Plant:
 
     def add(self, tag: str, scenario: str, new: list[Cell], priority: int = 0) -> None:
         self._owners |= {cell.id: tag for cell in new}
-        self.scheduler.add(setup(scenario), new, tag, priority)
+        self.scheduler.add(Work(setup(scenario), new), tag, priority)
 
     def fill(self) -> None:
         """Sends what there is room for."""

@@ -14,8 +14,8 @@ from drivecal.contracts.specification import CampaignSpecification, InfluenceMap
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.leadership import Leadership
-from drivecal.dispatch.leasing import StoredLeases
 from drivecal.execution.backend import Backend
+from drivecal.execution.leasing import StoredLeases
 from drivecal.execution.pool import WorkPool
 from drivecal.storage import campaigns, generations, results
 from drivecal.storage.campaigns import StoredCampaign
@@ -106,7 +106,7 @@ def everything(database: Database, campaign: StoredCampaign) -> tuple[Any, ...]:
     numbered = {row.id: (row.iteration, row.individual, row.scenario) for row in rows}
     cells = [
         (
-            *(row.iteration, row.individual, row.scenario, tuple(row.parameters.values()), row.outcome, row.score),
+            *(row.iteration, row.individual, row.scenario, tuple(row.parameters.floats.values()), row.outcome, row.score),
             *(row.rating, row.failure, row.audited, row.agrees),
             None if row.reference is None else numbered.get(row.reference, "earlier"),
         )

@@ -17,7 +17,7 @@ from tests.support.plant import setup
 from drivecal.contracts.work import BatchResult, Cell, CellResult
 from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.scheduling.batching import BatchPolicy
-from drivecal.execution.scheduling.in_flight import WITNESSES
+from drivecal.execution.scheduling.in_flight import WITNESSES, Work
 from drivecal.execution.scheduling.scheduler import ATTEMPTS, Completed, Dispatch, Scheduler
 
 TAGS = ("a", "b", "c")
@@ -249,7 +249,7 @@ class Turmoil(RuleBasedStateMachine):
         for (tag, scenario, priority, exclusive), group in groups.items():
             cells = [Cell(row.id, {"P1": float(row.value)}) for row in group]
             earlier = {row.id: row.breakdowns for row in group if row.breakdowns}
-            self.scheduler.add(setup(scenario), cells, tag, priority, exclusive=exclusive, breakdowns=earlier)
+            self.scheduler.add(Work(setup(scenario), cells, exclusive=exclusive, breakdowns=earlier), tag, priority)
             for row in group:
                 row.withdrawn = False
                 self.rows[row.id] = row

@@ -115,7 +115,7 @@ def evaluation_row(stored: StoredEvaluation) -> dict[str, Any]:
     """One row of the table `evaluations`."""
     names = list(EvaluationRow.model_fields)
     row: dict[str, Any] = {name: getattr(stored, name) for name in names[:PLACE]}
-    row |= {parameter_column(name): value for name, value in stored.parameters.items()}
+    row |= {parameter_column(name): value for name, value in stored.parameters.floats.items()}
     return row | {name: getattr(stored, name) for name in names[PLACE:]}
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
-from drivecal.campaigns.cells.cell_tracker import Work
 from drivecal.domain.campaigns import StageName
+from drivecal.execution.scheduling.in_flight import Work
 from drivecal.execution.scheduling.scheduler import Completed
 
 

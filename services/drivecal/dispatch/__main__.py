@@ -11,15 +11,15 @@ from collections.abc import Callable
 from importlib import import_module
 from typing import TypeVar
 
+from drivecal.campaigns.resolve.problem import trial
 from drivecal.configuration import logs
 from drivecal.configuration.settings import Settings, load_settings
 from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.heartbeat import Heartbeat
 from drivecal.dispatch.leadership import Leadership
-from drivecal.dispatch.leasing import StoredLeases
-from drivecal.dispatch.trial import trial
 from drivecal.domain.errors import DatabaseError, DrivecalError, UnavailableError
 from drivecal.execution.backend import BackendLostError
+from drivecal.execution.leasing import StoredLeases
 from drivecal.execution.pool import WorkPool
 from drivecal.execution.ray.backend import RayBackend, RayOptions
 from drivecal.storage.engine import locks

@@ -13,7 +13,6 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from datetime import timedelta
 
-from drivecal.campaigns.cells.cell_tracker import Work
 from drivecal.configuration import logs
 from drivecal.dispatch.jobs import Active, take_up
 from drivecal.domain.campaigns import CampaignState
@@ -21,6 +20,7 @@ from drivecal.domain.errors import DrivecalError, SupersededError, UnavailableEr
 from drivecal.execution.backend import BackendLostError, WorkerInfo
 from drivecal.execution.measures import MEASURES
 from drivecal.execution.pool import WorkPool
+from drivecal.execution.scheduling.in_flight import Work
 from drivecal.plugins.arrays import DamagedArraysError
 from drivecal.storage import campaigns, events, traces
 from drivecal.storage.campaigns import CampaignHeading
@@ -229,14 +229,7 @@ class Dispatcher:
     def _submit(self, active: Active, work: Sequence[Work]) -> None:
         if active.stopping is None:
             for batch in work:
-                self._pool.submit(
-                    batch.setup,
-                    batch.cells,
-                    tag=active.tag,
-                    priority=active.priority,
-                    exclusive=batch.exclusive,
-                    breakdowns=batch.breakdowns,
-                )
+                self._pool.submit(batch, tag=active.tag, priority=active.priority)
 
     def _finish_stopping(self, active: Active) -> None:
         if self._pool.held(active.tag) or active.unwritten:

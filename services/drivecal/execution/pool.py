@@ -7,12 +7,13 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
-from drivecal.contracts.work import BatchResult, Cell, SetupRequest
+from drivecal.contracts.work import BatchResult
 from drivecal.domain.errors import UnavailableError
 from drivecal.execution.backend import DEADLINE_FACTOR, DEADLINE_SECONDS, Backend, Finished, Lost, WorkerInfo
 from drivecal.execution.leasing import Leases
 from drivecal.execution.observing import Observer, breakdowns
 from drivecal.execution.scheduling.batching import BatchPolicy
+from drivecal.execution.scheduling.in_flight import Work
 from drivecal.execution.scheduling.scheduler import Completed, Dispatch, Scheduler
 
 PATIENCE_WITH_REFUSALS = 30.0
@@ -56,23 +57,13 @@ class WorkPool:
         """Why fewer workers than wanted run, or refuse to, in words; None where all is well."""
         return "; ".join(filter(None, (self._backend.trouble(), self._scheduler.trouble()))) or None
 
-    def submit(
-        self,
-        setup: SetupRequest,
-        cells: Sequence[Cell],
-        *,
-        tag: str,
-        priority: int = 0,
-        exclusive: bool = False,
-        breakdowns: Mapping[int, int] | None = None,
-    ) -> None:
-        """Queues cells of one setup and sends what there is room for. Higher priorities go first. `tag` names the cells for
-        `withdraw`. `exclusive` cells are simulated even where an identical one is under way. `breakdowns`: how often cells broke
-        down earlier, by id.
+    def submit(self, work: Work, *, tag: str, priority: int = 0) -> None:
+        """Queues cells of one setup and sends as many as workers have room for. Higher priorities go first. `tag` names the cells for
+        `withdraw`.
 
-        Raises ValueError where a cell's id is outstanding already, and UnavailableError where nothing can be leased: the cells wait then.
+        Raises ValueError if a cell is in flight already, and UnavailableError if no cell can be leased: the cells then wait.
         """
-        self._scheduler.add(setup, cells, tag, priority, exclusive=exclusive, breakdowns=breakdowns)
+        self._scheduler.add(work, tag, priority)
         self._fill()
 
     def poll(self, timeout: float) -> list[Completed]:

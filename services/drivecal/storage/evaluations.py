@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from functools import lru_cache
 from typing import Any
 
 from sqlalchemy import Column, ColumnElement, Connection, Select, SmallInteger, bindparam, select, type_coerce, update
@@ -19,8 +18,6 @@ from drivecal.storage.engine.tables import evaluations, parameter_sets
 COPIES = (Outcome.REPEATED, Outcome.REUSED)
 DONORS = (Outcome.SIMULATED, Outcome.CERTIFIED)
 """Only these answer other cells: reuse never chains through copies."""
-MOST_SETS = 10_000
-"""Parameter sets that a query's reader remembers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,24 +39,6 @@ class NewEvaluation:
     donor: Donor | None = None
     leader: int | None = None
     audited: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class PendingEvaluation:
-    """A cell without its answer. `reference`: the evaluation that will answer it or is audited by it, None where there is none."""
-
-    id: int
-    stage: StageName
-    iteration: int
-    individual: int
-    scenario: str
-    setup_id: int
-    parameter_set_id: int
-    parameters: ParameterSet
-    plan: Outcome
-    reference: int | None
-    audited: bool
-    attempts: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,34 +80,6 @@ def insert(connection: Connection, campaign_sequence: int, cells: Sequence[NewEv
     return ids
 
 
-def pending(connection: Connection, campaign_sequence: int) -> list[PendingEvaluation]:
-    """The cells of a campaign that wait for their answers, in the order in which they were stored."""
-    query = (
-        select(evaluations, parameter_sets.c.parameter_values)
-        .join(parameter_sets)
-        .where(evaluations.c.campaign_sequence == campaign_sequence, evaluations.c.outcome.is_(None))
-        .order_by(evaluations.c.id)
-    )
-    read = lru_cache(MOST_SETS)(ParameterSet.from_json)  # each set is asked for in several scenarios
-    return [
-        PendingEvaluation(
-            id=row.id,
-            stage=row.stage,
-            iteration=row.iteration,
-            individual=row.individual,
-            scenario=row.scenario,
-            setup_id=row.setup_id,
-            parameter_set_id=row.parameter_set_id,
-            parameters=read(row.parameter_values),
-            plan=Outcome(row.plan),
-            reference=row.reference,
-            audited=row.audited,
-            attempts=row.attempts,
-        )
-        for row in connection.execute(query)
-    ]
-
-
 def reused(
     connection: Connection, campaign_sequence: int, stage: StageName, iteration: int
 ) -> list[tuple[int, int, ParameterSet]]:
@@ -145,8 +96,7 @@ def reused(
         )
         .order_by(evaluations.c.id)
     )
-    read = lru_cache(MOST_SETS)(ParameterSet.from_json)
-    return [(number, setup, read(values)) for number, setup, values in connection.execute(query)]
+    return [(number, setup, ParameterSet.from_json(values)) for number, setup, values in connection.execute(query)]
 
 
 def note_proofs(connection: Connection, proofs: Mapping[int, int]) -> None:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
+from functools import lru_cache
 from typing import Any
 
 from sqlalchemy import Connection, Row, Select, case, func, literal, select, tuple_
@@ -19,12 +19,14 @@ from drivecal.storage.engine.types import ORDER, STAGES
 
 BATCH = 1_000
 """Rows that an export holds in memory at a time."""
+MOST_SETS = 10_000
+"""Parameter sets that the reader of a query remembers."""
 _PLACE = (evaluations.c.stage, evaluations.c.iteration, evaluations.c.individual, evaluations.c.scenario)
 
 
 @dataclass(frozen=True, slots=True)
 class StoredEvaluation:
-    """One requested cell. `parameters` are floats by name; `outcome` is None while its answer is pending."""
+    """One requested cell. `outcome` is None while its answer is pending; `plan` says what is to answer it."""
 
     id: int
     campaign_sequence: int
@@ -34,7 +36,7 @@ class StoredEvaluation:
     scenario: str
     setup_id: int
     parameter_set_id: int
-    parameters: dict[str, float]
+    parameters: ParameterSet
     plan: Outcome
     outcome: Outcome | None
     score: int | None
@@ -66,7 +68,7 @@ def by_id(connection: Connection, evaluation_id: int) -> StoredEvaluation:
         row = connection.execute(_select().where(evaluations.c.id == evaluation_id)).one_or_none()
     if row is None:
         raise NotFoundError("evaluation", str(evaluation_id))
-    return _evaluation(row)
+    return next(_evaluations([row]))
 
 
 def number_at(connection: Connection, campaign_sequence: int, iteration: int, individual: int, scenario: str) -> int:
@@ -95,7 +97,7 @@ def page(
         # Typed one by one: a tuple does not hand its types on, and stages are stored as numbers.
         typed = (literal(value, column.type) for value, column in zip(place, _PLACE, strict=True))
         query = query.where(tuple_(*_PLACE) > tuple_(*typed))
-    page = [_evaluation(row) for row in connection.execute(query)]
+    page = list(_evaluations(connection.execute(query)))
     if len(page) <= limit:
         return page, None
     last = page[limit - 1]
@@ -105,8 +107,13 @@ def page(
 def stream(connection: Connection, campaign_sequence: int) -> Iterator[StoredEvaluation]:
     """All evaluations of a campaign in the order of `page`, read as they are consumed; the connection must stay open meanwhile."""
     query = _of_campaign(campaign_sequence).execution_options(yield_per=BATCH)
-    for row in connection.execute(query):
-        yield _evaluation(row)
+    return _evaluations(connection.execute(query))
+
+
+def pending(connection: Connection, campaign_sequence: int) -> list[StoredEvaluation]:
+    """Returns the cells of a campaign that wait for their answers, in the order in which they were stored."""
+    query = _select().where(evaluations.c.campaign_sequence == campaign_sequence, evaluations.c.outcome.is_(None))
+    return list(_evaluations(connection.execute(query.order_by(evaluations.c.id))))
 
 
 def answers(
@@ -236,11 +243,13 @@ def _of_campaign(campaign_sequence: int) -> Select[Any]:
     return _select().where(evaluations.c.campaign_sequence == campaign_sequence).order_by(*_PLACE)
 
 
-def _evaluation(row: Row[Any]) -> StoredEvaluation:
-    values = {name: getattr(row, name) for name in _STORED} | {
-        "parameters": {name: float(value) for name, value in json.loads(row.parameter_values).items()},
-        "plan": Outcome(row.plan),
-        "outcome": None if row.outcome is None else Outcome(row.outcome),
-        "reference": row.proven_by if row.outcome == Outcome.CERTIFIED else row.reference,
-    }
-    return StoredEvaluation(**values)
+def _evaluations(rows: Iterable[Row[Any]]) -> Iterator[StoredEvaluation]:
+    read = lru_cache(MOST_SETS)(ParameterSet.from_json)  # each set is requested in several scenarios
+    for row in rows:
+        values = {name: getattr(row, name) for name in _STORED} | {
+            "parameters": read(row.parameter_values),
+            "plan": Outcome(row.plan),
+            "outcome": None if row.outcome is None else Outcome(row.outcome),
+            "reference": row.proven_by if row.outcome == Outcome.CERTIFIED else row.reference,
+        }
+        yield StoredEvaluation(**values)

@@ -27,7 +27,7 @@ def test_a_population_gets_its_ids_in_order_and_waits(database: Database) -> Non
         sets = sample_set_ids(connection, 2500)
         ids = evaluations.insert(connection, sequence, [cell(n, setup, one) for n, one in enumerate(sets)])
     with database.read() as connection:
-        waiting = evaluations.pending(connection, sequence)
+        waiting = results.pending(connection, sequence)
     assert [one.id for one in waiting] == ids
     assert [one.individual for one in waiting] == list(range(2500))
     assert [one.parameters for one in waiting] == sample_sets(2500)
@@ -46,7 +46,7 @@ def test_a_copy_of_a_stored_result_has_its_answer_at_once(database: Database) ->
         audited = cell(2, setup, sets[2], donor=donor, audited=True)
         ids = evaluations.insert(connection, second, [*cells, audited])
         copies = [results.by_id(connection, one) for one in ids[:2]]
-        waiting = evaluations.pending(connection, second)
+        waiting = results.pending(connection, second)
     assert [one.outcome for one in copies] == [REPEATED, REUSED]
     assert {(one.score, one.rating, one.run_id, one.reference) for one in copies} == {(6, 5.75, run, simulated)}
     assert [(one.id, one.plan, one.reference, one.audited) for one in waiting] == [(ids[2], SIMULATED, simulated, True)]
@@ -62,7 +62,7 @@ def test_a_cell_that_waits_for_another_of_its_population_names_it(database: Data
             cell(2, setup, sets[1], leader=0, audited=True),
         ]
         ids = evaluations.insert(connection, sequence, cells)
-        waiting = evaluations.pending(connection, sequence)
+        waiting = results.pending(connection, sequence)
     assert [(one.plan, one.reference, one.audited) for one in waiting] == [
         (SIMULATED, None, False),
         (REPEATED, ids[0], False),
@@ -94,7 +94,7 @@ def test_an_answer_is_stored_once_and_a_late_one_changes_nothing(database: Datab
         assert evaluations.answer(connection, late) == 1
         assert evaluations.answer(connection, []) == 0
         first, second = (results.by_id(connection, one) for one in ids[:2])
-        assert [one.id for one in evaluations.pending(connection, sequence)] == [ids[2]]
+        assert [one.id for one in results.pending(connection, sequence)] == [ids[2]]
     assert (first.outcome, first.score, first.failure, first.attempts) == (FAILED, None, "hang", 3)
     assert (second.outcome, second.score) == (SIMULATED, 1)
 
@@ -164,7 +164,5 @@ def test_copies_of_a_cell_without_a_result_are_simulated_instead(database: Datab
         evaluations.answer(connection, broken)
         evaluations.simulate_instead(connection, [copy, answered])
         evaluations.simulate_instead(connection, [])
-        assert [(one.id, one.plan, one.reference) for one in evaluations.pending(connection, sequence)] == [
-            (copy, SIMULATED, None)
-        ]
+        assert [(one.id, one.plan, one.reference) for one in results.pending(connection, sequence)] == [(copy, SIMULATED, None)]
         assert results.by_id(connection, answered).reference == leader

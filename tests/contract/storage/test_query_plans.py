@@ -128,7 +128,7 @@ LOOK_UPS: dict[str, tuple[Callable[[Connection], Any], str]] = {
         "pk_parameter_sets|INTEGER PRIMARY KEY",
     ),
     "leases of a campaign": (lambda connection: leases.forget(connection, 1), "ix_evaluations_pending"),
-    "pending cells": (lambda connection: evaluations.pending(connection, 1), "ix_evaluations_pending"),
+    "pending cells": (lambda connection: results.pending(connection, 1), "ix_evaluations_pending"),
     "answers": (
         lambda connection: evaluations.answer(connection, [AnsweredCell(100, Outcome.FAILED, None, None, None)]),
         "pk_evaluations|INTEGER PRIMARY KEY",

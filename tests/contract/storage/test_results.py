@@ -39,8 +39,8 @@ def test_pages_and_stream_give_every_row_once_in_order(database: Database) -> No
                 break
         assert list(results.stream(connection, sequence)) == found
     assert [place(one) for one in found] == sorted(places)
-    assert found[0].parameters == {"P1": 0.0, "P2": 5.0}
-    assert {type(value) for value in found[0].parameters.values()} == {float}
+    assert found[0].parameters.floats == {"P1": 0.0, "P2": 5.0}
+    assert {type(value) for value in found[0].parameters.floats.values()} == {float}
 
 
 @pytest.mark.parametrize(

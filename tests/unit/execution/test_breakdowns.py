@@ -8,6 +8,7 @@ from tests.support.plant import TARGET, answers, cells, ids, setup
 from drivecal.contracts.work import BatchResult, CellResult
 from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.scheduling.batching import BatchPolicy
+from drivecal.execution.scheduling.in_flight import Work
 from drivecal.execution.scheduling.scheduler import ATTEMPTS, MOST_PASSED_OVER, Completed, Dispatch, Scheduler
 
 W, V = "worker 1", "worker 2"
@@ -22,7 +23,7 @@ def scheduler(known: float | None = None) -> Scheduler:
     made = Scheduler(BatchPolicy())
     made.meet([W, V])
     for worker in (W, V) if known is not None else ():
-        made.add(setup(), cells(1, first=999), "before", 0)
+        made.add(Work(setup(), cells(1, first=999)), "before", 0)
         sent = send(made, worker)
         made.finished(sent.batch_id, answers(sent, known or 0.0))
     made.withdraw("before")
@@ -46,7 +47,7 @@ def crash(of: Scheduler, sent: Dispatch) -> None:
 
 def test_a_dispatch_tells_how_often_each_cell_broke_down() -> None:
     one = scheduler(SMALL)
-    one.add(setup(), cells(4), "a", 0)
+    one.add(Work(setup(), cells(4)), "a", 0)
     sent = send(one)
     assert dict(sent.breakdowns) == {1: 0, 2: 0, 3: 0, 4: 0}
     crash(one, sent)
@@ -55,7 +56,7 @@ def test_a_dispatch_tells_how_often_each_cell_broke_down() -> None:
 
 def test_a_cell_with_earlier_breakdowns_is_sent_alone_from_the_start() -> None:
     one = scheduler(SMALL)
-    one.add(setup(), cells(20), "a", 0, breakdowns={7: 1})
+    one.add(Work(setup(), cells(20), breakdowns={7: 1}), "a", 0)
     assert one.next_batch(W, idle=False) is None  # it runs dry
     sent = send(one)
     assert (ids(sent), sent.alone, dict(sent.breakdowns)) == ([7], True, {7: 1})
@@ -65,7 +66,7 @@ def test_a_cell_with_earlier_breakdowns_is_sent_alone_from_the_start() -> None:
 @pytest.mark.parametrize("earlier", range(ATTEMPTS + 2))
 def test_breakdowns_before_a_restart_count(earlier: int) -> None:
     one = scheduler()
-    one.add(setup(), cells(1), "a", 0, breakdowns={1: earlier})
+    one.add(Work(setup(), cells(1), breakdowns={1: earlier}), "a", 0)
     tries = 0
     completed: list[Completed] = []
     while not completed:
@@ -79,7 +80,7 @@ def test_breakdowns_before_a_restart_count(earlier: int) -> None:
 @pytest.mark.parametrize("earlier", range(ATTEMPTS + 2))
 def test_however_often_a_cell_broke_down_it_never_had_more_attempts_than_there_are(earlier: int) -> None:
     one = scheduler()
-    one.add(setup(), cells(1), "a", 0, breakdowns={1: earlier})
+    one.add(Work(setup(), cells(1), breakdowns={1: earlier}), "a", 0)
     sent = send(one)
     [done] = one.finished(sent.batch_id, answers(sent))
     assert done.attempts == min(earlier + 1, ATTEMPTS)
@@ -87,7 +88,7 @@ def test_however_often_a_cell_broke_down_it_never_had_more_attempts_than_there_a
 
 def test_attempts_count_the_breakdowns_and_the_try_that_succeeds() -> None:
     one = scheduler()
-    one.add(setup(), cells(1), "a", 0, breakdowns={1: 1})
+    one.add(Work(setup(), cells(1), breakdowns={1: 1}), "a", 0)
     crash(one, send(one))
     sent = send(one)
     [done] = one.finished(sent.batch_id, answers(sent))
@@ -96,8 +97,8 @@ def test_attempts_count_the_breakdowns_and_the_try_that_succeeds() -> None:
 
 def test_breakdowns_are_told_once_to_whoever_writes_them_down() -> None:
     one = scheduler(SMALL)
-    one.add(setup(), cells(3), "a", 0)
-    one.add(setup(), cells(1, first=11, values=[2.0]), "b", 0)
+    one.add(Work(setup(), cells(3)), "a", 0)
+    one.add(Work(setup(), cells(1, first=11, values=[2.0])), "b", 0)
     crash(one, send(one))
     assert one.take_breakdowns() == {1: 1, 2: 1, 3: 1, 11: 1}
     assert one.take_breakdowns() == {}
@@ -119,11 +120,11 @@ def test_breakdowns_are_told_once_to_whoever_writes_them_down() -> None:
 def test_the_only_worker_is_replaced_for_a_suspect_after_others_were_let_past_it_for_a_while() -> None:
     one = Scheduler(BatchPolicy())
     one.meet([W])
-    one.add(setup(), cells(20 * MOST_PASSED_OVER), "many", 0)
+    one.add(Work(setup(), cells(20 * MOST_PASSED_OVER)), "many", 0)
     first = MOST_PASSED_OVER * 20 + 1
     for number, worker in enumerate((W, V)):
         one.meet([worker])
-        one.add(setup(), cells(1, first + number), "few", 1, breakdowns={first + number: 1})
+        one.add(Work(setup(), cells(1, first + number), breakdowns={first + number: 1}), "few", 1)
         sent = send(one, worker)
         assert one.finished(sent.batch_id, erroneous(sent)) == []
         passed = 0
@@ -140,7 +141,7 @@ def test_the_only_worker_is_replaced_for_a_suspect_after_others_were_let_past_it
 
 def test_a_refusal_is_no_breakdown() -> None:
     one = scheduler(SMALL)
-    one.add(setup(), cells(3), "a", 0)
+    one.add(Work(setup(), cells(3)), "a", 0)
     sent = send(one)
     assert one.finished(sent.batch_id, BatchResult(W, (), 0.1, "it has no frenet")) == []
     assert one.take_breakdowns() == {}
@@ -150,7 +151,7 @@ def test_a_refusal_is_no_breakdown() -> None:
 
 def test_cells_of_a_dispatch_that_was_not_sent_return_to_the_front_in_their_order() -> None:
     one = scheduler(0.05)
-    one.add(setup(), cells(40), "a", 0)
+    one.add(Work(setup(), cells(40)), "a", 0)
     first, second = send(one), send(one)
     assert ids(first) + ids(second) == list(range(1, len(ids(first)) + len(ids(second)) + 1))
     one.take_back(second.batch_id)
@@ -161,8 +162,8 @@ def test_cells_of_a_dispatch_that_was_not_sent_return_to_the_front_in_their_orde
 
 def test_a_dispatch_that_was_not_sent_is_not_charged() -> None:
     one = scheduler(0.05)
-    one.add(setup(), cells(400), "a", 0)
-    one.add(setup(), cells(400, first=1001), "b", 0)
+    one.add(Work(setup(), cells(400)), "a", 0)
+    one.add(Work(setup(), cells(400, first=1001)), "b", 0)
     first = send(one)
     assert ids(first)[0] == 1
     for _ in range(5):
@@ -174,7 +175,7 @@ def test_a_dispatch_that_was_not_sent_is_not_charged() -> None:
 
 def test_suspects_that_were_not_sent_are_suspects_as_before() -> None:
     one = scheduler()
-    one.add(setup(), cells(2), "a", 0, breakdowns={2: 2})
+    one.add(Work(setup(), cells(2), breakdowns={2: 2}), "a", 0)
     sent = send(one)
     one.take_back(sent.batch_id)
     again = send(one)
@@ -184,7 +185,7 @@ def test_suspects_that_were_not_sent_are_suspects_as_before() -> None:
 
 def test_a_dispatch_that_was_taken_back_is_not_expected_any_more() -> None:
     one = scheduler()
-    one.add(setup(), cells(1), "a", 0)
+    one.add(Work(setup(), cells(1)), "a", 0)
     sent = send(one)
     one.take_back(sent.batch_id)
     assert one.finished(sent.batch_id, answers(sent)) == []
@@ -194,7 +195,7 @@ def test_a_dispatch_that_was_taken_back_is_not_expected_any_more() -> None:
 
 def test_cells_that_were_withdrawn_while_a_dispatch_was_out_do_not_return_with_it() -> None:
     one = scheduler()
-    one.add(setup(), cells(1), "a", 0)
+    one.add(Work(setup(), cells(1)), "a", 0)
     sent = send(one)
     assert one.withdraw("a") == 1
     one.take_back(sent.batch_id)
@@ -204,7 +205,7 @@ def test_cells_that_were_withdrawn_while_a_dispatch_was_out_do_not_return_with_i
 
 def test_dropped_cells_are_forgotten_and_the_rest_of_their_batch_is_sent() -> None:
     one = scheduler(SMALL)
-    one.add(setup(), cells(4), "a", 0)
+    one.add(Work(setup(), cells(4)), "a", 0)
     sent = send(one)
     assert ids(sent) == [1, 2, 3, 4]
     assert sent.expected_seconds == pytest.approx(4 * SMALL)
@@ -216,13 +217,13 @@ def test_dropped_cells_are_forgotten_and_the_rest_of_their_batch_is_sent() -> No
     assert one.held("a") == 3
     completed = one.finished(rest.batch_id, answers(rest))
     assert [done.result.id for done in completed] == ids(rest)
-    one.add(setup(), cells(1, first=2), "a", 0)  # forgotten: it may come again
+    one.add(Work(setup(), cells(1, first=2)), "a", 0)  # forgotten: it may come again
 
 
 def test_a_batch_of_which_everything_is_dropped_is_none_and_costs_nothing() -> None:
     one = scheduler(TARGET)
-    one.add(setup(), cells(3), "a", 0)
-    one.add(setup(), cells(3, first=11), "b", 0)
+    one.add(Work(setup(), cells(3)), "a", 0)
+    one.add(Work(setup(), cells(3, first=11)), "b", 0)
     for number in (1, 2):
         sent = send(one)
         assert ids(sent) == [number]
@@ -236,10 +237,10 @@ def test_a_batch_of_which_everything_is_dropped_is_none_and_costs_nothing() -> N
 def test_a_breakdown_in_company_is_never_the_last() -> None:
     """A campaign joins with what broke down twice, before a restart, while its like is in a batch with a poison cell."""
     one = scheduler(SMALL)
-    one.add(setup(), cells(2), "a", 0)
+    one.add(Work(setup(), cells(2)), "a", 0)
     sent = send(one)
     assert len(ids(sent)) == 2
-    one.add(setup(), cells(1, first=11, values=[1.0]), "b", 0, breakdowns={11: 2})
+    one.add(Work(setup(), cells(1, first=11, values=[1.0]), breakdowns={11: 2}), "b", 0)
     crash(one, sent)
     again = send(one)
     assert again.alone

@@ -12,7 +12,7 @@ from tests.support.plant import TARGET, Plant, answers, cells, ids, setup
 
 from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.scheduling.batching import BatchPolicy, CellCosts, kind_of
-from drivecal.execution.scheduling.in_flight import key_of
+from drivecal.execution.scheduling.in_flight import Work, key_of
 from drivecal.execution.scheduling.scheduler import Scheduler
 
 
@@ -39,11 +39,11 @@ def test_cells_at_workers_are_not_taken_back_for_a_higher_priority() -> None:
 def test_suspects_of_a_lower_priority_wait_as_well() -> None:
     scheduler = Scheduler(BatchPolicy())
     scheduler.meet(["w"])
-    scheduler.add(setup(), cells(1), "low", 0)
+    scheduler.add(Work(setup(), cells(1)), "low", 0)
     sent = scheduler.next_batch("w", idle=True)
     assert sent is not None
     scheduler.lost(sent.batch_id, "w", Breakdown.CRASH, "it died")
-    scheduler.add(setup(), cells(1, first=2), "high", 1)
+    scheduler.add(Work(setup(), cells(1, first=2)), "high", 1)
     assert ids(scheduler.next_batch("w", idle=True)) == [2]
     assert ids(scheduler.next_batch("w", idle=True)) == [1]
 
@@ -96,19 +96,19 @@ def test_who_comes_when_nothing_waits_is_level_with_those_who_come_back() -> Non
 def test_a_follower_that_has_to_wait_for_itself_starts_level_too() -> None:
     scheduler = Scheduler(BatchPolicy())
     scheduler.meet(["w", "v"])
-    scheduler.add(setup(), cells(100), "old", 0)
+    scheduler.add(Work(setup(), cells(100)), "old", 0)
     for _ in range(50):
         sent = scheduler.next_batch("w", idle=True)
         assert sent is not None
         scheduler.finished(sent.batch_id, answers(sent, 1.0))
-    scheduler.add(setup("S2"), cells(1, first=1001), "leads", 0)
+    scheduler.add(Work(setup("S2"), cells(1, first=1001)), "leads", 0)
     while ids(sent := scheduler.next_batch("w", idle=True)) != [1001]:
         assert sent is not None
         scheduler.finished(sent.batch_id, answers(sent, 1.0))
     assert sent is not None
-    scheduler.add(setup("S2"), cells(1, 2001, [1001.0]), "follows", 0)
+    scheduler.add(Work(setup("S2"), cells(1, 2001, [1001.0])), "follows", 0)
     assert scheduler.drop(sent.batch_id, {1001}) is None
-    scheduler.add(setup("S2"), cells(100, first=2002), "follows", 0)
+    scheduler.add(Work(setup("S2"), cells(100, first=2002)), "follows", 0)
     order = []
     for _ in range(10):
         sent = scheduler.next_batch("w", idle=True)
@@ -121,8 +121,8 @@ def test_a_follower_that_has_to_wait_for_itself_starts_level_too() -> None:
 def test_a_campaign_whose_cells_hang_pays_for_the_time_that_they_take() -> None:
     scheduler = Scheduler(BatchPolicy())
     scheduler.meet(["w"])
-    scheduler.add(setup("S1"), cells(10), "hangs", 0)
-    scheduler.add(setup("S2"), cells(1000, first=101), "good", 0)
+    scheduler.add(Work(setup("S1"), cells(10)), "hangs", 0)
+    scheduler.add(Work(setup("S2"), cells(1000, first=101)), "good", 0)
     time = {"hangs": 0.0, "good": 0.0}
     while time["good"] < 170.0:
         sent = scheduler.next_batch("w", idle=True)

@@ -13,6 +13,7 @@ from drivecal.contracts.work import Cell
 from drivecal.domain.errors import UnavailableError
 from drivecal.execution.backend import DEADLINE_SECONDS
 from drivecal.execution.pool import WorkPool
+from drivecal.execution.scheduling.in_flight import Work
 from drivecal.execution.scheduling.scheduler import ATTEMPTS, Completed
 
 
@@ -32,7 +33,7 @@ def patient_drain(pool: WorkPool, tags: tuple[str, ...] = ("a", "b")) -> list[Co
 def test_results_name_the_lease_that_they_were_obtained_under() -> None:
     leases = MemoryLeases()
     pool = WorkPool(FakeBackend(), leases)
-    pool.submit(setup(), cells([Behaviour.WELL] * 300), tag="a")
+    pool.submit(Work(setup(), cells([Behaviour.WELL] * 300)), tag="a")
     completed = drain(pool)
     assert {one.result.id: one.lease for one in completed} == leases.held
     assert len(leases.held) == 300
@@ -41,7 +42,7 @@ def test_results_name_the_lease_that_they_were_obtained_under() -> None:
 def test_one_exchange_leases_all_that_is_sent_at_a_time() -> None:
     leases = MemoryLeases()
     pool = WorkPool(FakeBackend(8), leases)
-    pool.submit(setup(), cells([Behaviour.WELL] * 10), tag="a")
+    pool.submit(Work(setup(), cells([Behaviour.WELL] * 10)), tag="a")
     assert [len(wanted) for _, wanted, _ in leases.exchanges] == [8, 2]
     assert all(seconds >= 2 * DEADLINE_SECONDS for _, _, seconds in leases.exchanges)
 
@@ -50,7 +51,7 @@ def test_a_poison_cell_gives_its_lease_back_with_every_breakdown() -> None:
     leases = MemoryLeases()
     backend = FakeBackend()
     pool = WorkPool(backend, leases)
-    pool.submit(setup(), cells([Behaviour.WELL] * 20 + [Behaviour.CRASH]), tag="a")
+    pool.submit(Work(setup(), cells([Behaviour.WELL] * 20 + [Behaviour.CRASH])), tag="a")
     completed = {one.result.id: one for one in drain(pool)}
     failed = completed[21]
     assert (failed.result.breakdown, failed.attempts, failed.lease) == ("crash", ATTEMPTS, ATTEMPTS)
@@ -62,7 +63,7 @@ def test_earlier_breakdowns_count() -> None:
     backend = FakeBackend()
     pool = WorkPool(backend, MemoryLeases())
     poison = cells([Behaviour.CRASH])
-    pool.submit(setup(), poison, tag="a", breakdowns={poison[0].id: ATTEMPTS - 1})
+    pool.submit(Work(setup(), poison, breakdowns={poison[0].id: ATTEMPTS - 1}), tag="a")
     [failed] = drain(pool)
     assert (failed.attempts, backend.attempts[poison[0].id]) == (ATTEMPTS, 1)
 
@@ -71,7 +72,7 @@ def test_refused_cells_give_their_leases_back_without_a_breakdown() -> None:
     leases = MemoryLeases()
     backend = FakeBackend(2, refusing={1: "it has another version"})
     pool = WorkPool(backend, leases)
-    pool.submit(setup(), cells([Behaviour.WELL] * 50), tag="a")
+    pool.submit(Work(setup(), cells([Behaviour.WELL] * 50)), tag="a")
     assert len(drain(pool)) == 50
     assert max(leases.numbers.values()) > 1
     assert set(leases.breakdowns.values()) == {0}
@@ -83,7 +84,7 @@ def test_what_cannot_be_leased_waits_and_is_sent_once_when_it_can(failure: str) 
     backend = FakeBackend()
     pool = WorkPool(backend, leases)
     with pytest.raises(UnavailableError):
-        pool.submit(setup(), cells([Behaviour.WELL] * 30), tag="a")
+        pool.submit(Work(setup(), cells([Behaviour.WELL] * 30)), tag="a")
     assert not backend.attempts
     assert pool.held("a") == 30
     completed = patient_drain(pool)
@@ -102,7 +103,7 @@ def test_a_database_that_comes_and_goes_costs_no_result_and_no_attempt(seed: int
     draw.shuffle(behaviours)
     for tag, first in (("a", 1), ("b", 1001)):
         try:
-            pool.submit(setup(), cells(behaviours, first), tag=tag)
+            pool.submit(Work(setup(), cells(behaviours, first)), tag=tag)
         except UnavailableError:
             continue
     completed = patient_drain(pool)
@@ -116,7 +117,7 @@ def test_cells_that_are_not_granted_are_forgotten_and_the_others_sent() -> None:
     leases = MemoryLeases(denied={3, 7})
     backend = FakeBackend()
     pool = WorkPool(backend, leases)
-    pool.submit(setup(), cells([Behaviour.WELL] * 10), tag="a")
+    pool.submit(Work(setup(), cells([Behaviour.WELL] * 10)), tag="a")
     assert sorted(one.result.id for one in drain(pool)) == [1, 2, 4, 5, 6, 8, 9, 10]
     assert backend.attempts.keys().isdisjoint({3, 7})
 
@@ -129,8 +130,8 @@ def test_an_identical_cell_is_answered_under_the_lease_of_the_one_that_was_sent(
     leases = MemoryLeases()
     pool = WorkPool(FakeBackend(), leases)
     same = [replace_id(cell, 100 + cell.id) for cell in cells([Behaviour.WELL] * 20)]
-    pool.submit(setup(), cells([Behaviour.WELL] * 20), tag="a")
-    pool.submit(setup(), same, tag="b")
+    pool.submit(Work(setup(), cells([Behaviour.WELL] * 20)), tag="a")
+    pool.submit(Work(setup(), same), tag="b")
     completed = drain(pool)
     shared = [one for one in completed if one.shared]
     assert len(completed) == 40
@@ -142,11 +143,11 @@ def test_an_identical_cell_is_answered_under_the_lease_of_the_one_that_was_sent(
 def test_results_that_nobody_writes_down_give_their_leases_back() -> None:
     leases = MemoryLeases()
     pool = WorkPool(FakeBackend(), leases)
-    pool.submit(setup(), cells([Behaviour.WELL] * 5), tag="a")
+    pool.submit(Work(setup(), cells([Behaviour.WELL] * 5)), tag="a")
     pool.give_back(drain(pool))
     pool.poll(0.0)
     assert leases.held == {}
-    pool.submit(setup(), cells([Behaviour.WELL] * 5), tag="a")
+    pool.submit(Work(setup(), cells([Behaviour.WELL] * 5)), tag="a")
     assert {one.lease for one in drain(pool)} == {2}
 
 
@@ -154,7 +155,7 @@ def test_a_withdrawn_cell_whose_worker_dies_is_free_again() -> None:
     leases = MemoryLeases()
     backend = FakeBackend()
     pool = WorkPool(backend, leases)
-    pool.submit(setup(), cells([Behaviour.WELL] * 10), tag="a")
+    pool.submit(Work(setup(), cells([Behaviour.WELL] * 10)), tag="a")
     assert pool.withdraw("a") > 0
     backend.kill(0)
     backend.kill(1)

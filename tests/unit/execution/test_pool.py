@@ -10,7 +10,7 @@ from tests.support.fake_backend import Behaviour, FakeBackend
 
 from drivecal.contracts.work import Cell, SetupRequest
 from drivecal.execution.pool import PATIENCE_WITH_REFUSALS, WorkPool
-from drivecal.execution.scheduling.in_flight import WITNESSES
+from drivecal.execution.scheduling.in_flight import WITNESSES, Work
 from drivecal.execution.scheduling.scheduler import ATTEMPTS, Completed
 from drivecal.execution.scheduling.worker_health import BATCHES_WITHOUT_RESULT
 
@@ -41,7 +41,7 @@ def drain(pool: WorkPool, patience: int = 100_000) -> list[Completed]:
 
 def test_every_cell_comes_back_with_its_own_result() -> None:
     pool = WorkPool(FakeBackend())
-    pool.submit(setup(), [Cell(index, {"value": index / 10}) for index in range(50)], tag="a")
+    pool.submit(Work(setup(), [Cell(index, {"value": index / 10}) for index in range(50)]), tag="a")
     found = {completed.result.id: completed.result.rating for completed in drain(pool)}
     assert found == {index: index / 10 for index in range(50)}
 
@@ -50,8 +50,8 @@ def test_a_poison_cell_costs_three_attempts_and_none_of_its_neighbours() -> None
     for poison, cause in ((Behaviour.CRASH, "crash"), (Behaviour.HANG, "hang"), (Behaviour.MEMORY, "memory")):
         backend = FakeBackend()
         pool = WorkPool(backend)
-        pool.submit(setup(), cells([Behaviour.WELL] * 300), tag="a")
-        pool.submit(setup("S2"), cells([Behaviour.WELL] * 20 + [poison] + [Behaviour.WELL] * 279, first=1001), tag="a")
+        pool.submit(Work(setup(), cells([Behaviour.WELL] * 300)), tag="a")
+        pool.submit(Work(setup("S2"), cells([Behaviour.WELL] * 20 + [poison] + [Behaviour.WELL] * 279, first=1001)), tag="a")
         completed = drain(pool)
         assert len(completed) == 600
         [failed] = [one for one in completed if one.result.breakdown is not None]
@@ -63,7 +63,7 @@ def test_a_poison_cell_costs_three_attempts_and_none_of_its_neighbours() -> None
 def test_only_the_first_death_puts_others_under_suspicion() -> None:
     backend = FakeBackend()
     pool = WorkPool(backend)
-    pool.submit(setup(), cells([Behaviour.WELL] * 10 + [Behaviour.CRASH] + [Behaviour.WELL] * 989), tag="a")
+    pool.submit(Work(setup(), cells([Behaviour.WELL] * 10 + [Behaviour.CRASH] + [Behaviour.WELL] * 989)), tag="a")
     completed = drain(pool)
     suspects = [one for one in completed if one.attempts > 1]
     assert len(suspects) <= 2 * 72  # what one worker held: two batches of half a second
@@ -73,7 +73,7 @@ def test_only_the_first_death_puts_others_under_suspicion() -> None:
 def test_an_exception_is_tried_once_more_alone_on_another_worker(caplog: pytest.LogCaptureFixture) -> None:
     backend = FakeBackend()
     pool = WorkPool(backend)
-    pool.submit(setup(), cells([Behaviour.WELL, Behaviour.ERROR, Behaviour.WELL]), tag="campaign-7")
+    pool.submit(Work(setup(), cells([Behaviour.WELL, Behaviour.ERROR, Behaviour.WELL])), tag="campaign-7")
     [failed] = [one for one in drain(pool) if one.result.breakdown is not None]
     assert (failed.result.id, failed.result.breakdown, failed.attempts) == (2, "error", WITNESSES)
     assert failed.result.detail == "ValueError: as asked for"
@@ -90,7 +90,7 @@ def test_the_only_worker_is_replaced_once_before_its_exceptions_count() -> None:
     behaviours = [Behaviour.WELL] * 500
     for index in (3, 77, 200, 431):
         behaviours[index] = Behaviour.ERROR
-    pool.submit(setup(), cells(behaviours), tag="a")
+    pool.submit(Work(setup(), cells(behaviours)), tag="a")
     failed = {one.result.id: one for one in drain(pool) if one.result.breakdown is not None}
     assert sorted(failed) == [4, 78, 201, 432]
     assert {one.worker for one in failed.values()} == {"worker-1.2"}
@@ -101,12 +101,12 @@ def test_the_only_worker_is_replaced_once_before_its_exceptions_count() -> None:
 def test_exceptions_at_the_only_worker_are_settled_while_others_keep_it_busy() -> None:
     backend = FakeBackend(1)
     pool = WorkPool(backend)
-    pool.submit(setup(), cells([Behaviour.ERROR]), tag="a")
+    pool.submit(Work(setup(), cells([Behaviour.ERROR])), tag="a")
     first, settled_after = 2, None
     while settled_after is None:
         assert first < 50_000, "the suspect starves"
         if sum(pool.held(tag) for tag in TAGS) < 1000:
-            pool.submit(setup("S2"), cells([Behaviour.WELL] * 1000, first=first), tag="b")
+            pool.submit(Work(setup("S2"), cells([Behaviour.WELL] * 1000, first=first)), tag="b")
             first += 1000
         settled_after = next((backend.now for one in pool.poll(1.0) if one.tag == "a"), None)
     assert settled_after < 120.0
@@ -118,7 +118,7 @@ def test_bad_workers_cost_no_good_cell(workers: int, bad: set[int]) -> None:
     pool = WorkPool(backend)
     behaviours = [Behaviour.WELL] * 6000
     behaviours[1234] = Behaviour.ERROR
-    pool.submit(setup(), cells(behaviours), tag="a")
+    pool.submit(Work(setup(), cells(behaviours)), tag="a")
     completed = drain(pool)
     assert len(completed) == 6000
     assert [one.result.id for one in completed if one.result.breakdown is not None] == [1235]
@@ -134,7 +134,7 @@ def test_bad_workers_cost_no_good_cell(workers: int, bad: set[int]) -> None:
 def test_a_worker_that_is_spoilt_comes_back_to_life_by_its_replacement() -> None:
     backend = FakeBackend(1)
     pool = WorkPool(backend)
-    pool.submit(setup(), cells([Behaviour.WELL] * 1000), tag="a")
+    pool.submit(Work(setup(), cells([Behaviour.WELL] * 1000)), tag="a")
     completed = pool.poll(1.0)
     backend.bad = {1}
     while not backend.replaced:
@@ -150,7 +150,7 @@ def test_a_worker_that_is_spoilt_comes_back_to_life_by_its_replacement() -> None
 def test_a_campaign_of_errors_comes_to_its_end_and_costs_few_workers_and_words(caplog: pytest.LogCaptureFixture) -> None:
     backend = FakeBackend(4)
     pool = WorkPool(backend)
-    pool.submit(setup(), cells([Behaviour.ERROR] * 1000), tag="a")
+    pool.submit(Work(setup(), cells([Behaviour.ERROR] * 1000)), tag="a")
     completed = drain(pool)
     assert len(completed) == 1000
     assert {(one.result.breakdown, one.attempts) for one in completed} == {("error", WITNESSES)}
@@ -161,7 +161,7 @@ def test_a_campaign_of_errors_comes_to_its_end_and_costs_few_workers_and_words(c
 def test_refusals_are_no_attempts_and_leave_the_work_to_those_who_can() -> None:
     backend = FakeBackend(3, refusing={1: "it has no frenet", 3: "it has no frenet"})
     pool = WorkPool(backend, clock=lambda: backend.now)
-    pool.submit(setup(), cells([Behaviour.ERROR, *[Behaviour.WELL] * 99, Behaviour.CRASH]), tag="a")
+    pool.submit(Work(setup(), cells([Behaviour.ERROR, *[Behaviour.WELL] * 99, Behaviour.CRASH])), tag="a")
     completed = pool.poll(0.0)
     while "2 workers refuse" not in (pool.trouble() or ""):
         completed += pool.poll(0.01)
@@ -177,8 +177,8 @@ def test_refusals_are_no_attempts_and_leave_the_work_to_those_who_can() -> None:
 def test_cells_that_every_worker_refuses_wait_until_one_is_mended(caplog: pytest.LogCaptureFixture) -> None:
     backend = FakeBackend(2, refusing={1: "it has version 2", 2: "it has version 2"})
     pool = WorkPool(backend, clock=lambda: backend.now)
-    pool.submit(setup(), cells([Behaviour.WELL] * 50), tag="a")
-    pool.submit(setup("S2"), cells([Behaviour.WELL] * 50, first=101), tag="b")
+    pool.submit(Work(setup(), cells([Behaviour.WELL] * 50)), tag="a")
+    pool.submit(Work(setup("S2"), cells([Behaviour.WELL] * 50, first=101)), tag="b")
     troubles = set()
     while backend.now < 5 * PATIENCE_WITH_REFUSALS:
         assert pool.poll(1.0) == []
@@ -201,7 +201,7 @@ def test_batches_take_half_a_second_whatever_a_cell_costs() -> None:
     pool = WorkPool(backend)
     for index, scenario in enumerate(("S1", "S2", "S3", "S4")):
         count = 40 if scenario == "S3" else 1000
-        pool.submit(setup(scenario), cells([Behaviour.WELL] * count, first=1 + 10_000 * index), tag="a")
+        pool.submit(Work(setup(scenario), cells([Behaviour.WELL] * count, first=1 + 10_000 * index)), tag="a")
     drain(pool)
     typical = {
         scenario: Counter(size for _, one, size in backend.sizes if one == scenario).most_common(1)[0][0]
@@ -218,8 +218,8 @@ def test_batches_take_half_a_second_whatever_a_cell_costs() -> None:
 def test_workers_finish_together(workers: int) -> None:
     backend = FakeBackend(workers, {"S1": 0.0071, "S2": 0.0043})
     pool = WorkPool(backend)
-    pool.submit(setup("S1"), cells([Behaviour.WELL] * 250 * workers), tag="a")
-    pool.submit(setup("S2"), cells([Behaviour.WELL] * 250 * workers, first=100_001), tag="a")
+    pool.submit(Work(setup("S1"), cells([Behaviour.WELL] * 250 * workers)), tag="a")
+    pool.submit(Work(setup("S2"), cells([Behaviour.WELL] * 250 * workers, first=100_001)), tag="a")
     drain(pool)
     work = 250 * workers * (0.0071 + 0.0043)
     assert work / (backend.now * workers) >= 0.97
@@ -228,8 +228,8 @@ def test_workers_finish_together(workers: int) -> None:
 def test_higher_priorities_go_first() -> None:
     backend = FakeBackend()
     pool = WorkPool(backend)
-    pool.submit(setup("S1"), cells([Behaviour.WELL] * 100), tag="a")
-    pool.submit(setup("S3"), cells([Behaviour.WELL], first=301), tag="c", priority=1)
+    pool.submit(Work(setup("S1"), cells([Behaviour.WELL] * 100)), tag="a")
+    pool.submit(Work(setup("S3"), cells([Behaviour.WELL], first=301)), tag="c", priority=1)
     drain(pool)
     order = [scenario for _, scenario, _ in backend.sizes]
     assert order.index("S3") <= 4  # after those that were under way
@@ -237,20 +237,20 @@ def test_higher_priorities_go_first() -> None:
 
 def test_a_cell_cannot_be_outstanding_twice() -> None:
     pool = WorkPool(FakeBackend())
-    pool.submit(setup(), cells([Behaviour.WELL] * 3), tag="a")
+    pool.submit(Work(setup(), cells([Behaviour.WELL] * 3)), tag="a")
     with pytest.raises(ValueError, match="outstanding"):
-        pool.submit(setup("S2"), cells([Behaviour.WELL]), tag="a")
+        pool.submit(Work(setup("S2"), cells([Behaviour.WELL])), tag="a")
     with pytest.raises(ValueError, match="twice"):
-        pool.submit(setup(), [Cell(9, {}), Cell(9, {})], tag="a")
+        pool.submit(Work(setup(), [Cell(9, {}), Cell(9, {})]), tag="a")
     assert len(drain(pool)) == 3
-    pool.submit(setup(), cells([Behaviour.WELL] * 3), tag="a")
+    pool.submit(Work(setup(), cells([Behaviour.WELL] * 3)), tag="a")
     assert len(drain(pool)) == 3
 
 
 def test_withdrawn_cells_are_dropped_but_those_under_way_come_back() -> None:
     pool = WorkPool(FakeBackend())
-    pool.submit(setup(), cells([Behaviour.WELL] * 300), tag="a")
-    pool.submit(setup("S2"), cells([Behaviour.WELL] * 300, first=301), tag="b")
+    pool.submit(Work(setup(), cells([Behaviour.WELL] * 300)), tag="a")
+    pool.submit(Work(setup("S2"), cells([Behaviour.WELL] * 300, first=301)), tag="b")
     completed = pool.poll(1.0)
     running = pool.withdraw("a")
     assert 0 < running < 300
@@ -264,7 +264,7 @@ def test_withdrawn_cells_are_dropped_but_those_under_way_come_back() -> None:
 def test_a_withdrawn_cell_whose_worker_dies_is_not_called_failed() -> None:
     backend = FakeBackend()
     pool = WorkPool(backend)
-    pool.submit(setup(), cells([Behaviour.WELL] * 10), tag="a")
+    pool.submit(Work(setup(), cells([Behaviour.WELL] * 10)), tag="a")
     assert pool.withdraw("a") > 0
     backend.kill(0)
     backend.kill(1)
@@ -275,7 +275,7 @@ def test_a_withdrawn_cell_whose_worker_dies_is_not_called_failed() -> None:
 def test_results_of_a_batch_that_was_given_up_change_nothing() -> None:
     backend = FakeBackend()
     pool = WorkPool(backend)
-    pool.submit(setup(), cells([Behaviour.WELL] * 2), tag="a")
+    pool.submit(Work(setup(), cells([Behaviour.WELL] * 2)), tag="a")
     backend.kill(0)
     completed = pool.poll(0.0)
     backend.repeat(0)
@@ -318,7 +318,7 @@ def test_every_cell_comes_back_exactly_once_whatever_happens(workers: int, steps
                 new = cells(behaviours, first=len(submitted) + 1)
                 submitted |= {cell.id: behaviour for cell, behaviour in zip(new, behaviours, strict=True)}
                 tags |= {cell.id: tag for cell in new}
-                pool.submit(setup(scenario), new, tag=tag, priority=priority)
+                pool.submit(Work(setup(scenario), new), tag=tag, priority=priority)
             case ("poll", float(timeout)):
                 completed += pool.poll(timeout)
             case ("kill", int(index)):

@@ -13,6 +13,7 @@ from tests.support.plant import Plant, answers, cells, ids, setup
 from drivecal.contracts.work import Cell, SetupRequest
 from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.scheduling.batching import BatchPolicy
+from drivecal.execution.scheduling.in_flight import Work
 from drivecal.execution.scheduling.scheduler import ATTEMPTS, Completed, Dispatch, Scheduler
 
 W, V = "worker 1", "worker 2"
@@ -25,7 +26,7 @@ def scheduler() -> Scheduler:
 
 
 def add(to: Scheduler, tag: str, first: int, values: Sequence[float], priority: int = 0, *, exclusive: bool = False) -> None:
-    to.add(setup(), cells(len(values), first, values), tag, priority, exclusive=exclusive)
+    to.add(Work(setup(), cells(len(values), first, values), exclusive=exclusive), tag, priority)
 
 
 def send(of: Scheduler, worker: str = W) -> Dispatch:
@@ -105,7 +106,7 @@ def test_a_follower_fails_with_its_leader_for_good() -> None:
 def test_cells_of_other_setups_and_evaluators_are_not_identical(other: SetupRequest) -> None:
     one = scheduler()
     add(one, "a", 1, [1.0])
-    one.add(other, cells(1, 2, [1.0]), "b", 0)
+    one.add(Work(other, cells(1, 2, [1.0])), "b", 0)
     assert ids(send(one)) + ids(send(one)) == [1, 2]
 
 
@@ -121,15 +122,15 @@ def test_cells_of_other_setups_and_evaluators_are_not_identical(other: SetupRequ
 )
 def test_parameters_that_differ_in_a_bit_are_not_identical(parameters: dict[str, float], like: dict[str, float]) -> None:
     one = scheduler()
-    one.add(setup(), [Cell(1, parameters)], "a", 0)
-    one.add(setup(), [Cell(2, like)], "b", 0)
+    one.add(Work(setup(), [Cell(1, parameters)]), "a", 0)
+    one.add(Work(setup(), [Cell(2, like)]), "b", 0)
     assert ids(send(one)) + ids(send(one)) == [1, 2]
 
 
 def test_the_order_of_the_parameters_makes_no_difference() -> None:
     one = scheduler()
-    one.add(setup(), [Cell(1, {"P1": 1.0, "P2": math.nan})], "a", 0)
-    one.add(setup(), [Cell(2, {"P2": math.nan, "P1": 1.0})], "b", 0)
+    one.add(Work(setup(), [Cell(1, {"P1": 1.0, "P2": math.nan})]), "a", 0)
+    one.add(Work(setup(), [Cell(2, {"P2": math.nan, "P1": 1.0})]), "b", 0)
     assert ids(send(one)) == [1]
     assert one.next_batch(V, idle=True) is None
 
@@ -189,7 +190,7 @@ def test_a_withdrawn_leader_that_comes_back_answers_its_followers_too() -> None:
 def test_a_follower_with_earlier_breakdowns_makes_a_suspect_of_its_leader() -> None:
     one = scheduler()
     add(one, "a", 1, [1.0, 2.0])
-    one.add(setup(), cells(1, 11, [2.0]), "b", 0, breakdowns={11: 2})
+    one.add(Work(setup(), cells(1, 11, [2.0]), breakdowns={11: 2}), "b", 0)
     suspect = send(one)
     assert (ids(suspect), suspect.alone, dict(suspect.breakdowns)) == ([2], True, {2: 2})
     assert {done.result.id: done.attempts for done in finish(one, suspect)} == {2: 3, 11: 3}
@@ -197,7 +198,7 @@ def test_a_follower_with_earlier_breakdowns_makes_a_suspect_of_its_leader() -> N
 
 def test_suspects_that_come_together_share_as_well() -> None:
     one = scheduler()
-    one.add(setup(), cells(3, 1, [1.0, 1.0, 1.0]), "a", 0, breakdowns={1: 1, 3: 2})
+    one.add(Work(setup(), cells(3, 1, [1.0, 1.0, 1.0]), breakdowns={1: 1, 3: 2}), "a", 0)
     sent = send(one)
     assert dict(sent.breakdowns) == {1: 2}
     assert len(finish(one, sent)) == 3

@@ -162,7 +162,7 @@ def _parameter_names(database: Database, campaign: StoredCampaign) -> Iterable[s
     """Those of the first row; of a campaign without rows yet, those it will have."""
     with database.read() as connection:
         rows, _ = results.page(connection, campaign.sequence, limit=1)
-    return rows[0].parameters if rows else resolved_spec(campaign).space.names
+    return rows[0].parameters.names if rows else resolved_spec(campaign).space.names
 
 
 def _influence_rows(database: Database, campaign: StoredCampaign) -> list[InfluenceRow]:

@@ -9,7 +9,7 @@ import logging
 import sys
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 from sqlalchemy import Connection
 
@@ -19,31 +19,20 @@ from drivecal.contracts.work import Cell, Probe, SetupRequest
 from drivecal.domain.errors import RefutedError
 from drivecal.domain.evaluations import Donor, Outcome
 from drivecal.execution.measures import MEASURES
+from drivecal.execution.scheduling.in_flight import Work
 from drivecal.execution.scheduling.scheduler import Completed
 from drivecal.plugins.ports import SeriesEvaluator
 from drivecal.reduction.assignment import is_checked
-from drivecal.storage import evaluations, leases, traces
-from drivecal.storage.evaluations import COPIES, AnsweredCell, NewEvaluation, PendingEvaluation
+from drivecal.storage import evaluations, leases, results, traces
+from drivecal.storage.evaluations import COPIES, AnsweredCell, NewEvaluation
 from drivecal.storage.references import runs
 from drivecal.storage.references.runs import NewRun, StoredRun
+from drivecal.storage.results import StoredEvaluation
 
 LONGEST_DETAIL = 2_000
 """Characters kept of a cell's failure message."""
 
 log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, slots=True)
-class Work:
-    """Cells of one setup to simulate; a cell's id is its evaluation's id.
-
-    `exclusive` simulates each cell separately, even if an identical cell is under way. `breakdowns` counts earlier breakdowns by cell id.
-    """
-
-    setup: SetupRequest
-    cells: tuple[Cell, ...]
-    exclusive: bool = False
-    breakdowns: Mapping[int, int] = field(default_factory=dict)
 
 
 class CellTracker:
@@ -54,8 +43,8 @@ class CellTracker:
         """`counts` are the stage's cells so far, as in `contracts.campaign`."""
         self._view = view
         self._counts = Counter(counts)
-        self._pending: dict[int, PendingEvaluation] = {}
-        self._copies: dict[int, list[PendingEvaluation]] = {}
+        self._pending: dict[int, StoredEvaluation] = {}
+        self._copies: dict[int, list[StoredEvaluation]] = {}
         self._breakdowns: Mapping[int, int] = {}
         self._proofs: dict[int, int] = {}
         """Certificate probes for reused cells without an answer, see `_probes`."""
@@ -100,7 +89,7 @@ class CellTracker:
             for scenario, setup_id in ensure_setups(connection, bench).items()
         }
         self._exclusive = not share_runs
-        self._pending = {cell.id: cell for cell in evaluations.pending(connection, self._view.campaign)}
+        self._pending = {cell.id: cell for cell in results.pending(connection, self._view.campaign)}
         self._copies, self._proofs = {}, {}
         for cell in self._pending.values():
             if cell.plan in COPIES and cell.reference is not None:
@@ -117,9 +106,9 @@ class CellTracker:
         Results without the current lease are late and change nothing: the cell was leased again.
         """
         answers: list[AnsweredCell] = []
-        orphans: list[PendingEvaluation] = []
-        again: list[PendingEvaluation] = []
-        finished: list[tuple[PendingEvaluation, Completed]] = []
+        orphans: list[StoredEvaluation] = []
+        again: list[StoredEvaluation] = []
+        finished: list[tuple[StoredEvaluation, Completed]] = []
         late = self._late(connection, completed)
         for completion in completed:
             cell = self._pending.get(completion.result.id)
@@ -143,7 +132,7 @@ class CellTracker:
         evaluations.simulate_instead(connection, [orphan.id for orphan in orphans])
         return self._work([*again, *orphans])
 
-    def _probes(self, connection: Connection, simulated: Sequence[PendingEvaluation]) -> dict[int, tuple[Probe, ...]]:
+    def _probes(self, connection: Connection, simulated: Sequence[StoredEvaluation]) -> dict[int, tuple[Probe, ...]]:
         """Distributes the reused cells of an iteration over simulated cells of the same setup, by cell id."""
         if self._view.checked_certificates is None or not simulated or not self._view.keys:
             return {}
@@ -177,7 +166,7 @@ class CellTracker:
             )
         return late
 
-    def _work(self, cells: Sequence[PendingEvaluation], probes: Mapping[int, tuple[Probe, ...]] | None = None) -> list[Work]:
+    def _work(self, cells: Sequence[StoredEvaluation], probes: Mapping[int, tuple[Probe, ...]] | None = None) -> list[Work]:
         by_setup: dict[int, list[Cell]] = {}
         for pending in cells:
             cell = self._cell(pending)
@@ -194,7 +183,7 @@ class CellTracker:
             for setup_id, listed in by_setup.items()
         ]
 
-    def _cell(self, pending: PendingEvaluation) -> Cell:
+    def _cell(self, pending: StoredEvaluation) -> Cell:
         """Returns the cell to simulate. An audited cell is always simulated, and checks a certificate on the way."""
         share = self._view.checked_certificates
         if share is None:
@@ -208,7 +197,7 @@ class CellTracker:
             raise RefutedError(self._refuted)
 
     def _share_runs(self, connection: Connection) -> None:
-        wanted: dict[int, list[PendingEvaluation]] = {}
+        wanted: dict[int, list[StoredEvaluation]] = {}
         for waiting in self._pending.values():
             if waiting.plan is Outcome.SIMULATED:
                 wanted.setdefault(waiting.setup_id, []).append(waiting)
@@ -222,7 +211,7 @@ class CellTracker:
                     self._answer(cell, stored[cell.parameter_set_id], answers)
         evaluations.answer(connection, answers)
 
-    def _simulated(self, cell: PendingEvaluation, completion: Completed, run: StoredRun, answers: list[AnsweredCell]) -> None:
+    def _simulated(self, cell: StoredEvaluation, completion: Completed, run: StoredRun, answers: list[AnsweredCell]) -> None:
         if completion.result.score is None or completion.result.rating is None:
             raise ValueError(f"the worker gave no score for evaluation {cell.id}")
         self._counts["unrepeatable"] += not run.agrees
@@ -236,7 +225,7 @@ class CellTracker:
             self._answer(cell, donor, answers, completion)
 
     def _answer(
-        self, cell: PendingEvaluation, result: Donor, answers: list[AnsweredCell], simulation: Completed | None = None
+        self, cell: StoredEvaluation, result: Donor, answers: list[AnsweredCell], simulation: Completed | None = None
     ) -> None:
         """Answers a cell with its own result, and the copies that waited for it."""
         for other in (cell, *self._copies.pop(cell.id, ())):
@@ -261,11 +250,9 @@ class CellTracker:
             )
             self._close(other, outcome)
 
-    def _break_down(
-        self, cell: PendingEvaluation, completion: Completed, answers: list[AnsweredCell]
-    ) -> list[PendingEvaluation]:
+    def _break_down(self, cell: StoredEvaluation, completion: Completed, answers: list[AnsweredCell]) -> list[StoredEvaluation]:
         """Fails a cell without a result after all attempts. Copies of the same parameter set fail with it; other copies become orphans."""
-        orphans: list[PendingEvaluation] = []
+        orphans: list[StoredEvaluation] = []
         detail = None if completion.result.detail is None else _storable(completion.result.detail)
         for other in (cell, *self._copies.pop(cell.id, ())):
             if other.plan is Outcome.REUSED:
@@ -291,7 +278,7 @@ class CellTracker:
             orphans[position] = self._pending[other.id] = replace(other, plan=Outcome.SIMULATED, reference=None)
         return orphans
 
-    def _close(self, cell: PendingEvaluation, outcome: Outcome) -> None:
+    def _close(self, cell: StoredEvaluation, outcome: Outcome) -> None:
         del self._pending[cell.id]
         self._counts["pending"] -= 1
         self._count(outcome)
@@ -302,7 +289,7 @@ class CellTracker:
         self._counts["requested"] += 1
         self._counts[outcome.value] += 1
 
-    def _new_run(self, cell: PendingEvaluation, completion: Completed) -> NewRun:
+    def _new_run(self, cell: StoredEvaluation, completion: Completed) -> NewRun:
         if completion.result.score is None or completion.result.rating is None:
             raise ValueError(f"the worker gave no score for evaluation {cell.id}")
         return NewRun(
@@ -324,7 +311,7 @@ class CellTracker:
         )
 
 
-def _refutation(cell: PendingEvaluation, completion: Completed) -> str:
+def _refutation(cell: StoredEvaluation, completion: Completed) -> str:
     where = f"evaluation {cell.id} in {cell.scenario}"
     if completion.result.proven_by is None:
         return f"{where} is not deterministic on {completion.worker}: equal decisions led to different states. Its certificates are invalid"

@@ -64,7 +64,7 @@ def _specification(connection: Connection, number: int) -> EvaluationSpecificati
     driven = Setup.from_document(stored.document)
     catalogue, _ = catalogue_scenarios(spec["catalogue"])[row.scenario]
     document: dict[str, Any] = {
-        "parameters": row.parameters,
+        "parameters": row.parameters.floats,
         "scenario": row.scenario,
         "catalogue": catalogue,
         "driving_function": driven.driving_function,

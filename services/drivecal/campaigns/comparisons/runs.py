@@ -16,7 +16,6 @@ from functools import partial
 from typing import Self
 
 from drivecal.analysis.confirmation import remarkable
-from drivecal.campaigns.cells.cell_tracker import Work
 from drivecal.campaigns.comparisons.resolve import ComparisonProblem
 from drivecal.campaigns.job import Job
 from drivecal.campaigns.stages.eta import EtaEstimate
@@ -24,6 +23,7 @@ from drivecal.contracts.campaign import Baseline, Best, ErrorRate
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import DrivecalError, NoResultError, RefutedError, SupersededError, UnavailableError
 from drivecal.domain.events import EventKind
+from drivecal.execution.scheduling.in_flight import Work
 from drivecal.execution.scheduling.scheduler import Completed
 from drivecal.reduction.audit import clopper_pearson
 from drivecal.storage import campaign_stages, campaigns, comparisons, events

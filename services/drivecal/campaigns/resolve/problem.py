@@ -17,7 +17,7 @@ from drivecal.campaigns.resolve.resolvers import Optimization
 from drivecal.campaigns.resolve.spaces import free_values, given_set, search_space, space_to_document
 from drivecal.contracts.campaign import ExpectedRuns
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, SensitivitySpecification
-from drivecal.contracts.work import SetupRequest
+from drivecal.contracts.work import Batch, Cell, SetupRequest
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.parameters import Parameter, ParameterSet, ParameterSpace, text
 from drivecal.domain.scenarios import Scenario
@@ -234,3 +234,14 @@ def catalogue_scenarios(catalogue: str | list[str]) -> dict[str, tuple[str, Scen
     scenarios = resolvers.find_scenarios(catalogue, diagnostics)
     diagnostics.raise_if_any()
     return scenarios
+
+
+def trial() -> Batch:
+    """Returns the cell that a worker simulates before it counts as ready: the middle of the default space in its first scenario.
+
+    It compiles all kernels, which can exceed a batch's time limit. A worker with another version or without a working SUMO refuses it.
+    Raises InvalidInputError if the coordinator lacks a plug-in.
+    """
+    problem = resolve(CampaignSpecification())
+    middle = problem.space.parameter_set((problem.space.n_values // 2).tolist())
+    return Batch(problem.bench.requests[problem.scenarios[0]], (Cell(0, middle.floats),))

@@ -157,7 +157,7 @@ def _forbidden(case: _Case) -> tuple[Reason | None, tuple[int, AuditCount] | Non
 def _nearest(case: _Case) -> tuple[Nearest | None, int]:
     """The nearest set that the campaign saw when it requested the cell, and the number of these sets. References of earlier campaigns
     precede its own."""
-    cell, names = case.cell, tuple(case.cell.parameters)
+    cell, names = case.cell, case.cell.parameters.names
     watermark = case.campaign.watermark or 0
     nearest: Nearest | None = None
     stored = 0
@@ -178,9 +178,8 @@ def _nearest(case: _Case) -> tuple[Nearest | None, int]:
 
 def _reference(case: _Case, evaluation_id: int) -> tuple[Reference, list[Difference]]:
     donor = results.by_id(case.connection, evaluation_id)
-    stored = parameter_sets.load(case.connection, [donor.parameter_set_id])[donor.parameter_set_id]
-    by_name = dict(zip(stored.names, stored.billionths, strict=True))
-    values = np.array([by_name[name] for name in case.cell.parameters], dtype=np.int64)
+    by_name = dict(zip(donor.parameters.names, donor.parameters.billionths, strict=True))
+    values = np.array([by_name[name] for name in case.cell.parameters.names], dtype=np.int64)
     score = donor.score
     if donor.run_id is not None and donor.campaign_sequence != case.campaign.sequence:
         score = runs.scores(connection=case.connection, run_ids=[donor.run_id], evaluator=case.evaluator).get(

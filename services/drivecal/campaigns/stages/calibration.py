@@ -15,19 +15,20 @@ from sqlalchemy import Connection
 
 from drivecal.analysis.confirmation import Confirmation, verdict_in
 from drivecal.analysis.solutions import EQUAL, EvaluatedSet, Ranking
-from drivecal.campaigns.cells.cell_tracker import Work
 from drivecal.campaigns.cells.planning import View, sync_reference_keys
 from drivecal.campaigns.resolve.problem import CalibrationProblem
-from drivecal.campaigns.resolve.search_area import given_indices, search_area
 from drivecal.campaigns.stages.stage import CampaignStage, Round
 from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import NoResultError
 from drivecal.domain.events import EventKind
-from drivecal.domain.parameters import ParameterSet
+from drivecal.domain.influence import InfluenceMap
+from drivecal.domain.parameters import Indices, ParameterSet
+from drivecal.execution.scheduling.in_flight import Work
 from drivecal.plugins.ports import Optimizer, Proposal
 from drivecal.reduction.assignment import Policy, RequestedCell
 from drivecal.reduction.audit import error_rates
+from drivecal.reduction.narrowing import SearchArea, common_area, full_area
 from drivecal.storage import audits, campaigns, events, generations, results
 from drivecal.storage.campaigns import Snapshot, StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -57,7 +58,7 @@ class Calibration(CampaignStage):
         self._optimization = problem.optimization
         self._ranking = Ranking(problem.weights)
         self._error_rate: dict[str, ErrorRate] = dict(campaign.error_rate)
-        self._area = search_area(problem, view.influence_map)
+        self._area = _search_area(problem, view.influence_map)
         self._notes = problem.notes
         if problem.specification.reduction.narrow:
             self._notes = (*problem.notes, self._area.note())
@@ -106,7 +107,7 @@ class Calibration(CampaignStage):
         with self._database.transaction() as connection:
             last = generations.last(connection, self._campaign.sequence)
             if last is None or last.optimizer_state is None:
-                start = self._area.contract(given_indices(problem)) if problem.start_sets else None
+                start = self._area.contract(_given_indices(problem)) if problem.start_sets else None
                 self._optimizer = self._optimization.plugin.create(self._optimization.settings, self._area.n_values, start)
                 if problem.specification.reduction.narrow:
                     campaigns.set_narrowed(connection, self._campaign.sequence, self._area.narrowed())
@@ -349,3 +350,17 @@ class Calibration(CampaignStage):
             baseline=self._baseline,
             notes=notes,
         )
+
+
+def _search_area(problem: CalibrationProblem, influence_map: InfluenceMap | None) -> SearchArea:
+    """The common area if `reduction.narrow` requests it, widened to hold the start sets; else the whole space. It depends only on
+    specification and influence map, so a campaign can resume."""
+    if influence_map is None or not problem.specification.reduction.narrow:
+        return full_area(problem.space)
+    return common_area(problem.space, influence_map, problem.scenarios, _given_indices(problem))
+
+
+def _given_indices(problem: CalibrationProblem) -> Indices:
+    """Grid indices of the start sets, shape (n, n_searched)."""
+    rows = [problem.space.indices(parameter_set.values) for parameter_set in problem.start_sets]
+    return np.array(rows, dtype=np.int64).reshape(len(rows), len(problem.space.searched))

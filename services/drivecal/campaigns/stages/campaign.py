@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from drivecal.campaigns.cells.cell_tracker import Work
 from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.cells.rerating import note_of, rate_stored_runs
 from drivecal.campaigns.job import Job
@@ -16,6 +15,7 @@ from drivecal.campaigns.stages.robustness import RobustnessStage
 from drivecal.campaigns.stages.sensitivity import Sensitivity
 from drivecal.campaigns.stages.stage import CampaignStage, Stage
 from drivecal.campaigns.stages.validation import ValidationStage
+from drivecal.execution.scheduling.in_flight import Work
 from drivecal.execution.scheduling.scheduler import Completed
 from drivecal.storage import campaigns
 from drivecal.storage.campaigns import StoredCampaign

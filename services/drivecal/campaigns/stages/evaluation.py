@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from drivecal.campaigns.cells.cell_tracker import Work
 from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.cells.rerating import rate_stored_runs
 from drivecal.campaigns.resolve.problem import EvaluationProblem
 from drivecal.campaigns.stages.stage import Round, Stage
 from drivecal.domain.campaigns import StageName
+from drivecal.execution.scheduling.in_flight import Work
 from drivecal.reduction.assignment import Policy, RequestedCell
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database

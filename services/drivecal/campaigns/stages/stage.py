@@ -10,13 +10,14 @@ from typing import ClassVar
 
 from sqlalchemy import Connection
 
-from drivecal.campaigns.cells.cell_tracker import CellTracker, Work
+from drivecal.campaigns.cells.cell_tracker import CellTracker
 from drivecal.campaigns.cells.planning import View, plan_cells
 from drivecal.campaigns.job import Job
 from drivecal.campaigns.resolve.problem import Bench, CalibrationProblem
 from drivecal.campaigns.stages.eta import EtaEstimate
 from drivecal.contracts.campaign import Progress
 from drivecal.domain.campaigns import StageName
+from drivecal.execution.scheduling.in_flight import Work
 from drivecal.execution.scheduling.scheduler import Completed
 from drivecal.reduction.assignment import Policy, RequestedCell
 from drivecal.storage import campaign_stages, campaigns, results

@@ -21,6 +21,19 @@ WITNESSES = 2
 """Workers that must have seen an exception: it is deterministic, unless a worker or an earlier cell of the batch is to blame."""
 
 
+@dataclass(frozen=True, slots=True)
+class Work:
+    """Cells of one setup to simulate; a cell's id is its evaluation's id.
+
+    `exclusive` simulates each cell separately, even if an identical cell is under way. `breakdowns` counts earlier breakdowns by cell id.
+    """
+
+    setup: SetupRequest
+    cells: Sequence[Cell]
+    exclusive: bool = False
+    breakdowns: Mapping[int, int] = field(default_factory=dict)
+
+
 @dataclass(slots=True, eq=False)
 class PendingSimulation:
     """What is sent to workers until it has a result, for all who claim it."""
@@ -68,19 +81,19 @@ class InFlightCells:
         self._shared: dict[Identity, PendingSimulation] = {}
         self._setups: dict[SetupKey, tuple[SetupRequest, int]] = {}
 
-    def add(self, setup: SetupRequest, cells: Sequence[Cell], tag: str, priority: int, *, exclusive: bool) -> list[Claim]:
-        """The claims of new cells, to simulations that are there already where one is identical and neither is `exclusive`.
+    def add(self, work: Work, tag: str, priority: int) -> list[Claim]:
+        """Returns the claims of new cells. A cell joins the simulation of an identical cell unless either is `exclusive`.
 
-        Raises ValueError where a cell's id is outstanding already; nothing is added then.
+        Raises ValueError if a cell is in flight already; nothing is added then.
         """
-        ids = [cell.id for cell in cells]
+        ids = [cell.id for cell in work.cells]
         twice = [identifier for identifier in ids if identifier in self._claims]
         if twice or len(set(ids)) < len(ids):
-            raise ValueError(f"cells are outstanding already or listed twice, e.g. {twice[:3] or ids[:3]}")
-        if not cells:
+            raise ValueError(f"cells are in flight already or listed twice, e.g. {twice[:3] or ids[:3]}")
+        if not work.cells:
             return []
-        key = key_of(setup)
-        claims = [self._claim(setup, key, cell, tag, priority, exclusive=exclusive) for cell in cells]
+        setup, key = work.setup, key_of(work.setup)
+        claims = [self._claim(setup, key, cell, tag, priority, exclusive=work.exclusive) for cell in work.cells]
         new = {claim.cell.id: claim for claim in claims}
         self._claims |= new
         self._by_tag.setdefault(tag, {}).update(new)

@@ -15,11 +15,11 @@ import itertools
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult, SetupRequest
+from drivecal.contracts.work import Batch, BatchResult, CellResult
 from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.scheduling.affinity import SetupAffinity
 from drivecal.execution.scheduling.batching import BatchPolicy, CellCosts, batch_size, kind_of
-from drivecal.execution.scheduling.in_flight import WITNESSES, Claim, InFlightCells, key_of
+from drivecal.execution.scheduling.in_flight import WITNESSES, Claim, InFlightCells, Work, key_of
 from drivecal.execution.scheduling.queue import ClaimGroup, FairQueue, Line
 from drivecal.execution.scheduling.worker_health import WorkerHealth
 
@@ -97,24 +97,16 @@ class Scheduler:
         """Breakdowns that were not told yet."""
         self._batch_ids = itertools.count(1)
 
-    def add(
-        self,
-        setup: SetupRequest,
-        cells: Sequence[Cell],
-        tag: str,
-        priority: int,
-        *,
-        exclusive: bool = False,
-        breakdowns: Mapping[int, int] | None = None,
-    ) -> None:
-        """Queues cells. One that is identical to an outstanding cell (setup, evaluator and every bit of the parameters) is not sent:
-        it takes the other's answer, unless one of the two is `exclusive`. `breakdowns`, by id: how often a cell broke down before
-        this scheduler knew it; at least one more try is made. Raises ValueError where a cell's id is outstanding already."""
-        earlier = breakdowns or {}
-        self._costs.relate(key_of(setup), kind_of(setup))
-        for claim in self._in_flight.add(setup, cells, tag, priority, exclusive=exclusive):
+    def add(self, work: Work, tag: str, priority: int = 0) -> None:
+        """Queues cells of the campaign `tag`; each gets at least one attempt, whatever its earlier breakdowns.
+
+        A cell identical to one in flight (setup, evaluator, and every bit of the parameters) is not sent and takes the other's answer,
+        unless either is `exclusive`. Raises ValueError if a cell is in flight already.
+        """
+        self._costs.relate(key_of(work.setup), kind_of(work.setup))
+        for claim in self._in_flight.add(work, tag, priority):
             simulation = claim.simulation
-            count = min(earlier.get(claim.cell.id, 0), ATTEMPTS - 1)
+            count = min(work.breakdowns.get(claim.cell.id, 0), ATTEMPTS - 1)
             if count > simulation.breakdowns:  # a suspect from now on
                 self._queue.withdraw(simulation)
                 simulation.breakdowns = count
