@@ -7,7 +7,7 @@
 >>> influence_map = InfluenceMap({"S1": {"colour": Influence(influential=False)}})
 >>> red, blue = (ParameterSet.of({"speed": Decimal(30), "colour": Decimal(value)}) for value in (1, 2))
 >>> keys = ReferenceKeys(influence_map, "S1", red.names).keys(billionths_matrix([red, blue]))
->>> cells = [RequestedCell(number, "S1", each.key, keys[number]) for number, each in enumerate([red, blue])]
+>>> cells = [RequestedCell(number, "S1", each, keys[number]) for number, each in enumerate([red, blue])]
 >>> [str(assignment.plan) for assignment in assign(cells, Policy("influence"), exact={}, references={})]
 ['simulated', 'reused']
 """
