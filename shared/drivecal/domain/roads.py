@@ -1,8 +1,8 @@
-"""Geometry of the reference line: its table, and the way between Cartesian and Frenet coordinates (Werling et al. 2010).
+"""Geometry of the reference line: its table, and conversions between Cartesian and Frenet coordinates (Werling et al. 2010).
 
 A reference line is a table of shape (n, 5) with the columns s, x, y, heading, curvature (m, rad, 1/m), uniformly spaced in s.
-Between its rows curvature is linear, heading its exact integral and x, y the cubic that fits points and headings. In front of
-the first row and beyond the last one the road goes straight on.
+Between its rows curvature is linear, heading its exact integral and x, y the cubic that fits points and headings. Before the first
+row and beyond the last row the road is straight.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ GAUSS_POINTS, GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(5)
 PROJECTION_TOLERANCE = 1e-10
 PROJECTION_STEPS = 30
 FARTHEST_STEP = 200.0
-"""A step (m) of the search beyond this means that the guess was wrong."""
+"""Largest step (m) of the search; a larger step means a wrong guess."""
 
 
 class Motion(NamedTuple):
@@ -37,13 +37,13 @@ class Motion(NamedTuple):
 
 
 def reference_line(road: Road, spacing: float = 0.5) -> Floats:
-    """The table of a road's reference line from (0, 0, 0) at heading 0, shape (n, 5): s, x, y, heading, curvature.
+    """Returns the table of a road's reference line from (0, 0, 0) at heading 0, shape (n, 5): s, x, y, heading, curvature.
 
-    Rows are `spacing` metres apart; the last one is the first at or beyond the road's length. Curvature is constant outside
+    Rows are `spacing` metres apart; the last row is the first at or beyond the road's length. Curvature is constant outside
     the knots. Heading is exact; x and y come from five-point Gauss-Legendre quadrature between neighbouring rows and knots:
     rounding error only (below 1e-9 m per kilometre) while the heading changes by less than 0.1 rad per row.
 
-    Raises InvalidInputError where length or spacing are not positive, or the knots are not in order.
+    Raises InvalidInputError if length or spacing are not positive, or the knots are not in order.
     """
     if not road.length > 0 or not spacing > 0:
         raise InvalidInputError(Problem("road.length", f"{road.length} m in rows of {spacing} m", "both must be positive"))
@@ -69,7 +69,7 @@ def reference_line(road: Road, spacing: float = 0.5) -> Floats:
 
 
 def pose_on(line: Floats, s: float) -> tuple[float, float, float, float, float]:
-    """x, y, heading, curvature and the change of curvature (1/m²) of the reference line at arc length s."""
+    """Returns x, y, heading, curvature and change of curvature (1/m²) of the reference line at arc length s."""
     spacing = line.item(1, 0)
     last = len(line) - 1
     if s < 0 or s > last * spacing:
@@ -89,7 +89,7 @@ def pose_on(line: Floats, s: float) -> tuple[float, float, float, float, float]:
 
 
 def to_cartesian(line: Floats, s: float, d: float) -> tuple[float, float, float]:
-    """x, y of the point at (s, d) and the heading of the road there."""
+    """Returns x, y of the point at (s, d) and the heading of the road there."""
     x, y, heading, _, _ = pose_on(line, s)
     return x - d * sin(heading), y + d * cos(heading), heading
 
@@ -112,10 +112,10 @@ def _foot(line: Floats, x: float, y: float, near: float) -> tuple[float, float, 
 
 
 def project(line: Floats, x: float, y: float, near: float) -> tuple[float, float]:
-    """s and d of the point on the reference line closest to (x, y), searched by Newton's method from s = `near`.
+    """Returns s and d of the point on the reference line closest to (x, y), searched by Newton's method from s = `near`.
 
-    Exact to about 1e-9 m. Finds the right foot point where `near` is within some tens of metres and the point lies inside the
-    circle of curvature. Raises ValueError where the search does not settle: the point is no neighbour of the line at `near`.
+    Exact to about 1e-9 m. Returns the right foot point if `near` is within some tens of metres and the point lies inside the
+    circle of curvature. Raises ValueError if the search does not converge: the point is far from the line at `near`.
     """
     s, d, _, _, _ = _foot(line, x, y, near)
     return s, d
@@ -124,7 +124,7 @@ def project(line: Floats, x: float, y: float, near: float) -> tuple[float, float
 def to_frenet(
     line: Floats, position: tuple[float, float], velocity: tuple[float, float], acceleration: tuple[float, float], near: float
 ) -> Motion:
-    """Frenet motion of a point with Cartesian position, velocity and acceleration (SI); `near` and errors as in `project`.
+    """Returns the Frenet motion of a point with Cartesian position, velocity and acceleration (SI); `near` and errors as in `project`.
 
     From r = r0(s) + d n with Frenet's formulas: v_t = s' (1 - κd), v_n = d', a_t = s'' (1 - κd) - s' (κ' s' d + 2 κ d'),
     a_n = d'' + κ s'² (1 - κd), κ' by arc length.

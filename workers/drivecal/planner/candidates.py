@@ -1,4 +1,4 @@
-"""The candidate set: where lateral and longitudinal plans end, and the desired speed along the road. Independent of any parameter.
+"""The candidate set: the ends of lateral and longitudinal plans, and the desired speed along the road. Independent of any parameter.
 
 Every lateral plan is combined with every longitudinal one: 24 x 12 = 288 candidates.
 """
@@ -14,16 +14,16 @@ from drivecal.planner.cost import LATEST_DECELERATION
 Floats = npt.NDArray[np.float64]
 
 CENTRE_HORIZONS = (7.5, 6.5, 5.5, 4.7, 4.0, 3.2, 2.5)
-"""s, to the centre of the wanted lane: from a leisurely lane change (0.4 m/s² at 7.5 s) to a swerve (3.5 m/s²)."""
+"""Horizons to the centre of the wanted lane, s: from a leisurely lane change (0.4 m/s² at 7.5 s) to a swerve (3.5 m/s²)."""
 OFFSETS = (0.2, -0.2, 0.5, -0.5)
 OFFSET_HORIZONS = (6.5, 4.5, 3.0)
-"""m from the centre of the wanted lane and s."""
+"""Offset from the centre of the wanted lane, m, and horizon, s."""
 KEEPING_OFFSETS = (0.9, -0.9)
-"""m: evasive offsets where there is no other lane in the task."""
+"""Evasive offsets if the task has no other lane, m."""
 PREPARING_OFFSET = 0.4
-"""m from the centre of the other lane of the task towards the wanted one, which is offered where there is one."""
+"""Offset from the centre of the task's other lane, if it has any, towards the wanted lane, m."""
 FURTHER_HORIZONS = (5.5, 3.0)
-"""s, for either."""
+"""Horizons of both, s."""
 
 LONGITUDINAL_ENDS = (
     (7.5, 0.0),
@@ -45,8 +45,8 @@ escape a follower, slow down behind a vehicle, brake hard (5 m/s²)."""
 def lateral_ends(lane_width: float, wanted_lane: int, other_lane: int) -> Floats:
     """Ends of the lateral plans, shape (2, 24): rows offset d (m) and horizon (s).
 
-    The last column is a copy of the first; the kernel puts the rest of the plan before there, so that going on unchanged is always
-    among the candidates. `other_lane` is the task's lane that is not wanted now (equal to `wanted_lane` in lane keeping).
+    The last column is a copy of the first; the kernel replaces it by the rest of the previous plan, so that an unchanged plan is always
+    a candidate. `other_lane` is the task's other lane (equal to `wanted_lane` in lane keeping).
     """
     wanted, other = wanted_lane * lane_width, other_lane * lane_width
     if other_lane == wanted_lane:
@@ -61,14 +61,14 @@ def lateral_ends(lane_width: float, wanted_lane: int, other_lane: int) -> Floats
 
 def longitudinal_ends() -> Floats:
     """Ends of the longitudinal plans, shape (2, n): rows end speed relative to the desired speed (m/s) and horizon (s). The last
-    column is a copy of the first for the rest of the plan before, as in `lateral_ends`."""
+    column is a copy of the first for the rest of the previous plan, as in `lateral_ends`."""
     ends = [(offset, horizon) for horizon, offset in LONGITUDINAL_ENDS]
     return np.ascontiguousarray(np.array([*ends, ends[0]]).T)
 
 
 def desired_speeds(task: Task, s: Floats) -> Floats:
-    """The desired speed (m/s) at arc lengths `s` (uniform, shape (n,)): the task's, lowered ahead of a lower one such that
-    `LATEST_DECELERATION` suffices. A higher one holds from its knot on. Before the first knot its speed holds already."""
+    """Returns the desired speed (m/s) at arc lengths `s` (uniform, shape (n,)): the task's, lowered ahead of a lower speed such that
+    `LATEST_DECELERATION` suffices. A higher speed holds from its knot on. The first knot's speed also holds before it."""
     knots = np.array([knot.s for knot in task.speeds])
     speeds = np.array([knot.speed for knot in task.speeds])
     in_force = np.maximum(np.searchsorted(knots, s, side="right") - 1, 0)

@@ -1,4 +1,4 @@
-"""The magnitudes of the cost: everything there is to tune about the planner is here, and nothing here is a calibration parameter.
+"""The magnitudes of the cost: all constants of the planner, none of them a calibration parameter.
 
 J = base + sum of weight x feature over the terms P1..P11. A feature is a raw quantity divided by its `typical` magnitude, a weight
 is the parameter divided by the `middle` of its range (P1: decibels), so that a typical situation at mid-range costs 1 per term.
@@ -47,27 +47,27 @@ TERMINAL_OFFSET = 3.0
 ACCELERATION = 0.1
 """Base cost per (m/s²)² of mean square longitudinal acceleration: breaks ties towards calm speed changes."""
 COLLISION = 3000.0
-"""Base cost of touching another vehicle all along the horizon; one of thirty samples costs 100, more than all terms together."""
+"""Base cost of touching another vehicle along the whole horizon; a single sample of thirty costs 100, more than all terms together."""
 
 CHANGE_ASIDE = 0.5
 CHANGE_AHEAD = 0.2
-"""Base cost of leaving the lateral, the longitudinal plan before for another one while it is not at its end. A planner that changes
-its mind for nothing drives restlessly; and what a parameter set decides then hangs on a few clear decisions, which many sets share."""
+"""Base cost of leaving the previous lateral or longitudinal plan before its end. Without it the planner changes plans for no benefit and
+drives restlessly; with it a run depends on few clear decisions, which many parameter sets share."""
 
 LATEST_DECELERATION = 3.0
-"""m/s², with which the desired speed falls ahead of a lower limit: what ISO 15622 allows (3.5) with some reserve. How much earlier
-and calmer the vehicle slows down is what the parameters decide."""
+"""Deceleration of the desired speed ahead of a lower limit, m/s²: below the 3.5 of ISO 15622. The parameters decide how much earlier and
+more gently the vehicle slows down."""
 
 
 def weights(parameters: Sequence[float]) -> Floats:
-    """The weights of base and terms, shape (12,), from the values of P1..P11: 1, 10^(P1/10), then P / middle."""
+    """Returns the weights of base and terms, shape (12,), from the values of P1..P11: 1, 10^(P1/10), then P / middle."""
     smoothing, *others = parameters
     linear = [value / term.middle for value, term in zip(others, TERMS[1:], strict=True)]
     return np.array([1.0, 10.0 ** (smoothing / 10.0), *linear])
 
 
 def scales() -> Floats:
-    """What the kernel multiplies raw quantities by, shape (18,): [0] unused, [1..11] 1 / typical of the terms, [12] speed error,
+    """Returns the factors of raw quantities in the kernel, shape (18,): [0] unused, [1..11] 1 / typical of the terms, [12] speed error,
     [13] terminal offset, [14] acceleration, [15] collision, [16] change of the lateral, [17] of the longitudinal plan."""
     base = [SPEED_ERROR, TERMINAL_OFFSET, ACCELERATION, COLLISION, CHANGE_ASIDE, CHANGE_AHEAD]
     return np.array([0.0, *(1.0 / term.typical for term in TERMS), *base])

@@ -1,4 +1,4 @@
-"""The planner's arithmetic, compiled. All of it in one module, because numba's cache notices edits of this file only.
+"""The planner's compiled arithmetic, all in one module because numba's cache notices edits of this file only.
 
 One fixed order of summation, no fast-math, ties to the lowest index: equal input gives equal bits, in planning and in re-evaluating
 a stored planning state. Lateral and longitudinal plans are sampled once each; a candidate is a pair of them, numbered
@@ -6,15 +6,15 @@ longitudinal index * n_lateral + lateral index. Inner loops run over lateral pla
 
 Arrays (float64, SI units, C order):
 road (n, 10): s, x, y, heading, curvature (as from `domain.roads.reference_line`, every `SPACING`), desired speed, cosine and sine of the
-    heading, and by how much curvature and desired speed change per metre until the next row
+    heading, change of curvature and of desired speed per metre until the next row
 scene (8,): wanted lane's centre, lane width, last lane, half length and half width of the ego vehicle, lowest and highest allowed d,
     time step of the trajectory
 scales (18,): see `cost.scales`
 lateral_ends (2, n_lateral), longitudinal_ends (2, n_longitudinal): see `candidates`
-ego (6,): s, s', s'', d, d', d''; start (8,): the same where the plan starts, and what is left (s) of the lateral and of the
-    longitudinal plan before, 0 where there is nothing to go on with; neighbours (m, 6): see `ports.Observation`
+ego (6,): s, s', s'', d, d', d''; start (8,): the same at the start of the plan, and the rest (s) of the previous lateral and
+    longitudinal plan, 0 without a previous plan; neighbours (m, 6): see `ports.Observation`
 quintics (8, n_lateral): six coefficients of d(t), end offset, horizon; quartics (7, n_longitudinal): five of s(t), end speed, horizon
-memory (8, 2): the plan before, its quintic in column 0 and its quartic in column 1; horizons of 0 where there is none
+memory (8, 2): the previous plan, its quintic in column 0 and its quartic in column 1; horizons of 0 without a previous plan
 lateral (6, n_lateral), longitudinal (2, n_longitudinal), combined (7, n_longitudinal, n_lateral): features, rows named below
 """
 
@@ -39,13 +39,14 @@ with vector instructions. Rows are computed as a whole, what is beside the plans
 take half the time of 24 plans alone. (Loops over a constant number would be unrolled instead.)"""
 TOUCHING, CLEAR, AHEAD, ALONGSIDE, BEHIND = (row * WIDTH for row in range(5))
 NEAR = 5 * WIDTH
-"""What neighbours mean for the candidates of one longitudinal plan, unscaled: rows of COLLISION, CLEARANCE, LEADER, CLOSING, FOLLOWER."""
+"""Features of the neighbours for the candidates of one longitudinal plan, unscaled: rows of COLLISION, CLEARANCE, LEADER, CLOSING,
+FOLLOWER."""
 SPACING = 0.5
-"""m between rows of the road. A power of two: multiplying by its inverse, as compilers do, gives the same bits as dividing."""
+"""Distance between rows of the road, m. A power of two: multiplying by its inverse, as compilers do, gives the same bits as dividing."""
 
 FEATURE_GRID = 256.0
-"""Features are multiples of 1 / 256, exact in binary. Differences below that cannot be felt, and without them rounding errors would
-decide between plans that are the same: such plans tie, and the tie goes to the same candidate whatever the weights."""
+"""Features are multiples of 1 / 256, exact in binary. Smaller differences cannot be felt. Without the grid, rounding errors would choose
+between equal plans; with it such plans tie, and the tie goes to the same candidate for all weights."""
 
 LATERAL_BASE, LATERAL_JERK, CENTRE, CONSISTENCY, ARRIVAL, BOUNDARY = range(6)
 """Rows of `lateral`: terminal offset and change of plan (base), P1, P3, P5, P6, P9."""
@@ -54,39 +55,39 @@ LONGITUDINAL_BASE, LONGITUDINAL_JERK = range(2)
 COLLISION, LATERAL_ACCELERATION, HEADING, CLEARANCE, LEADER, CLOSING, FOLLOWER = range(7)
 """Rows of `combined`: collision (base), P2, P4, P7, P8, P10, P11."""
 
-# A plan starts from the plan before where the vehicle is within these of it (m, m/s): feedback of every small deviation would make
-# the plan, and with it the ride, as rough as the tracking. Farther away it starts from what was measured.
+# A plan starts from the previous plan if the vehicle deviates by less than this (m, m/s): feedback of every small deviation would make
+# the plan, and the ride, as rough as the tracking. Beyond this it starts from the measured state.
 LARGEST_DEVIATIONS = (1.5, 1.0, 0.4, 0.5)
 SHORTEST_REST = 0.3
-"""s: what is left of a plan below this is not offered as a candidate of its own."""
+"""A shorter rest of a plan is no candidate, s."""
 
 CLEAR_SIDE = 2.0
 CLEAR_TIME = 1.0
 SHORTEST_CLEARANCE = 5.0
 """P7: half axes of the ellipse of clear space around a vehicle, between the bodies: 2 m, one second (at least 5 m)."""
 ARRIVED, NOT_ARRIVED = 1.0, 1.8
-"""P6: m beside the target lane's centre, around the marking at half a lane; the time between counts in part (no jump). It is a matter of
-lane changes: inside the lane everything has arrived, offsets are what P3 and P9 judge."""
+"""P6: distances from the target lane's centre, m, around the marking at half a lane; time between them counts in part, without a jump. P6
+concerns lane changes only: P3 and P9 judge offsets inside the lane."""
 BOUNDARY_SPACE = 0.5
 """P9: m between the vehicle's side and the lane boundary."""
 LARGEST_CHANGE = 0.5
-"""P5: m, differences to the plan before saturate around this: another decision is another decision, however far it leads."""
+"""P5: differences to the previous plan saturate around this, m: another decision counts once, however far it leads."""
 ALONGSIDE_TIME = 0.5
 SMALLEST_SIDE_GAP = 0.5
-"""P10: vehicles within 0.5 s before and behind are alongside, fading out; m, closer gaps count as this."""
+"""P10: vehicles within 0.5 s ahead and behind are alongside, fading out; smaller gaps count as this, m."""
 IN_PATH_FADE = 0.6
 SMALLEST_GAP = 1.0
 LARGEST_URGENCY = 1.0
-"""P8, P11: m beside touching at which a vehicle is no longer in the way; m, shorter gaps count as this; 1/s², TTC below 1 s."""
+"""P8, P11: lateral clearance, m, at which a vehicle is out of the way; shorter gaps count as this, m; 1/s², TTC below 1 s."""
 DRIFT_TIME = 1.0
-"""s: time constant with which a neighbour's lateral speed is expected to die out; along the road it goes on as it is."""
+"""Time constant, s, of the predicted decay of a neighbour's lateral speed; its longitudinal speed is predicted constant."""
 SLOWEST, STANDSTILL = 1.0, 0.1
-"""m/s: the least speed for divisions by it; below the other one the course has no meaning and is the road's."""
+"""Least speed for divisions, and least speed with a meaningful course (below it, the road's heading is used), m/s."""
 
 LARGEST_CURVATURE = 0.1
 LARGEST_SIDE_ACCELERATION = 5.0
 LARGEST_BRAKING, LARGEST_THRUST = 6.0, 4.0
-"""1/m and m/s²: beyond them a candidate is infeasible."""
+"""Limits of feasible candidates, 1/m and m/s²."""
 
 
 @compiled
@@ -170,7 +171,7 @@ def fit_quartic(quartics: Any, j: int, s: float, s1: float, s2: float, speed: fl
 
 @compiled
 def start_at(ego: Any, memory: Any, elapsed: float, start: Any) -> None:
-    """Writes where the plan starts: on the plan before where the vehicle is close to it, else as measured."""
+    """Writes the start of the plan: on the previous plan if the vehicle is close to it, else as measured."""
     for index in range(6):
         start[index] = ego[index]
     start[6], start[7] = 0.0, 0.0
@@ -193,7 +194,7 @@ def start_at(ego: Any, memory: Any, elapsed: float, start: Any) -> None:
 
 @compiled
 def fit(road: Any, lateral_ends: Any, longitudinal_ends: Any, start: Any, memory: Any, quintics: Any, quartics: Any) -> None:
-    """Fits all plans from `start`. The last lateral and the last longitudinal one go on with the plan before."""
+    """Fits all plans from `start`. The last lateral and the last longitudinal plan continue the previous plan."""
     last = lateral_ends.shape[1] - 1
     for i in range(last + 1):
         fit_quintic(quintics, i, start[3], start[4], start[5], lateral_ends[0, i], lateral_ends[1, i])
@@ -328,7 +329,7 @@ def look_ahead(
         straight = True
         c0, c1, c2, c3, c4 = quartics[0, j], quartics[1, j], quartics[2, j], quartics[3, j], quartics[4, j]
         cruise, end = quartics[5, j], quartics[6, j]
-        for k in range(width):  # `longitudinal_at`, side by side; what is beyond the last point is not looked at
+        for k in range(width):  # `longitudinal_at`, side by side; values beyond the last point are unused
             t = (k + 0.5) * INTERVAL
             beyond = max(t - end, 0.0)
             t = min(t, end)
@@ -355,7 +356,7 @@ def look_ahead(
         longitudinal[LONGITUDINAL_BASE, j] = on_grid(base, 1.0)
         longitudinal[LONGITUDINAL_JERK, j] = on_grid(jerk_sum, scales[1] / POINTS)
         sums[:] = 0.0
-        for k in range(0, POINTS, 5):  # five at a time, one after the other: sums are fetched and put back less often
+        for k in range(0, POINTS, 5):  # five at a time: sums are loaded and stored less often
             row = (3 * k + 1) * WIDTH
             slow0, slow1, slow2 = slownesses[k], slownesses[k + 1], slownesses[k + 2]
             slow3, slow4 = slownesses[k + 3], slownesses[k + 4]
@@ -399,8 +400,8 @@ def look_ahead(
 
 @compiled
 def survey(motion: Any, s: Any, s1: Any, moments: Any, n_lateral: int) -> None:
-    """Writes, for each point in time, what is left of a neighbour's lateral speed, and between what all
-    plans are: least and largest d, least and largest s, largest s'; shape (POINTS, 6)."""
+    """Writes, for each point in time, the remaining share of a neighbour's lateral speed and the bounds of all
+    plans: least and largest d, least and largest s, largest s'; shape (POINTS, 6)."""
     n_longitudinal = s.shape[1]
     for k in range(POINTS):
         at = 3 * WIDTH * k
@@ -418,8 +419,8 @@ def survey(motion: Any, s: Any, s1: Any, moments: Any, n_lateral: int) -> None:
 def look_at(
     scene: Any, start: Any, neighbour: Any, motion: Any, s: Any, s1: Any, moments: Any, aside: Any, near: Any, width: int
 ) -> None:
-    """Adds what one neighbour means for each candidate to `near`, shape (n_longitudinal * NEAR,). `aside` is scratch, rows of `WIDTH`:
-    space between the sides, touching, space squared over the wanted one, closing rate squared, how far in the path. `moments`: as from
+    """Adds the features of a neighbour for each candidate to `near`, shape (n_longitudinal * NEAR,). `aside` is scratch, rows of `WIDTH`:
+    space between the sides, touching, squared ratio of space to wanted space, closing rate squared, how far in the path. `moments`: as from
     `survey`.
 
     A vehicle that follows in the lane where the ego vehicle is already means nothing: keeping its distance is its own affair. What
@@ -437,7 +438,7 @@ def look_at(
         other_d = neighbour[1] + neighbour[3] * DRIFT_TIME * (1.0 - fading)
         other_d1 = neighbour[3] * fading
         other_s = neighbour[0] + neighbour[2] * t
-        # Rounding keeps order: what is true of the nearest plan, the foremost, the fastest is true of the others.
+        # Rounding keeps order: a bound of the nearest, foremost or fastest plan holds for the others.
         space = max(moments[k, 1] - other_d, other_d - moments[k, 2]) - breadth
         out_of_path = space >= IN_PATH_FADE
         fastest = moments[k, 5]
@@ -531,7 +532,7 @@ def costs_of(lateral: Any, longitudinal: Any, combined: Any, weights: Any, costs
 
 @compiled
 def cheapest(costs: Any, infeasible: Any) -> int:
-    """The lowest index among the candidates of lowest cost that are not known to be infeasible; -1 where none is left."""
+    """Returns the lowest index among the cheapest candidates not known to be infeasible; -1 if none is left."""
     best = -1
     lowest = np.inf
     flat = costs.ravel()
@@ -565,7 +566,7 @@ def motion_at(
 
 @compiled
 def is_feasible(road: Any, scene: Any, quintics: Any, quartics: Any, i: int, j: int) -> bool:
-    """False where a candidate turns, brakes or accelerates too hard, drives backwards, or leaves the road farther than it is off."""
+    """Returns False if a candidate turns, brakes or accelerates too hard, drives backwards, or leaves the road farther than it is off."""
     lowest, highest = min(scene[5], quintics[0, i]), max(scene[6], quintics[0, i])
     for k in range(POINTS):
         _, d, _, forward, curvature, speed, acceleration = motion_at(road, quintics, quartics, i, j, (k + 0.5) * INTERVAL)
@@ -611,8 +612,8 @@ def plan(
     road: Any, scene: Any, scales: Any, lateral_ends: Any, longitudinal_ends: Any, weights: Any, ego: Any, neighbours: Any,
     elapsed: float, memory: Any, lateral: Any, longitudinal: Any, combined: Any, infeasible: Any, trajectory: Any, state: Any,
 ) -> int:  # fmt: skip
-    """One plan: writes features, the candidates found infeasible (n,), the trajectory, the new memory, and to `state`, shape (24 + 6 m,),
-    all that decided besides the weights. Returns the chosen candidate, -1 where no cost is a number."""
+    """Makes a plan: writes features, infeasible candidates (n,), the trajectory, the new memory, and to `state`, shape (24 + 6 m,),
+    all that decided besides the weights. Returns the chosen candidate, -1 if no cost is a number."""
     n_lateral, n_longitudinal = lateral_ends.shape[1], longitudinal_ends.shape[1]
     state[0], state[1] = scene[0], elapsed
     state[2:8] = ego
@@ -640,7 +641,7 @@ def decide(
     road: Any, scene: Any, scales: Any, lateral_ends: Any, longitudinal_ends: Any, weights: Any, state: Any,
     lateral: Any, longitudinal: Any, combined: Any, infeasible: Any,
 ) -> int:  # fmt: skip
-    """What `plan` would choose in a `state` as it wrote it; writes features and the candidates found infeasible."""
+    """Returns the choice of `plan` in a `state` that it wrote; writes features and infeasible candidates."""
     quintics, quartics = np.empty((8, lateral_ends.shape[1])), np.empty((7, longitudinal_ends.shape[1]))
     consider(
         road, scene, scales, lateral_ends, longitudinal_ends, state[2:8], state[24:].reshape(-1, 6), state[1],
@@ -661,9 +662,9 @@ def choose(
     combined: Any,
     infeasible: Any,
 ) -> int:
-    """The candidate that is driven, -1 where no cost is a number. Writes which ones were found infeasible.
+    """Returns the candidate to drive, -1 if no cost is a number. Writes which candidates are infeasible.
 
-    Candidates are checked in the order of their cost until one is feasible; where none is, the cheapest is driven all the same:
+    Candidates are checked in the order of their cost until a candidate is feasible; if none is, the cheapest is driven all the same:
     braking and steering at the limit is the vehicle's affair then.
     """
     n_longitudinal, n_lateral = combined.shape[1], combined.shape[2]

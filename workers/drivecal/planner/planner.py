@@ -1,4 +1,4 @@
-"""The planner at work in one scenario: prepares the kernel's arrays once, then one kernel call per plan."""
+"""The planner of one scenario: prepares the kernel's arrays once, then calls the kernel once per plan."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from drivecal.plugins.ports import Observation
 Floats = npt.NDArray[np.float64]
 
 PERIOD = 0.2
-"""s between two plans."""
+"""Time between two plans, s."""
 TRAJECTORY = 2.4
-"""s of trajectory handed to the vehicle: the period and what its controller looks ahead."""
+"""Length of the trajectory for the vehicle, s: the period and its controller's preview."""
 CURB = 0.1
-"""m that every candidate stays away from the road's edges."""
+"""Distance that every candidate keeps from the road's edges, m."""
 LOWEST = weights([float(parameter.lower) for parameter in HIGHWAY])
 HIGHEST = weights([float(parameter.upper) for parameter in HIGHWAY])
-"""The weights that a certificate holds for, shape (12,): those of the parameters of Table 6."""
+"""Limits of the weights that a certificate covers, shape (12,): those of the parameters of Table 6."""
 LEADERS = 48
-"""Good candidates that every other one is compared with, to find out whether it could ever win."""
+"""Number of good candidates that decide, by comparison, whether another candidate could ever win."""
 MARGIN = 1e-6
-"""Of costs: rounding errors are a thousand times smaller."""
+"""Margin of cost comparisons: a thousand times the rounding errors."""
 
 _COMBINED = {kernel.LATERAL_ACCELERATION: 2, kernel.HEADING: 4, kernel.CLEARANCE: 7, kernel.LEADER: 8, kernel.CLOSING: 10}
 _COMBINED |= {kernel.FOLLOWER: 11, kernel.COLLISION: 0}
@@ -42,10 +42,10 @@ _LONGITUDINAL = {kernel.LONGITUDINAL_BASE: 0, kernel.LONGITUDINAL_JERK: 1}
 
 
 class FrenetPlanner:
-    """Decides every 0.2 s for the candidate of lowest cost (Werling et al. 2010).
+    """Chooses the candidate of lowest cost every 0.2 s (Werling et al. 2010).
 
-    A plan starts on the plan before while the vehicle follows it closely (`kernel.LARGEST_DEVIATIONS`), so that what is driven is
-    one smooth curve; else where the vehicle is. The features of the last plan stay readable: J = features @ weights.
+    A plan starts on the previous plan while the vehicle follows it closely (`kernel.LARGEST_DEVIATIONS`), which gives a smooth path; else
+    it starts at the vehicle. The features of the last plan stay readable: J = features @ weights.
     """
 
     period = PERIOD
@@ -53,7 +53,7 @@ class FrenetPlanner:
     n_values = len(deciding.TERM)
 
     def __init__(self, scenario: Scenario) -> None:
-        """Raises InvalidInputError where the scenario's step does not divide the planning period."""
+        """Raises InvalidInputError if the scenario's step does not divide the planning period."""
         per_plan = round(PERIOD / scenario.step)
         if per_plan < 1 or abs(per_plan * scenario.step - PERIOD) > 1e-9:
             raise InvalidInputError(
@@ -85,7 +85,7 @@ class FrenetPlanner:
         self._combined = np.zeros((7, n_longitudinal, n_lateral))
         self._by_term = np.zeros((self.n_candidates, 12))
         self.infeasible: npt.NDArray[np.bool_] = np.zeros(self.n_candidates, dtype=np.bool_)
-        """The candidates of the last plan that were cheaper than the chosen one but cannot be driven, shape (n_candidates,)."""
+        """Candidates of the last plan that are cheaper than the chosen candidate but cannot be driven, shape (n_candidates,)."""
         self.chosen = -1
         """The candidate of the last plan that is driven: index = longitudinal index * n_lateral + lateral index."""
         self._memory = np.zeros((8, 2))
@@ -93,7 +93,7 @@ class FrenetPlanner:
         """See `drivecal.plugins.ports.CertifiablePlanner`: as from `kernel.plan`."""
         self._weights = np.zeros(12)
         self._asked: tuple[tuple[float, ...], Floats, bool] = ((), self._weights, False)
-        """The parameters that were asked for last, their weights, and whether a certificate may hold for them."""
+        """The last parameters, their weights, and whether a certificate may cover them."""
         self._planned_at = 0.0
 
     def reset(self, parameters: Sequence[float]) -> None:
@@ -104,9 +104,9 @@ class FrenetPlanner:
         self.chosen = -1
 
     def plan(self, observation: Observation) -> Floats:
-        """The trajectory to follow, shape (25, 7) at a step of 0.1 s: t, x, y, heading, curvature, speed, acceleration.
+        """Returns the trajectory to follow, shape (25, 7) at a step of 0.1 s: t, x, y, heading, curvature, speed, acceleration.
 
-        Raises ValueError where the observation holds no usable numbers.
+        Raises ValueError if the observation holds numbers that are not finite.
         """
         trajectory = np.empty((self._rows, 7))
         wanted = self._wanted(observation.time)
@@ -136,8 +136,8 @@ class FrenetPlanner:
         return trajectory
 
     def features(self, observation: Observation | None = None) -> Floats:
-        """The features of all candidates of the last plan, or of one that began with this observation, shape (n_candidates, 12):
-        base, then the terms P1..P11. Plans nothing.
+        """Returns the features of all candidates of the last plan, or of a plan from this observation, shape (n_candidates, 12): base, then
+        the terms P1..P11. Plans nothing.
 
         `plan` takes the candidate of lowest `features @ cost.weights(parameters)` that is feasible.
         """
@@ -190,10 +190,10 @@ class FrenetPlanner:
     def contenders(self, infeasible: npt.NDArray[np.bool_]) -> tuple[npt.NDArray[np.int64], Floats]:
         """See `drivecal.plugins.ports.CertifiablePlanner`; with the parameters of the built-in spaces."""
         deciding.by_term(self._lateral, self._longitudinal, self._combined, self._by_term)
-        found = contenders(self._by_term, LOWEST, HIGHEST, infeasible, self.chosen, LEADERS, MARGIN)
-        values = np.empty((len(found), self.n_values))
-        deciding.values_of(self._lateral, self._longitudinal, self._combined, found, values)
-        return found, values
+        rivals = contenders(self._by_term, LOWEST, HIGHEST, infeasible, self.chosen, LEADERS, MARGIN)
+        values = np.empty((len(rivals), self.n_values))
+        deciding.values_of(self._lateral, self._longitudinal, self._combined, rivals, values)
+        return rivals, values
 
     def walk(self, nodes: Nodes, parameters: Sequence[float], node: int) -> int:
         """See `drivecal.plugins.ports.CertifiablePlanner`."""
@@ -219,11 +219,11 @@ class FrenetPlanner:
 
     def _weights_of(self, parameters: Sequence[float]) -> tuple[Floats, bool]:
         asked = tuple(parameters)
-        if asked != self._asked[0]:  # many questions about one set follow each other
-            found = weights(parameters)
-            self._asked = asked, found, bool(((found >= LOWEST) & (found <= HIGHEST)).all())
+        if asked != self._asked[0]:  # many questions about the same set follow each other
+            values = weights(parameters)
+            self._asked = asked, values, bool(((values >= LOWEST) & (values <= HIGHEST)).all())
         return self._asked[1:]
 
     def _wanted(self, time: float) -> int:
-        """0 while the start lane is wanted, 1 once the target lane is."""
+        """Returns 0 before the lane change, 1 after it."""
         return 1 if time >= self._change_after else 0
