@@ -238,9 +238,9 @@ def test_higher_priorities_go_first() -> None:
 def test_a_cell_cannot_be_outstanding_twice() -> None:
     pool = WorkPool(FakeBackend())
     pool.submit(Work(setup(), cells([Behaviour.WELL] * 3)), tag="a")
-    with pytest.raises(ValueError):
+    with pytest.raises(ValueError, match="3|9"):
         pool.submit(Work(setup("S2"), cells([Behaviour.WELL])), tag="a")
-    with pytest.raises(ValueError):
+    with pytest.raises(ValueError, match="3|9"):
         pool.submit(Work(setup(), [Cell(9, {}), Cell(9, {})]), tag="a")
     assert len(drain(pool)) == 3
     pool.submit(Work(setup(), cells([Behaviour.WELL] * 3)), tag="a")
