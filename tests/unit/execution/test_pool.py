@@ -235,12 +235,12 @@ def test_higher_priorities_go_first() -> None:
     assert order.index("S3") <= 4  # after those that were under way
 
 
-def test_a_cell_cannot_be_outstanding_twice() -> None:
+def test_a_cell_cannot_be_in_flight_twice() -> None:
     pool = WorkPool(FakeBackend())
     pool.submit(Work(setup(), cells([Behaviour.WELL] * 3)), tag="a")
-    with pytest.raises(ValueError, match="3|9"):
+    with pytest.raises(ValueError, match=r"\[1\]"):
         pool.submit(Work(setup("S2"), cells([Behaviour.WELL])), tag="a")
-    with pytest.raises(ValueError, match="3|9"):
+    with pytest.raises(ValueError, match=r"\[9, 9\]"):
         pool.submit(Work(setup(), [Cell(9, {}), Cell(9, {})]), tag="a")
     assert len(drain(pool)) == 3
     pool.submit(Work(setup(), cells([Behaviour.WELL] * 3)), tag="a")
