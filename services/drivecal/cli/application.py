@@ -167,16 +167,16 @@ def full_map_id(client: Client, identifier: str) -> str:
 
 def with_full_ids(client: Client, specification: dict[str, Any]) -> dict[str, Any]:
     """A campaign's or a comparison's specification, in which the map and the campaign that it may name are not abbreviated."""
-    found = dict(specification)
+    completed = dict(specification)
     for section, name, resolved in (("sensitivity", "map", full_map_id), ("robustness", "of", full_id)):
-        settings = found.get(section)
+        settings = completed.get(section)
         if isinstance(settings, dict) and isinstance(settings.get(name), str):
-            found[section] = {**settings, name: resolved(client, settings[name])}
-    return found
+            completed[section] = {**settings, name: resolved(client, settings[name])}
+    return completed
 
 
 def _beginning(kind: str, ids: Sequence[str], identifier: str) -> str:
-    found = [one for one in ids if one.startswith(identifier)]
-    if len(found) > 1:
-        raise NotFoundError(f"single {kind}", identifier, f"{len(found)} begin so, give more characters")
-    return found[0] if found else identifier
+    matching = [full for full in ids if full.startswith(identifier)]
+    if len(matching) > 1:
+        raise NotFoundError(f"single {kind}", identifier, f"{len(matching)} begin so, give more characters")
+    return matching[0] if matching else identifier

@@ -142,17 +142,17 @@ class Client:
                 raise_for(response, "campaign", identifier)
                 parser = EventParser()
                 for chunk in response.iter_bytes():
-                    found = [self._sent(follower) for follower in parser.feed(chunk)]
-                    yield from found or [None]
+                    events = [self._sent(follower) for follower in parser.feed(chunk)]
+                    yield from events or [None]
         except httpx.TransportError as error:
             raise unreachable(self.url, error) from error
 
-    def _sent(self, one: ServerSentEvent) -> Sent:
+    def _sent(self, event: ServerSentEvent) -> Sent:
         try:
-            if one.event == PROGRESS:
-                return CampaignProgress.model_validate_json(one.data)
-            document = json.loads(one.data)
-            return CampaignEvent.model_validate({**document, "id": one.id})
+            if event.event == PROGRESS:
+                return CampaignProgress.model_validate_json(event.data)
+            document = json.loads(event.data)
+            return CampaignEvent.model_validate({**document, "id": event.id})
         except (TypeError, ValueError) as error:
             raise self._strange() from error
 

@@ -75,7 +75,7 @@ def configure(process: Process, settings: Settings, stream: TextIO | None = None
     )
     logging.captureWarnings(capture=True)
     sys.excepthook = _uncaught
-    threading.excepthook = lambda one: _uncaught(one.exc_type, one.exc_value, one.exc_traceback)
+    threading.excepthook = lambda args: _uncaught(args.exc_type, args.exc_value, args.exc_traceback)
 
 
 def about(**known: Value) -> AbstractContextManager[None]:
@@ -153,7 +153,7 @@ def _value(value: object) -> str:
 
 
 def _escaped(text: str) -> str:
-    return _CONTROLS.sub(lambda found: found.group().encode("unicode_escape").decode(), text)
+    return _CONTROLS.sub(lambda match: match.group().encode("unicode_escape").decode(), text)
 
 
 def _uncaught(kind: type[BaseException], error: BaseException | None, traceback: TracebackType | None) -> None:

@@ -108,11 +108,11 @@ class TokenFile:
         """Whose token it is, None where it is nobody's. Takes equally long whatever was presented: digests of equal length are
         compared, all of them, and none of them early."""
         self._refresh()
-        digest, found = _digest(presented), None
+        digest, match = _digest(presented), None
         for token in self.tokens:
             if hmac.compare_digest(token.digest, digest):
-                found = token
-        return found
+                match = token
+        return match
 
     def named(self, name: str) -> Token | None:
         """The token of this name, None where there is none (any more)."""
@@ -135,10 +135,10 @@ class TokenFile:
 
 def _version(path: Path) -> tuple[int, ...] | None:
     try:
-        found = path.stat()
+        status = path.stat()
     except OSError:
         return None
-    return found.st_mtime_ns, found.st_ctime_ns, found.st_size, found.st_ino
+    return status.st_mtime_ns, status.st_ctime_ns, status.st_size, status.st_ino
 
 
 def _read(path: Path) -> bytes:

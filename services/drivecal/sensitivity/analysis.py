@@ -92,14 +92,14 @@ class SensitivityAnalysis:
         for scenario, design in self._designs.items():
             _check(scenario, scores[scenario], len(design.points))
         for scenario, design in self._designs.items():
-            state, told = self._states[scenario], scores[scenario]
-            effects = design.effects(told)
+            state, answers = self._states[scenario], scores[scenario]
+            effects = design.effects(answers)
             if self._name == "intervals":
-                state.take_intervals(told, effects, design.steps)
+                state.take_intervals(answers, effects, design.steps)
             elif self._name == "confirmation":
                 state.take_confirmations(effects, design.steps)
             else:
-                state.take_overall(told, effects, design.steps)
+                state.take_overall(answers, effects, design.steps)
         self._designs = None
         self._number += 1
         self._name = self._next()

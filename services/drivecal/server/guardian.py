@@ -30,7 +30,7 @@ _STOPPING = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
 def members(session: int) -> list[int]:
     """The processes of a session, its leader excepted; none on systems without /proc."""
-    found = []
+    processes = []
     for entry in Path("/proc").glob("[0-9]*/stat"):
         try:
             # pid (name) state ppid pgrp session ...; the name may hold anything
@@ -38,8 +38,8 @@ def members(session: int) -> list[int]:
         except OSError:
             continue
         if int(fields[3]) == session and fields[0] != "Z" and int(entry.parent.name) != session:
-            found.append(int(entry.parent.name))
-    return found
+            processes.append(int(entry.parent.name))
+    return processes
 
 
 def end_session(session: int) -> None:

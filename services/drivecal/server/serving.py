@@ -88,13 +88,13 @@ def run_server(
         lacking = [] if _answers(url) else ["API"]
         try:
             with database.read() as connection:
-                found = processes.read(connection, "dispatcher")
+                dispatcher = processes.read(connection, "dispatcher")
         except DrivecalError as error:
             return [*lacking, str(error)]
-        if found is None or found.heartbeat_at < started_at:
+        if dispatcher is None or dispatcher.heartbeat_at < started_at:
             return [*lacking, "dispatcher"]
-        if all(worker["state"] == "starting" for worker in found.detail.get("workers", [])):
-            reason = found.detail.get("degraded")
+        if all(worker["state"] == "starting" for worker in dispatcher.detail.get("workers", [])):
+            reason = dispatcher.detail.get("degraded")
             return [*lacking, f"workers ({reason})" if reason else "workers"]
         return lacking
 

@@ -57,7 +57,7 @@ class _Child:
         self.started_at = self.start_at = 0.0
 
     def start(self) -> None:
-        keep = ",".join(str(one) for one in self.specification.keep)
+        keep = ",".join(str(descriptor) for descriptor in self.specification.keep)
         guardian = [sys.executable, "-m", "drivecal.server.guardian", str(GRACE_SECONDS), keep]
         self.process = subprocess.Popen(  # noqa: S603  # the server's own commands
             [*guardian, *self.specification.command],

@@ -32,13 +32,13 @@ def follow(connection: Connection, sequence: int, state: CampaignState) -> None:
     """Has the runs of a comparison follow it to a `state`; any other campaign has none."""
     if state not in _FOLLOWS:
         return
-    before, after, told = _FOLLOWS[state]
+    before, after, follows = _FOLLOWS[state]
     values = {"state": after, "revision": campaigns.c.revision + 1, "degraded": None}
     values |= {"ended_at": now()} if after.ended else {}
     mine = campaigns.c.parent_sequence == sequence
     statement = update(campaigns).where(mine, campaigns.c.state.in_(list(before))).values(values)
     for run in sorted(connection.execute(statement.returning(campaigns.c.sequence)).scalars()):
-        events.add(connection, run, told, {"state": after})
+        events.add(connection, run, follows, {"state": after})
     if after.ended:  # what of a run waited for workers when it failed was leased all the same
         for run in connection.scalars(
             select(campaigns.c.sequence).where(mine, campaigns.c.state != CampaignState.SUCCEEDED)

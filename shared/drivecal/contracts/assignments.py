@@ -11,7 +11,7 @@ from drivecal.domain.errors import InvalidInputError, Problem
 
 def assignments(parts: Iterable[str], field: str) -> dict[str, float]:
     """`P1=0.5`, `P2=3` as numbers by name. Raises InvalidInputError, naming `field`, for all that cannot be read."""
-    found: dict[str, float] = {}
+    values: dict[str, float] = {}
     problems: list[Problem] = []
     for part in parts:
         name, equals, digits = (piece.strip() for piece in part.partition("="))
@@ -20,13 +20,13 @@ def assignments(parts: Iterable[str], field: str) -> dict[str, float]:
             problems.append(Problem(field, f"{shown(part)} is no assignment", "write NAME=NUMBER"))
         elif value is None:
             problems.append(Problem(f"{field} {name}", f"{shown(digits)} is no number", "give a finite number, e.g. 0.5"))
-        elif name in found:
+        elif name in values:
             problems.append(Problem(f"{field} {name}", "it is given twice", "give it once"))
         else:
-            found[name] = value
+            values[name] = value
     if problems:
         raise InvalidInputError(*problems)
-    return found
+    return values
 
 
 def _number(digits: str) -> float | None:

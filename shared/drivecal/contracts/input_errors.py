@@ -135,10 +135,10 @@ def _merged(located: Sequence[tuple[tuple[int | str, ...], Detail]], model: type
             else:
                 merged.append(problem(field_name(path), detail))
             continue
-        others = [(other, found) for other, found in located if found is not detail and other[: len(path)] == path]
-        if any(len(other) > len(path) or not _is_type(found) for other, found in others):
+        others = [(other, entry) for other, entry in located if entry is not detail and other[: len(path)] == path]
+        if any(len(other) > len(path) or not _is_type(entry) for other, entry in others):
             continue
-        wanted = [_WANTED[detail["type"]], *(_WANTED[found["type"]] for _, found in others)]
+        wanted = [_WANTED[detail["type"]], *(_WANTED[entry["type"]] for _, entry in others)]
         remedy = f"give {' or '.join(sorted(set(wanted), reverse=True))}"
         merged.append(Problem(field_name(path), f"{shown(detail['input'])} does not fit", remedy))
     return merged
@@ -183,7 +183,7 @@ def _inner_model(annotation: Any) -> type[BaseModel] | None:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
     inner: Callable[[Any], type[BaseModel] | None] = _inner_model
-    return next((found for found in map(inner, get_args(annotation)) if found is not None), None)
+    return next((model for model in map(inner, get_args(annotation)) if model is not None), None)
 
 
 def nearest(name: str, known: Sequence[str]) -> str:

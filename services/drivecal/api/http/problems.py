@@ -132,11 +132,11 @@ async def _validation_error(request: Request, error: Exception) -> Response:
     """What FastAPI itself found: query, path and header parameters. Bodies are read by `drivecal.api.http.bodies`."""
     if not isinstance(error, RequestValidationError):
         raise error
-    found = [
+    problems = [
         input_errors.problem(".".join(shown(part) for part in detail["loc"][1:]), detail)
         for detail in error.errors()[: MOST_PROBLEMS + 1]
     ]
-    return problem_response(request, 422, "\n".join(map(str, found)), found)
+    return problem_response(request, 422, "\n".join(map(str, problems)), problems)
 
 
 async def _database_error(request: Request, error: Exception) -> Response:
@@ -161,12 +161,12 @@ async def _http_error(request: Request, error: Exception) -> Response:
 
 def _methods(request: Request) -> list[str]:
     """What is possible where a request went: of all routes, not of the first one only that has the path."""
-    found: set[str] = set()
+    allowed: set[str] = set()
     for template, methods in request.app.openapi()["paths"].items():
         pattern = "".join("[^/]+" if part.startswith("{") else re.escape(part) for part in re.split(r"(\{\w+\})", template))
         if re.fullmatch(pattern, request.scope["path"], re.DOTALL):
-            found |= {method.upper() for method in methods}
-    return sorted(found)
+            allowed |= {method.upper() for method in methods}
+    return sorted(allowed)
 
 
 async def _unexpected(request: Request, error: Exception) -> Response:

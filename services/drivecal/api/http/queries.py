@@ -81,7 +81,7 @@ def form_of(query: FormOf, accept: str) -> Form:
         quality = next((option[2:] for option in options if option.startswith("q=")), "1")
         if media_type in FORMS:
             wanted.append((_quality(quality), FORMS[media_type]))
-    return max(wanted, key=lambda one: one[0], default=(0.0, "json"))[1]
+    return max(wanted, key=lambda choice: choice[0], default=(0.0, "json"))[1]
 
 
 def _quality(text: str) -> float:

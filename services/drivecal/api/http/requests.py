@@ -80,8 +80,8 @@ class RequestRecords:
                 "path": scope["path"][:LONGEST_PATH],
             }
             known |= {"status": status, "milliseconds": None if seconds is None else round(1000 * seconds, 1)}
-            told = {name: value for name, value in known.items() if value is not None}
-            log.log(level, "%s %s: %d", method, known["path"], status, extra=told)
+            fields = {name: value for name, value in known.items() if value is not None}
+            log.log(level, "%s %s: %d", method, known["path"], status, extra=fields)
 
 
 def _template(scope: Scope) -> str:

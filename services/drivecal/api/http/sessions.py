@@ -60,10 +60,10 @@ def holder(value: str, names: Names, moment: float | None = None) -> Token | Non
 def presented(headers: Headers) -> str | None:
     """The value of the session's cookie; None where there is none."""
     try:
-        found = SimpleCookie(headers.get("cookie", "")).get(cookie_name(headers.get("host", "")))
+        cookie = SimpleCookie(headers.get("cookie", "")).get(cookie_name(headers.get("host", "")))
     except CookieError:
         return None
-    return None if found is None else found.value
+    return None if cookie is None else cookie.value
 
 
 def same_origin(headers: Headers) -> bool:

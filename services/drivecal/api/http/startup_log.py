@@ -28,16 +28,16 @@ def tell_of_database(url: str) -> None:
 
 def watch(check: Callable[[], None], pause: Callable[[float], object]) -> None:
     """Returns once `check` does not raise DatabaseError any more. Each reason is logged once; where nothing was wrong, nothing is."""
-    told = None
+    logged = None
     while True:
         try:
             check()
         except DatabaseError as error:
-            if str(error) != told:
-                told = str(error)
-                log.error("campaigns wait: %s", told)  # noqa: TRY400  # the sentence says it all; a traceback would bury it
+            if str(error) != logged:
+                logged = str(error)
+                log.error("campaigns wait: %s", logged)  # noqa: TRY400  # the sentence says it all; a traceback would bury it
             pause(LOOK_SECONDS)
         else:
-            if told is not None:
+            if logged is not None:
                 log.info("the database can be used now")
             return

@@ -29,8 +29,8 @@ class ResponseCache:
 
     def find(self, campaign: str, tag: str) -> bytes | None:
         """The answer with this ETag, if it was given a moment ago."""
-        found = self._answers.get(campaign)
-        return found.body if found is not None and found.tag == tag and self._clock() - found.made_at < SECONDS else None
+        answer = self._answers.get(campaign)
+        return answer.body if answer is not None and answer.tag == tag and self._clock() - answer.made_at < SECONDS else None
 
     def keep(self, campaign: str, tag: str, body: bytes) -> None:
         """Takes the place of the answer before."""

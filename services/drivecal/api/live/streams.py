@@ -72,8 +72,8 @@ class Feed:
 
     def after(self, position: int) -> tuple[list[bytes], int]:
         """The held events after a position, and the position after them."""
-        found = [one for one in self.held if one[0] > position]
-        return [content for _, content in found], found[-1][0] if found else position
+        later = [event for event in self.held if event[0] > position]
+        return [content for _, content in later], later[-1][0] if later else position
 
     def wake(self) -> None:
         """Lets streams look again."""
@@ -166,9 +166,9 @@ class EventHub:
 
         def read() -> tuple[list[bytes], int]:
             with self._database.read() as connection:
-                found = events.since(connection, feed.sequence, position, PAGE)
+                page = events.since(connection, feed.sequence, position, PAGE)
             # None: what the feed begins after has been forgotten meanwhile.
-            return [encoded(one, feed.campaign) for one in found], found[-1].id if found else max(position, feed.start or 0)
+            return [encoded(event, feed.campaign) for event in page], page[-1].id if page else max(position, feed.start or 0)
 
         try:
             return await asyncio.to_thread(read)
@@ -212,16 +212,16 @@ class EventHub:
         with self._database.read() as connection:
             revisions = revision_queries.revisions(connection, known)
             changed = [sequence for sequence, revision in revisions.items() if known[sequence][1] != revision]
-            found: dict[int, list[StoredEvent]] = {}
+            new_events: dict[int, list[StoredEvent]] = {}
             newest: dict[int, int] = {}
             for sequence in changed:
                 last = known[sequence][0]
                 if last is None:
                     newest[sequence] = events.newest_id(connection, sequence)
                 else:
-                    found[sequence] = events.since(connection, sequence, last, PAGE)
+                    new_events[sequence] = events.since(connection, sequence, last, PAGE)
             snapshots = {snapshot.sequence: snapshot for snapshot in revision_queries.snapshots(connection, changed)}
-            return _Look(revision_queries.heartbeat(connection), snapshots, found, newest)
+            return _Look(revision_queries.heartbeat(connection), snapshots, new_events, newest)
 
     def _take_in(self, feed: Feed, look: _Look, silent: str | None, moment: datetime) -> bool:
         """Whether anything of a campaign changed."""
@@ -230,11 +230,11 @@ class EventHub:
             feed.snapshot, feed.revision = snapshot, snapshot.revision
             if feed.start is None:
                 feed.start = look.newest.get(feed.sequence, 0)
-            found = look.found.get(feed.sequence, [])
-            feed.held.extend((one.id, encoded(one, feed.campaign)) for one in found)
+            new_events = look.found.get(feed.sequence, [])
+            feed.held.extend((event.id, encoded(event, feed.campaign)) for event in new_events)
             while len(feed.held) > HELD:
                 feed.start = feed.held.popleft()[0]
-            if len(found) == PAGE:
+            if len(new_events) == PAGE:
                 feed.revision = -1  # there is more
             else:
                 feed.ended = snapshot.state.ended

@@ -58,8 +58,8 @@ def list_studies(campaign_id: str, database: DatabaseDependency) -> StudyPage:
     """The robustness and validation studies of its best sets and its map, its own and those of other campaigns, newest first."""
     with database.read() as connection:
         campaign = _calibration(campaigns.get(connection, campaign_id))
-        found = studies.about(connection, campaign.id, campaign.sequence, campaign.influence_map_id)
-    return StudyPage(items=[_study(study) for study in found if _of_the_same(study, campaign)])
+        made = studies.about(connection, campaign.id, campaign.sequence, campaign.influence_map_id)
+    return StudyPage(items=[_study(study) for study in made if _of_the_same(study, campaign)])
 
 
 def _calibration(campaign: StoredCampaign) -> StoredCampaign:

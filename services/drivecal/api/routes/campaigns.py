@@ -62,8 +62,8 @@ def list_campaigns(query: CampaignsQuery, database: DatabaseDependency, if_none_
         headers = {"ETag": list_etag(seen, silent), "Cache-Control": "no-cache"}
         if matches(if_none_match, headers["ETag"]):
             return Response(status_code=304, headers=headers)
-        found, following = campaigns.page(connection, state=query.state, limit=query.limit, cursor=query.cursor)
-    page = CampaignPage(items=[campaign_answer(campaign, moment, silent) for campaign in found], next_cursor=following)
+        stored, following = campaigns.page(connection, state=query.state, limit=query.limit, cursor=query.cursor)
+    page = CampaignPage(items=[campaign_answer(campaign, moment, silent) for campaign in stored], next_cursor=following)
     return Response(page.model_dump_json(), headers=headers, media_type="application/json")
 
 
@@ -98,13 +98,13 @@ def accounting(campaign_id: str, database: DatabaseDependency) -> Accounting:
         refuse_comparison(stored)
         if stored.kind != "calibration":
             raise ConflictError(f"{stored.id} is a single evaluation, which saves nothing; GET {ROOT}/evaluations/{stored.id}")
-        found = costs.by_outcome(connection, stored.sequence)
+        rows = costs.by_outcome(connection, stored.sequence)
         origin = _map_origin(connection, stored)
         proofs = audits.proofs(connection, stored.sequence, resolved_spec(stored).evaluator) if stored.resolution else ()
         searched = (stored.spec.get("optimizer") or {}).get("iterations", 0)
         confirmed = results.counted_since(connection, stored.sequence, StageName.CALIBRATION, searched)
-    known = [*stored.error_rate, *(one.scenario for one in found if one.stage is StageName.CALIBRATION)]
-    return account(stored.id, stored.state, dict.fromkeys(known), found, origin, proofs, confirmed)
+    known = [*stored.error_rate, *(row.scenario for row in rows if row.stage is StageName.CALIBRATION)]
+    return account(stored.id, stored.state, dict.fromkeys(known), rows, origin, proofs, confirmed)
 
 
 def _map_origin(connection: Connection, campaign: StoredCampaign) -> MapOrigin | None:

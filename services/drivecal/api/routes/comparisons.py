@@ -56,29 +56,29 @@ def submit(
 @router.get("/campaigns/{campaign_id}/comparison", responses=page_or_file(ComparedRun))
 def list_runs(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
     """The runs of a comparison; `run` is the id of the campaign that holds all that it found."""
-    found = _compared(database, campaign_id)
-    return _table(f"comparison-{campaign_id}", query, accept, ComparedRun, found.runs())
+    comparison = _compared(database, campaign_id)
+    return _table(f"comparison-{campaign_id}", query, accept, ComparedRun, comparison.runs())
 
 
 @router.get("/campaigns/{campaign_id}/comparison-groups", responses=page_or_file(ComparedGroup))
 def list_groups(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
     """Table 5: one row per optimizer, population size and reduction, over the seeds."""
-    found = _compared(database, campaign_id)
-    return _table(f"comparison-groups-{campaign_id}", query, accept, ComparedGroup, found.groups())
+    comparison = _compared(database, campaign_id)
+    return _table(f"comparison-groups-{campaign_id}", query, accept, ComparedGroup, comparison.groups())
 
 
 @router.get("/campaigns/{campaign_id}/comparison-pairs", responses=page_or_file(ComparedPair))
 def list_pairs(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
     """Each ended run beside the one that differs from it in the reduction alone; none where there is one reduction."""
-    found = _compared(database, campaign_id)
-    return _table(f"comparison-pairs-{campaign_id}", query, accept, ComparedPair, found.pairs())
+    comparison = _compared(database, campaign_id)
+    return _table(f"comparison-pairs-{campaign_id}", query, accept, ComparedPair, comparison.pairs())
 
 
 @router.get("/campaigns/{campaign_id}/comparison-effects", responses=page_or_file(ReductionEffect))
 def list_effects(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
     """What the pairs say together: whether a reduction changes the final optimum, and what it saves."""
-    found = _compared(database, campaign_id)
-    return _table(f"comparison-effects-{campaign_id}", query, accept, ReductionEffect, found.effects())
+    comparison = _compared(database, campaign_id)
+    return _table(f"comparison-effects-{campaign_id}", query, accept, ReductionEffect, comparison.effects())
 
 
 def _compared(database: Database, campaign_id: str) -> ComparisonResults:
@@ -89,6 +89,6 @@ def _compared(database: Database, campaign_id: str) -> ComparisonResults:
         return compared(connection, campaign)
 
 
-def _table(name: str, query: TableQuery, accept: str, model: type[BaseModel], found: Sequence[BaseModel]) -> Response:
-    pages = slices(lambda start, stop: found[start:stop], len(found))
+def _table(name: str, query: TableQuery, accept: str, model: type[BaseModel], rows: Sequence[BaseModel]) -> Response:
+    pages = slices(lambda start, stop: rows[start:stop], len(rows))
     return table_answer(name, query, accept, lambda: columns_of(model), pages)

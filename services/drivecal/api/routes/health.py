@@ -32,8 +32,8 @@ def ready(request: Request, response: Response, database: DatabaseDependency) ->
     if not judgement.ready:
         response.status_code = 503
         response.headers["Retry-After"] = str(RETRY_SECONDS)
-    told = [] if request.state.token is None else list(judgement.problems)
-    return Readiness(ready=judgement.ready, problems=told)
+    shown = [] if request.state.token is None else list(judgement.problems)
+    return Readiness(ready=judgement.ready, problems=shown)
 
 
 def _judge(database: Database) -> Judgement:

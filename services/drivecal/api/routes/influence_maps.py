@@ -41,8 +41,8 @@ def post(
 def list_maps(query: PageQuery, database: DatabaseDependency) -> InfluenceMapPage:
     """Influence maps, newest first, without their rows."""
     with database.read() as connection:
-        found, following = influence_maps.page(connection, limit=query.limit, cursor=query.cursor)
-    return InfluenceMapPage(items=[_answer(stored, with_rows=False) for stored in found], next_cursor=following)
+        page, following = influence_maps.page(connection, limit=query.limit, cursor=query.cursor)
+    return InfluenceMapPage(items=[_answer(stored, with_rows=False) for stored in page], next_cursor=following)
 
 
 @router.get("/{map_id}", response_model=InfluenceMapAnswer, responses={200: FILES})

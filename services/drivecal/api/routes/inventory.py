@@ -56,9 +56,9 @@ def scenarios() -> ScenarioPage:
 @router.get("/scenarios/{scenario_id}")
 def scenario(scenario_id: str, catalogue: str | None = None) -> ScenarioDetail:
     """One scenario with its road, so that its traces can be drawn; `catalogue` where several have one of this id."""
-    for one in registry.catalogues():
-        if catalogue in {None, one.name} and scenario_id in one.scenarios:
-            return _detail(one.name, one.scenarios[scenario_id])
+    for offered in registry.catalogues():
+        if catalogue in {None, offered.name} and scenario_id in offered.scenarios:
+            return _detail(offered.name, offered.scenarios[scenario_id])
     raise NotFoundError("scenario", scenario_id)
 
 
@@ -81,8 +81,8 @@ def parameters() -> ParameterSpacePage:
 def references(database: DatabaseDependency) -> ReferencePage:
     """How many simulated runs the reference table holds, by setup."""
     with database.read() as connection:
-        found = setups.counts(connection)
-    return ReferencePage(items=[_reference(one) for one in found])
+        counts = setups.counts(connection)
+    return ReferencePage(items=[_reference(count) for count in counts])
 
 
 @router.get("/workers")
@@ -101,25 +101,25 @@ def workers(database: DatabaseDependency) -> WorkerPage:
     )
 
 
-def _heading(catalogue: str, one: Scenario) -> dict[str, Any]:
+def _heading(catalogue: str, scenario: Scenario) -> dict[str, Any]:
     return {
-        "id": one.id,
+        "id": scenario.id,
         "catalogue": catalogue,
-        "title": one.title,
-        "manoeuvre": one.manoeuvre,
-        "duration": one.duration,
-        "step": one.step,
-        "vehicles": len(one.traffic),
+        "title": scenario.title,
+        "manoeuvre": scenario.manoeuvre,
+        "duration": scenario.duration,
+        "step": scenario.step,
+        "vehicles": len(scenario.traffic),
     }
 
 
-def _detail(catalogue: str, one: Scenario) -> ScenarioDetail:
-    road, ego, task = one.road, one.ego, one.task
+def _detail(catalogue: str, scenario: Scenario) -> ScenarioDetail:
+    road, ego, task = scenario.road, scenario.ego, scenario.task
     line = reference_line(road, SPACING)
     across = [road.right_edge + number * road.lane_width for number in range(road.lanes + 1)]
     left = np.column_stack([-np.sin(line[:, 3]), np.cos(line[:, 3])])
     return ScenarioDetail(
-        **_heading(catalogue, one),
+        **_heading(catalogue, scenario),
         road=RoadAnswer(
             length_m=road.length,
             lanes=road.lanes,
@@ -138,7 +138,7 @@ def _detail(catalogue: str, one: Scenario) -> ScenarioDetail:
                 length_m=other.length,
                 width_m=other.width,
             )
-            for other in one.traffic
+            for other in scenario.traffic
         ],
         start_lane=task.start_lane,
         target_lane=task.target_lane,

@@ -75,13 +75,13 @@ def _names() -> set[str]:
 
 
 def _answer(path: Path, caching: str, accept_encoding: str, if_none_match: str) -> Response:
-    found = _read(path, path.stat().st_mtime_ns)
-    headers = GUARD | {"Cache-Control": caching, "ETag": found.tag, "Vary": "Accept-Encoding"}
-    if found.tag in if_none_match:
+    asset = _read(path, path.stat().st_mtime_ns)
+    headers = GUARD | {"Cache-Control": caching, "ETag": asset.tag, "Vary": "Accept-Encoding"}
+    if asset.tag in if_none_match:
         return Response(status_code=304, headers=headers)
-    content = found.content
-    if "gzip" in accept_encoding and len(found.compressed) < len(content):
-        content, headers["Content-Encoding"] = found.compressed, "gzip"
+    content = asset.content
+    if "gzip" in accept_encoding and len(asset.compressed) < len(content):
+        content, headers["Content-Encoding"] = asset.compressed, "gzip"
     headers["Content-Type"] = TYPES[path.suffix]
     return Response(content, headers=headers)
 

@@ -38,5 +38,5 @@ def find_cell(campaign_id: str, query: Annotated[CellOf, Query()], database: Dat
     """The evaluation by which the set at a place of the calibration stage is ranked."""
     with database.read() as connection:
         campaign = campaigns.get(connection, campaign_id)
-        found = results.number_at(connection, campaign.sequence, query.iteration, query.individual, query.scenario)
-    return CellAnswer(evaluation=found)
+        evaluation = results.number_at(connection, campaign.sequence, query.iteration, query.individual, query.scenario)
+    return CellAnswer(evaluation=evaluation)

@@ -46,8 +46,8 @@ def list_generations(campaign_id: str, query: TableQuery, database: DatabaseDepe
 
     def pages(limit: int, cursor: str | None) -> tuple[list[Row], str | None]:
         with database.read() as connection:
-            found, following = generations.page(connection, campaign.sequence, limit=limit, cursor=cursor)
-        return [{"iteration": iteration, **asdict(figures)} for iteration, figures in found], following
+            page, following = generations.page(connection, campaign.sequence, limit=limit, cursor=cursor)
+        return [{"iteration": iteration, **asdict(figures)} for iteration, figures in page], following
 
     return table_answer(f"generations-{campaign.id}", query, accept, lambda: columns_of(Generation), pages)
 
@@ -147,9 +147,9 @@ def _keys(scenarios: Iterable[str], begun_with: ResolvedSpec) -> dict[str, list[
 
 def _campaign(database: Database, campaign_id: str) -> StoredCampaign:
     with database.read() as connection:
-        found = campaigns.get(connection, campaign_id)
-    refuse_comparison(found)
-    return found
+        campaign = campaigns.get(connection, campaign_id)
+    refuse_comparison(campaign)
+    return campaign
 
 
 def _pinned(campaign: StoredCampaign) -> ResolvedSpec:

@@ -42,9 +42,9 @@ def read_trace(
     has it driven anew."""
     with database.read() as connection:
         number = results.by_id(connection, number_of(connection, evaluation_id)).id
-        found = traces.find(connection, number)
-    if found is not None and found.content is not None:
-        return _answer(found.content, if_none_match, accept_encoding)
+        trace = traces.find(connection, number)
+    if trace is not None and trace.content is not None:
+        return _answer(trace.content, if_none_match, accept_encoding)
     with database.transaction() as connection:
         if is_to_be_made(connection, traces.find(connection, number, for_update=True)):
             refuse_reader(request)

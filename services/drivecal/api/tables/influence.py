@@ -44,8 +44,8 @@ def map_rows(stored: StoredInfluenceMap) -> list[InfluenceRow]:
 
 
 def _entry(stored: StoredInfluenceMap, scenario: str, parameter: str) -> Mapping[str, Any] | None:
-    found: Mapping[str, Any] | None = stored.scenarios.get(scenario, {}).get(parameter)
-    return found
+    entry: Mapping[str, Any] | None = stored.scenarios.get(scenario, {}).get(parameter)
+    return entry
 
 
 def _row(

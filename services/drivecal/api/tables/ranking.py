@@ -38,15 +38,15 @@ class CampaignRanking:
         return [
             Solution(
                 rank=rank,
-                objective=one.objective,
-                rating=one.rating,
-                parameters=sets[one.parameter_set].floats,
-                scores=dict(one.scores),
-                reused=list(one.reused),
-                iteration=one.iteration,
-                individual=one.individual,
+                objective=solution.objective,
+                rating=solution.rating,
+                parameters=sets[solution.parameter_set].floats,
+                scores=dict(solution.scores),
+                reused=list(solution.reused),
+                iteration=solution.iteration,
+                individual=solution.individual,
             )
-            for rank, one in enumerate(shown, start + 1)
+            for rank, solution in enumerate(shown, start + 1)
         ]
 
 

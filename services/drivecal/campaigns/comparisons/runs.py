@@ -139,7 +139,7 @@ class ComparisonJob(Job):
             campaigns.end(connection, number, state, error)
             run = campaigns.by_sequence(connection, number)
             ended, of = comparisons.ended_of(connection, self._sequence)
-            told = {
+            data = {
                 "run": run.id,
                 "name": run.name,
                 "state": state,
@@ -147,7 +147,7 @@ class ComparisonJob(Job):
                 "ended": ended,
                 "of": of,
             }
-            events.add(connection, self._sequence, EventKind.RUN, told)
+            events.add(connection, self._sequence, EventKind.RUN, data)
 
     def _refuse_failures(self) -> None:
         with self._database.read() as connection:

@@ -217,8 +217,8 @@ class Calibration(CampaignStage):
             figures = self._figures(objectives)
             generations.finish(connection, self._campaign.sequence, self._iteration, figures, objectives.tolist())
             self._save(connection)
-            told = {"iteration": self._iteration, "iterations": self._optimization.iterations, **asdict(figures)}
-            events.add(connection, self._campaign.sequence, EventKind.GENERATION, told)
+            data = {"iteration": self._iteration, "iterations": self._optimization.iterations, **asdict(figures)}
+            events.add(connection, self._campaign.sequence, EventKind.GENERATION, data)
         self._before = CellCounts(**self._tracker.counts)
         self._optimizer.tell(objectives, ratings)
         self._proposal = None
@@ -234,8 +234,8 @@ class Calibration(CampaignStage):
         self._error_rate = error_rates(counts, before, self._problem.scenarios, limit, contradictions)
         for scenario, rate in self._error_rate.items():
             if rate.stopped and not (scenario in before and before[scenario].stopped):
-                told = {"scenario": scenario, "wrong": rate.wrong, "audited": rate.audited}
-                events.add(connection, sequence, EventKind.REUSE_STOPPED, told)
+                data = {"scenario": scenario, "wrong": rate.wrong, "audited": rate.audited}
+                events.add(connection, sequence, EventKind.REUSE_STOPPED, data)
 
     def _take_in(self, connection: Connection, iterations: range | list[int]) -> None:
         """Reads the answers of iterations: each individual keeps those of the iteration that requested it last."""
@@ -305,8 +305,8 @@ class Calibration(CampaignStage):
 
     def _tell_best(self, connection: Connection, solution: EvaluatedSet) -> None:
         if self._best is not None:
-            told = self._best.model_dump() | {"iteration": solution.iteration}
-            events.add(connection, self._campaign.sequence, EventKind.BEST, told)
+            data = self._best.model_dump() | {"iteration": solution.iteration}
+            events.add(connection, self._campaign.sequence, EventKind.BEST, data)
 
     def _remember_baseline(self, connection: Connection) -> None:
         baseline: ParameterSet | None = self._problem.baseline
@@ -322,8 +322,8 @@ class Calibration(CampaignStage):
         )
 
     def _tell_beginning(self, connection: Connection) -> None:
-        told = {"stage": StageName.CALIBRATION, "cells": self._at_most}
-        events.add(connection, self._campaign.sequence, EventKind.STAGE, told)
+        data = {"stage": StageName.CALIBRATION, "cells": self._at_most}
+        events.add(connection, self._campaign.sequence, EventKind.STAGE, data)
         for note in self._notes:
             if note not in self._campaign.notes:  # the sensitivity stage has told those
                 events.add(connection, self._campaign.sequence, EventKind.NOTE, {"text": note})

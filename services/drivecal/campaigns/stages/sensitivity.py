@@ -129,8 +129,8 @@ class Sensitivity(CampaignStage):
             campaigns.set_influence_map(connection, self._campaign.sequence, stored.id)
             self._give_keys(connection, influence_map)
             self._tell_progress(connection)
-            told = {"id": stored.id, "influential": _influential(influence_map)}
-            events.add(connection, self._campaign.sequence, EventKind.INFLUENCE_MAP, told)
+            data = {"id": stored.id, "influential": _influential(influence_map)}
+            events.add(connection, self._campaign.sequence, EventKind.INFLUENCE_MAP, data)
 
     def _give_keys(self, connection: Connection, influence_map: InfluenceMap) -> None:
         cells: dict[str, list[tuple[int, ParameterSet]]] = {}

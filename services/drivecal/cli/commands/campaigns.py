@@ -75,7 +75,7 @@ def rerun(
     """Run an ended campaign again with other weights or another evaluator, on the results that are there already."""
     if weights is None and evaluator is None:
         raise typer.BadParameter("say what is to be other than it was: --weights, --evaluator or both")
-    changes: dict[str, object] = {key: one for key, one in (("name", name), ("evaluator", evaluator)) if one is not None}
+    changes: dict[str, object] = {key: value for key, value in (("name", name), ("evaluator", evaluator)) if value is not None}
     with connect(url) as client:
         first = client.campaign(full_id(client, identifier))
         changes["weights"] = first.spec["weights"] if weights is None else assignments(weights.split(","), "--weights")

@@ -148,7 +148,7 @@ def _verified(opened: Database, *, full: bool) -> dict[str, Any]:
         for problem in verdict.problems:
             tell(f"{verdict.name}: {problem}")
         checks.append({"name": verdict.name, "problems": verdict.problems, "seconds": round(verdict.seconds, 3)})
-    whole = not any(one["problems"] for one in checks)
+    whole = not any(check["problems"] for check in checks)
     return {"database": opened.name, "current": True, "whole": whole, "checks": checks}
 
 
@@ -157,7 +157,9 @@ def _print_verified(report: dict[str, Any], as_json: bool) -> None:
     if as_json:
         print_json(report)
     else:
-        rows = [[one["name"], "broken" if one["problems"] else "well", f"{one['seconds']:.1f}"] for one in report["checks"]]
+        rows = [
+            [check["name"], "broken" if check["problems"] else "well", f"{check['seconds']:.1f}"] for check in report["checks"]
+        ]
         print_columns(["check", "found", "seconds"], rows)
         typer.echo(f"{report['database']} is current and {'whole' if report['whole'] else 'broken'}")
     if not report["whole"]:

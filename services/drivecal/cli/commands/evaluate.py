@@ -81,13 +81,13 @@ def _ended(client: Client, evaluation: Evaluation, timeout: float | None) -> Eva
 def _trace(client: Client, evaluation: Evaluation, timeout: float | None) -> TraceAnswer:
     """Has it driven once more."""
     deadline = None if timeout is None else time.monotonic() + timeout
-    while (found := client.trace(evaluation.id)) is None:
+    while (trace := client.trace(evaluation.id)) is None:
         if deadline is not None and time.monotonic() > deadline:
             raise WaitTimedOutError(
                 f"the time series of evaluation {evaluation.id} are not there after {timeout:g} s; ask again"
             )
         time.sleep(SECONDS_BETWEEN_QUESTIONS)
-    return found
+    return trace
 
 
 def _print(evaluation: Evaluation) -> None:

@@ -24,57 +24,59 @@ def explain(
     """Say why a cell was answered without a simulation, or what was in the way."""
     with connect(url) as client:
         campaign = client.campaign(full_id(client, identifier)).id
-        found = client.explanation(evaluation)
-    if found.campaign != campaign:
-        raise NotFoundError(f"evaluation of campaign {campaign}", str(evaluation), f"it is of campaign {found.campaign}")
+        explanation = client.explanation(evaluation)
+    if explanation.campaign != campaign:
+        raise NotFoundError(f"evaluation of campaign {campaign}", str(evaluation), f"it is of campaign {explanation.campaign}")
     if as_json:
-        print_json(found)
+        print_json(explanation)
     else:
-        print_explanation(found)
+        print_explanation(explanation)
 
 
-def print_explanation(found: Explanation) -> None:
+def print_explanation(explanation: Explanation) -> None:
     """Prints the answer in a sentence, the stored set it speaks of, and the parameters in which the two differ."""
-    where = f"{found.stage}, iteration {found.iteration}, individual {found.individual}, {found.scenario}"
-    result = found.outcome or "pending"
-    if found.score is not None:
-        result += f", score {found.score}"
-    if found.failure:
-        result += f" ({found.failure})"
-    typer.echo(f"evaluation {found.evaluation}: {where}\n{result}\n\n{found.sentence}")
-    if found.reference is not None:
-        one = found.reference
-        score = "no score yet" if one.score is None else f"score {one.score}"
-        at = f"{one.stage}, iteration {one.iteration}, individual {one.individual}"
-        typer.echo(f"\nstored set: evaluation {one.evaluation} of campaign {one.campaign} ({at}), {score}")
-    if found.differences:
+    where = (
+        f"{explanation.stage}, iteration {explanation.iteration}, individual {explanation.individual}, {explanation.scenario}"
+    )
+    result = explanation.outcome or "pending"
+    if explanation.score is not None:
+        result += f", score {explanation.score}"
+    if explanation.failure:
+        result += f" ({explanation.failure})"
+    typer.echo(f"evaluation {explanation.evaluation}: {where}\n{result}\n\n{explanation.sentence}")
+    if explanation.reference is not None:
+        reference = explanation.reference
+        score = "no score yet" if reference.score is None else f"score {reference.score}"
+        at = f"{reference.stage}, iteration {reference.iteration}, individual {reference.individual}"
+        typer.echo(f"\nstored set: evaluation {reference.evaluation} of campaign {reference.campaign} ({at}), {score}")
+    if explanation.differences:
         typer.echo("")
         header = ["parameter", "this cell", "stored set", "influential", "this lies", "that lies", "in the way"]
-        rows = [_line(difference) for difference in found.differences]
-        if found.reason == "certified":  # the map would not have allowed it, and was not asked
+        rows = [_line(difference) for difference in explanation.differences]
+        if explanation.reason == "certified":  # the map would not have allowed it, and was not asked
             header, rows = header[:-1], [row[:-1] for row in rows]
         print_columns(header, rows)
-    if found.distance is not None:
-        typer.echo(f"\ndistance {found.distance:.4f} of the parameters' ranges")
-    if found.stored is not None:
-        typer.echo(f"searched {found.stored:,} stored results of the same setup")
+    if explanation.distance is not None:
+        typer.echo(f"\ndistance {explanation.distance:.4f} of the parameters' ranges")
+    if explanation.stored is not None:
+        typer.echo(f"searched {explanation.stored:,} stored results of the same setup")
 
 
-def _line(one: Difference) -> list[object]:
-    if "anywhere" in (one.region, one.reference_region):
+def _line(difference: Difference) -> list[object]:
+    if "anywhere" in (difference.region, difference.reference_region):
         bounds = "nowhere"
-    elif one.lower is None and one.upper is None:
+    elif difference.lower is None and difference.upper is None:
         bounds = "everywhere"
-    elif one.lower is None:
-        bounds = f"up to {one.upper:g}"
+    elif difference.lower is None:
+        bounds = f"up to {difference.upper:g}"
     else:
-        bounds = f"from {one.lower:g}" if one.upper is None else f"{one.lower:g} .. {one.upper:g}"
+        bounds = f"from {difference.lower:g}" if difference.upper is None else f"{difference.lower:g} .. {difference.upper:g}"
     return [
-        one.parameter,
-        one.value,
-        one.reference_value,
+        difference.parameter,
+        difference.value,
+        difference.reference_value,
         bounds,
-        one.region,
-        one.reference_region,
-        "yes" if one.blocks else "no",
+        difference.region,
+        difference.reference_region,
+        "yes" if difference.blocks else "no",
     ]

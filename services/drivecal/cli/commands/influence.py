@@ -60,8 +60,8 @@ def print_influence(rows: Sequence[InfluenceRow], basis: Mapping[str, Any] | Non
     measured = any(row.s_rel_intervals is not None for row in rows)
     header = ["parameter", "influential", "lower", "upper", "unit", f"{'range':{WIDTH}}"]
     header += ["mu", "sigma", "mu*", "largest s_rel"] if measured else []
-    for scenario, found in groupby(rows, key=lambda row: row.scenario):
-        listed = list(found)
+    for scenario, group in groupby(rows, key=lambda row: row.scenario):
+        listed = list(group)
         unknown = "  unknown: no run scored above 0, so everything counts as influential" if _tells_nothing(listed) else ""
         typer.echo(f"\n{scenario}{unknown}")
         print_columns(header, [_line(row, measured) for row in listed])
@@ -74,8 +74,8 @@ def print_influence(rows: Sequence[InfluenceRow], basis: Mapping[str, Any] | Non
         print_columns(
             ["scenario", "intervals", "overall"],
             [
-                [scenario, *(_short(one[part]) or "all are 0" for part in ("intervals", "overall"))]
-                for scenario, one in smallest
+                [scenario, *(_short(least[part]) or "all are 0" for part in ("intervals", "overall"))]
+                for scenario, least in smallest
             ],
         )
 
@@ -159,10 +159,10 @@ def _described(client: Client, identifier: str) -> Described:
         campaign = client.campaign(full_id(client, identifier))
     except NotFoundError:
         try:
-            found = client.influence_map(full_map_id(client, identifier))
+            stored = client.influence_map(full_map_id(client, identifier))
         except NotFoundError as error:
             raise NotFoundError("campaign or influence map", identifier) from error
-        return Described(f"influence map {found.id}  {found.name}", found.rows or [], found.basis)
+        return Described(f"influence map {stored.id}  {stored.name}", stored.rows or [], stored.basis)
     used = client.map_of(campaign)
     basis = None if used is None else used.basis
     return Described(f"campaign {campaign.id}  {campaign.name}", client.influence(campaign.id), basis)
@@ -172,20 +172,20 @@ def _compare(first: Described, second: Described, as_json: bool) -> None:
     for source in (first, second):
         if not source.rows:
             raise ConflictError(f"{source.title} has no influence map to compare (yet)")
-    found = agreement(first.rows, second.rows)
+    compared = agreement(first.rows, second.rows)
     if as_json:
-        print_json({"first": first.title, "second": second.title, **found.document()})
+        print_json({"first": first.title, "second": second.title, **compared.document()})
         return
     typer.echo(f"first   {first.title}\nsecond  {second.title}\n")
-    _print_agreement(found)
+    _print_agreement(compared)
 
 
-def _print_agreement(found: Agreement) -> None:
-    if found.share is None:
+def _print_agreement(agreement: Agreement) -> None:
+    if agreement.share is None:
         typer.echo("they have no scenario and parameter in common")
     else:
-        typer.echo(f"they agree within one interval on {found.agreeing} of {found.pairs} pairs ({found.share:.1%})")
-    if found.differences:
+        typer.echo(f"they agree within one interval on {agreement.agreeing} of {agreement.pairs} pairs ({agreement.share:.1%})")
+    if agreement.differences:
         typer.echo("")
         header = ["scenario", "parameter", "first", "second", f"{'first':{WIDTH}}", f"{'second':{WIDTH}}"]
         rows = [
@@ -195,15 +195,15 @@ def _print_agreement(found: Agreement) -> None:
                 *(bounds_text(row) for row in (difference.first, difference.second)),
                 *(picture(row) for row in (difference.first, difference.second)),
             ]
-            for difference in found.differences
+            for difference in agreement.differences
         ]
         print_columns(header, rows)
-    for name, pairs in (("first", found.only_first), ("second", found.only_second)):
+    for name, pairs in (("first", agreement.only_first), ("second", agreement.only_second)):
         if pairs:
             typer.echo(f"only the {name} knows {_listed(pairs)}")
 
 
 def _listed(pairs: Sequence[Pair]) -> str:
     return "; ".join(
-        f"{scenario} {', '.join(name for _, name in found)}" for scenario, found in groupby(pairs, key=lambda pair: pair[0])
+        f"{scenario} {', '.join(name for _, name in group)}" for scenario, group in groupby(pairs, key=lambda pair: pair[0])
     )

@@ -47,9 +47,9 @@ def report(
 
 def _tables(client: Client, diagnostics: ReportData) -> dict[str, Iterator[bytes]]:
     """Those of the campaign, and of the studies that the page shows, whichever campaign made them."""
-    found: dict[str, Iterator[bytes]] = {name: client.table(diagnostics.campaign.id, name, "csv") for name in TABLES}
+    tables: dict[str, Iterator[bytes]] = {name: client.table(diagnostics.campaign.id, name, "csv") for name in TABLES}
     if diagnostics.robustness:
-        found["robustness"] = client.table(diagnostics.robustness[0].study.campaign, "robustness", "csv")
+        tables["robustness"] = client.table(diagnostics.robustness[0].study.campaign, "robustness", "csv")
     if diagnostics.validation:
-        found["validation"] = client.table(diagnostics.validation[0].study.campaign, "validation", "csv")
-    return found
+        tables["validation"] = client.table(diagnostics.validation[0].study.campaign, "validation", "csv")
+    return tables

@@ -59,9 +59,9 @@ def solutions(
     if weights is not None:
         assignments(weights.split(","), "--weights")
     with connect(url) as client:
-        found = full_id(client, identifier)
-        page = client.solutions(found, weights, limit)
-        spec = client.campaign(found).spec
+        campaign_id = full_id(client, identifier)
+        page = client.solutions(campaign_id, weights, limit)
+        spec = client.campaign(campaign_id).spec
     if as_json:
         print_json(page)
     else:

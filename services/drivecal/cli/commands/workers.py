@@ -52,8 +52,8 @@ def remembering(worker: WorkerAnswer) -> str | None:
 
 def remarks(page: WorkerPage, now: datetime) -> list[str]:
     """What has to be said about the table."""
-    found = [f"degraded: {page.degraded}"] if page.degraded else []
+    lines = [f"degraded: {page.degraded}"] if page.degraded else []
     if not page.fresh and page.items and page.dispatcher_seen_at is not None:
         age = duration((now - page.dispatcher_seen_at) / timedelta(seconds=1))
-        found.append(f"this is what the dispatcher said {age} ago, before it fell silent")
-    return found
+        lines.append(f"this is what the dispatcher said {age} ago, before it fell silent")
+    return lines

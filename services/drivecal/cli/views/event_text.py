@@ -25,8 +25,8 @@ def event_text(event: CampaignEvent) -> str | None:
             counts = f"{_count(data, 'requested')} cells so far, {_count(data, 'simulated')} simulated"
             return f"the phase {data.get('name')} is finished: {counts}"
         case EventKind.INFLUENCE_MAP:
-            found = data.get("influential") or {}
-            listed = "; ".join(f"{scenario} {' '.join(names) or '-'}" for scenario, names in found.items())
+            influential = data.get("influential") or {}
+            listed = "; ".join(f"{scenario} {' '.join(names) or '-'}" for scenario, names in influential.items())
             return f"influence map {data.get('id')}: what matters is {listed}"
         case EventKind.BEST:
             scores = "  ".join(f"{scenario} {score}" for scenario, score in (data.get("scores") or {}).items())

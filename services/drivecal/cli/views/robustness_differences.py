@@ -33,18 +33,18 @@ class MadeStudy:
     def settings(self) -> dict[str, Any]:
         """All that its degrees depend on, by the names of the campaign file."""
         spec, wanted = self.maker.spec, self.maker.spec.get("robustness") or {}
-        found: dict[str, Any] = {name: wanted.get(name) for name in (*BOXES, *CHOICE)}
-        found["of"] = found["of"] or self.maker.id
+        values: dict[str, Any] = {name: wanted.get(name) for name in (*BOXES, *CHOICE)}
+        values["of"] = values["of"] or self.maker.id
         scenarios = self.setup.scenarios
-        found["scenarios"] = [scenario.scenario for scenario in scenarios]
-        found["weights"] = {scenario.scenario: round(scenario.weight, 6) for scenario in scenarios}
-        found["evaluator"] = self.setup.evaluator
+        values["scenarios"] = [scenario.scenario for scenario in scenarios]
+        values["weights"] = {scenario.scenario: round(scenario.weight, 6) for scenario in scenarios}
+        values["evaluator"] = self.setup.evaluator
         for name in ("driving_function", "vehicle", "simulator"):  # with their versions, where a run has been asked for
             used = sorted({str(getattr(scenario, name)) for scenario in scenarios if getattr(scenario, name)})
             known = spec.get(name)
-            found[name] = ", ".join(used) or (known["model"] if isinstance(known, dict) else known)
-        found["vehicle.parameters"] = (spec.get("vehicle") or {}).get("parameters") or {}
-        return found
+            values[name] = ", ".join(used) or (known["model"] if isinstance(known, dict) else known)
+        values["vehicle.parameters"] = (spec.get("vehicle") or {}).get("parameters") or {}
+        return values
 
 
 def settings_that_differ(here: Mapping[str, Any], there: Mapping[str, Any]) -> Settings:
@@ -76,16 +76,16 @@ def settings_text(differing: Settings) -> list[str]:
 
 def _said(value: Any) -> str:
     if isinstance(value, dict):
-        return ", ".join(f"{name}={one}" for name, one in value.items()) or "none"
+        return ", ".join(f"{name}={part}" for name, part in value.items()) or "none"
     if isinstance(value, list):
         return f"{len(value)} given" if value and isinstance(value[0], dict) else ", ".join(map(str, value)) or "none"
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def print_difference(one: MadeStudy, other: MadeStudy) -> None:
+def print_difference(first: MadeStudy, other: MadeStudy) -> None:
     """Prints which settings differ, both studies side by side, and what changes in words."""
-    typer.echo("\n".join([*settings_text(settings_that_differ(one.settings, other.settings)), ""]))
-    rows, others = one.rows, other.rows
+    typer.echo("\n".join([*settings_text(settings_that_differ(first.settings, other.settings)), ""]))
+    rows, others = first.rows, other.rows
     print_columns(
         ["rank", "degree", "objective", "scores that differ", "parameters"],
         [
@@ -103,14 +103,14 @@ def print_difference(one: MadeStudy, other: MadeStudy) -> None:
             for mine, theirs in pairs_of(rows, others)
         ],
     )
-    found = difference(rows, others)
-    here, there = found.mean_degree
-    lines = [f"{found.sets} sets in both studies" + (f", {found.only_one} in one of them alone" if found.only_one else "")]
-    lines.append("degrees: {} equal, {} lower, {} higher".format(*found.degrees) + f"; mean {here:.2f} to {there:.2f}")
-    lines.append("scores in the nominal vehicle: {} equal, {} lower, {} higher".format(*found.scores))
-    if found.tau is not None:
-        lines.append(f"ranking: Kendall's tau {found.tau:.2f}")
-    lines.append(f"recommended: {'the same set' if found.same_recommended else 'another set'}")
+    change = difference(rows, others)
+    here, there = change.mean_degree
+    lines = [f"{change.sets} sets in both studies" + (f", {change.only_one} in one of them alone" if change.only_one else "")]
+    lines.append("degrees: {} equal, {} lower, {} higher".format(*change.degrees) + f"; mean {here:.2f} to {there:.2f}")
+    lines.append("scores in the nominal vehicle: {} equal, {} lower, {} higher".format(*change.scores))
+    if change.tau is not None:
+        lines.append(f"ranking: Kendall's tau {change.tau:.2f}")
+    lines.append(f"recommended: {'the same set' if change.same_recommended else 'another set'}")
     typer.echo("\n".join(lines))
 
 

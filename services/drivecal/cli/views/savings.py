@@ -36,54 +36,56 @@ def print_error_rates(rates: Mapping[str, ErrorRate]) -> None:
     )
 
 
-def print_accounting(found: Accounting) -> None:
+def print_accounting(accounting: Accounting) -> None:
     """Prints the balance of a campaign in seconds of its workers."""
     typer.echo("\nwhat was saved, in CPU time of the workers")
     lines = [
-        ("answered by equal sets", found.repeated_saved_seconds),
-        ("answered by references", found.reused_saved_seconds),
-        ("answered by certificates", found.certified_saved_seconds),
-        ("sensitivity stage", -found.sensitivity.seconds),
+        ("answered by equal sets", accounting.repeated_saved_seconds),
+        ("answered by references", accounting.reused_saved_seconds),
+        ("answered by certificates", accounting.certified_saved_seconds),
+        ("sensitivity stage", -accounting.sensitivity.seconds),
     ]
     for name, seconds in lines:
         if seconds:
             typer.echo(f"  {name:26}{_signed(seconds):>16}")
-    typer.echo(f"  {'net':26}{_signed(found.net_seconds):>16}")
-    if found.audited:
-        price = _seconds(found.audited_seconds)
-        typer.echo(f"  the self-check simulated {found.audited:,} reusable cells in {price}; they are not counted as saved")
-    confirmed = sum(scenario.confirmed for scenario in found.scenarios)
+    typer.echo(f"  {'net':26}{_signed(accounting.net_seconds):>16}")
+    if accounting.audited:
+        price = _seconds(accounting.audited_seconds)
+        typer.echo(
+            f"  the self-check simulated {accounting.audited:,} reusable cells in {price}; they are not counted as saved"
+        )
+    confirmed = sum(scenario.confirmed for scenario in accounting.scenarios)
     if confirmed:
         typer.echo(
             f"  {confirmed:,} reused cells were simulated after all, to confirm the best set; they are not counted as saved"
         )
-    proved = sum(scenario.proved for scenario in found.scenarios)
+    proved = sum(scenario.proved for scenario in accounting.scenarios)
     if proved:
         off = [
             f"{row.scenario} {row.proved_different:,} of {row.proved:,}"
             f"{f', {row.proved_wrong:,} of them wrong' * bool(row.proved_wrong)}"
-            for row in found.scenarios
+            for row in accounting.scenarios
             if row.proved_different
         ]
         typer.echo(
             f"  certificates say of {proved:,} reused cells what a simulation would have given; another score: {'; '.join(off) or 'none'}"
         )
-    if found.map is not None and not found.map.paid_here:
-        paid = "nobody: it is expert knowledge" if found.map.made_by is None else f"campaign {found.map.made_by}"
-        cost = f" ({found.map.runs:,} runs, {_seconds(found.map.seconds)})" if found.map.runs else ""
+    if accounting.map is not None and not accounting.map.paid_here:
+        paid = "nobody: it is expert knowledge" if accounting.map.made_by is None else f"campaign {accounting.map.made_by}"
+        cost = f" ({accounting.map.runs:,} runs, {_seconds(accounting.map.seconds)})" if accounting.map.runs else ""
         typer.echo(f"  the influence map was paid by {paid}{cost}")
-    if found.break_even is not None:
-        typer.echo(f"  {break_even_text(found.break_even)}")
-    typer.echo(found.sentence)
+    if accounting.break_even is not None:
+        typer.echo(f"  {break_even_text(accounting.break_even)}")
+    typer.echo(accounting.sentence)
 
 
-def break_even_text(found: BreakEven) -> str:
+def break_even_text(even: BreakEven) -> str:
     """From when on the map pays."""
-    if found.requested_cells is None:
+    if even.requested_cells is None:
         return "break-even: never at this rate, reuse saved nothing"
-    text = f"break-even: the map pays from {found.requested_cells:,} requested cells on"
-    if found.campaigns is not None:
-        text += f", that is from {found.campaigns:,} such campaign{'' if found.campaigns == 1 else 's'} on"
+    text = f"break-even: the map pays from {even.requested_cells:,} requested cells on"
+    if even.campaigns is not None:
+        text += f", that is from {even.campaigns:,} such campaign{'' if even.campaigns == 1 else 's'} on"
     return text
 
 

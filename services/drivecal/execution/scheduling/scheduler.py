@@ -246,11 +246,12 @@ class Scheduler:
 
     def _suspects_for(self, worker: str, line: Line) -> ClaimGroup | None:
         return next(
-            (one for (setup, avoid), one in line.suspects.items() if self._worker_health.may_try(worker, setup, avoid)), None
+            (group for (setup, avoid), group in line.suspects.items() if self._worker_health.may_try(worker, setup, avoid)),
+            None,
         )
 
     def _group_for(self, worker: str, line: Line) -> ClaimGroup | None:
-        able = (one for setup, one in line.groups.items() if not self._worker_health.refuses(worker, setup))
+        able = (group for setup, group in line.groups.items() if not self._worker_health.refuses(worker, setup))
         chosen = self._affinity.choose(worker, {group.setup: self._to_do(group) for group in able})
         return None if chosen is None else line.groups[chosen]
 

@@ -104,8 +104,10 @@ def inlined(document: str, name: str, title: str) -> str:
     body = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", body, count=1)
     width = re.search(r'<svg[^>]*? width="([0-9.]+)pt"', body)
     limit = f' style="max-width: {float(width[1]) * 4 / 3:.0f}px"' if width else ""
-    told = f' width="100%"{limit} role="img" aria-label="{title}"'  # by a function: a backslash in the title is no reference
-    return re.sub(r'(<svg[^>]*?) width="[^"]*"', lambda match: match[1] + told, body, count=1)
+    attributes = (
+        f' width="100%"{limit} role="img" aria-label="{title}"'  # by a function: a backslash in the title is no reference
+    )
+    return re.sub(r'(<svg[^>]*?) width="[^"]*"', lambda match: match[1] + attributes, body, count=1)
 
 
 def whole_numbers(axes: Axes) -> None:

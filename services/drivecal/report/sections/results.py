@@ -69,8 +69,8 @@ def _studies(findings: ReportData) -> list[str]:
     if row is not None:
         sentences.append(f"Recommended after the robustness study: rank {row.rank} of its table, because it has {row.reason}.")
     for validated in findings.validation[:1]:
-        told = (sum(getattr(row, name) for row in validated.rows) for name in ("compared", "different", "wrong"))
-        compared, different, wrong = told
+        totals = (sum(getattr(row, name) for row in validated.rows) for name in ("compared", "different", "wrong"))
+        compared, different, wrong = totals
         if compared:
             sentences.append(errors_text("variants in the validation of the influence map", compared, different, wrong))
     return sentences
