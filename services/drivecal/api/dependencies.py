@@ -41,7 +41,7 @@ class Limits:
 
     @classmethod
     def of(cls, settings: Settings) -> Self:
-        """Those that the settings give, with nothing taken yet. To be called in the event loop that they are for."""
+        """Creates the limits of the settings, with no place taken. Call it in the event loop that uses them."""
         streams = Places(settings.event_streams, "event streams are open", retry_seconds=10)
         bodies = Places(WAITING_BODIES, "large documents are being read", retry_seconds=5)
         return cls(

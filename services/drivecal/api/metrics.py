@@ -48,7 +48,7 @@ class Meters:
     """What one API process measures and shows: a registry of its own, so that several may live in one process."""
 
     def __init__(self, database: Database) -> None:
-        disable_created_metrics()  # type: ignore[no-untyped-call]  # a second series for each, which nobody reads
+        disable_created_metrics()  # type: ignore[no-untyped-call]  # a second, unused series for each
         self.registry = CollectorRegistry()
         self.requests = Counter(
             "drivecal_http_requests",

@@ -218,7 +218,7 @@ class Client:
         return self._get(_path("campaigns", identifier, "setup"), CampaignSetup, kind="campaign", identifier=identifier)
 
     def studies(self, identifier: str) -> StudyPage:
-        """The robustness and validation studies of what a campaign found, whoever made them."""
+        """Returns the robustness and validation studies of a campaign's best sets and map, made by any campaign."""
         return self._get(_path("campaigns", identifier, "studies"), StudyPage, kind="campaign", identifier=identifier)
 
     def robustness(self, identifier: str) -> list[RobustnessRow]:

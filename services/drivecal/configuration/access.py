@@ -1,4 +1,4 @@
-"""Who can reach the server at all: nobody but this machine, unless tokens are asked for."""
+"""Addresses that the server may listen on: loopback only, unless it requires tokens."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ Modules log by the standard library (`logging.getLogger(__name__)`), as their li
     logs.note(token="ci")                       # until the end of the request, of all lines that follow in it
 
 Context follows `contextvars`: into threads and tasks that are started inside, and never into another request. An exception is one field.
-Passwords in URLs and bearer tokens are masked, control characters escaped, so that no name that somebody chose can forge a line.
+Passwords in URLs and bearer tokens are masked, control characters escaped, so that no user's text can forge a line.
 """
 
 from __future__ import annotations

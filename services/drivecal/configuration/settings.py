@@ -44,7 +44,7 @@ class Settings(BaseSettings):
     token: Secret | None = Field(default=None, repr=False)
     """What clients show to the server."""
     tokens_file: Path | None = None
-    """Whom the server serves, see `drivecal.configuration.tokens`; none: everybody on this machine, and nobody else."""
+    """The tokens file, see `drivecal.configuration.tokens`. Without it the server serves all users of this machine only."""
     queued_campaigns: Annotated[int, Field(ge=1, le=1_000_000)] = 1000
     """How many campaigns and evaluations may wait to be started before further ones are refused (429)."""
     largest_campaign: Annotated[int, Field(ge=1, le=10**12)] = 10_000_000

@@ -1,10 +1,10 @@
-"""Who may use the server: a text file with one token per line, read again whenever it changes.
+"""Tokens that may use the server: a text file with one token per line, read again whenever it changes.
 
     # name  may     token
     anna    write   Zs6Oq1fO1Hh0T7m1K0cY3A
     plant2  read    9q2kT0bYw8vX5mJ4rL1nPg
 
-No message ever quotes a word of the file: whoever mixed up the columns would find the token in a log.
+No message ever quotes a word of the file: with mixed-up columns it would put a token in the log.
 """
 
 from __future__ import annotations
@@ -105,8 +105,8 @@ class TokenFile:
         self.tokens = parse(_read(path), str(path))
 
     def find(self, presented: bytes) -> Token | None:
-        """Whose token it is, None where it is nobody's. Takes equally long whatever was presented: digests of equal length are
-        compared, all of them, and none of them early."""
+        """Returns the token with this secret, None without a match. Takes equally long for any secret: it compares all digests, in
+        constant time."""
         self._refresh()
         digest, match = _digest(presented), None
         for token in self.tokens:
@@ -115,7 +115,7 @@ class TokenFile:
         return match
 
     def named(self, name: str) -> Token | None:
-        """The token of this name, None where there is none (any more)."""
+        """Returns the token of this name, None if there is none (any more)."""
         self._refresh()
         return next((token for token in self.tokens if token.name == name), None)
 
@@ -156,5 +156,5 @@ def _read(path: Path) -> bytes:
 
 
 def _open_without_waiting(path: str, flags: int) -> int:
-    """A pipe has no end and keeps whoever opens it waiting for somebody who writes."""
+    """Opens without waiting: a pipe blocks its reader until a writer opens it."""
     return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))

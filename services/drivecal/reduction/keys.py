@@ -21,7 +21,7 @@ BELOW, ANY, ABOVE = np.iinfo(np.int64).min, np.iinfo(np.int64).min + 1, np.iinfo
 
 
 class ReferenceKeys:
-    """Computes keys for one influence map and scenario, for sets of the parameters `names`."""
+    """Computes the keys of an influence map and scenario, for sets of the parameters `names`."""
 
     def __init__(self, influence_map: InfluenceMap, scenario: str, names: Sequence[str]) -> None:
         self._order = np.argsort(np.array(names))

@@ -74,7 +74,7 @@ class _Child:
         if self.process is None or self.process.poll() is None:
             return None
         process, self.process = self.process, None
-        if process.returncode < 0:  # the guardian itself was killed, so nobody has cleaned up
+        if process.returncode < 0:  # the guardian itself was killed and has not cleaned up
             end_session(process.pid)
         if process.stdin:
             process.stdin.close()

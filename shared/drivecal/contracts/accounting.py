@@ -18,7 +18,7 @@ class SensitivityCost(Answer):
 
 class MapCost(Answer):
     """The influence map in use and what making it cost. `paid_here`: by this campaign's own sensitivity stage; else by `made_by`, an
-    earlier campaign's id, or by nobody (null: expert knowledge)."""
+    earlier campaign's id (null: expert knowledge)."""
 
     id: str
     made_by: str | None
@@ -71,9 +71,9 @@ class Accounting(Answer):
 
     `saved_seconds`: by repeated, reused and certified cells, without reused ones that were `confirmed`. `audited_seconds` is the price of
     the self-check: audited cells could have been reused but were simulated, so they are not among the saved, and are not taken off once
-    more. `net_seconds` = `saved_seconds` - `sensitivity.seconds`. `map_net_seconds` = what reuse alone saved - what the map cost, whoever
-    paid; null without a map. `share_without_simulation`: (repeated + reused + certified) / requested; `share_reused`: reused / requested;
-    null before the first.
+    more. `net_seconds` = `saved_seconds` - `sensitivity.seconds`. `map_net_seconds` = saved by reuse alone - cost of the map, in any
+    campaign; null without a map. `share_without_simulation`: (repeated + reused + certified) / requested; `share_reused`: reused /
+    requested; null before the first.
     """
 
     campaign: str

@@ -82,9 +82,10 @@ class ExpectedComparison(Answer):
 class ComparedRun(Answer):
     """One run. Iterations count from 1; `best` is the best objective found, by `alternatives` sets.
 
-    `simulations`: cells of its calibration that had no answer among the run's own earlier cells, whoever simulated them: what the run
-    would have taken alone on an empty database; `confirmations` of them after the search, to simulate its best set. `analysis`: the same
-    of its sensitivity stage. `converged_at`: the iteration after which the best objective stayed for at least 10 further ones (Table 5),
+    `simulations`: cells of its calibration that had no answer among the run's own earlier cells, simulated by any campaign: the
+    simulations that the run alone would need on an empty database. `confirmations` of them follow the search, to simulate its best
+    set. `analysis`: the same of its sensitivity stage. `converged_at`: the iteration after which the best objective stayed for at
+    least 10 further iterations (Table 5),
     null where it did not; `alternatives_converged_at`: after which the number of alternatives stayed for more than 5 (Table 7).
     `success`: no run of the comparison found better.
     """

@@ -62,7 +62,7 @@ def test_reused_cells_that_were_confirmed_are_told_for_they_saved_nothing(capsys
     ("made_by", "runs", "expected"),
     [
         ("f" * 32, 450, f"paid by campaign {'f' * 32} (450 runs, 2 min 05 s)"),
-        (None, 0, "paid by nobody: it is expert knowledge\n"),
+        (None, 0, "the influence map is expert knowledge\n"),
     ],
 )
 def test_a_map_that_was_paid_elsewhere_is_said_to_be(

@@ -40,7 +40,7 @@ class Tokens(Protocol):
     """Where tokens are looked up."""
 
     def find(self, presented: bytes) -> Token | None:
-        """Whose token it is; None where it is nobody's."""
+        """Returns the token with this secret; None if there is none."""
 
     def named(self, name: str) -> Token | None:
         """The token of this name; None where there is none."""
@@ -153,7 +153,7 @@ def _bearer(header: str) -> bytes | None:
 
 
 def _only_checks(request: Request) -> bool:
-    """A post that stores nothing. Compared to the letter, so that nobody reads the query in another way than the route does."""
+    """Whether a POST stores nothing. Compares the query to the letter, as the route reads it."""
     checked = request.scope["path"] in CHECKED and request.scope["query_string"] == b"validate_only=true"
     return request.method == "POST" and checked
 

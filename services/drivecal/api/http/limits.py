@@ -23,8 +23,7 @@ LONGEST_QUERY = 32_768
 LARGEST_HEAD = 65_536
 """Bytes of all headers together. The parser refuses most that is larger than 16 kB, but not what arrives in one piece."""
 MOST_REQUESTS = 200
-"""Requests that are answered or wait for one of the 40 threads. Were they not bounded, those that nobody waits for any more would be
-answered before those that somebody waits for."""
+"""Requests being answered or waiting for one of the 40 threads. Without a bound, abandoned requests would be answered first."""
 MOST_REQUESTS_OF_STRANGERS = 8
 """Of those who have no token, where one is asked for: supervisors that ask /readyz."""
 CLOSE = {"Connection": "close"}
@@ -143,13 +142,13 @@ class Places:
 
 
 class Place:
-    """One place; given back once, however often that is asked."""
+    """A place in `Places`; giving it back twice changes nothing."""
 
     def __init__(self, places: Places) -> None:
         self._places: Places | None = places
 
     def give_back(self) -> None:
-        """Lets somebody else have it."""
+        """Frees the place for another request."""
         places, self._places = self._places, None
         if places is not None:
             places._give_back()  # noqa: SLF001  the other half of one thing

@@ -1,4 +1,4 @@
-"""Keeps the process as small as it was before somebody sent it a large document."""
+"""Returns the memory of large requests to the operating system."""
 
 from __future__ import annotations
 

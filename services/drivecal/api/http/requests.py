@@ -66,7 +66,7 @@ class RequestRecords:
             self._note(scope, status, None if streams else time.perf_counter() - begin)
 
     def _note(self, scope: Scope, status: int, seconds: float | None) -> None:
-        """`seconds` is None for an event stream, which lasts as long as somebody listens."""
+        """`seconds` is None for an event stream, which lasts as long as its client listens."""
         route = _template(scope)
         method = scope["method"] if scope["method"] in METHODS else "other"
         self.meters.requests.labels(route, method, status).inc()

@@ -1,8 +1,8 @@
-"""The page's sessions: who logged in once in a browser, told by a cookie instead of a header.
+"""The page's sessions: a browser that logged in once is known by a cookie instead of a header.
 
-A session is a signed statement, kept by nobody: the name of a token, an end, and a signature with a key that only the token gives. So it
-survives a restart of the server, ends with the token, and is worth nothing to anybody who guesses. The cookie is out of reach of
-scripts and sent with requests of the page itself only; shared/decisions/018-the-page-and-its-session.md says what else there was.
+A session is a signed statement that the server does not store: the name of a token, an end, and a signature with a key derived from the
+token. It survives a restart of the server, ends with the token, and cannot be guessed. Scripts cannot read the cookie, and only requests
+of the page itself send it; shared/decisions/018-the-page-and-its-session.md lists the alternatives.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def begin(token: Token, moment: float | None = None) -> str:
 
 
 def holder(value: str, names: Names, moment: float | None = None) -> Token | None:
-    """Whose session a cookie's value is; None where it is nobody's, or over."""
+    """Returns the token of the session in a cookie's value; None if the session is unknown or over."""
     if len(value) > _LONGEST or value.count("-") < 2:
         return None
     end, signature, name = value.split("-", 2)

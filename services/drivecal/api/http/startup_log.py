@@ -1,4 +1,4 @@
-"""Says in the log what keeps an API that has just started from its database, so that nobody has to ask `/readyz` to learn of it."""
+"""Logs why an API that has just started cannot use its database; `/readyz` reports the same."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Open event streams: one poller looks at all campaigns that somebody follows, however many do.
+"""Open event streams: a single poller reads the campaigns of all streams, however many there are.
 
-A stream holds a position and nothing else. It takes what came after it from the feed of its campaign, where the newest events are held as
-they go over the wire; one that is further behind reads the database itself, page by page. So a slow reader costs no memory and holds
-nobody up, and what it misses of the progress it would not want any more.
+A stream holds a position and nothing else. It takes later events from its campaign's feed, which holds the newest ones encoded; a stream
+that is further behind reads the database itself, page by page. A slow reader therefore costs no memory and delays no other stream; it
+misses only outdated progress.
 """
 
 from __future__ import annotations
@@ -192,7 +192,7 @@ class EventHub:
                 await self._wanted.wait()
 
     async def _look(self, *, only_new: bool) -> None:
-        """`only_new`: at campaigns that were not looked at yet, so that whoever follows another one has no more to read than usual."""
+        """Reads the campaigns of all feeds; with `only_new`, only campaigns that were not read yet."""
         feeds = [feed for feed in self._feeds.values() if not feed.ended and not (only_new and feed.start is not None)]
         if not feeds:
             return
@@ -279,7 +279,7 @@ def progress_document(snapshot: ProgressSnapshot, said: str | None, moment: date
 
 
 def _unstored(campaign: str, trouble: str | None) -> bytes:
-    """That the dispatcher, or the database, is silent, or speaks again: it is in no table, for nobody is there who would write it."""
+    """Encodes the event that the dispatcher or the database is silent, or answers again. No table holds it: its writer is silent."""
     if trouble is None:
         return _event(None, EventKind.RECOVERED, campaign, now(), {})
     return _event(None, EventKind.DEGRADED, campaign, now(), {"reason": trouble})

@@ -24,13 +24,13 @@ from drivecal.storage.engine.database import Database
 router = APIRouter(prefix="/campaigns", tags=["campaigns"], route_class=StrictRoute)
 
 STALLED_SECONDS = 60.0
-"""A client that reads nothing for so long is let go; it can resume."""
+"""A client that reads nothing for this time is disconnected; it can resume."""
 
 EventId = Annotated[int, Field(ge=0, le=2**63 - 1)]
 
 STREAM = f"""Events as `text/event-stream`: {", ".join(f"`{kind}`" for kind in EventKind)}, each with its `id`, its name as `event`, and as
 `data` a `CampaignEvent` without the id; in between, at most once a second and without an id, `progress` with a `CampaignProgress`. Also
-without an id: `degraded` and `recovered` where the dispatcher or the database is silent and nobody can store them."""
+without an id: `degraded` and `recovered`, which no process can store while the dispatcher or the database is silent."""
 
 
 class EventsOf(BaseModel):

@@ -19,15 +19,15 @@ RETRY_SECONDS = 5
 
 @router.get("/healthz")
 async def alive() -> dict[str, str]:
-    """The process answers. Nothing else is looked at, so that nobody restarts it for what is not its fault."""
+    """The process answers. It checks nothing else: a restart cures no fault of another process."""
     return {"status": "alive"}
 
 
 @router.get("/readyz", responses={503: {"model": Readiness, "description": "Not ready; `problems` says why"}})
 def ready(request: Request, response: Response, database: DatabaseDependency) -> Readiness:
-    """Campaigns can be stored, and a dispatcher with a worker is there to carry them out. With a worker at work it is ready even where
-    `problems` says that others are missing, or refuse somebody's campaign. Without a token, where one is asked for, `problems` is
-    empty. Answers within five seconds, whatever is wrong."""
+    """Campaigns can be stored, and a dispatcher with a worker can run them. A single working worker suffices, even if `problems` lists
+    missing workers, or workers that refuse a campaign. `problems` is empty without a token if the server requires tokens. Answers within
+    five seconds, whatever is wrong."""
     judgement = _judge(database)
     if not judgement.ready:
         response.status_code = 503

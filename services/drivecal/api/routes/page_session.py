@@ -23,13 +23,13 @@ class Session(BaseModel):
 
 @router.get("/session")
 def read_session(request: Request) -> Session:
-    """Who asks. 401 where nobody does that the server knows."""
+    """The client's token. 401 if it is unknown."""
     return _session(request.state.token)
 
 
 @router.post("/session")
 def begin_session(request: Request, response: Response) -> Session:
-    """Gives whoever shows a token a session; it is over after twelve hours, or when the token is taken out of the tokens file."""
+    """Starts a session for a token. It ends after twelve hours, or when the token is removed from the tokens file."""
     token: Token = request.state.token
     if token is not ANYBODY:
         response.set_cookie(

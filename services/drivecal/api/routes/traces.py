@@ -37,9 +37,9 @@ def read_trace(
     accept_encoding: Annotated[str, Header()] = "",
 ) -> Response:
     """The time series of an evaluation, by its number in a campaign's table or by the id of a single evaluation in one scenario. The first
-    to ask has it driven once more (202), which takes a token that may write; it is kept for a day after that. Where it could not be
-    driven the answer is 409 with the cause; where that may pass (a crash, a hang, a lack of memory), whoever asks half a minute later
-    has it driven anew."""
+    request simulates it once more (202), which takes a token that may write; the result is kept for a day. If the simulation fails, the
+    answer is 409 with the cause. After a cause that may pass (a crash, a hang, a lack of memory), a request half a minute later tries
+    again."""
     with database.read() as connection:
         number = results.by_id(connection, number_of(connection, evaluation_id)).id
         trace = traces.find(connection, number)

@@ -1,4 +1,4 @@
-"""`drivecal robustness`: shows a campaign's robustness study, made where nobody made it yet, and what another one says beside it."""
+"""`drivecal robustness`: shows a campaign's robustness study, makes a missing study, and compares it with another."""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ def wanted_of(campaign: Campaign, stage: Stage, given: Mapping[str, Any]) -> Wan
 
 
 def known(client: Client, campaign: Campaign, wanted: Wanted) -> Campaign | None:
-    """Who made the wanted study of a campaign: itself, else the newest that succeeded; None where nobody did."""
+    """Returns the campaign that made the wanted study: itself, else the newest that succeeded; None without a study."""
     if campaign.spec.get(wanted.stage) and wanted.is_made_by(campaign):
         return campaign
     for study in client.studies(campaign.id).items:

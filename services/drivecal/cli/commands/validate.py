@@ -1,4 +1,4 @@
-"""`drivecal validate`: shows a campaign's validation study, made where nobody made it yet."""
+"""`drivecal validate`: shows a campaign's validation study, and makes a missing study."""
 
 from __future__ import annotations
 

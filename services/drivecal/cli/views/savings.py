@@ -71,9 +71,9 @@ def print_accounting(accounting: Accounting) -> None:
             f"  certificates say of {proved:,} reused cells what a simulation would have given; another score: {'; '.join(off) or 'none'}"
         )
     if accounting.map is not None and not accounting.map.paid_here:
-        paid = "nobody: it is expert knowledge" if accounting.map.made_by is None else f"campaign {accounting.map.made_by}"
+        paid = "is expert knowledge" if accounting.map.made_by is None else f"was paid by campaign {accounting.map.made_by}"
         cost = f" ({accounting.map.runs:,} runs, {_seconds(accounting.map.seconds)})" if accounting.map.runs else ""
-        typer.echo(f"  the influence map was paid by {paid}{cost}")
+        typer.echo(f"  the influence map {paid}{cost}")
     if accounting.break_even is not None:
         typer.echo(f"  {break_even_text(accounting.break_even)}")
     typer.echo(accounting.sentence)

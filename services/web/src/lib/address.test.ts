@@ -12,7 +12,7 @@ describe("an address", () => {
     expect(parse("#/")).toEqual({ path: [], query: {} });
   });
 
-  test("that somebody damaged is read as far as it goes", () => {
+  test("that is damaged is read as far as it goes", () => {
     expect(parse("#/campaigns/%E0%A4%A/x")).toEqual({ path: ["campaigns", "%E0%A4%A", "x"], query: {} });
   });
 

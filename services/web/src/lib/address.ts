@@ -28,14 +28,14 @@ function decoded(part: string): string {
 
 /** The ranges in a query: `b.P1=0:2.5`. Either end may be left open. */
 export function brushes(query: Readonly<Record<string, string>>): Record<string, [number, number]> {
-  const found: Record<string, [number, number]> = {};
+  const ranges: Record<string, [number, number]> = {};
   for (const [name, value] of Object.entries(query)) {
     if (!name.startsWith("b.")) continue;
     const [low = "", high = ""] = value.split(":", 2);
     const range: [number, number] = [low === "" ? -Infinity : Number(low), high === "" ? Infinity : Number(high)];
-    if (!range.some(Number.isNaN)) found[name.slice(2)] = range;
+    if (!range.some(Number.isNaN)) ranges[name.slice(2)] = range;
   }
-  return found;
+  return ranges;
 }
 
 export function brushText([low, high]: readonly [number, number]): string {

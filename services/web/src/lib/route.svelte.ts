@@ -1,4 +1,4 @@
-/** The address: everything that one can come back to, or send to somebody, stands behind the `#`. */
+/** The URL holds everything a user may return to or share, behind the `#`. */
 
 import { parse, write, type Place } from "./address";
 

@@ -10,7 +10,7 @@ const FOUND = { a: [generation(0, 5), generation(1, 6)], b: [generation(0, 5)], 
 
 test("every run of an optimizer is a line, with a group for each population and reduction", () => {
   const drawn = lines(RUNS, "genetic", FOUND, "best", "iteration");
-  expect(drawn.map((one) => [one.name, one.group, one.values, one.x])).toEqual([
+  expect(drawn.map((entry) => [entry.name, entry.group, entry.values, entry.x])).toEqual([
     ["a", "40 individuals, off", [5, 6], [1, 2]],
     ["b", "80 individuals, exact", [5], [1]],
   ]);

@@ -17,8 +17,8 @@ export function kindOf(run: ComparedRun, several: boolean): string {
 }
 
 export function kinds(runs: readonly ComparedRun[]): { several: boolean; populations: number[]; reductions: string[] } {
-  const reductions = [...new Set(runs.map((one) => one.reduction))];
-  return { several: reductions.length > 1, populations: [...new Set(runs.map((one) => one.population))], reductions };
+  const reductions = [...new Set(runs.map((run) => run.reduction))];
+  return { several: reductions.length > 1, populations: [...new Set(runs.map((run) => run.population))], reductions };
 }
 
 /** Over the iterations, or over the simulations that the run would have taken alone. Each kind has its colour, where there are enough; dashes
@@ -31,19 +31,19 @@ export function lines(
   over: "iteration" | "simulations",
 ): Series[] {
   const { several, populations, reductions } = kinds(all);
-  const mine = all.filter((one) => one.optimizer === optimizer && (generations[one.run]?.length ?? 0) > 0);
+  const mine = all.filter((entry) => entry.optimizer === optimizer && (generations[entry.run]?.length ?? 0) > 0);
   return mine.map((run, place) => {
-    const found = generations[run.run] ?? [];
+    const rows = generations[run.run] ?? [];
     let taken = 0;
-    const simulations = found.map((one) => (taken += one.requested - one.repeated - one.reused));
+    const simulations = rows.map((entry) => (taken += entry.requested - entry.repeated - entry.reused));
     const population = populations.indexOf(run.population);
     const kind = populations.length * reductions.length > SERIES.length ? population : population * reductions.length + reductions.indexOf(run.reduction);
     const dash = DASHES[reductions.indexOf(run.reduction) % DASHES.length];
     return {
       name: run.run,
       group: kindOf(run, several),
-      values: found.map((one) => one[shown]),
-      x: over === "iteration" ? found.map((one) => one.iteration + 1) : simulations,
+      values: rows.map((entry) => entry[shown]),
+      x: over === "iteration" ? rows.map((entry) => entry.iteration + 1) : simulations,
       colour: SERIES[kind % SERIES.length] ?? "",
       steps: true,
       shift: mine.length > 1 ? SPREAD * ((place + 0.5) / mine.length - 0.5) : 0,
@@ -54,11 +54,11 @@ export function lines(
 
 /** From the smallest to the largest, with a little room; one scale for all charts of a kind. */
 export function span(values: readonly (number | null)[]): [number, number] {
-  const known = values.filter((one): one is number => one !== null);
+  const known = values.filter((entry): entry is number => entry !== null);
   if (known.length === 0) return [0, 1];
   // all runs' iterations may be more values than a call takes arguments
-  const low = known.reduce((one, other) => Math.min(one, other));
-  const high = known.reduce((one, other) => Math.max(one, other));
+  const low = known.reduce((entry, other) => Math.min(entry, other));
+  const high = known.reduce((entry, other) => Math.max(entry, other));
   const margin = 0.08 * (high - low) || 0.5;
   return [low - margin, high + margin];
 }

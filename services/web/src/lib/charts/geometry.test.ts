@@ -15,7 +15,7 @@ describe("a series", () => {
 
   test("is found by bisection as by looking", () => {
     const many = Array.from({ length: 101 }, (_, index) => index / 10);
-    for (let moment = -0.05; moment < 11; moment += 0.07) expect(lastBefore(many, moment)).toBe(many.filter((one) => one <= moment + 1e-9).length - 1);
+    for (let moment = -0.05; moment < 11; moment += 0.07) expect(lastBefore(many, moment)).toBe(many.filter((entry) => entry <= moment + 1e-9).length - 1);
   });
 });
 
@@ -29,7 +29,7 @@ test("ahead is to the right and left is up, wherever the road turns", () => {
     const ego = { x: 5, y: -3, heading: turn };
     const look = camera(ego, 2, [100, 50], turn);
     const [x, y] = look(5 + 10 * Math.cos(turn), -3 + 10 * Math.sin(turn));
-    expect([x, y].map((one) => Math.round(one * 1e6) / 1e6)).toEqual([120, 50]);
+    expect([x, y].map((entry) => Math.round(entry * 1e6) / 1e6)).toEqual([120, 50]);
     const [, left] = look(5 - Math.sin(turn), -3 + Math.cos(turn));
     expect(left).toBeCloseTo(48);
   }

@@ -33,12 +33,12 @@ export function lastBefore(times: readonly number[], moment: number): number {
 export function at(times: readonly number[], values: readonly number[], moment: number): number {
   const before = lastBefore(times, moment);
   if (before < 0) return values[0] ?? Number.NaN;
-  const one = values[before] ?? Number.NaN;
+  const value = values[before] ?? Number.NaN;
   const other = values[before + 1];
-  if (other === undefined) return one;
+  if (other === undefined) return value;
   const from = times[before] as number;
   const share = (moment - from) / ((times[before + 1] as number) - from);
-  return one + Math.max(0, share) * (other - one);
+  return value + Math.max(0, share) * (other - value);
 }
 
 export function poseAt(times: readonly number[], series: Record<string, number[]>, moment: number): Pose {

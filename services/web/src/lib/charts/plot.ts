@@ -43,9 +43,9 @@ export function scales(frame: Frame): { px: (value: number) => number; py: (valu
 /** What lies below each value where areas and bars lie on each other. */
 export function floors(series: readonly Series[], length: number, stacked: boolean): number[][] {
   const base = Array.from({ length }, () => 0);
-  return series.map((one) => {
+  return series.map((line) => {
     const floor = [...base];
-    if (stacked) one.values.forEach((value, index) => (base[index] = (base[index] ?? 0) + (value ?? 0)));
+    if (stacked) line.values.forEach((value, index) => (base[index] = (base[index] ?? 0) + (value ?? 0)));
     return floor;
   });
 }
@@ -54,12 +54,12 @@ export function floors(series: readonly Series[], length: number, stacked: boole
 export function reach(series: readonly Series[], below: readonly (readonly number[])[], log: boolean): [number, number] {
   let low = Infinity;
   let high = -Infinity;
-  series.forEach((one, which) =>
-    one.values.forEach((value, index) => {
+  series.forEach((line, which) =>
+    line.values.forEach((value, index) => {
       if (value === null || Number.isNaN(value)) return;
       const floor = below[which]?.[index] ?? 0;
       high = Math.max(high, floor + value);
-      low = Math.min(low, floor + value, isLine(one) ? Infinity : floor);
+      low = Math.min(low, floor + value, isLine(line) ? Infinity : floor);
     }),
   );
   if (log) return [0.7, Math.max(10, 1.6 * high)];
@@ -68,15 +68,15 @@ export function reach(series: readonly Series[], below: readonly (readonly numbe
   return [series.every(isLine) ? low - margin : Math.min(0, low), high + margin];
 }
 
-export function isLine(one: Series): boolean {
-  return one.kind === undefined || one.kind === "line";
+export function isLine(line: Series): boolean {
+  return line.kind === undefined || line.kind === "line";
 }
 
 /** From where to where the places of all series reach; `half`: the room that a bar takes beside its place. */
 export function across(x: readonly number[], series: readonly Series[], half: number): [number, number] {
   let low = Infinity;
   let high = -Infinity;
-  for (const places of [x, ...series.map((one) => one.x ?? [])]) {
+  for (const places of [x, ...series.map((line) => line.x ?? [])]) {
     for (const place of places) {
       if (place < low) low = place;
       if (place > high) high = place;
@@ -98,37 +98,37 @@ export function ticksOf(frame: Frame, about: number): number[] {
 }
 
 /** The outline of a line or an area, as the `d` of an SVG path. */
-export function outline(one: Series, x: readonly number[], floor: readonly number[], stacked: boolean, frame: Frame): string {
+export function outline(line: Series, x: readonly number[], floor: readonly number[], stacked: boolean, frame: Frame): string {
   const { px, py } = scales(frame);
-  const places = one.x ?? x;
+  const places = line.x ?? x;
   const points: string[] = [];
   const back: string[] = [];
   let before: string | null = null;
-  one.values.forEach((value, index) => {
+  line.values.forEach((value, index) => {
     if (value === null || Number.isNaN(value)) return;
     const bottom = stacked ? (floor[index] ?? 0) : 0;
     const at = px(places[index] ?? 0).toFixed(1);
-    const height = (py(bottom + value) + (one.shift ?? 0)).toFixed(1);
-    if (one.steps && before !== null) points.push(`${at} ${before}`);
+    const height = (py(bottom + value) + (line.shift ?? 0)).toFixed(1);
+    if (line.steps && before !== null) points.push(`${at} ${before}`);
     points.push(`${at} ${height}`);
     back.push(`${at} ${py(bottom).toFixed(1)}`);
     before = height;
   });
   if (points.length === 0) return "";
-  return one.kind === "area" ? `M${points.join("L")}L${back.reverse().join("L")}Z` : `M${points.join("L")}`;
+  return line.kind === "area" ? `M${points.join("L")}L${back.reverse().join("L")}Z` : `M${points.join("L")}`;
 }
 
 /** Whether counts are so unlike that small ones could not be seen beside the large ones. */
 export function spansDecades(counts: readonly number[]): boolean {
-  const seen = counts.filter((one) => one > 0);
+  const seen = counts.filter((count) => count > 0);
   return seen.length > 1 && Math.max(...seen) > 50 * Math.min(...seen);
 }
 
 /** What the legend lists: each group once. */
 export function legend(series: readonly Series[]): Series[] {
   const known = new Set<string>();
-  return series.filter((one) => {
-    const name = one.group ?? one.name;
+  return series.filter((line) => {
+    const name = line.group ?? line.name;
     if (known.has(name)) return false;
     known.add(name);
     return true;

@@ -53,7 +53,7 @@ export function drawLines(
   done: (count: number) => void,
 ): () => void {
   const scale = columns.map(({ axis }) => (HEIGHT - TOP - BOTTOM) / (axis.upper - axis.lower || 1));
-  const total = wanted.reduce((sum, one) => sum + one.rows.length, 0);
+  const total = wanted.reduce((sum, batch) => sum + batch.rows.length, 0);
   // Many lines come in passes, each a sample of all of them: what is seen first is already the whole, only thinner.
   const passes = Math.max(1, Math.ceil(total / FIRST_PASS));
   let pass = 0;
@@ -68,22 +68,22 @@ export function drawLines(
     last = now;
     let left = Math.round(quota);
     while (pass < passes && left > 0) {
-      const one = wanted[part];
-      if (one === undefined) {
+      const batch = wanted[part];
+      if (batch === undefined) {
         pass += 1;
         part = 0;
         at = pass;
         continue;
       }
-      pen.strokeStyle = one.style;
+      pen.strokeStyle = batch.style;
       pen.beginPath();
-      for (; at < one.rows.length && left > 0; at += passes) {
-        polyline(one.rows[at] as number);
+      for (; at < batch.rows.length && left > 0; at += passes) {
+        polyline(batch.rows[at] as number);
         left -= 1;
         sum += 1;
       }
       pen.stroke();
-      if (at >= one.rows.length) {
+      if (at >= batch.rows.length) {
         part += 1;
         at = pass;
       }

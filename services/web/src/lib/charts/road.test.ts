@@ -24,17 +24,17 @@ test("the road has two edges and a dashed line between its lanes", () => {
 });
 
 test("dashes stay where they are on the road while the view moves", () => {
-  const [one, other] = [at(0), at(0.5)].map((shapes) => shapes.find((shape) => "points" in shape && shape.dash));
-  if (!one || !other || !("points" in one) || !("points" in other)) throw new Error("no dashes");
-  const scale = (one.dash?.[0] ?? 0) / 6;
-  const start = (path: typeof one): number => (path.points[0]?.[0] ?? 0) - (path.dashOffset ?? 0);
-  expect(start(one) - start(other)).toBeCloseTo(15 * scale);
+  const [first, other] = [at(0), at(0.5)].map((shapes) => shapes.find((shape) => "points" in shape && shape.dash));
+  if (!first || !other || !("points" in first) || !("points" in other)) throw new Error("no dashes");
+  const scale = (first.dash?.[0] ?? 0) / 6;
+  const start = (path: typeof first): number => (path.points[0]?.[0] ?? 0) - (path.dashOffset ?? 0);
+  expect(start(first) - start(other)).toBeCloseTo(15 * scale);
 });
 
 test("a plan is there once it was made, and who is not on the road is not drawn", () => {
   expect(strokes(at(0.5), "#d55e00").length).toBe(0);
   expect(strokes(at(1), "#d55e00").length).toBe(1);
-  expect(at(0).filter((one) => "text" in one).map((one) => ("text" in one ? one.text : ""))).toEqual(["a<b"]);
+  expect(at(0).filter((entry) => "text" in entry).map((entry) => ("text" in entry ? entry.text : ""))).toEqual(["a<b"]);
 });
 
 test("as an SVG it has the size of the view, and names cannot break it", () => {

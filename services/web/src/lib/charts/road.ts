@@ -97,7 +97,7 @@ export function seen(trace: Trace, scene: Scene, moment: number, width: number, 
     if (name) shapes.push({ text: name, at: [x, y - wide / 2 - 5], colour: colour.name });
   };
   for (const [name, series] of Object.entries(trace.neighbours)) {
-    car(poseAt(trace.time_s, series, moment), scene.traffic.find((one) => one.id === name) ?? USUAL, colour.other, name);
+    car(poseAt(trace.time_s, series, moment), scene.traffic.find((entry) => entry.id === name) ?? USUAL, colour.other, name);
   }
   car(ego, scene.ego, colour.ego, "");
   return shapes;
@@ -170,7 +170,7 @@ export function svgOf(shapes: readonly Shape[], width: number): string {
     if ("text" in shape) return `<text x="${shape.at[0].toFixed(1)}" y="${shape.at[1].toFixed(1)}" fill="${shape.colour}" text-anchor="middle">${escaped(shape.text)}</text>`;
     const points = shape.points.map(([x, y]) => `${x.toFixed(1)} ${y.toFixed(1)}`).join("L");
     const stroke = shape.stroke ? ` stroke="${shape.stroke}" stroke-width="${shape.width ?? 1}"` : "";
-    const dash = shape.dash ? ` stroke-dasharray="${shape.dash.map((one) => one.toFixed(1)).join(" ")}" stroke-dashoffset="${(shape.dashOffset ?? 0).toFixed(1)}"` : "";
+    const dash = shape.dash ? ` stroke-dasharray="${shape.dash.map((entry) => entry.toFixed(1)).join(" ")}" stroke-dashoffset="${(shape.dashOffset ?? 0).toFixed(1)}"` : "";
     return `<path d="M${points}${shape.fill ? "Z" : ""}" fill="${shape.fill ?? "none"}"${stroke}${dash}${shape.opacity === undefined ? "" : ` opacity="${shape.opacity}"`}/>`;
   });
   return `<svg xmlns="http://www.w3.org/2000/svg" width="${width}" height="${HEIGHT}" viewBox="0 0 ${width} ${HEIGHT}" font-family="sans-serif" font-size="11" stroke-linejoin="round">${drawn.join("")}</svg>`;

@@ -13,8 +13,8 @@ export interface Piece {
 
 /** The largest deviation over all scenarios and vehicles of a box; null where one has no result. */
 export function worst(trial: BoxTrial): number | null {
-  const found = Object.values(trial.deviations);
-  return found.length === 0 || found.some((one) => one === null) ? null : Math.max(...(found as number[]));
+  const deviations = Object.values(trial.deviations);
+  return deviations.length === 0 || deviations.some((entry) => entry === null) ? null : Math.max(...(deviations as number[]));
 }
 
 /** The bar of a set, from 0 to the widest box that was tried, a piece for each box. */
@@ -23,8 +23,8 @@ export function pieces(row: RobustRow): Piece[] {
   return [...row.trials]
     .sort((a, b) => a.radius - b.radius)
     .map((trial) => {
-      const found = worst(trial);
-      const piece: Piece = { from, to: trial.radius, worst: found, box: trial.box, looks: !trial.holds ? "fails" : found === 0 ? "same" : "changes" };
+      const largest = worst(trial);
+      const piece: Piece = { from, to: trial.radius, worst: largest, box: trial.box, looks: !trial.holds ? "fails" : largest === 0 ? "same" : "changes" };
       from = trial.radius;
       return piece;
     });
@@ -39,11 +39,11 @@ export function condition(settings: Readonly<Record<string, unknown>>): string {
 }
 
 /** The sets of two studies, each with its row in either: those of the first in their order, then those that only the other has. */
-export function sideBySide(rows: readonly RobustRow[], others: readonly RobustRow[]): { one: RobustRow | null; other: RobustRow | null }[] {
+export function sideBySide(rows: readonly RobustRow[], others: readonly RobustRow[]): { first: RobustRow | null; other: RobustRow | null }[] {
   const key = (row: RobustRow): string => JSON.stringify(Object.entries(row.parameters).sort(([a], [b]) => a.localeCompare(b)));
-  const known = new Map(others.map((row) => [key(row), row]));
+  const beside = new Map(others.map((row) => [key(row), row]));
   const mine = new Set(rows.map(key));
-  return [...rows.map((one) => ({ one, other: known.get(key(one)) ?? null })), ...others.filter((other) => !mine.has(key(other))).map((other) => ({ one: null, other }))];
+  return [...rows.map((row) => ({ first: row, other: beside.get(key(row)) ?? null })), ...others.filter((other) => !mine.has(key(other))).map((other) => ({ first: null, other }))];
 }
 
 /** A degree that may only be known from below. */

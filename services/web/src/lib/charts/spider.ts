@@ -21,9 +21,9 @@ export function piece(from: number, to: number, start: number, end: number, radi
 }
 
 export function byScenario(rows: readonly InfluenceRow[]): [string, InfluenceRow[]][] {
-  const found = new Map<string, InfluenceRow[]>();
-  for (const row of rows) found.set(row.scenario, [...(found.get(row.scenario) ?? []), row]);
-  return [...found];
+  const groups = new Map<string, InfluenceRow[]>();
+  for (const row of rows) groups.set(row.scenario, [...(groups.get(row.scenario) ?? []), row]);
+  return [...groups];
 }
 
 /** The largest s_rel of all: the one scale of all scenarios. */

@@ -20,9 +20,9 @@ test("a schema says what field it wants", () => {
   expect(kind({ type: "array", items: { type: "object", patternProperties: {} } })).toBe("json");
 });
 
-test("objects are found behind references and choices, and whether they may be left out", () => {
-  const found = describe({ anyOf: [{ oneOf: [{ $ref: "#/components/schemas/Search" }, { $ref: "#/components/schemas/Map" }] }, { type: "null" }], default: { seed: 3 } }, DEFINITIONS);
-  expect([found.kind, found.optional, Object.keys(found.schema.properties ?? {}), found.schema.default]).toEqual(["object", true, ["kind", "seed"], { seed: 3 }]);
+test("objects are described behind references and choices, and whether they may be left out", () => {
+  const described = describe({ anyOf: [{ oneOf: [{ $ref: "#/components/schemas/Search" }, { $ref: "#/components/schemas/Map" }] }, { type: "null" }], default: { seed: 3 } }, DEFINITIONS);
+  expect([described.kind, described.optional, Object.keys(described.schema.properties ?? {}), described.schema.default]).toEqual(["object", true, ["kind", "seed"], { seed: 3 }]);
   expect(describe({ $ref: "#/components/schemas/Search" }, DEFINITIONS).optional).toBe(false);
 });
 
@@ -38,9 +38,9 @@ test("a change leaves the rest, and taking it back leaves nothing", () => {
 
 test("two documents are compared leaf by leaf", () => {
   expect(differences({ a: { b: 1, c: [1, 2] }, d: "x", w: {} }, { a: { b: 2, c: [1, 2] }, e: null })).toEqual([
-    { path: "a.b", one: "1", other: "2" },
-    { path: "d", one: "x", other: null },
-    { path: "e", one: null, other: "null" },
+    { path: "a.b", first: "1", other: "2" },
+    { path: "d", first: "x", other: null },
+    { path: "e", first: null, other: "null" },
   ]);
 });
 

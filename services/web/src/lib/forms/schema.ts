@@ -44,14 +44,14 @@ export function resolve(schema: Schema, definitions: Definitions): Schema {
 
 export function describe(given: Schema, definitions: Definitions): Described {
   const schema = resolve(given, definitions);
-  const variants = (schema.anyOf ?? schema.oneOf ?? [schema]).flatMap((one) => {
-    const found = resolve(one, definitions);
-    return found.anyOf ?? found.oneOf ?? [found];
+  const variants = (schema.anyOf ?? schema.oneOf ?? [schema]).flatMap((entry) => {
+    const resolved = resolve(entry, definitions);
+    return resolved.anyOf ?? resolved.oneOf ?? [resolved];
   });
-  const known = variants.map((one) => resolve(one, definitions)).filter((one) => one.type !== "null");
+  const known = variants.map((variant) => resolve(variant, definitions)).filter((variant) => variant.type !== "null");
   const optional = known.length < variants.length;
-  const objects = known.filter((one) => one.properties !== undefined);
-  const plain = known.filter((one) => one.properties === undefined);
+  const objects = known.filter((entry) => entry.properties !== undefined);
+  const plain = known.filter((entry) => entry.properties === undefined);
   const make = (kind: Kind, from: Schema, choices: unknown[] = []): Described => ({ kind, optional, choices, schema: { ...from, default: schema.default } });
   const only = known.length === 1 ? known[0] : undefined;
   // Of several kinds of objects the first is the usual one; the others can be written as JSON.
@@ -73,15 +73,15 @@ export function describe(given: Schema, definitions: Definitions): Described {
 /** Words and numbers as people write them, `100, 200`; JSON where it is any, for lists that hold more than that. */
 export function writtenList(text: string): unknown[] | Broken | undefined {
   if (text.trim() === "") return undefined;
-  const found = /^\s*[[{]/.test(text) ? written(text) : undefined;
-  if (Array.isArray(found) || found instanceof Broken) return found;
+  const parsed = /^\s*[[{]/.test(text) ? written(text) : undefined;
+  if (Array.isArray(parsed) || parsed instanceof Broken) return parsed;
   return text.split(",").map((part) => part.trim()).filter(Boolean).map(written);
 }
 
 export function listText(value: unknown): string {
   if (value instanceof Broken) return value.text;
   if (!Array.isArray(value)) return "";
-  return value.some((one) => typeof one === "object") ? JSON.stringify(value) : value.join(", ");
+  return value.some((entry) => typeof entry === "object") ? JSON.stringify(value) : value.join(", ");
 }
 
 /** What an object holds besides the fields that its schema names: settings of a plug-in, for example. */
@@ -89,7 +89,7 @@ export function others(value: Readonly<Record<string, unknown>>, schema: Schema)
   return Object.fromEntries(Object.entries(value).filter(([name]) => !(name in (schema.properties ?? {}))));
 }
 
-/** What somebody wrote where several kinds of values may stand: JSON where it is any, else a word; what begins as JSON has to be it. */
+/** A value of several possible kinds: JSON if the text starts like JSON, else a word. */
 export function written(text: string): unknown {
   if (text.trim() === "") return undefined;
   try {
@@ -115,7 +115,7 @@ function leaves(value: unknown, path = ""): Record<string, string> {
 }
 
 /** The paths at which two documents differ, with both values; null where one has none. */
-export function differences(one: unknown, other: unknown): { path: string; one: string | null; other: string | null }[] {
-  const [a, b] = [leaves(one), leaves(other)];
-  return [...new Set([...Object.keys(a), ...Object.keys(b)])].filter((path) => a[path] !== b[path]).map((path) => ({ path, one: a[path] ?? null, other: b[path] ?? null }));
+export function differences(first: unknown, other: unknown): { path: string; first: string | null; other: string | null }[] {
+  const [a, b] = [leaves(first), leaves(other)];
+  return [...new Set([...Object.keys(a), ...Object.keys(b)])].filter((path) => a[path] !== b[path]).map((path) => ({ path, first: a[path] ?? null, other: b[path] ?? null }));
 }

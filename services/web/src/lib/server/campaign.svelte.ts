@@ -70,12 +70,12 @@ export class CampaignState {
     if (this.reading) return;
     this.reading = true;
     try {
-      const found = await this.tagged.next();
-      if (found) {
-        this.campaign = found;
+      const next = await this.tagged.next();
+      if (next) {
+        this.campaign = next;
         this.measure();
-        const iteration = found.ended_at === null ? (found.iteration ?? -1) : Infinity;
-        if (found.kind === "calibration" && found.cells.proposed > 0 && iteration !== this.knownGenerations) {
+        const iteration = next.ended_at === null ? (next.iteration ?? -1) : Infinity;
+        if (next.kind === "calibration" && next.cells.proposed > 0 && iteration !== this.knownGenerations) {
           this.knownGenerations = iteration;
           this.generations = await all<Generation>(`/campaigns/${this.id}/generations`);
         }

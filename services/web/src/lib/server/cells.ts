@@ -6,8 +6,8 @@ import type { Best } from "./types";
 
 /** Opens the evaluation, with its replay, at a place of the calibration. */
 export async function openCell(campaign: string, iteration: number, individual: number, scenario: string): Promise<void> {
-  const found = await get<{ evaluation: number }>(`/campaigns/${campaign}/cell?iteration=${iteration}&individual=${individual}&scenario=${encodeURIComponent(scenario)}`);
-  go(["evaluations", String(found.evaluation)]);
+  const cell = await get<{ evaluation: number }>(`/campaigns/${campaign}/cell?iteration=${iteration}&individual=${individual}&scenario=${encodeURIComponent(scenario)}`);
+  go(["evaluations", String(cell.evaluation)]);
 }
 
 /** Sets of the same objective and rating as the best may come before it. */
@@ -16,7 +16,7 @@ const MOST = 100;
 /** Opens the evaluation of the best set in a scenario; where it is not among the first of the ranking any more, the ranking. */
 export async function openBest(campaign: string, best: Best, scenario: string): Promise<void> {
   const { items } = await get<{ items: { iteration: number; individual: number; parameters: Record<string, number> }[] }>(`/campaigns/${campaign}/solutions?limit=${MOST}`);
-  const found = items.find((one) => Object.entries(best.parameters).every(([name, value]) => one.parameters[name] === value));
-  if (found) await openCell(campaign, found.iteration, found.individual, scenario);
+  const row = items.find((item) => Object.entries(best.parameters).every(([name, value]) => item.parameters[name] === value));
+  if (row) await openCell(campaign, row.iteration, row.individual, scenario);
   else go(["campaigns", campaign, "ranking"]);
 }

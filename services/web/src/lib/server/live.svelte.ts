@@ -1,4 +1,4 @@
-/** The live connection: one WebSocket for the page, opened again for as long as somebody follows anything. */
+/** The live connection: a single WebSocket for the page, reopened while any view follows a campaign. */
 
 import { ROOT } from "./api";
 import type { CampaignEvent, Moving } from "./types";
@@ -75,7 +75,7 @@ function connect(): void {
     wait = FIRST_WAIT;
     state = "open";
     for (const campaign of followers.keys()) tell({ follow: campaign, after: newest.get(campaign) ?? 0 });
-    if (wasLost) for (const each of followers.values()) for (const one of each) one.again?.();
+    if (wasLost) for (const each of followers.values()) for (const follower of each) follower.again?.();
     wasLost = false;
     watch();
   };
@@ -110,9 +110,9 @@ function take(message: Message): void {
   const each = message.campaign === undefined ? undefined : followers.get(message.campaign);
   if (message.campaign === undefined || each === undefined) return;
   if (message.event?.id) newest.set(message.campaign, message.event.id);
-  for (const one of each) {
-    if (message.event) one.event?.(message.event);
-    if (message.progress) one.progress?.(message.progress);
-    if (message.ended) one.ended?.();
+  for (const follower of each) {
+    if (message.event) follower.event?.(message.event);
+    if (message.progress) follower.progress?.(message.progress);
+    if (message.ended) follower.ended?.();
   }
 }

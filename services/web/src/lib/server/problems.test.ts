@@ -19,7 +19,7 @@ test("each field says what is wrong with it and what would be right", () => {
 test("half of a JSON document is neither a word nor a list of words", () => {
   const wanted = { parameters: written('[{"name":"P1"'), seeds: writtenList("[1, 2"), optimizers: [{ kind: "genetic" }, { mutation: written("{") }] };
   expect(wanted.parameters).toBeInstanceOf(Broken);
-  expect(brokenIn(wanted).map((one) => one.field)).toEqual(["parameters", "seeds", "optimizers[1].mutation"]);
+  expect(brokenIn(wanted).map((entry) => entry.field)).toEqual(["parameters", "seeds", "optimizers[1].mutation"]);
   expect(brokenIn({ name: written("a [strange] name"), none: null })).toEqual([]);
   expect(JSON.stringify({ seeds: wanted.seeds })).toBe('{"seeds":"[1, 2"}');
 });

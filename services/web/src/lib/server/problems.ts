@@ -37,7 +37,7 @@ export function at(problems: readonly FieldProblem[], path: string, fields = fal
 /** The fields of a form in which no JSON stands where there ought to be. */
 export function brokenIn(value: unknown, path = ""): FieldProblem[] {
   if (value instanceof Broken) return [{ field: path, message: `this is no valid JSON: ${value.reason}`, remedy: "what begins with [ or { has to be complete" }];
-  if (Array.isArray(value)) return value.flatMap((one, place) => brokenIn(one, `${path}[${place}]`));
+  if (Array.isArray(value)) return value.flatMap((entry, place) => brokenIn(entry, `${path}[${place}]`));
   if (typeof value !== "object" || value === null) return [];
-  return Object.entries(value).flatMap(([name, one]) => brokenIn(one, path === "" ? name : `${path}.${name}`));
+  return Object.entries(value).flatMap(([name, entry]) => brokenIn(entry, path === "" ? name : `${path}.${name}`));
 }

@@ -29,7 +29,7 @@ export function select(table: Table, wanted: Wanted): Uint32Array {
     }
   }
   let count = 0;
-  for (const one of kept) count += one;
+  for (const flag of kept) count += flag;
   const rows = new Uint32Array(count);
   let at = 0;
   for (let row = 0; row < kept.length; row++) if (kept[row] === 1) rows[at++] = row;
@@ -42,12 +42,12 @@ export function ordered(table: Table, rows: Uint32Array, name: string, descendin
   if (column === undefined) return rows;
   const sign = descending ? -1 : 1;
   const keys = column.kind === "number" ? column.values : ranks(column.words, column.codes);
-  return rows.slice().sort((one, other) => {
-    const a = keys[one] as number;
+  return rows.slice().sort((row, other) => {
+    const a = keys[row] as number;
     const b = keys[other] as number;
-    if (Number.isNaN(a)) return Number.isNaN(b) ? one - other : 1;
+    if (Number.isNaN(a)) return Number.isNaN(b) ? row - other : 1;
     if (Number.isNaN(b)) return -1;
-    return a === b ? one - other : sign * (a - b);
+    return a === b ? row - other : sign * (a - b);
   });
 }
 
@@ -83,16 +83,16 @@ export function binned(rows: Uint32Array, values: Float64Array | null, lower: nu
   const scale = count / (upper - lower || 1);
   for (let at = 0; at < rows.length; at++) {
     const value = values === null ? Number.NaN : (values[rows[at] as number] as number);
-    const found = Number.isNaN(value) ? 0 : 1 + Math.min(count - 1, Math.max(0, Math.floor((value - lower) * scale)));
-    bin[at] = found;
-    sizes[found] = (sizes[found] as number) + 1;
+    const part = Number.isNaN(value) ? 0 : 1 + Math.min(count - 1, Math.max(0, Math.floor((value - lower) * scale)));
+    bin[at] = part;
+    sizes[part] = (sizes[part] as number) + 1;
   }
   const bins = Array.from(sizes, (size) => new Uint32Array(size));
   const filled = new Uint32Array(count + 1);
   for (let at = 0; at < rows.length; at++) {
-    const found = bin[at] as number;
-    (bins[found] as Uint32Array)[filled[found] as number] = rows[at] as number;
-    filled[found] = (filled[found] as number) + 1;
+    const part = bin[at] as number;
+    (bins[part] as Uint32Array)[filled[part] as number] = rows[at] as number;
+    filled[part] = (filled[part] as number) + 1;
   }
   return bins;
 }

@@ -6,10 +6,10 @@ test("values are written as Python writes them", () => {
 });
 
 test("a table can be had in three ways", () => {
-  const found = tableCommands("http://h:1", "0123456789abcdef", "evaluations");
-  expect(found.cli).toBe("drivecal export 01234567 --table evaluations --format csv -o evaluations.csv");
-  expect(found.curl).toBe("curl -s 'http://h:1/api/v1/campaigns/0123456789abcdef/evaluations?format=csv' -o evaluations.csv");
-  expect(found.python).toContain('with Client("http://h:1") as client:\n    table = client.frame("0123456789abcdef", "evaluations").to_pandas()');
+  const shown = tableCommands("http://h:1", "0123456789abcdef", "evaluations");
+  expect(shown.cli).toBe("drivecal export 01234567 --table evaluations --format csv -o evaluations.csv");
+  expect(shown.curl).toBe("curl -s 'http://h:1/api/v1/campaigns/0123456789abcdef/evaluations?format=csv' -o evaluations.csv");
+  expect(shown.python).toContain('with Client("http://h:1") as client:\n    table = client.frame("0123456789abcdef", "evaluations").to_pandas()');
   const weighted = tableCommands("", "0123456789", "solutions", { weights: "S1=2" });
   expect(weighted.python).toContain('client.frame("0123456789", "solutions", weights="S1=2")');
   expect(weighted.cli).toContain("--weights S1=2");

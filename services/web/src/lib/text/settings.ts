@@ -13,7 +13,7 @@ function isSettings(value: unknown): value is Settings {
 
 function text(value: unknown): string {
   if (typeof value === "number") return number(value, 6);
-  if (Array.isArray(value)) return value.every((one) => typeof one !== "object") ? value.map(text).join(", ") : `${value.length} of them`;
+  if (Array.isArray(value)) return value.every((entry) => typeof entry !== "object") ? value.map(text).join(", ") : `${value.length} of them`;
   if (isSettings(value)) return list(value);
   return String(value);
 }
@@ -49,7 +49,7 @@ export function asked(campaign: Asked, setup: Setup | null): [string, string][] 
   if (Array.isArray(spec["optimizers"])) {
     rows.push(["Optimizers", spec["optimizers"].filter(isSettings).map((setting) => named(setting["label"] ?? setting["kind"], list(setting, ["kind", "label"]))).join("; ")]);
     for (const name of ["populations", "seeds", "iterations", "start"]) rows.push([name.charAt(0).toUpperCase() + name.slice(1), spec[name] === undefined ? null : text(spec[name])]);
-    rows.push(["Reductions", Array.isArray(spec["reductions"]) ? spec["reductions"].map((one) => (isSettings(one) ? named(one["mode"], list(one, ["mode"])) : String(one))).join("; ") : null]);
+    rows.push(["Reductions", Array.isArray(spec["reductions"]) ? spec["reductions"].map((entry) => (isSettings(entry) ? named(entry["mode"], list(entry, ["mode"])) : String(entry))).join("; ") : null]);
   }
   if (isSettings(spec.optimizer)) rows.push(["Optimizer", named(spec.optimizer["kind"], list(spec.optimizer, ["kind"]))]);
   if (isSettings(spec.sensitivity)) rows.push(["Sensitivity", typeof spec.sensitivity["map"] === "string" ? `the stored influence map ${spec.sensitivity["map"].slice(0, 8)}` : list(spec.sensitivity)]);

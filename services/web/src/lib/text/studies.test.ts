@@ -23,6 +23,6 @@ test("a study says how it is made", () => {
 test("two studies are laid side by side by their sets, whatever the order of parameters", () => {
   const row = (rank: number, parameters: Record<string, number>): RobustRow =>
     ({ rank, parameters, degree: rank, objective: 1, rating: 1, at_least: false, radius: 0, recommended: false, reason: null, region: 1, to_worse: null, trials: [] });
-  const found = sideBySide([row(1, { P1: 1, P2: 2 }), row(2, { P1: 5, P2: 2 })], [row(1, { P1: 7, P2: 7 }), row(2, { P2: 2, P1: 1 })]);
-  expect(found.map((one) => [one.one?.rank ?? null, one.other?.rank ?? null])).toEqual([[1, 2], [2, null], [null, 1]]);
+  const pairs = sideBySide([row(1, { P1: 1, P2: 2 }), row(2, { P1: 5, P2: 2 })], [row(1, { P1: 7, P2: 7 }), row(2, { P2: 2, P1: 1 })]);
+  expect(pairs.map((entry) => [entry.first?.rank ?? null, entry.other?.rank ?? null])).toEqual([[1, 2], [2, null], [null, 1]]);
 });

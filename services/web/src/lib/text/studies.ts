@@ -38,6 +38,6 @@ export function settingsText(stage: StudyStage, settings: Readonly<Record<string
 }
 
 /** Whether the degrees of two robustness studies mean the same. */
-export function sameBoxes(one: Readonly<Record<string, unknown>>, other: Readonly<Record<string, unknown>>): boolean {
-  return BOXES.every((name) => JSON.stringify(one[name]) === JSON.stringify(other[name]));
+export function sameBoxes(first: Readonly<Record<string, unknown>>, other: Readonly<Record<string, unknown>>): boolean {
+  return BOXES.every((name) => JSON.stringify(first[name]) === JSON.stringify(other[name]));
 }

@@ -9,7 +9,7 @@ const moving: Moving = {
 };
 
 test("the parts of what was requested are all of it", () => {
-  expect(parts(moving.cells).reduce((sum, one) => sum + one.cells, 0)).toBe(moving.cells.requested);
+  expect(parts(moving.cells).reduce((sum, entry) => sum + entry.cells, 0)).toBe(moving.cells.requested);
 });
 
 test("a sentence says what is going on, and what was asked for first", () => {
