@@ -23,6 +23,8 @@ class CampaignEvent(Answer):
     kind: str
     campaign: str
     at: datetime
+    text: str = ""
+    """The event as a line for readers; its wording may change."""
     data: dict[str, Any] = Field(default_factory=dict)
 
 

@@ -1,8 +1,10 @@
-"""Kinds of events of a campaign."""
+"""Kinds of events of a campaign, and their texts."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from enum import StrEnum
+from typing import Any
 
 
 class EventKind(StrEnum):
@@ -51,3 +53,63 @@ class EventKind(StrEnum):
     """A `run` of a comparison has ended: its id, `name`, `state` and `best` objective; `ended` runs `of` the total."""
     NOTE = "note"
     """A remark for the reader, as `text`."""
+
+
+ASKED = {
+    "pause": "pausing: workers finish their running cells first",
+    "resume": "resuming: the dispatcher continues it",
+    "cancel": "cancelling: workers finish their running cells first, and their results are kept",
+}
+"""Texts of a requested action until it takes effect."""
+
+_TEXTS = {
+    EventKind.QUEUED: "queued",
+    EventKind.RUNNING: "started",
+    EventKind.PAUSING: ASKED["pause"],
+    EventKind.PAUSED: "paused; `drivecal resume` continues it",
+    EventKind.RESUMING: ASKED["resume"],
+    EventKind.RESUMED: "resumed",
+    EventKind.CANCELLING: ASKED["cancel"],
+    EventKind.CANCELLED: "cancelled; finished results are kept",
+    EventKind.SUCCEEDED: "succeeded",
+    EventKind.FAILED: "failed: {error}",
+    EventKind.DEGRADED: "degraded: {reason}",
+    EventKind.RECOVERED: "recovered",
+    EventKind.STAGE: "stage {stage} begins: at most {cells:,} cells",
+    EventKind.PHASE: "phase {name} finished: {requested:,} cells so far, {simulated:,} simulated",
+    EventKind.INFLUENCE_MAP: "influence map {id}; influential: {influential}",
+    EventKind.GENERATION: "iteration {iteration}: best {best:.4f}, mean {mean:.4f}",
+    EventKind.BEST: "new best {objective:.4f} in iteration {iteration}: {scores}",
+    EventKind.BASELINE: "baseline: objective {objective:.4f}",
+    EventKind.REUSE_STOPPED: "reuse stopped in {scenario}: {wrong:,} of {audited:,} audited cells were wrong",
+    EventKind.RUN: "run {ended:,} of {of:,} {state}: {name}: best {best:.4f}",
+    EventKind.NOTE: "note: {text}",
+}
+
+
+def event_text(kind: str, data: Mapping[str, Any]) -> str:
+    """Returns an event as a line for readers; a kind of another version is its name."""
+    text = _TEXTS.get(kind) or kind.replace("_", " ")  # type: ignore[call-overload]  # a stored kind is a string
+    return text.format_map(_Words({name: _word(name, value) for name, value in data.items() if value is not None}))
+
+
+class _Words(dict[str, Any]):
+    """Words of a line; an unknown figure is a dash."""
+
+    def __missing__(self, name: str) -> _Unknown:
+        return _Unknown()
+
+
+class _Unknown:
+    def __format__(self, specification: str) -> str:
+        return "-"
+
+
+def _word(name: str, value: Any) -> Any:
+    if name == "iteration":
+        return value + 1  # readers count from 1
+    if name == "influential":
+        return "; ".join(f"{scenario} {' '.join(names) or '-'}" for scenario, names in value.items())
+    if name == "scores":
+        return "  ".join(f"{scenario} {score}" for scenario, score in value.items())
+    return value

@@ -23,7 +23,7 @@ from drivecal.api.live.dispatcher_health import degraded, silence
 from drivecal.contracts.campaign import CellCounts, CellsByStage
 from drivecal.contracts.events import PROGRESS
 from drivecal.domain.errors import DrivecalError
-from drivecal.domain.events import EventKind
+from drivecal.domain.events import EventKind, event_text
 from drivecal.storage import events, revision_queries
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
@@ -286,7 +286,7 @@ def _unstored(campaign: str, trouble: str | None) -> bytes:
 
 
 def _event(number: str | None, kind: str, campaign: str, at: datetime, data: Mapping[str, Any]) -> bytes:
-    document = {"kind": kind, "campaign": campaign, "at": at.isoformat(), "data": data}
+    document = {"kind": kind, "campaign": campaign, "at": at.isoformat(), "text": event_text(kind, data), "data": data}
     return format_sse_event(id=number, event=kind, data_str=json.dumps(document))
 
 

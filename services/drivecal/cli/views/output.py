@@ -10,9 +10,9 @@ from typing import Any
 import typer
 from pydantic import BaseModel
 
-from drivecal.cli.views.event_text import ASKED
 from drivecal.contracts.campaign import Campaign, CellCounts, StageCellCounts
 from drivecal.contracts.tables import Solution
+from drivecal.domain.events import ASKED
 from drivecal.report.sections.commands import evaluation
 
 OUTCOMES = ("failed", "certified", "reused", "repeated", "simulated")

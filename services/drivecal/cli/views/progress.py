@@ -14,13 +14,14 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from drivecal.cli.application import ExitCode, WaitTimedOutError, tell
-from drivecal.cli.views.event_text import event_text
 from drivecal.cli.views.output import by_outcome, duration
 from drivecal.client.client import Client
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.events import CampaignEvent
 
 SECONDS_BETWEEN_LINES = 5.0
+SHOWN = frozenset({"queued", "running", "generation", "succeeded", "failed", "cancelled"})
+"""Kinds of events that the progress or the final state shows as well."""
 _DEGRADED = "degraded: "
 
 
@@ -141,10 +142,9 @@ def show_until_ended(
 
         def told(event: CampaignEvent) -> None:
             nonlocal said
-            text = event_text(event)
-            if text is not None and text != said:  # what the stream and the dispatcher both say is said once
-                report.tell(text)
-                said = text
+            if event.text != said and event.kind not in SHOWN:  # stream and dispatcher may both report the same trouble
+                report.tell(event.text)
+                said = event.text
 
         for campaign in client.watch(identifier, deadline, told, from_beginning=from_beginning):
             report.show(campaign)

@@ -88,6 +88,7 @@ export interface CampaignEvent {
   kind: string;
   campaign: string;
   at: string;
+  text: string;
   data: Record<string, unknown>;
 }
 

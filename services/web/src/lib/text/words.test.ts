@@ -1,6 +1,6 @@
 import { expect, test } from "vitest";
 import type { Moving } from "../server/types";
-import { eventLine, leadingStage, parts, referenceWords, sentence, stagesOf } from "./words";
+import { leadingStage, parts, referenceWords, sentence, stagesOf } from "./words";
 
 const cells = { proposed: 20, pending: 2, requested: 8, repeated: 1, reused: 2, certified: 1, simulated: 3, failed: 1 };
 const moving: Moving = {
@@ -22,11 +22,6 @@ test("only stages that asked for anything are shown", () => {
   expect(stagesOf(moving)).toEqual(["calibration"]);
   const study = { ...moving, stage: null, cells: { ...cells, proposed: 0 }, stages: { robustness: { ...cells, proposed: 5 } } };
   expect([leadingStage(moving), leadingStage(study)]).toEqual(["calibration", "robustness"]);
-});
-
-test("an event that is not known is told by its name", () => {
-  expect(eventLine("something_new", {})).toBe("Something new");
-  expect(eventLine("generation", { iteration: 0, best: 5, mean: 4.25 })).toBe("Iteration 1: best 5.000, mean 4.250");
 });
 
 test("a cell that was simulated is not said to be answered by the reference that it checks", () => {

@@ -76,37 +76,3 @@ export function referenceWords(reason: string): string {
   if (reason === "unanswered") return "Would fit by now:";
   return "Answered by";
 }
-
-/** An event as a line of a log; null for those that say nothing to people. */
-export function eventLine(kind: string, data: Record<string, unknown>): string {
-  const text = (name: string): string => String(data[name] ?? "");
-  const value = (name: string): number => Number(data[name] ?? 0);
-  switch (kind) {
-    case "stage":
-      return `${STAGES[text("stage")] ?? text("stage")} begins, at most ${value("cells").toLocaleString("en-GB")} cells`;
-    case "phase":
-      return `Analysis: ${text("name")} finished, ${value("requested").toLocaleString("en-GB")} cells so far`;
-    case "influence_map":
-      return "The influence map is there";
-    case "generation":
-      return `Iteration ${value("iteration") + 1}: best ${value("best").toFixed(3)}, mean ${value("mean").toFixed(3)}`;
-    case "best":
-      return `The best set now: ${value("objective").toFixed(3)}`;
-    case "baseline":
-      return `The set to compare with: ${value("objective").toFixed(3)}`;
-    case "reuse_stopped":
-      return `Reuse stopped in ${text("scenario")}: ${value("wrong")} of ${value("audited")} audited answers were wrong`;
-    case "degraded":
-      return `Degraded: ${text("reason")}`;
-    case "recovered":
-      return "What was degraded is well again";
-    case "note":
-      return text("text");
-    case "failed":
-      return `Failed: ${text("error")}`;
-    case "run":
-      return `Run ${text("name")} ${text("state")}`;
-    default:
-      return kind.charAt(0).toUpperCase() + kind.slice(1).replaceAll("_", " ");
-  }
-}

@@ -1,0 +1,43 @@
+"""Texts of events."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from drivecal.domain.events import EventKind, event_text
+
+FIGURES: list[tuple[EventKind, dict[str, Any], list[str]]] = [
+    (EventKind.STAGE, {"stage": "calibration", "cells": 120_000}, ["calibration", "120,000"]),
+    (EventKind.PHASE, {"name": "intervals", "requested": 1234, "simulated": 1000}, ["intervals", "1,234", "1,000"]),
+    (EventKind.INFLUENCE_MAP, {"id": "ab", "influential": {"S1": ["P1", "P3"], "S2": []}}, ["ab", "S1 P1 P3", "S2 -"]),
+    (EventKind.GENERATION, {"iteration": 0, "best": 5, "mean": 4.25}, ["1", "5.0000", "4.2500"]),
+    (
+        EventKind.BEST,
+        {"objective": 5.5, "iteration": 2, "scores": {"S1": 6, "S2": 5}},
+        ["5.5000", "iteration 3", "S1 6", "S2 5"],
+    ),
+    (EventKind.BASELINE, {"objective": 5.25}, ["5.2500"]),
+    (EventKind.REUSE_STOPPED, {"scenario": "S3", "wrong": 4, "audited": 20}, ["S3", "4", "20"]),
+    (
+        EventKind.RUN,
+        {"ended": 1, "of": 3, "state": "failed", "name": "a {name}", "best": None},
+        ["1", "3", "failed", "a {name}", "-"],
+    ),
+    (EventKind.NOTE, {"text": "S2 has weight 0"}, ["S2 has weight 0"]),
+    (EventKind.DEGRADED, {"reason": "no workers"}, ["no workers"]),
+    (EventKind.FAILED, {"error": "no map"}, ["no map"]),
+]
+
+
+@pytest.mark.parametrize(("kind", "data", "figures"), FIGURES)
+def test_the_text_of_an_event_holds_its_figures(kind: EventKind, data: dict[str, Any], figures: list[str]) -> None:
+    text = event_text(kind, data)
+    assert [figure for figure in figures if figure not in text] == []
+    assert "\n" not in text
+
+
+@pytest.mark.parametrize("kind", [*EventKind, "something_new"])
+def test_every_kind_has_a_text_even_without_data_or_of_another_version(kind: str) -> None:
+    assert event_text(kind, {})
