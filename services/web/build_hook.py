@@ -8,6 +8,7 @@ where the server reads it to show it on the page.
 from __future__ import annotations
 
 import importlib.util
+import json
 import os
 import shutil
 import subprocess
@@ -93,13 +94,21 @@ def check() -> str | None:
     node, npm = _node()
     if not (_complete() and (WEB / "node_modules" / "vitest").is_dir()):
         _run([*npm, *FETCHING], node, SECONDS_TO_FETCH, UNFETCHED)
-    for script in ("check", "test"):
+    (WEB / "openapi.json").write_text(json.dumps(_document()), encoding="utf-8")
+    for script in ("types", "check", "test"):
         ran = subprocess.run(
             [*npm, "run", "--silent", script], cwd=WEB, env=_environment(node), capture_output=True, text=True, check=False
         )
         if ran.returncode:
             return ran.stdout + ran.stderr
     return None
+
+
+def _document() -> dict[str, Any]:
+    from drivecal.api.app import create_app  # to check the page drivecal must be installed; to build it, not
+    from drivecal.configuration.settings import load_settings
+
+    return create_app(load_settings(database_url="sqlite:///unused.db")).openapi()
 
 
 def _complete() -> bool:

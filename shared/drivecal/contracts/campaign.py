@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, computed_field, model_validator
 class Answer(BaseModel):
     """The base of all answers: immutable; a client of an older version ignores what it does not know."""
 
-    model_config = ConfigDict(frozen=True, extra="ignore")
+    model_config = ConfigDict(frozen=True, extra="ignore", json_schema_serialization_defaults_required=True)
 
 
 class Progress(Answer):

@@ -1,6 +1,6 @@
 /** Figure 12: how far each of the best sets bears other vehicles. */
 
-import type { BoxTrial, RobustRow } from "../server/types";
+import type { BoxTrial, RobustnessRow } from "../server/types";
 
 export interface Piece {
   from: number;
@@ -18,7 +18,7 @@ export function worst(trial: BoxTrial): number | null {
 }
 
 /** The bar of a set, from 0 to the widest box that was tried, a piece for each box. */
-export function pieces(row: RobustRow): Piece[] {
+export function pieces(row: RobustnessRow): Piece[] {
   let from = 0;
   return [...row.trials]
     .sort((a, b) => a.radius - b.radius)
@@ -39,14 +39,14 @@ export function condition(settings: Readonly<Record<string, unknown>>): string {
 }
 
 /** The sets of two studies, each with its row in either: those of the first in their order, then those that only the other has. */
-export function sideBySide(rows: readonly RobustRow[], others: readonly RobustRow[]): { first: RobustRow | null; other: RobustRow | null }[] {
-  const key = (row: RobustRow): string => JSON.stringify(Object.entries(row.parameters).sort(([a], [b]) => a.localeCompare(b)));
+export function sideBySide(rows: readonly RobustnessRow[], others: readonly RobustnessRow[]): { first: RobustnessRow | null; other: RobustnessRow | null }[] {
+  const key = (row: RobustnessRow): string => JSON.stringify(Object.entries(row.parameters).sort(([a], [b]) => a.localeCompare(b)));
   const beside = new Map(others.map((row) => [key(row), row]));
   const mine = new Set(rows.map(key));
   return [...rows.map((row) => ({ first: row, other: beside.get(key(row)) ?? null })), ...others.filter((other) => !mine.has(key(other))).map((other) => ({ first: null, other }))];
 }
 
 /** A degree that may only be known from below. */
-export function degreeText(row: RobustRow | null): string {
+export function degreeText(row: RobustnessRow | null): string {
   return row === null ? "–" : `${row.at_least ? "≥ " : ""}${row.degree}`;
 }

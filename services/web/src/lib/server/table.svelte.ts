@@ -2,8 +2,7 @@
 
 import { Refusal, ask } from "./api";
 import { CsvReader, EMPTY, type Table } from "./columns";
-
-const TEXT: ReadonlySet<string> = new Set(["stage", "scenario", "outcome", "failure", "worker", "audited", "agrees", "reused"]);
+import { columnsOf, definitions } from "./document";
 
 /** Of a long table the beginning is shown at once, and more of it each time that it has become so many times as long. */
 const FIRST_SHOWN = 3_000;
@@ -11,18 +10,24 @@ const TIMES_AS_LONG = 4;
 
 export class TableState {
   table = $state.raw<Table>(EMPTY);
+  /** The columns of the rows' schema: whether each holds numbers. Columns besides these, such as parameters, hold numbers. */
+  columns = $state.raw<ReadonlyMap<string, boolean>>(new Map());
   /** Rows that were read so far, while it is being read. */
   reading = $state<number | null>(null);
   problem = $state("");
   private abort: AbortController | null = null;
+
+  /** `row`: the name of the rows' schema. */
+  constructor(private readonly row: string) {}
 
   async load(path: string): Promise<void> {
     this.abort?.abort();
     const abort = (this.abort = new AbortController());
     this.reading = 0;
     try {
+      this.columns = columnsOf((await definitions())[this.row] ?? {});
       const answer = await ask(path, { signal: abort.signal, headers: { Accept: "text/csv" } });
-      const reader = new CsvReader(TEXT);
+      const reader = new CsvReader(new Set([...this.columns].filter(([, numeric]) => !numeric).map(([name]) => name)));
       const stream = answer.body?.pipeThrough(new TextDecoderStream()).getReader();
       let worth = FIRST_SHOWN;
       for (;;) {

@@ -2,7 +2,7 @@
 
 import { number, percent } from "./format";
 import { settingsText, studiesOf } from "./studies";
-import type { Campaign, Setup } from "../server/types";
+import type { Campaign, CampaignSetup } from "../server/types";
 
 type Asked = Pick<Campaign, "kind" | "spec">;
 type Settings = Readonly<Record<string, unknown>>;
@@ -31,7 +31,7 @@ function named(name: unknown, more: string): string {
 }
 
 /** Names and texts. Scenarios with their weights are the setup's, which knows all of them; without it, those that were named. */
-export function asked(campaign: Asked, setup: Setup | null): [string, string][] {
+export function asked(campaign: Asked, setup: CampaignSetup | null): [string, string][] {
   const { spec } = campaign;
   const rows: [string, string | null][] = [];
   const vehicle = spec["vehicle"];

@@ -1,7 +1,7 @@
 import { expect, test } from "vitest";
 import { sideBySide } from "../charts/robust";
 import { calibrates, kindOf, sameBoxes, settingsText, studiesOf } from "./studies";
-import type { RobustRow } from "../server/types";
+import type { RobustnessRow } from "../server/types";
 
 const ROBUSTNESS = { delta: 0.01, steps: 10, samples: 30, eta: 1, condition: "max", refinements: 2, of: "abc" };
 
@@ -21,8 +21,8 @@ test("a study says how it is made", () => {
 });
 
 test("two studies are laid side by side by their sets, whatever the order of parameters", () => {
-  const row = (rank: number, parameters: Record<string, number>): RobustRow =>
-    ({ rank, parameters, degree: rank, objective: 1, rating: 1, at_least: false, radius: 0, recommended: false, reason: null, region: 1, to_worse: null, trials: [] });
+  const row = (rank: number, parameters: Record<string, number>): RobustnessRow =>
+    ({ rank, parameters, degree: rank, objective: 1, rating: 1, at_least: false, radius: 0, recommended: false, reason: null, region: 1, to_worse: null, scores: {}, trials: [] });
   const pairs = sideBySide([row(1, { P1: 1, P2: 2 }), row(2, { P1: 5, P2: 2 })], [row(1, { P1: 7, P2: 7 }), row(2, { P2: 2, P1: 1 })]);
   expect(pairs.map((entry) => [entry.first?.rank ?? null, entry.other?.rank ?? null])).toEqual([[1, 2], [2, null], [null, 1]]);
 });

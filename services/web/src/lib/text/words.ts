@@ -1,6 +1,6 @@
 /** Meanings of the terms, shown as tooltips. */
 
-import type { Cells, Moving } from "../server/types";
+import type { CellCounts, Moving } from "../server/types";
 
 export type Outcome = "repeated" | "reused" | "certified" | "simulated" | "failed";
 
@@ -30,7 +30,7 @@ export function hasEnded(state: string): boolean {
 }
 
 /** The counters of the stage that runs; of an ended campaign, those of the calibration, or of the last stage that asked for anything. */
-export function cellsOf(campaign: Moving, stage: string | null): Partial<Cells> {
+export function cellsOf(campaign: Moving, stage: string | null): Partial<CellCounts> {
   return campaign.stages[stage ?? "calibration"] ?? {};
 }
 
@@ -46,7 +46,7 @@ export function leadingStage(campaign: Moving): string {
 }
 
 /** What `requested` is made of; the sum of all parts and `pending` is what was asked for altogether. */
-export function parts(cells: Partial<Cells>): { outcome: Outcome; cells: number }[] {
+export function parts(cells: Partial<CellCounts>): { outcome: Outcome; cells: number }[] {
   return OUTCOMES.map((outcome) => ({ outcome, cells: cells[outcome] ?? 0 }));
 }
 

@@ -1,0 +1,24 @@
+/** The API's own description: its OpenAPI document. */
+
+import type { Definitions, Schema } from "../forms/schema";
+import { Refusal } from "./api";
+
+let reading: Promise<Definitions> | null = null;
+
+/** The schemas of the API by name, read once. */
+export function definitions(): Promise<Definitions> {
+  reading ??= fetch("/openapi.json", { credentials: "same-origin" })
+    .then((answer) => answer.json())
+    .then((document: { components: { schemas: Definitions } }) => document.components.schemas)
+    .catch((error: unknown) => {
+      reading = null;
+      throw new Refusal(0, `The API's description cannot be read: ${String(error)}`);
+    });
+  return reading;
+}
+
+/** The columns of a table by the schema of its rows: whether each holds numbers. */
+export function columnsOf(row: Schema): Map<string, boolean> {
+  const numeric = (schema: Schema): boolean => schema.type === "number" || schema.type === "integer" || (schema.anyOf ?? []).some(numeric);
+  return new Map(Object.entries(row.properties ?? {}).map(([name, schema]) => [name, numeric(schema)]));
+}
