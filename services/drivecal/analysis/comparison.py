@@ -1,7 +1,5 @@
 """What runs of several optimizers, population sizes, seeds and reductions say beside each other (Section IV-B, Table 5). Pure."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from statistics import fmean, stdev

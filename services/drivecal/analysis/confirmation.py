@@ -4,8 +4,6 @@ A search that reuses scores prefers sets whose references are too good. So the f
 reference's score, and the ranking is computed again. This repeats until the first set has only scores of its own.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 

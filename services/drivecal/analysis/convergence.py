@@ -1,7 +1,5 @@
 """When an optimization had found what it found (Tables 5 and 7 of the paper)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 UNCHANGED_BEST = 10

@@ -1,7 +1,5 @@
 """Sets that share the best objective: in how many distinct regions they lie, and how far the next worse one is (Section IV-C)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

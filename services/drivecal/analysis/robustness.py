@@ -4,8 +4,6 @@ A solution is driven in vehicles drawn from a box around the nominal one, whose 
 being normalised to their bounds (Table 8). The degree of robustness is the largest k up to which the condition holds in all boxes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal

@@ -1,7 +1,5 @@
 """Differences between two robustness studies of the same sets, as in a plain and a hybrid vehicle."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

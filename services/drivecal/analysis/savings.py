@@ -5,8 +5,6 @@ forgone, already missing among the reused, and not a cost on top. Reused cells t
 set save nothing either.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import ceil

@@ -1,7 +1,5 @@
 """Ranks the parameter sets that were evaluated, under any weights, without a new simulation. Pure."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ Sets are drawn over the whole space until those that lie in some non-influential
 parameters that can be reduced; each is compared with variants that differ from it inside those regions only.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 

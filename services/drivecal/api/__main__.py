@@ -1,7 +1,5 @@
 """Runs the API alone: `python -m drivecal.api --host 127.0.0.1 --port 8000`. `drivecal serve` starts it together with the dispatcher."""
 
-from __future__ import annotations
-
 import argparse
 import gc
 import logging

@@ -1,7 +1,5 @@
 """Puts the API together. Nothing is created at import; the database is opened when the server starts."""
 
-from __future__ import annotations
-
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from importlib.metadata import version

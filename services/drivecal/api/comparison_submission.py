@@ -1,7 +1,5 @@
 """Puts comparisons into the queue, and says beforehand what they would cost."""
 
-from __future__ import annotations
-
 from sqlalchemy import Connection
 
 from drivecal.api.dependencies import Limits

@@ -1,7 +1,5 @@
 """What handlers are given."""
 
-from __future__ import annotations
-
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from typing import Annotated, Self

@@ -1,7 +1,5 @@
 """The OpenAPI document: FastAPI's own, and what it leaves out."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from fastapi import FastAPI

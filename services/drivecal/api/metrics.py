@@ -5,8 +5,6 @@ database never go backwards, not even with a new process; those of the dispatche
 Prometheus knows how to read.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from importlib.metadata import version
 from itertools import accumulate

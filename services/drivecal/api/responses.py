@@ -1,7 +1,5 @@
 """Makes answers of what is stored."""
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Mapping, Sequence
 from datetime import datetime

@@ -1,7 +1,5 @@
 """Puts campaigns and evaluations into the queue: checked, once per Idempotency-Key, whole or not at all."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

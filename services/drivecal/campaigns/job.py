@@ -1,7 +1,5 @@
 """Jobs: the work that the dispatcher does for a campaign's row."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 

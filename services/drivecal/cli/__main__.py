@@ -1,7 +1,5 @@
 """`python -m drivecal.cli` is the command `drivecal`."""
 
-from __future__ import annotations
-
 from drivecal.cli.main import main
 
 if __name__ == "__main__":

@@ -1,7 +1,5 @@
 """What every command shares: the application, its options, and what becomes of errors."""
 
-from __future__ import annotations
-
 import re
 import sys
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """The command line's entry point: all commands in one application."""
 
-from __future__ import annotations
-
 from importlib.metadata import version
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """Turns HTTP answers that are not what was asked for into drivecal's own errors."""
 
-from __future__ import annotations
-
 from http import HTTPStatus
 
 import httpx

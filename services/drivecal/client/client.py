@@ -1,7 +1,5 @@
 """The client. One method per call of the API; answers are the contracts, errors are drivecal's own."""
 
-from __future__ import annotations
-
 import json
 import time
 import uuid

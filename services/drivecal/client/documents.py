@@ -4,8 +4,6 @@ YAML is read by its 1.2 core schema: `no` and `on` are words, `1e-3` is a number
 are tags, and aliases, with which a short file can expand without end.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import sys

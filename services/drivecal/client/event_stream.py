@@ -1,7 +1,5 @@
 """Reads `text/event-stream` as the HTML standard has it (9.2.6): https://html.spec.whatwg.org/multipage/server-sent-events.html"""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

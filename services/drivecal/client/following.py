@@ -1,7 +1,5 @@
 """Follows a campaign: by its event stream, which is taken up where it broke off, or by asking again and again where there is none."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Generator, Iterator
 from typing import Protocol

@@ -1,7 +1,5 @@
 """A downloaded table as a data frame of Arrow, pandas or polars."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from importlib import import_module
 from io import BytesIO

@@ -1,7 +1,5 @@
 """Addresses that the server may listen on: loopback only, unless it requires tokens."""
 
-from __future__ import annotations
-
 import ipaddress
 
 from drivecal.configuration.settings import Settings

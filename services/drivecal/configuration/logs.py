@@ -11,8 +11,6 @@ Context follows `contextvars`: into threads and tasks that are started inside, a
 Passwords in URLs and bearer tokens are masked, control characters escaped, so that no user's text can forge a line.
 """
 
-from __future__ import annotations
-
 import json
 import logging
 import os

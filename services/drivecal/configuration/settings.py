@@ -5,8 +5,6 @@ Environment variables beginning with `DRIVECAL_` that are no setting are left al
 services. An unknown key in a config file is refused, for there it can only be a mistake.
 """
 
-from __future__ import annotations
-
 import re
 import tomllib
 from pathlib import Path

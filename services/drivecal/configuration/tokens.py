@@ -7,8 +7,6 @@
 No message ever quotes a word of the file: with mixed-up columns it would put a token in the log.
 """
 
-from __future__ import annotations
-
 import hashlib
 import hmac
 import io

@@ -1,7 +1,5 @@
 """Runs the dispatcher alone: `python -m drivecal.dispatch`, with the settings of `DRIVECAL_*`. `drivecal serve` starts it with the API."""
 
-from __future__ import annotations
-
 import logging
 import os
 import signal

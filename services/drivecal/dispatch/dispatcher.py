@@ -4,8 +4,6 @@ One thread does everything except the heartbeat; each database has one dispatche
 failed transaction, campaigns resume from their rows.
 """
 
-from __future__ import annotations
-
 import logging
 import threading
 import time

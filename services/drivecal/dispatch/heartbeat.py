@@ -1,7 +1,5 @@
 """The dispatcher's heartbeat: a thread that stores its state every second, also while the main thread is busy."""
 
-from __future__ import annotations
-
 import logging
 import os
 import threading

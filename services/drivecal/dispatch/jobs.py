@@ -1,7 +1,5 @@
 """Starts and resumes campaigns from their rows."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any

@@ -1,7 +1,5 @@
 """The port through which cells get simulated: batches go in, every batch comes back once, finished or lost."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Protocol
 

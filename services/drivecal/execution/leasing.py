@@ -1,7 +1,5 @@
 """Leases: a cell is at one place only, and its breakdowns are remembered."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Protocol
 

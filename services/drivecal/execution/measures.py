@@ -9,8 +9,6 @@ expects of counters. Like a logger, `MEASURES` is one per process and only ever 
     MEASURES.count("breakdowns", "crash")
 """
 
-from __future__ import annotations
-
 import time
 from bisect import bisect_left
 from collections.abc import Iterator

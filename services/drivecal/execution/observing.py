@@ -1,7 +1,5 @@
 """Reports of the pool's work: in the log, in the measures and for each worker."""
 
-from __future__ import annotations
-
 import logging
 from collections import Counter
 from collections.abc import Collection, Mapping

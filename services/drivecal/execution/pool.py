@@ -1,7 +1,5 @@
 """The work pool: what the dispatcher gives cells to and gets results from. A thin driver between `Scheduler`, `Leases` and `Backend`."""
 
-from __future__ import annotations
-
 import logging
 import time
 from collections.abc import Callable, Mapping, Sequence

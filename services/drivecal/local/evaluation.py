@@ -1,7 +1,5 @@
 """The way of one parameter set through this process: resolved as by the server, simulated as by a worker."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache

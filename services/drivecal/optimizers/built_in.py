@@ -1,7 +1,5 @@
 """The built-in optimizers as plug-ins, with the settings that a campaign's `optimizer` section may hold."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Annotated, Any, Generic, Literal, Protocol, TypeVar

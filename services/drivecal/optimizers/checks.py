@@ -1,7 +1,5 @@
 """Checks shared by all optimizers: the grid to search, the answers, and a saved state."""
 
-from __future__ import annotations
-
 from typing import Any, TypeVar
 
 import numpy as np

@@ -1,7 +1,5 @@
 """CMA-ES (Hansen's package `cma`) as an optimizer: `optimizer: {kind: cma_es}`, with the extra [cma]."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any, Literal
 
 import numpy as np

@@ -5,8 +5,6 @@ round(b (n - 1) / (2**k - 1)). That quotient never ends in exactly one half, 2**
 index has at least one pattern; where 2**k > n some have two.
 """
 
-from __future__ import annotations
-
 from functools import cached_property
 
 import numpy as np

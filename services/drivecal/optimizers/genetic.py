@@ -5,8 +5,6 @@ each pair has one child; the children replace the least fit. The paper leaves th
 shared/decisions/003-genetic-replacement-reading.md.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from drivecal.domain.parameters import Indices

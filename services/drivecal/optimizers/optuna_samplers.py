@@ -1,7 +1,5 @@
 """Optuna's samplers as optimizers: `optimizer: {kind: optuna, sampler: tpe}`, with the extra [optuna]."""
 
-from __future__ import annotations
-
 from typing import Any, Literal
 
 import numpy as np

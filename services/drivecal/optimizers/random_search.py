@@ -1,7 +1,5 @@
 """Random search, the floor that every optimizer has to beat."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from drivecal.domain.parameters import Indices

@@ -1,7 +1,5 @@
 """Who is fitter."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from drivecal.domain.parameters import Indices

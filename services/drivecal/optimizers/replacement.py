@@ -1,7 +1,5 @@
 """The frame of optimizers that replace the least fit of a population in every iteration and leave all others untouched."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any

@@ -4,8 +4,6 @@ Their internal state cannot be stored as plain data. So the answers are stored: 
 the same answers restores the same state.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from importlib.util import find_spec
 from typing import Any, Protocol

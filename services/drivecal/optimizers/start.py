@@ -1,7 +1,5 @@
 """Start designs on the grid (Section II-B): Latin hypercube or Halton points, with expert sets among them."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Parts of an optimizer's state as plain data that strict JSON can carry and give back bit by bit."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -4,8 +4,6 @@ Positions and velocities live in the unit cube, one axis per parameter; what is 
 the paper leaves open is decided in shared/decisions/010-particle-swarm-reading.md.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -4,8 +4,6 @@ Order of answers: repeated, reused, (certified,) simulated. The decision depends
 alone, never on the workers' timing, so that it can be committed, resumed and repeated.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The audit of reuse: a share of reused cells is simulated, and wrong answers are counted by scenario. Pure."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 
 from drivecal.contracts.campaign import ErrorRate

@@ -3,8 +3,6 @@
 Reference keys say whether two sets are of one class (`drivecal.reduction.keys`); this says by which parameters they are not. Pure.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ below PB_sens lower, or both above PB_sens upper. That is an equivalence relatio
 value if it is influential, `below` or `above` if it is not, and `any` where the parameter has no influence.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Sequence
 

@@ -4,8 +4,6 @@ Neighbouring intervals of an analysis share their edges, so a bound lies in the 
 that are left out.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from decimal import Decimal

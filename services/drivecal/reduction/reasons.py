@@ -1,7 +1,5 @@
 """Explanations in words. Pure."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from drivecal.contracts.explanation import Difference, Explanation, Proof, Reference

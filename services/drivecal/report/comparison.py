@@ -1,7 +1,5 @@
 """The report of a comparison: Table 5, Figures 7 and 8 with all runs, and what a reduction changed and saved."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass

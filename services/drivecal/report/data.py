@@ -1,7 +1,5 @@
 """Everything a report is made of, asked of the server."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice

@@ -1,7 +1,5 @@
 """Which figures a campaign's report has."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from drivecal.report.data import ReportData

@@ -1,7 +1,5 @@
 """The folder that a report is written to: the page, figures as SVG and PNG, tables as CSV."""
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Iterable, Iterator, Sequence

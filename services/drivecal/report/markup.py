@@ -1,7 +1,5 @@
 """HTML that needs nothing else: no network, no scripts; to be read on a screen and on paper."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Sequence
 from html import escape

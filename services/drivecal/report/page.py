@@ -1,7 +1,5 @@
 """The report as one page."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 from drivecal.contracts.campaign import Campaign

@@ -1,7 +1,5 @@
 """Writes a campaign's report."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Mapping
 from importlib.metadata import version

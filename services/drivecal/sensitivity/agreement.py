@@ -1,7 +1,5 @@
 """Do two influence maps say the same? For reproducibility over samples, seeds and designs, as the authors checked theirs."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any

@@ -4,8 +4,6 @@ Nothing is saved: an analysis recreated from the same arguments that receives th
 exactly as this one would.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal

@@ -1,7 +1,5 @@
 """Elementary effects and what is said about a parameter from them (Section II-A of the paper, Equations 1 and 2)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import nan, sqrt

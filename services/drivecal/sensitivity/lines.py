@@ -5,8 +5,6 @@ of all parameters, of which complexity reduction uses one. Here every base point
 box, with the base point's values of all others and with the step law of the radial design.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import pairwise
 

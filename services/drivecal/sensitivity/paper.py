@@ -1,7 +1,5 @@
 """The paper's own design of the interval analyses (Section II-A, Equation 3)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

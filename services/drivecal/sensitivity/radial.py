@@ -10,8 +10,6 @@ every value that is far enough is equally likely. Later rows of the same column 
 that what is drawn again would depend on what was rejected (and with it the mean step, by 6 %).
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from drivecal.domain.parameters import Indices

@@ -1,7 +1,5 @@
 """What is known about one scenario while the analysis goes on, and what it comes to in the end."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """What a sensitivity analysis is asked for."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import isfinite
 from typing import Literal

@@ -15,8 +15,6 @@ therefore fixes the number of changes that are tolerated, not s_rel:
 It depends on the design alone, not on the scores, so that it is known before the first run and does not bend to what is found.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import sqrt
 from typing import Literal

@@ -12,8 +12,6 @@ Ray's agents, for one, live on for a minute after their driver was killed. On sy
 Standard library only, so that a guardian is small.
 """
 
-from __future__ import annotations
-
 import os
 import select
 import signal

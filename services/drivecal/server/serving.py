@@ -1,7 +1,5 @@
 """The server: what must hold before it starts, which processes it has, and when it is ready."""
 
-from __future__ import annotations
-
 import errno
 import http.client
 import socket

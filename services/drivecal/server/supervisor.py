@@ -1,7 +1,5 @@
 """Keeps the server's processes running, restarts what dies, and leaves nothing behind."""
 
-from __future__ import annotations
-
 import logging
 import os
 import signal

@@ -1,7 +1,5 @@
 """Limits of the queue and of the users' influence maps."""
 
-from __future__ import annotations
-
 from sqlalchemy import Connection, func, select, text
 
 from drivecal.domain.errors import OverloadError, Problem, TooLargeError

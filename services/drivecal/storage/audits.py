@@ -4,8 +4,6 @@ A donor of the campaign's own has the score that it was answered with. That of a
 campaign's evaluator: the evaluation that made the run may have been rated by another one.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from typing import Any
 

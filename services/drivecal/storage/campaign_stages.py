@@ -1,7 +1,5 @@
 """Cells of campaigns by stage: how many were requested, and what answered them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

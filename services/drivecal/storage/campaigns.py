@@ -1,7 +1,5 @@
 """Campaigns: submitted by the API, carried out by the dispatcher."""
 
-from __future__ import annotations
-
 import uuid
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, fields

@@ -1,7 +1,5 @@
 """The runs of a comparison: campaigns that belong to another one, and end or rest with it."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 

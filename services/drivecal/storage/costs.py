@@ -1,7 +1,5 @@
 """Cost of a campaign's cells, summed by how they were answered."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from statistics import fmean
 

@@ -1,7 +1,5 @@
 """Evaluations: the requested cells of campaigns, as they are planned, dispatched and answered."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any

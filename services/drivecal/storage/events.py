@@ -5,8 +5,6 @@ order of commits. SQLite has one writer at a time. PostgreSQL draws a number lon
 an event holds the lock of the campaign's row from before the number is drawn until the commit.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime

@@ -1,7 +1,5 @@
 """Generations: the iterations of a campaign's calibration stage."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any

@@ -8,8 +8,6 @@ its workers down must not get three new attempts from every dispatcher.
 A lease has no row of its own before it was taken once, and none any more when the cell has its answer.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from datetime import timedelta
 

@@ -5,8 +5,6 @@ lost it without knowing, because it was stopped for a while or cut off. So each 
 dispatcher looks, inside itself, whether its own term is still the current one (`confirm`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime

@@ -1,7 +1,5 @@
 """Evaluations of campaigns, read for pages, exports and rankings."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """Looks at campaigns that cost next to nothing: whether they changed, and how far they are. No document is parsed that is not needed."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields
 from datetime import datetime

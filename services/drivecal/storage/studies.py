@@ -1,7 +1,5 @@
 """Results of the stages after the calibration, one document each."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime

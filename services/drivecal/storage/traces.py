@@ -1,7 +1,5 @@
 """Time series of evaluations, simulated again on demand and kept for a while."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from datetime import datetime
 

@@ -7,8 +7,6 @@ Environment variables: `RAY_AUTH_TOKEN_PATH`, the file with the token that all n
 this node (default: its CPUs); `DRIVECAL_NODE_ADDRESS`, the address of this node for other nodes (default: detected).
 """
 
-from __future__ import annotations
-
 import argparse
 import logging
 import os

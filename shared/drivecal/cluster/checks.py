@@ -1,7 +1,5 @@
 """Checks that a process passes before it joins a cluster. Their messages are one sentence; Ray's are a page long or missing."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Mapping
 from importlib.metadata import version

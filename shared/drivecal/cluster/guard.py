@@ -5,8 +5,6 @@ This guard ends a node that has lost its raylet or its GCS server, so that a res
 library only, to stay small.
 """
 
-from __future__ import annotations
-
 import logging
 import signal
 import subprocess

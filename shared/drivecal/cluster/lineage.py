@@ -1,7 +1,5 @@
 """Termination of a process with its parent. Imports almost nothing, because the guardian of every process needs it."""
 
-from __future__ import annotations
-
 import ctypes
 import sys
 

@@ -1,7 +1,5 @@
 """Nodes of a cluster, as reported by its head."""
 
-from __future__ import annotations
-
 import os
 import socket
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Settings of Ray for all processes of drivecal. Set them in the environment before importing Ray, which reads them once."""
 
-from __future__ import annotations
-
 OBJECT_STORE_BYTES = 80 * 2**20
 """Shared memory of a node, Ray's minimum: batches and results travel with the calls, the object store stays empty."""
 VERSION_LABEL = "drivecal-version"

@@ -1,7 +1,5 @@
 """What the service answers when it is asked what reuse saved, and what it cost."""
 
-from __future__ import annotations
-
 from drivecal.contracts.campaign import Answer
 
 

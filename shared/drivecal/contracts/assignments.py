@@ -1,7 +1,5 @@
 """Reads `NAME=NUMBER`, as it stands on a command line and in a query."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 

@@ -1,7 +1,5 @@
 """What the service answers about campaigns."""
 
-from __future__ import annotations
-
 from datetime import datetime
 from typing import Any
 

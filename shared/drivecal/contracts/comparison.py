@@ -4,8 +4,6 @@ A comparison is a campaign of kind `comparison`: the same problem is calibrated 
 under each seed with each reduction, and every such run is an ordinary campaign of its own.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints

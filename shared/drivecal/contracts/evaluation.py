@@ -1,7 +1,5 @@
 """What the service answers about single evaluations: one parameter set in one scenario, or in all of a catalogue."""
 
-from __future__ import annotations
-
 from pydantic import Field
 
 from drivecal.contracts.campaign import Answer

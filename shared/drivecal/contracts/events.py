@@ -1,7 +1,5 @@
 """What the event stream of a campaign sends. Which events there are, `drivecal.domain.events` lists."""
 
-from __future__ import annotations
-
 from datetime import datetime
 from typing import Any
 

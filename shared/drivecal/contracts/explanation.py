@@ -1,7 +1,5 @@
 """What the service answers when it is asked why a cell was, or was not, answered without a simulation."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 from pydantic import Field

@@ -1,7 +1,5 @@
 """Turns what pydantic found into drivecal's problems: the field as the user wrote it, what is wrong, what would be right."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from difflib import get_close_matches
 from itertools import islice

@@ -1,7 +1,5 @@
 """What the service answers about what is there: scenarios, parameter spaces, influence maps, references, workers, its own health."""
 
-from __future__ import annotations
-
 from datetime import datetime
 from typing import Any
 

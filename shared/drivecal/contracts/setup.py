@@ -1,7 +1,5 @@
 """What the service answers about what a campaign was taken up with: the problem it solves and all that decides its runs."""
 
-from __future__ import annotations
-
 from drivecal.contracts.campaign import Answer
 
 

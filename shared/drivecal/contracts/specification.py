@@ -4,8 +4,6 @@ These models check each field by itself. What needs the installed plug-ins (does
 checked by `drivecal.campaigns.resolve.problem`, which both `POST /campaigns` and `drivecal submit --dry-run` go through.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, StringConstraints, Tag, field_validator

@@ -4,8 +4,6 @@ Python's own reader accepts NaN and Infinity, turns 1e999 into infinity, keeps t
 on (which no database stores) and fails with a RecursionError on deep nesting. Here each of these is an InvalidInputError.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """What the service answers about the best sets and the stages after the calibration: robustness and validation."""
 
-from __future__ import annotations
-
 from datetime import datetime
 from typing import Any, Literal
 

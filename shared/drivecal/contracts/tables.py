@@ -1,7 +1,5 @@
 """One row model per table: its columns, files, JSON and OpenAPI schema follow from it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import NoneType, UnionType

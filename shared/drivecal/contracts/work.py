@@ -1,7 +1,5 @@
 """What the dispatcher and the workers say to each other: plain, picklable data."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 

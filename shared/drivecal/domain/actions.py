@@ -1,7 +1,5 @@
 """Effects of pausing, resuming and cancelling a campaign, by its state. Pure."""
 
-from __future__ import annotations
-
 from datetime import datetime
 from typing import Any, Literal
 

@@ -1,7 +1,5 @@
 """States and stages of a campaign."""
 
-from __future__ import annotations
-
 from enum import StrEnum
 
 

@@ -4,8 +4,6 @@ Each message states in one sentence what is wrong and, if a remedy exists, how t
 they survive pickling between processes.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

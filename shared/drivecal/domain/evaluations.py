@@ -1,7 +1,5 @@
 """Results of cells, i.e. (parameter set, scenario) pairs, and the ways in which cells are answered."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum

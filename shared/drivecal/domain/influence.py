@@ -1,7 +1,5 @@
 """Influence maps: the ranges, by scenario and parameter, in which a change can change the score (P_sens, PB_sens of the paper)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from decimal import Decimal

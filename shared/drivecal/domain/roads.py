@@ -5,8 +5,6 @@ Between its rows curvature is linear, heading its exact integral and x, y the cu
 row and beyond the last row the road is straight.
 """
 
-from __future__ import annotations
-
 from math import ceil, cos, isfinite, sin
 from typing import NamedTuple
 

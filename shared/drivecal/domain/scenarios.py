@@ -4,8 +4,6 @@ Positions are Frenet coordinates on the road's reference line, the centre line o
 both in metres. Lane i (0 = rightmost) has its centre at d = i * lane width.
 """
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Parameters of a vehicle model, with the bounds of the robustness study."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

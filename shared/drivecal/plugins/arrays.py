@@ -3,8 +3,6 @@
 Beside its arrays a file holds a `format` (purpose and version of the layout) and the `digest` of all arrays.
 """
 
-from __future__ import annotations
-
 import zipfile
 import zlib
 from collections.abc import Mapping

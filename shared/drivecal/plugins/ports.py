@@ -5,8 +5,6 @@ A plug-in is an object behind a Python entry point (`drivecal.driving_functions`
 kernels, model arrays), inside `create`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable

@@ -1,7 +1,5 @@
 """Discovery of plug-ins by Python entry points, for built-in plug-ins and other installed packages alike."""
 
-from __future__ import annotations
-
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, cast

@@ -1,7 +1,5 @@
 """Setups of the installed plug-ins. Coordinator and workers both create them: equal fingerprints mean equal versions."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version

@@ -1,7 +1,5 @@
 """Compiled arithmetic of certificates: packing of features, selection of contenders, and traversal of the trie."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Memory limit of all tries of a worker, and the choice of what they forget. Light: no compiled code."""
 
-from __future__ import annotations
-
 import os
 from typing import Protocol
 from weakref import WeakSet

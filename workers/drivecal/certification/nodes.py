@@ -7,8 +7,6 @@ function's `grid`, two bytes each; the few that do not fit are stored beside, un
 the original bit for bit.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

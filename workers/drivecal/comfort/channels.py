@@ -1,7 +1,5 @@
 """Input of the learned evaluator: six channels of a run, resampled to a fixed length, in whole numbers."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 from numba import njit

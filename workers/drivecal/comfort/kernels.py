@@ -1,7 +1,5 @@
 """The comfort metrics' numba kernels, each one pass over a series."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Metrics measured and stored for every run: those of the reference scale and others for user-defined evaluators."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Plug-in of the reference evaluator. Pure Python, so that the coordinator can re-rate stored metrics with it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 from drivecal.comfort import scale

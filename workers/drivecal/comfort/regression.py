@@ -1,7 +1,5 @@
 """Rating of a time series by MiniRocket features and a ridge regression."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from math import floor
 

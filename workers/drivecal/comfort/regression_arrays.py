@@ -1,7 +1,5 @@
 """Arrays of the learned evaluator: one regression per class of manoeuvres."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import cache

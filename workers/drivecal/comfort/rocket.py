@@ -5,8 +5,6 @@ the share of time during which the convolution exceeds a bias. Series and biases
 width: features have the same bits on every machine, and equal those of other implementations for the same integers.
 """
 
-from __future__ import annotations
-
 from itertools import combinations
 
 import numpy as np

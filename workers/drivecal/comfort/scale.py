@@ -4,8 +4,6 @@ Every criterion is mapped to z = clip((m - comfortable) / (unacceptable - comfor
 7 (1 - min(1, (sum z^4)^(1/4))), so that the worst criterion dominates and several bad ones add up. The score is the rating rounded half up.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -7,8 +7,6 @@ rate (Vicanek, Matched Second Order Digital Filters, 2016). A bilinear transform
 the band limit of 100 Hz.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

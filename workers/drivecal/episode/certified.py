@@ -1,7 +1,5 @@
 """A runner that answers by a certificate if it can, and simulates otherwise."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any

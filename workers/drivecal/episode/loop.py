@@ -1,7 +1,5 @@
 """The closed loop of planner, vehicle model and SUMO, in scenario steps of 0.1 s."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

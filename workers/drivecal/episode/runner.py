@@ -1,7 +1,5 @@
 """Simulation and rating of parameter sets in one scenario."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 from drivecal.comfort.metrics import comfort_metrics

@@ -1,7 +1,5 @@
 """Check of the scenario's task. Pure."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from drivecal.domain.roads import Floats

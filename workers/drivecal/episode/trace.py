@@ -1,7 +1,5 @@
 """Time series of a run for inspection."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from math import atan2
 from typing import Any

@@ -3,8 +3,6 @@
 Every lateral plan is combined with every longitudinal one: 24 x 12 = 288 candidates.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

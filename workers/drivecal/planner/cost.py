@@ -4,8 +4,6 @@ J = base + sum of weight x feature over the terms P1..P11. A feature is a raw qu
 is the parameter divided by the `middle` of its range (P1: decibels), so that a typical situation at mid-range costs 1 per term.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

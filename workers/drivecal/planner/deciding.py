@@ -7,8 +7,6 @@ not notice edits there.
 lateral (6, n_lateral), longitudinal (2, n_longitudinal), combined (7, n_longitudinal, n_lateral): features as in the kernel.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Plug-in of the planner. Light: only `create` imports the kernels."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from drivecal.domain import roads
@@ -11,7 +9,7 @@ from drivecal.planner.spaces import HIGHWAY, HIGHWAY_TABLE9, LIMITS
 from drivecal.plugins.ports import DrivingFunction, Planner
 
 ARITHMETIC = [Path(__file__).with_name(name) for name in ("candidates.py", "cost.py", "kernel.py", "planner.py")]
-SAME_RESULTS = {"470a9f66": "969d1885"}
+SAME_RESULTS = {"d80864d6": "969d1885"}
 """Digests of code that gives the results of an earlier digest bit for bit, because only words differ; `tests/golden` holds it to that."""
 
 

@@ -18,8 +18,6 @@ memory (8, 2): the previous plan, its quintic in column 0 and its quartic in col
 lateral (6, n_lateral), longitudinal (2, n_longitudinal), combined (7, n_longitudinal, n_lateral): features, rows named below
 """
 
-from __future__ import annotations
-
 from math import atan2, cos, hypot, sin
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The planner of one scenario: prepares the kernel's arrays once, then calls the kernel once per plan."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Calibration parameters P1..P11 of the paper, as interpreted by drivecal, and the two built-in search spaces."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from decimal import Decimal
 

@@ -1,7 +1,5 @@
 """Compiles the kernels of workers, once per image: `NUMBA_CACHE_DIR=FOLDER python -m drivecal.runtime`."""
 
-from __future__ import annotations
-
 from drivecal.contracts.work import Batch, Cell, SetupRequest
 from drivecal.plugins import registry
 from drivecal.plugins.setups import setup_of

@@ -1,7 +1,5 @@
 """Folder of numba's compiled kernels, with which workers start in a fraction of a second."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import tempfile

@@ -1,7 +1,5 @@
 """Creation of runners from requests, with plug-ins of the registry and a check of their versions by the run fingerprint."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module

@@ -1,7 +1,5 @@
 """A worker, which runs batches of cells in sequence and turns every error of a cell into plain data."""
 
-from __future__ import annotations
-
 import gzip
 import json
 import math

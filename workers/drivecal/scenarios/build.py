@@ -4,8 +4,6 @@ Writes each road as plain nodes and edges, which netconvert turns into a network
 on time and place is removed. netconvert is part of `eclipse-sumo`, which only this module needs.
 """
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

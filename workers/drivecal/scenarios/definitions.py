@@ -4,8 +4,6 @@ Roads follow the usual design: 3.75 m lanes, clothoids between straights and arc
 that the planner's parameters affect the drive: without either, a planner drives well with any parameters.
 """
 
-from __future__ import annotations
-
 from drivecal.domain.scenarios import (
     CurvatureKnot,
     EgoStart,

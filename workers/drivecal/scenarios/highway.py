@@ -1,7 +1,5 @@
 """Plug-in of the built-in catalogue, S1..S6 with their networks. Light enough for the coordinator."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property

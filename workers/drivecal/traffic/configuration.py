@@ -1,7 +1,5 @@
 """SUMO's command line options and route file of a scenario. Pure."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from xml.etree.ElementTree import Element, ParseError, SubElement, fromstring, tostring
 

@@ -3,8 +3,6 @@
 Functions that call each other share this module, because numba's cache does not notice edits in imported modules.
 """
 
-from __future__ import annotations
-
 from math import cos, pi, sin
 
 import numpy as np

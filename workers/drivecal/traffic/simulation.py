@@ -4,8 +4,6 @@ libsumo keeps the simulation in global state, so that every process has exactly 
 bit-identical to a fresh start, because the simulation has no randomness (see `configuration.EXACT`) and does not depend on the clock.
 """
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Sequence
 from functools import cache

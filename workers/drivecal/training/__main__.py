@@ -1,7 +1,5 @@
 """Trains the learned parts and rewrites the tables of their model cards: `python -m drivecal.training [vehicle] [comfort]`."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 import time

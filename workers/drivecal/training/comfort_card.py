@@ -1,7 +1,5 @@
 """Tables of the learned evaluator's model card, from its arrays and held-out manoeuvres."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

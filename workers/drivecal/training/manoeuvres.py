@@ -1,7 +1,5 @@
 """Random open-loop highway manoeuvres, i.e. steering and acceleration over time, for training and testing the hybrid vehicle."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 Althoff and Würsching, CommonRoad: Vehicle Models, 2020, Chapter 10: 29 states, roll, pitch, suspension, magic-formula tyres.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache

@@ -1,7 +1,5 @@
 """Manoeuvres for training the comfort evaluator: runs of the built-in scenarios and synthetic profiles, rated by the reference scale."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Tables of the model cards, which training writes between marks in their prose."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from pathlib import Path

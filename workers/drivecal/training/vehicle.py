@@ -5,8 +5,6 @@ vehicle. (A fit of derivatives, state by state, would burden the network with ro
 have.) Least squares by trust region (SciPy), Jacobian by finite differences in numba.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import astuple, replace
 

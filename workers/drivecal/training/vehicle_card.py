@@ -1,7 +1,5 @@
 """Tables of the hybrid vehicle's model card, from its arrays and held-out manoeuvres."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

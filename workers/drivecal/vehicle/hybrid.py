@@ -1,7 +1,5 @@
 """Plug-in of the hybrid vehicle. Light enough for the coordinator: workers import the kernels when they create a model."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import cached_property
 

@@ -10,8 +10,6 @@ The `plant` of a hybrid vehicle continues with the result of `drivecal.vehicle.r
 counts the steps that began outside the training range of the residual.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

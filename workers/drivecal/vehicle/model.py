@@ -1,7 +1,5 @@
 """Models of the single-track and the hybrid vehicle."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

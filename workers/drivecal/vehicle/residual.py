@@ -1,7 +1,5 @@
 """Neural residual of the hybrid vehicle: its arrays, their file, and their layout for the kernels."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache

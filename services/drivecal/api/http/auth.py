@@ -7,8 +7,6 @@ their own to 127.0.0.1 (DNS rebinding) by the Host header, those that post blind
 No answer ever carries a CORS header.
 """
 
-from __future__ import annotations
-
 from typing import Protocol
 
 from starlette.exceptions import HTTPException

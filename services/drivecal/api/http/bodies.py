@@ -1,7 +1,5 @@
 """Reads request bodies strictly before FastAPI sees them, so that nothing odd ever reaches a handler or an error message."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Coroutine
 from email.message import Message
 from typing import Any

@@ -1,7 +1,5 @@
 """Returns the memory of large requests to the operating system."""
 
-from __future__ import annotations
-
 import ctypes
 import gc
 import sys

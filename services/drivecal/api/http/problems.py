@@ -1,7 +1,5 @@
 """Every error as problem+json (RFC 9457): one document shape, with each field that is wrong and what would be right."""
 
-from __future__ import annotations
-
 import json
 import logging
 import re

@@ -1,8 +1,6 @@
 """HTTP on the wire: uvicorn's protocol, with an end to heads that never arrive and connections without number, and with refusals
 in the same form as all others."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import socket

@@ -1,7 +1,5 @@
 """The query parameters. Unknown ones are refused, so that a slip of the pen is not silently ignored."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from fastapi import Query

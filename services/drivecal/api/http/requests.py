@@ -1,7 +1,5 @@
 """What is known of every request: its id, its line in the log, its place in the metrics. Around everything else."""
 
-from __future__ import annotations
-
 import logging
 import re
 import time

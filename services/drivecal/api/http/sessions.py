@@ -5,8 +5,6 @@ token. It survives a restart of the server, ends with the token, and cannot be g
 of the page itself send it; shared/decisions/018-the-page-and-its-session.md lists the alternatives.
 """
 
-from __future__ import annotations
-
 import hmac
 import time
 from hashlib import sha256

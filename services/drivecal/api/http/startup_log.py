@@ -1,7 +1,5 @@
 """Logs why an API that has just started cannot use its database; `/readyz` reports the same."""
 
-from __future__ import annotations
-
 import logging
 import threading
 from collections.abc import Callable

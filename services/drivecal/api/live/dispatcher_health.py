@@ -1,7 +1,5 @@
 """Health of the dispatcher as others see it: silent or not, ready for campaigns or not, and what to do about it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 

@@ -1,7 +1,5 @@
 """Answers that were put together a moment ago: of a hundred clients that follow a running campaign, most ask for the same revision."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """What stands behind a campaign: the setups it was taken up with, and the studies that were made of what it found."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from importlib.metadata import version
 from typing import Any

@@ -1,7 +1,5 @@
 """Campaigns: submit, read, steer, run again."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Header, Request, Response

@@ -1,7 +1,5 @@
 """Comparisons of optimizers and of reductions: submit, and what their runs say beside each other."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from fastapi import APIRouter, Response

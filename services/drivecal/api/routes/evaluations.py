@@ -1,7 +1,5 @@
 """Single evaluations: one parameter set, driven in one scenario or in all of a catalogue."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from fastapi import APIRouter, Response

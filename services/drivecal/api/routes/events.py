@@ -1,7 +1,5 @@
 """The event stream of a campaign."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import AsyncGenerator
 from contextlib import aclosing

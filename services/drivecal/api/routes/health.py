@@ -1,7 +1,5 @@
 """Whether the service lives, and whether it can do work. Outside /api, for supervisors and load balancers."""
 
-from __future__ import annotations
-
 from fastapi import APIRouter, Request, Response
 
 from drivecal.api.dependencies import DatabaseDependency

@@ -1,7 +1,5 @@
 """Influence maps: where a parameter can change the score of a scenario, and where not."""
 
-from __future__ import annotations
-
 from fastapi import APIRouter, Response
 from fastapi.responses import JSONResponse
 

@@ -1,7 +1,5 @@
 """What is there: scenarios, parameter spaces, references, workers."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The page: its files as the build made them, under a policy that lets it speak to this server only."""
 
-from __future__ import annotations
-
 import gzip
 import html
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """From a set in the ranking to the evaluations that it was ranked by."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from fastapi import APIRouter, Query

@@ -6,8 +6,6 @@ tab with a stream would load nothing any more. WebSockets are not counted among 
 What is said over it is in `PROTOCOL`, which the OpenAPI document quotes: it can describe no WebSocket.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Logging in, for the page: a token is shown once, and a cookie that no script can read stands for it from then on."""
 
-from __future__ import annotations
-
 from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel, ConfigDict
 

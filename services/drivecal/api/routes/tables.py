@@ -1,7 +1,5 @@
 """What a campaign found, as pages of JSON or as whole tables in CSV and Parquet."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import asdict
 

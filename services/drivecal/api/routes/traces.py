@@ -1,7 +1,5 @@
 """The time series of one evaluation, for people to look at."""
 
-from __future__ import annotations
-
 import gzip
 from hashlib import sha256
 from typing import Annotated

@@ -1,7 +1,5 @@
 """Whole tables as CSV or Parquet, written piece by piece, so that a table of any size needs the memory of one piece."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

@@ -1,7 +1,5 @@
 """The rows of influence maps, for a campaign's scenarios and space or as a map has them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from decimal import Decimal
 from typing import Any

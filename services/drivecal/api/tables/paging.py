@@ -1,7 +1,5 @@
 """A table as pages of JSON or as a whole in CSV and Parquet, whichever is asked for."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 

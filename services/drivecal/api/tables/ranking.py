@@ -1,7 +1,5 @@
 """Ranks what a campaign has evaluated so far."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 The database rows are authoritative: a tracker is loaded from them after every assignment and after a crash.
 """
 
-from __future__ import annotations
-
 import logging
 import sys
 from collections import Counter

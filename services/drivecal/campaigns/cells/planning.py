@@ -1,7 +1,5 @@
 """Looks up stored results for a population's cells and plans how each cell is answered."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial

@@ -1,7 +1,5 @@
 """Rates the metrics of stored runs with another evaluator, in bulk, instead of simulating the runs again."""
 
-from __future__ import annotations
-
 import logging
 from math import isfinite, nan
 

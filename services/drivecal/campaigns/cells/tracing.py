@@ -1,7 +1,5 @@
 """Repeats an evaluation for its time series, as a single evaluation through the same queue and workers."""
 
-from __future__ import annotations
-
 from datetime import timedelta
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Resolves a comparison into its campaigns, and reports its problems."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass

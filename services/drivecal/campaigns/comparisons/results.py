@@ -1,7 +1,5 @@
 """Reads the results of a comparison's runs: the rows of Table 5, of Figures 7 and 8, and of the pairs."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 

@@ -5,8 +5,6 @@ request, or that were simulated before, are still not simulated again (`cell_tra
 but does not show in the counts.
 """
 
-from __future__ import annotations
-
 import logging
 import time
 from collections import Counter

@@ -1,7 +1,5 @@
 """Collects all problems of a specification, so that a user sees them at once."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import TypeVar
 

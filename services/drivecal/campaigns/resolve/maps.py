@@ -1,7 +1,5 @@
 """Influence maps, posted or made by an analysis: checked, stored with their space, and read back."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from decimal import Decimal

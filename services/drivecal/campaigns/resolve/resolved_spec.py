@@ -1,7 +1,5 @@
 """The resolved specification of a started campaign: enough to read its results, whatever is installed today."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from decimal import Decimal

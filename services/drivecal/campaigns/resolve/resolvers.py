@@ -1,7 +1,5 @@
 """Resolves each part of a specification against the installed plug-ins, and adds its problems to the diagnostics."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

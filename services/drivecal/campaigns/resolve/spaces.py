@@ -1,7 +1,5 @@
 """The search space of a campaign: the values that its parameters may take."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from decimal import Decimal
 from typing import Any

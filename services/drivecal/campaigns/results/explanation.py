@@ -1,7 +1,5 @@
 """Explains why a cell was reused or not, from what the campaign saw when it requested the cell."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property

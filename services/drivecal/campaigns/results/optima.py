@@ -1,7 +1,5 @@
 """The sets that share a campaign's best objective: their regions, and the distance to the next worse set."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import takewhile

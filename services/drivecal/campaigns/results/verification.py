@@ -3,8 +3,6 @@
 Complements `storage.consistency` and `storage.invariants`, which check rows without their meaning. Read-only.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass

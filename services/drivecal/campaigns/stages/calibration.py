@@ -4,8 +4,6 @@ On request, later rounds confirm the best set (`confirmation`). Their cells belo
 belong to no generation.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import asdict, replace

@@ -1,7 +1,5 @@
 """A whole campaign: its stages in sequence, each resumed from the database."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The pace of a stage, and its remaining time."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from drivecal.contracts.campaign import Progress

@@ -1,7 +1,5 @@
 """A single evaluation: one parameter set in one or more scenarios, through the same table and the same workers as a campaign."""
 
-from __future__ import annotations
-
 from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.cells.rerating import rate_stored_runs
 from drivecal.campaigns.resolve.problem import EvaluationProblem

@@ -1,7 +1,5 @@
 """The robustness stage: simulates the best sets with other vehicles (Section IV-D of the paper) and ranks them by what they tolerate."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any

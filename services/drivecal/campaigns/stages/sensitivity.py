@@ -1,7 +1,5 @@
 """The sensitivity stage: simulates the runs of an analysis by phase, and makes the campaign's influence map from them."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace

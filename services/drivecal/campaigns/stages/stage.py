@@ -1,7 +1,5 @@
 """The loop of every stage: requests cells round by round, plans and stores them, and passes their answers on."""
 
-from __future__ import annotations
-
 import time
 from abc import abstractmethod
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """Stages after the calibration: pure studies that request cells round by round and store one document."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import replace

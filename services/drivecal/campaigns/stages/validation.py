@@ -1,7 +1,5 @@
 """The validation stage: checks that answers are the same if the influence map says so (Section V of the paper)."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from typing import Any

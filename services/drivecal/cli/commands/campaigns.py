@@ -1,7 +1,5 @@
 """Commands about campaigns as a whole."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """The command that compares optimizers and reductions."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import typer

@@ -1,7 +1,5 @@
 """The command that drives one parameter set."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 from typing import Annotated

@@ -1,7 +1,5 @@
 """Why a cell was reused, or why it was not."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import typer

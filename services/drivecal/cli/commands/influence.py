@@ -1,7 +1,5 @@
 """Where a parameter can change the score of a scenario: as a campaign or a map has it, and compared with another."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby

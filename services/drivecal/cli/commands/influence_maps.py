@@ -1,7 +1,5 @@
 """Commands about influence maps."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import typer

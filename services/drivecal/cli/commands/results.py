@@ -1,7 +1,5 @@
 """Commands about what a campaign found."""
 
-from __future__ import annotations
-
 import json
 import os
 import sys

@@ -1,7 +1,5 @@
 """`drivecal robustness`: shows a campaign's robustness study, makes a missing study, and compares it with another."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Annotated, Any
 

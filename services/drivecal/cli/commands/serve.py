@@ -1,7 +1,5 @@
 """`drivecal serve`: the coordinator in one command."""
 
-from __future__ import annotations
-
 import json
 import logging
 import os

@@ -1,7 +1,5 @@
 """Studies of what a campaign found: those that were made already, by itself or by another campaign, and new ones."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass

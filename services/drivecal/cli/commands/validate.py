@@ -1,7 +1,5 @@
 """`drivecal validate`: shows a campaign's validation study, and makes a missing study."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Annotated
 

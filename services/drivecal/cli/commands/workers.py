@@ -1,7 +1,5 @@
 """`drivecal workers`: who simulates, and what."""
 
-from __future__ import annotations
-
 from datetime import UTC, datetime, timedelta
 
 from drivecal.cli.application import JsonOption, UrlOption, app, connect, tell

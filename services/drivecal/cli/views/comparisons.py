@@ -1,7 +1,5 @@
 """How a comparison is shown: Table 5 over the seeds, and what a reduction changed and saved."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """How results look on stdout: plain columns that survive a pipe, or JSON."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime

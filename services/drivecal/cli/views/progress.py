@@ -1,7 +1,5 @@
 """Follows a campaign: a progress bar on a terminal, now and then a line elsewhere. Ctrl-C detaches and cancels nothing."""
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Callable

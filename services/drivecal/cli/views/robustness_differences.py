@@ -1,7 +1,5 @@
 """What changes between two robustness studies of the same sets, as in a plain and a hybrid vehicle."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """What `show` and `watch` print below a campaign: what the self-check found by scenario, and whether reuse paid."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import typer

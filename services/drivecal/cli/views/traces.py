@@ -1,7 +1,5 @@
 """Time series as files."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 

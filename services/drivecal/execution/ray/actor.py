@@ -1,7 +1,5 @@
 """One worker of the Ray backend as the coordinator sees it: what it does, until when, and how often it went wrong. No call of Ray."""
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from dataclasses import dataclass, field

@@ -4,8 +4,6 @@ Ray restarts and retries nothing here: an actor that is lost is replaced, and th
 actor has at most two calls, so that it never waits for the next one.
 """
 
-from __future__ import annotations
-
 import itertools
 import logging
 import time

@@ -1,8 +1,6 @@
 """The dispatcher's own node in a Ray cluster: Ray lets a program take part only where a node runs. It has no CPUs, so nothing is ever
 simulated on it."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """On which nodes of a cluster workers belong: one per CPU, as many as there may be, and never on another version. Pure."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Collection, Sequence
 

@@ -4,8 +4,6 @@ Ray's calls to workers just wait meanwhile, and so do we: what counts is whether
 that began anew knows nothing of what was before: whatever ran is gone.
 """
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Activity and speed of each worker, from batches sent and returned."""
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from collections.abc import Callable, Collection

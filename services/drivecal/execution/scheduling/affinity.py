@@ -4,8 +4,6 @@ A worker remembers what it has simulated, and can answer more of a setup without
 each setup has a home, the worker that was the first to take it, and others take it only where they have nothing of their own to do.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Collection, Mapping
 

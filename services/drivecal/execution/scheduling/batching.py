@@ -1,7 +1,5 @@
 """How many cells go into one batch: enough to make the overhead of a call negligible, few enough that workers finish together."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Mapping

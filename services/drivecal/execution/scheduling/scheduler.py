@@ -9,8 +9,6 @@ A worker that lives and reports a breakdown may itself be to blame. Its cells ar
 the process that replaces the only one. A worker that refuses a setup says nothing about the cells: they wait for another worker.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -5,8 +5,6 @@ the second attempts at what it spoilt. So no single worker's word counts, a work
 that never has any is replaced.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Collection, Hashable, Iterable, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Figure 11: the accumulated cells by what answered them, drawn and as a table."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import accumulate
 

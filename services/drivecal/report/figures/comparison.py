@@ -1,7 +1,5 @@
 """The figures of a comparison: how each optimizer's runs went (Figures 7 and 8), where they ended, and what a reduction changed."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import accumulate, chain, count

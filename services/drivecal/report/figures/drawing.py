@@ -1,7 +1,5 @@
 """How all figures look, and how they become SVG and PNG: the same bytes for the same data, readable in print and without colours."""
 
-from __future__ import annotations
-
 import io
 import re
 from collections.abc import Iterator, Sequence

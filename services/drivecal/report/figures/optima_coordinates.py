@@ -1,7 +1,5 @@
 """Figure 12, left: the sets that share the best objective in parallel coordinates."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping, Sequence
 

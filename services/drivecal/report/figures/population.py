@@ -1,7 +1,5 @@
 """Figure 10: the population's objectives and the number of alternative optima over the iterations."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from matplotlib.figure import Figure

@@ -1,7 +1,5 @@
 """Figure 12, right: how far each of the best sets bears other vehicles."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 from matplotlib.figure import Figure

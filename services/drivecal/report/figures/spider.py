@@ -1,7 +1,5 @@
 """Figure 9: where each parameter is influential, one spider plot per scenario, in the notation of the paper's Figures 5 and 9."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from itertools import groupby

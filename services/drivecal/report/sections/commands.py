@@ -1,7 +1,5 @@
 """Commands that repeat what a campaign did, complete: as they are printed they drive on the same bench."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """How wrong answers are told of: how many have another score at all, and how many of them are wrong."""
 
-from __future__ import annotations
-
 
 def errors_text(what: str, count: int, different: int, wrong: int) -> str:
     """A sentence about `count` answers that were compared, `what` they are in the plural. Wrong are those that are off by more than one

@@ -1,7 +1,5 @@
 """Where parameters matter, as a table, and what that knowledge rests on."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """The sets that share the best objective: how many, what they have in common, and the regions in which they lie (Section IV-C)."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from itertools import groupby
 

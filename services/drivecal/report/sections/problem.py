@@ -1,7 +1,5 @@
 """What was asked for, and all that one needs to ask for it again: problem, versions, fingerprints, commands."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from typing import Any

@@ -1,7 +1,5 @@
 """The best sets of a campaign, and in a few sentences what came out of it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 
 from drivecal.contracts.campaign import Best, Campaign

@@ -1,7 +1,5 @@
 """What answered the cells, how often that was wrong, and what it saved."""
 
-from __future__ import annotations
-
 from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.campaign import Campaign, CellCounts, StageCellCounts
 from drivecal.report.markup import Emphasized, Number, paragraph, table

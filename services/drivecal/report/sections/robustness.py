@@ -1,7 +1,5 @@
 """Robustness: Table 9 of the paper, the ranking by what the best sets bear beside that by how good they are."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The account of a campaign as tables: by scenario, and the balance."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 from drivecal.contracts.accounting import Accounting, ScenarioAccount

@@ -1,7 +1,5 @@
 """Whether the search had found what it found: the criteria of the paper's Tables 5 and 7, and the iterations as a table."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from drivecal.analysis.convergence import UNCHANGED_ALTERNATIVES, UNCHANGED_BEST, alternatives_at, best_at

@@ -1,7 +1,5 @@
 """Validation of the reduction: Tables 1 and 2 of the paper, and Figure 14, the histogram of deviations."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 

@@ -1,7 +1,5 @@
 """Statements over many values at once: `IN` in chunks, and inserts that leave alone what is there already."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from typing import Any, cast
 

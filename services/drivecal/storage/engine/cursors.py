@@ -1,7 +1,5 @@
 """Opaque cursors: where the next page of a list begins."""
 
-from __future__ import annotations
-
 import base64
 import binascii
 import json

@@ -1,7 +1,5 @@
 """Turns errors of the database drivers into drivecal's own."""
 
-from __future__ import annotations
-
 import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager

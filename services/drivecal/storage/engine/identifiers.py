@@ -1,7 +1,5 @@
 """Identifiers of campaigns and influence maps."""
 
-from __future__ import annotations
-
 import re
 
 _FORM = re.compile(r"[0-9a-f]{32}")

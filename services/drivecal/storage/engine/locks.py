@@ -1,7 +1,5 @@
 """One server per database: a lock that ends with the process that holds it, however it ends."""
 
-from __future__ import annotations
-
 import os
 import socket
 import sys

@@ -1,7 +1,5 @@
 """The revision of a database: created and upgraded by Alembic, checked before anything else touches it."""
 
-from __future__ import annotations
-
 import os
 import sqlite3
 from contextlib import closing

@@ -1,7 +1,5 @@
 """The tables. `migrations/versions` makes exactly these; a test holds the two together."""
 
-from __future__ import annotations
-
 from sqlalchemy import (
     Boolean,
     Column,

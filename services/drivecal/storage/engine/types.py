@@ -1,7 +1,5 @@
 """Column types that mean the same on SQLite and PostgreSQL."""
 
-from __future__ import annotations
-
 import json
 import math
 from datetime import UTC, datetime

@@ -1,7 +1,5 @@
 """Database URLs: what a user may write, what SQLAlchemy gets, and what messages show."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from sqlalchemy import URL, make_url

@@ -4,8 +4,6 @@ A backup holds one moment of the database, however long it takes and whatever is
 it is complete, checked and on the disk. A restored database is complete or as empty as before.
 """
 
-from __future__ import annotations
-
 import os
 import sqlite3
 import tempfile

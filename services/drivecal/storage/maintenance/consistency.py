@@ -3,8 +3,6 @@
 Each check gives one sentence per thing that is broken.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterator
 from typing import Any

@@ -3,8 +3,6 @@
 Each check gives one sentence per thing that is broken. In one snapshot nothing is, at any moment of a running server.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator
 

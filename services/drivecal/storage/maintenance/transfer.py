@@ -5,8 +5,6 @@ values are as SQLite stores them: JSON as its text, moments as text in UTC, trut
 the same, bit by bit.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from itertools import islice
 from typing import Any

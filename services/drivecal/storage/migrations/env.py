@@ -1,7 +1,5 @@
 """Runs revisions on the connection that `drivecal.storage.engine.schema.upgrade` gives, inside its transaction."""
 
-from __future__ import annotations
-
 from alembic import context
 
 from drivecal.storage.engine.schema import REVISION_TABLE

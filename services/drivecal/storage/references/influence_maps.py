@@ -1,7 +1,5 @@
 """Influence maps: where parameters matter, from expert knowledge or from an analysis."""
 
-from __future__ import annotations
-
 import uuid
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Parameter sets, each stored once, with exact values."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Sequence
 

@@ -4,8 +4,6 @@ They follow from the metrics that are stored with a run, so that whether an eval
 or for which campaign, it was asked. (Ratings that a run is simulated again for are written down by `runs.insert_results`.)
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """What a campaign could take its references from when it asked for a cell: read in chunks, so that any table fits into memory."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -14,8 +14,6 @@ later one that it can. Which it can rate follows from what is stored up to a cam
 for everybody.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from itertools import chain
 from typing import Any

@@ -1,7 +1,5 @@
 """The reference table: simulated results, each (setup, parameter set) once, and their ratings by evaluator."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import repeat

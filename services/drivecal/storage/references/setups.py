@@ -1,7 +1,5 @@
 """Setups: everything besides the parameter set that decides a run."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

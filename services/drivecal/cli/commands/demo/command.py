@@ -1,7 +1,5 @@
 """The command: a campaign, its result, and what a second one with other weights still costs."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import sys

@@ -1,7 +1,5 @@
 """A coordinator of the demo's own: `drivecal serve` in a child process, on a free loopback port and a fresh database."""
 
-from __future__ import annotations
-
 import fcntl
 import json
 import os

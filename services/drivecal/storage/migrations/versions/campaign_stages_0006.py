@@ -1,7 +1,5 @@
 """Cells by stage in a table of their own."""
 
-from __future__ import annotations
-
 import sqlalchemy as sa
 from alembic import op
 

@@ -1,7 +1,5 @@
 """Campaigns that belong to a comparison, and the rating of the best set by iteration."""
 
-from __future__ import annotations
-
 import sqlalchemy as sa
 from alembic import op
 

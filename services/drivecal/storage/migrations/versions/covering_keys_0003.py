@@ -1,7 +1,5 @@
 """Reference keys hold what their donors give, so that a look-up reads nothing else."""
 
-from __future__ import annotations
-
 import sqlalchemy as sa
 from alembic import op
 

@@ -1,7 +1,5 @@
 """Leases, events, priorities, studies: what a service needs to be trusted, and the stages after the calibration."""
 
-from __future__ import annotations
-
 import sqlalchemy as sa
 from alembic import op
 

@@ -1,7 +1,5 @@
 """Ratings that are younger than their runs, and traces."""
 
-from __future__ import annotations
-
 import sqlalchemy as sa
 from alembic import op
 
