@@ -13,12 +13,7 @@ from drivecal.campaigns.resolve.problem import CalibrationProblem, evaluator_id,
 from drivecal.campaigns.stages.robustness import check_source
 from drivecal.contracts.campaign import ExpectedRuns
 from drivecal.contracts.input_errors import validated
-from drivecal.contracts.specification import (
-    CampaignSpecification,
-    EvaluationSpecification,
-    MapReference,
-    RerunSpecification,
-)
+from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, MapReference, RerunSpecification
 from drivecal.domain.errors import ConflictError, InvalidInputError, NotFoundError, Problem, TooLargeError
 from drivecal.domain.setups import canonical_json, digest
 from drivecal.plugins import registry

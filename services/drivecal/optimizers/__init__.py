@@ -12,14 +12,7 @@
 True
 """
 
-from drivecal.optimizers.built_in import (
-    GENETIC,
-    RANDOM,
-    SWARM,
-    GeneticSettings,
-    RandomSettings,
-    SwarmSettings,
-)
+from drivecal.optimizers.built_in import GENETIC, RANDOM, SWARM, GeneticSettings, RandomSettings, SwarmSettings
 from drivecal.optimizers.cma_es import CMA_ES, CmaSettings
 from drivecal.optimizers.genetic import GeneticAlgorithm
 from drivecal.optimizers.optuna_samplers import OPTUNA, OptunaSettings

@@ -4,16 +4,7 @@ Roads follow the usual design: 3.75 m lanes, clothoids between straights and arc
 that the planner's parameters affect the drive: without either, a planner drives well with any parameters.
 """
 
-from drivecal.domain.scenarios import (
-    CurvatureKnot,
-    EgoStart,
-    Manoeuvre,
-    Road,
-    Scenario,
-    SpeedKnot,
-    Task,
-    TrafficVehicle,
-)
+from drivecal.domain.scenarios import CurvatureKnot, EgoStart, Manoeuvre, Road, Scenario, SpeedKnot, Task, TrafficVehicle
 
 STEP = 0.1
 LANE_WIDTH = 3.75

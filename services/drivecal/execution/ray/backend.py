@@ -16,15 +16,7 @@ from drivecal.cluster.members import Node
 from drivecal.contracts.work import Batch, BatchResult
 from drivecal.domain.errors import DrivecalError
 from drivecal.domain.evaluations import Breakdown
-from drivecal.execution.backend import (
-    DEADLINE_FACTOR,
-    DEADLINE_SECONDS,
-    BackendLostError,
-    Finished,
-    Lost,
-    Slot,
-    WorkerInfo,
-)
+from drivecal.execution.backend import DEADLINE_FACTOR, DEADLINE_SECONDS, BackendLostError, Finished, Lost, Slot, WorkerInfo
 from drivecal.execution.ray.actor import Actor, Call
 from drivecal.execution.ray.cluster import Cluster
 from drivecal.execution.ray.placement import complaint, fits, missing

@@ -9,25 +9,12 @@ from typing import Any
 
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
-from sqlalchemy import (
-    JSON,
-    Connection,
-    Table,
-    Text,
-    cast,
-    exists,
-    func,
-    select,
-    text,
-)
+from sqlalchemy import JSON, Connection, Table, Text, cast, exists, func, select, text
 
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.parameters import ParameterSet
 from drivecal.storage.engine.schema import REVISION_TABLE
-from drivecal.storage.engine.tables import (
-    metadata,
-    parameter_sets,
-)
+from drivecal.storage.engine.tables import metadata, parameter_sets
 from drivecal.storage.maintenance.transfer import last_numbers, tables_of
 from drivecal.storage.references.runs import largest_id
 

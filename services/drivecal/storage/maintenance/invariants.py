@@ -6,19 +6,7 @@ Each check gives one sentence per thing that is broken. In one snapshot nothing 
 from collections import Counter
 from collections.abc import Iterator
 
-from sqlalchemy import (
-    ColumnElement,
-    Connection,
-    FromClause,
-    SmallInteger,
-    and_,
-    case,
-    exists,
-    func,
-    or_,
-    select,
-    type_coerce,
-)
+from sqlalchemy import ColumnElement, Connection, FromClause, SmallInteger, and_, case, exists, func, or_, select, type_coerce
 
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.evaluations import Outcome
