@@ -7,6 +7,8 @@ from contextlib import contextmanager
 from html import escape
 from pathlib import Path
 
+from markupsafe import Markup
+
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.report.figures.drawing import Drawn, inlined, png, svg
 from drivecal.report.markup import figure
@@ -49,7 +51,8 @@ class Folder:
         self.write(files[1], [png(drawn.figure)])
         if not drawn.in_page:
             return ""
-        return figure(inlined(document, drawn.name, escape(drawn.alt or drawn.caption)), drawn.caption, files)
+        inline = Markup(inlined(document, drawn.name, escape(drawn.alt or drawn.caption)))  # noqa: S704  # matplotlib's own SVG
+        return figure(inline, drawn.caption, files)
 
 
 @contextmanager

@@ -75,7 +75,7 @@ def _best(findings: ReportData, drawn: Mapping[str, str]) -> list[str]:
     best = findings.campaign.best
     alternatives = len(findings.optima) if best is None else best.alternatives
     return [
-        *optima.parts(findings.optima, alternatives, findings.setup.parameters, "".join(_figures(drawn, "figure-12-optima"))),
+        *optima.parts(findings.optima, alternatives, findings.setup.parameters, _figures(drawn, "figure-12-optima")),
         results.solutions_table(findings.solutions, findings.optima),
     ]
 
@@ -83,8 +83,8 @@ def _best(findings: ReportData, drawn: Mapping[str, str]) -> list[str]:
 def _robustness(findings: ReportData, drawn: Mapping[str, str]) -> list[str]:
     identifier = findings.campaign.id
     if findings.robustness:
-        drawing = "".join(_figures(drawn, "figure-12-robustness"))
-        return robustness.parts(findings.robustness, findings.optima, identifier, drawing)
+        drawings = _figures(drawn, "figure-12-robustness")
+        return robustness.parts(findings.robustness, findings.optima, identifier, drawings)
     if not findings.optima:
         return []
     return [
@@ -109,8 +109,8 @@ def _reuse(findings: ReportData, drawn: Mapping[str, str]) -> list[str]:
 def _validation(findings: ReportData, drawn: Mapping[str, str]) -> list[str]:
     identifier = findings.campaign.id
     if findings.validation:
-        drawing = "".join(_figures(drawn, "figure-14-"))
-        return validation.parts(findings.validation[0], identifier, by_scenario(findings.influence), drawing)
+        drawings = _figures(drawn, "figure-14-")
+        return validation.parts(findings.validation[0], identifier, by_scenario(findings.influence), drawings)
     if not findings.influence:
         return []
     return [

@@ -37,7 +37,9 @@ def summary(optima: Sequence[OptimumRow]) -> str:
     return f"{count(len(optima), 'set')} that {share} the best objective, in {count(regions, 'distinct region')}."
 
 
-def parts(optima: Sequence[OptimumRow], total: int, parameters: Sequence[SearchedParameter], drawing: str) -> list[str]:
+def parts(
+    optima: Sequence[OptimumRow], total: int, parameters: Sequence[SearchedParameter], drawings: Sequence[str]
+) -> list[str]:
     """The section: how many sets and regions, the figure, the regions as a table. `found`: the sets, of which `optima` are the first."""
     same = constant(optima, searched(parameters))
     text = f"The search found {summary(optima)}"
@@ -48,7 +50,7 @@ def parts(optima: Sequence[OptimumRow], total: int, parameters: Sequence[Searche
             text += f" In all of them {', '.join(f'{name} = {value:g}' for name, value in same.items())}."
         else:
             text += " No searched parameter has the same value in all of them."
-    return [paragraph(text), drawing, regions_table(optima)]
+    return [paragraph(text), *drawings, regions_table(optima)]
 
 
 def regions_table(optima: Sequence[OptimumRow]) -> str:

@@ -67,7 +67,7 @@ def boxes(studied: Robust) -> Iterator[Sequence[object]]:
             )
 
 
-def parts(studies: Sequence[Robust], optima: Sequence[OptimumRow], campaign: str, drawing: str) -> list[str]:
+def parts(studies: Sequence[Robust], optima: Sequence[OptimumRow], campaign: str, drawings: Sequence[str]) -> list[str]:
     """The section: what was examined, Table 9, the figure, the recommended set."""
     main, *others = studies
     settings, made_by = main.study.settings, main.study.campaign
@@ -85,7 +85,7 @@ def parts(studies: Sequence[Robust], optima: Sequence[OptimumRow], campaign: str
     tables = [
         paragraph(f"Recommended: rank {row.rank}, because it has {row.reason}.", "key") for row in main.rows if row.recommended
     ]
-    return [paragraph(text), *tables, _quality(main, others), drawing, _values(main, optima)]
+    return [paragraph(text), *tables, _quality(main, others), *drawings, _values(main, optima)]
 
 
 def _quality(main: Robust, others: Sequence[Robust]) -> str:

@@ -95,7 +95,7 @@ def _panel(axes: Axes, row: ValidationRow) -> None:
 
 
 def parts(
-    studied: Studied[ValidationRow], campaign: str, by_scenario: dict[str, list[InfluenceRow]], drawing: str
+    studied: Studied[ValidationRow], campaign: str, by_scenario: dict[str, list[InfluenceRow]], drawings: Sequence[str]
 ) -> list[str]:
     """The section: what was compared, Tables 1 and 2, the figure."""
     rows = studied.rows
@@ -110,7 +110,7 @@ def parts(
     nothing = [row.scenario for row in rows if not row.compared]
     if nothing:
         text += f" There was nothing to validate in {', '.join(nothing)}."
-    return [paragraph(text), _sizes(rows, by_scenario), _rates(rows), drawing, _histograms(rows)]
+    return [paragraph(text), _sizes(rows, by_scenario), _rates(rows), *drawings, _histograms(rows)]
 
 
 def _sizes(rows: Sequence[ValidationRow], by_scenario: dict[str, list[InfluenceRow]]) -> str:
