@@ -3,12 +3,12 @@
 import zlib
 from collections.abc import Mapping, Sequence
 from datetime import datetime
-from typing import Any
+from typing import Any, get_args
 
 from drivecal.api.live.dispatcher_health import degraded
 from drivecal.contracts.campaign import Campaign, CellCounts, Seconds
 from drivecal.contracts.evaluation import EvaluatedCell, Evaluation
-from drivecal.contracts.tables import PLACE, EvaluationRow, parameter_column
+from drivecal.contracts.tables import PLACE, CampaignTable, ComparisonTable, EvaluationRow, parameter_column
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import ConflictError
 from drivecal.domain.setups import digest
@@ -17,21 +17,8 @@ from drivecal.storage.results import StoredEvaluation
 from drivecal.storage.revision_queries import CampaignRevision
 
 ROOT = "/api/v1"
-TABLES = (
-    "generations",
-    "evaluations",
-    "solutions",
-    "optima",
-    "influence",
-    "robustness",
-    "validation",
-    "accounting",
-    "setup",
-    "studies",
-)
-"""What a campaign links to below itself; and `events`."""
-COMPARISON_TABLES = ("comparison", "comparison-groups", "comparison-pairs", "comparison-effects")
-"""What a comparison links to below itself in their place."""
+TABLES = (*get_args(CampaignTable), "accounting", "setup", "studies")
+"""Links of a campaign besides `events`; a comparison has its own tables instead."""
 
 
 def campaign_answer(stored: StoredCampaign, now: datetime, silent: str | None, comparison: str | None = None) -> Campaign:
@@ -100,7 +87,7 @@ def _links(stored: StoredCampaign) -> dict[str, str]:
     if stored.kind == "evaluation":
         return {"self": f"{ROOT}/evaluations/{stored.id}"}
     here = f"{ROOT}/campaigns/{stored.id}"
-    tables = COMPARISON_TABLES if stored.kind == "comparison" else TABLES
+    tables = get_args(ComparisonTable) if stored.kind == "comparison" else TABLES
     links = {"self": here, "events": f"{here}/events"} | {table: f"{here}/{table}" for table in tables}
     if stored.influence_map_id is not None:
         links["influence_map"] = f"{ROOT}/influence-maps/{stored.influence_map_id}"

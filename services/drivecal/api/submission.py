@@ -14,6 +14,7 @@ from drivecal.campaigns.stages.robustness import check_source
 from drivecal.contracts.campaign import ExpectedRuns
 from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, MapReference, RerunSpecification
+from drivecal.contracts.studies import STUDIES
 from drivecal.domain.errors import ConflictError, InvalidInputError, NotFoundError, Problem, TooLargeError
 from drivecal.domain.setups import canonical_json, digest
 from drivecal.plugins import registry
@@ -49,9 +50,7 @@ def check_size(problem: CalibrationProblem, largest: int) -> None:
     stages = {
         "optimizer": runs.calibration_proposed,
         "sensitivity": runs.sensitivity_at_most,
-        "robustness": runs.robustness,
-        "validation": runs.validation,
-    }
+    } | {study: getattr(runs, study) for study in STUDIES}
     total = sum(stages.values())
     if total <= largest:
         return

@@ -27,13 +27,17 @@ from drivecal.contracts.explanation import Explanation
 from drivecal.contracts.inventory import InfluenceMapAnswer, InfluenceMapPage, ScenarioPage, WorkerPage
 from drivecal.contracts.setup import CampaignSetup
 from drivecal.contracts.studies import StudyPage
-from drivecal.contracts.tables import InfluenceRow, OptimumRow, RobustnessRow, SolutionPage, ValidationRow
+from drivecal.contracts.tables import (
+    InfluenceRow,
+    OptimumRow,
+    RobustnessRow,
+    SolutionPage,
+    TableName,
+    ValidationRow,
+)
 from drivecal.domain.errors import OverloadError, UnavailableError
 
 Action = Literal["pause", "resume", "cancel"]
-CampaignTable = Literal["evaluations", "generations", "solutions", "optima", "influence", "robustness", "validation"]
-ComparisonTable = Literal["comparison", "comparison-groups", "comparison-pairs", "comparison-effects"]
-Table = Literal[CampaignTable, ComparisonTable]
 Answer = TypeVar("Answer", bound=BaseModel)
 
 ATTEMPTS_TO_CONNECT = 3
@@ -174,11 +178,11 @@ class Client:
         """Every requested cell of a campaign; `query` filters as in the REST API, e.g. `scenario="S1"`."""
         return self.frame(identifier, "evaluations", **query)
 
-    def frame(self, identifier: str, table: Table, **query: Any) -> DownloadedTable:
+    def frame(self, identifier: str, table: TableName, **query: Any) -> DownloadedTable:
         """A whole table of a campaign, for pandas, polars or Arrow."""
         return DownloadedTable(b"".join(self.table(identifier, table, "parquet", **query)))
 
-    def table(self, identifier: str, table: Table, form: Literal["csv", "parquet"], **query: Any) -> Iterator[bytes]:
+    def table(self, identifier: str, table: TableName, form: Literal["csv", "parquet"], **query: Any) -> Iterator[bytes]:
         """A whole table, in pieces as they come."""
         path = _path("campaigns", identifier, table)
         try:
@@ -190,7 +194,7 @@ class Client:
         except httpx.TransportError as error:
             raise unreachable(self.url, error) from error
 
-    def rows(self, identifier: str, table: Table) -> Iterator[dict[str, Any]]:
+    def rows(self, identifier: str, table: TableName) -> Iterator[dict[str, Any]]:
         """Every row of a table."""
         cursor: str | None = None
         while True:
@@ -232,7 +236,7 @@ class Client:
         return self._rows_of(identifier, "comparison", ComparedRun)
 
     def compared_groups(self, identifier: str) -> list[ComparedGroup]:
-        """The runs of a comparison by optimizer, population and reduction: Table 5."""
+        """The runs of a comparison by optimizer, population and reduction: TableName 5."""
         return self._rows_of(identifier, "comparison-groups", ComparedGroup)
 
     def compared_pairs(self, identifier: str) -> list[ComparedPair]:
@@ -243,7 +247,7 @@ class Client:
         """What those pairs say together."""
         return self._rows_of(identifier, "comparison-effects", ReductionEffect)
 
-    def _rows_of(self, identifier: str, table: Table, model: type[Answer]) -> list[Answer]:
+    def _rows_of(self, identifier: str, table: TableName, model: type[Answer]) -> list[Answer]:
         try:
             return [model.model_validate(row) for row in self.rows(identifier, table)]
         except ValidationError as error:

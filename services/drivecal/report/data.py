@@ -3,13 +3,13 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
-from typing import Any, Generic, Literal, TypeVar
+from typing import Any, Generic, TypeVar
 
 from drivecal.client.client import Client
 from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.setup import CampaignSetup
-from drivecal.contracts.studies import Study
+from drivecal.contracts.studies import Study, StudyName
 from drivecal.contracts.tables import Generation, InfluenceRow, OptimumRow, RobustnessRow, Solution, ValidationRow
 
 RANKED = 1000
@@ -73,9 +73,7 @@ def collect(client: Client, identifier: str) -> ReportData:
     )
 
 
-def _studied(
-    studies: Sequence[Study], stage: Literal["robustness", "validation"], rows: Callable[[str], list[Row]]
-) -> list[Studied[Row]]:
+def _studied(studies: Sequence[Study], stage: StudyName, rows: Callable[[str], list[Row]]) -> list[Studied[Row]]:
     wanted = islice((study for study in studies if study.stage == stage), MOST_STUDIES)
     studied = [Studied(study, rows(study.campaign)) for study in wanted]
     return [study_rows for study_rows in studied if study_rows.rows]

@@ -1,9 +1,12 @@
 """What the service answers about the best sets and the stages after the calibration: robustness and validation."""
 
 from datetime import datetime
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from drivecal.contracts.campaign import Answer
+
+StudyName = Literal["robustness", "validation"]
+STUDIES: tuple[StudyName, ...] = get_args(StudyName)
 
 
 class Study(Answer):
@@ -12,7 +15,7 @@ class Study(Answer):
 
     campaign: str
     name: str
-    stage: Literal["robustness", "validation"]
+    stage: StudyName
     state: str
     settings: dict[str, Any]
     vehicle: str | None = None

@@ -101,6 +101,10 @@ def _counts_by_points(histogram: Mapping[int, int]) -> list[float]:
     return [float(histogram.get(points, 0)) for points in range(-7, 8)]
 
 
+CampaignTable = Literal["evaluations", "generations", "solutions", "optima", "influence", "robustness", "validation"]
+ComparisonTable = Literal["comparison", "comparison-groups", "comparison-pairs", "comparison-effects"]
+TableName = Literal[CampaignTable, ComparisonTable]
+
 PLACE = 5
 """Leading fields of an evaluation's row, which say which cell it is; its parameters follow."""
 

@@ -21,7 +21,7 @@ class CampaignState(StrEnum):
 
 
 class StageName(StrEnum):
-    """The stages of a campaign, in the order in which they run."""
+    """The stages of a campaign, in running order. Append only: databases store their positions."""
 
     SENSITIVITY = "sensitivity"
     CALIBRATION = "calibration"

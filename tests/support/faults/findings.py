@@ -11,8 +11,9 @@ from typing import Any, Protocol
 from sqlalchemy import Connection, func, select
 from tests.support.faults.workload import Accepted
 
-from drivecal.client.client import Client, Table
+from drivecal.client.client import Client
 from drivecal.contracts.campaign import Campaign
+from drivecal.contracts.tables import TableName
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.execution.scheduling.scheduler import ATTEMPTS
 from drivecal.storage import campaigns
@@ -27,7 +28,7 @@ STAGES = {
     "validation": "validation_cells",
 }
 """Where a campaign counts the cells of each."""
-TABLES: tuple[Table, ...] = ("generations", "solutions", "influence", "robustness", "validation", "evaluations")
+TABLES: tuple[TableName, ...] = ("generations", "solutions", "influence", "robustness", "validation", "evaluations")
 OF_A_CAMPAIGN = (
     "state",
     "error",

@@ -25,6 +25,7 @@ from drivecal.client.client import Action, Client
 from drivecal.client.documents import read_document
 from drivecal.contracts.assignments import assignments
 from drivecal.contracts.campaign import Campaign, ExpectedRuns
+from drivecal.contracts.studies import STUDIES
 from drivecal.domain.campaigns import CampaignState
 
 WaitOption = Annotated[bool, typer.Option("--wait", help="Show the progress until the campaign has ended.")]
@@ -182,12 +183,8 @@ def _print_expected(expected: ExpectedRuns, as_json: bool) -> None:
         print_json(expected)
         return
     typer.echo(f"the campaign can run; it proposes {expected.calibration_proposed:,} cells and simulates at most:")
-    for stage, runs in (
-        ("sensitivity", expected.sensitivity_at_most),
-        ("calibration", expected.calibration_at_most),
-        ("robustness", expected.robustness),
-        ("validation", expected.validation),
-    ):
+    runs_of = {"sensitivity": expected.sensitivity_at_most, "calibration": expected.calibration_at_most}
+    for stage, runs in (runs_of | {study: getattr(expected, study) for study in STUDIES}).items():
         typer.echo(f"  {stage:<12}{runs:>12,}")
     if expected.break_even_share is not None:
         typer.echo(pays_text(expected.break_even_share))
@@ -200,7 +197,7 @@ def kind_text(campaign: Campaign) -> str:
     spec = campaign.spec
     if campaign.kind != "calibration" or not spec or spec.get("optimizer") is not None:
         return campaign.kind
-    studies = [stage for stage in ("robustness", "validation") if spec.get(stage)]
+    studies = [study for study in STUDIES if spec.get(study)]
     vehicle = (spec.get("vehicle") or {}).get("model")
     return ", ".join([" + ".join(studies), *([vehicle] if vehicle else [])]) if studies else "analysis"
 

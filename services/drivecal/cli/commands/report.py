@@ -10,12 +10,13 @@ import typer
 
 from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, connect, full_id
 from drivecal.cli.views.output import print_json
-from drivecal.client.client import Client, ComparisonTable, Table
+from drivecal.client.client import Client
+from drivecal.contracts.tables import ComparisonTable, TableName
 
 if TYPE_CHECKING:
     from drivecal.report.data import ReportData
 
-TABLES: tuple[Table, ...] = ("generations", "solutions", "optima", "influence")
+TABLES: tuple[TableName, ...] = ("generations", "solutions", "optima", "influence")
 COMPARISON_TABLES = get_args(ComparisonTable)
 
 

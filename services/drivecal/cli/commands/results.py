@@ -5,9 +5,8 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, BinaryIO
+from typing import Annotated, BinaryIO, Literal
 
 import typer
 
@@ -15,31 +14,10 @@ from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, ap
 from drivecal.cli.views.output import print_json, print_solutions
 from drivecal.client.client import Client
 from drivecal.contracts.assignments import assignments
+from drivecal.contracts.tables import TableName
 from drivecal.domain.errors import InvalidInputError, Problem
 
-
-class TableName(StrEnum):
-    """The tables that can be exported."""
-
-    EVALUATIONS = "evaluations"
-    GENERATIONS = "generations"
-    SOLUTIONS = "solutions"
-    OPTIMA = "optima"
-    INFLUENCE = "influence"
-    ROBUSTNESS = "robustness"
-    VALIDATION = "validation"
-    COMPARISON = "comparison"
-    COMPARISON_GROUPS = "comparison-groups"
-    COMPARISON_PAIRS = "comparison-pairs"
-    COMPARISON_EFFECTS = "comparison-effects"
-
-
-class Format(StrEnum):
-    """The formats of an export."""
-
-    CSV = "csv"
-    PARQUET = "parquet"
-    JSON = "json"
+Format = Literal["csv", "parquet", "json"]
 
 
 @app.command()
@@ -69,18 +47,18 @@ def solutions(
 @app.command()
 def export(
     identifier: CampaignArgument,
-    table: Annotated[TableName, typer.Option(help="Which table.")] = TableName.EVALUATIONS,
-    form: Annotated[Format, typer.Option("--format", help="In which format.")] = Format.CSV,
+    table: Annotated[TableName, typer.Option(help="Which table.")] = "evaluations",
+    form: Annotated[Format, typer.Option("--format", help="In which format.")] = "csv",
     output: Annotated[str, typer.Option("--output", "-o", metavar="FILE", help="Where to; - is standard output.")] = "-",
     url: UrlOption = None,
     as_json: Annotated[bool, typer.Option("--json", help="The same as --format json.")] = False,
 ) -> None:
     """Write a whole table of a campaign to a file."""
-    form = Format.JSON if as_json else form
+    form = "json" if as_json else form
     with connect(url) as client:
         pieces = _pieces(client, full_id(client, identifier), table, form)
         if output == "-":
-            if form is Format.PARQUET and sys.stdout.isatty():
+            if form == "parquet" and sys.stdout.isatty():
                 raise InvalidInputError(Problem("--output", "Parquet is no text for a terminal", "give -o FILE"))
             for piece in pieces:
                 sys.stdout.buffer.write(piece)
@@ -94,11 +72,11 @@ def export(
 
 
 def _pieces(client: Client, identifier: str, table: TableName, form: Format) -> Iterator[bytes]:
-    if form is not Format.JSON:
-        yield from client.table(identifier, table.value, "csv" if form is Format.CSV else "parquet")
+    if form != "json":
+        yield from client.table(identifier, table, form)
         return
     separator = "["
-    for row in client.rows(identifier, table.value):
+    for row in client.rows(identifier, table):
         yield f"{separator}\n{json.dumps(row, ensure_ascii=False)}".encode()
         separator = ","
     yield b"\n]\n" if separator == "," else b"[]\n"

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import typer
 
@@ -11,20 +11,20 @@ from drivecal.cli.application import code_of_state, tell
 from drivecal.cli.views.progress import follow
 from drivecal.client.client import Client
 from drivecal.contracts.campaign import Campaign
+from drivecal.contracts.studies import STUDIES, StudyName
 from drivecal.domain.campaigns import CampaignState
 
-STAGES = ("optimizer", "sensitivity", "robustness", "validation")
-Stage = Literal["robustness", "validation"]
+STAGES = ("optimizer", "sensitivity", *STUDIES)
 BENCH = ("catalogue", "weights", "driving_function", "vehicle", "evaluator")
 """What a study shares with the campaign whose sets or map it is about, unless something else is asked for."""
-_STUDIES = re.compile(r"( \((robustness|validation)( in [^()]*)?\))+$")
+_STUDIES = re.compile(rf"( \(({'|'.join(STUDIES)})( in [^()]*)?\))+$")
 
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
     """Which study: its `settings` as far as they matter, and on what."""
 
-    stage: Stage
+    stage: StudyName
     settings: Mapping[str, Any]
     bench: Mapping[str, Any]
 
@@ -35,7 +35,7 @@ class Wanted:
         return same and all(maker.spec.get(name) == value for name, value in self.bench.items())
 
 
-def wanted_of(campaign: Campaign, stage: Stage, given: Mapping[str, Any]) -> Wanted:
+def wanted_of(campaign: Campaign, stage: StudyName, given: Mapping[str, Any]) -> Wanted:
     """A study of a campaign, in its own vehicle, with the settings that the user gave."""
     settings = {name: value for name, value in given.items() if value is not None}
     return Wanted(stage, settings, {name: campaign.spec.get(name) for name in BENCH})

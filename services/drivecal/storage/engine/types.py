@@ -19,8 +19,8 @@ Name = Text().with_variant(Text(collation="C"), "postgresql")
 Document = JSON(none_as_null=True)
 """JSON as text, never JSONB, which would forget the order of keys (scenarios, parameters); None is SQL's NULL."""
 
-ORDER = {StageName.SENSITIVITY: 1, StageName.CALIBRATION: 2, StageName.ROBUSTNESS: 3, StageName.VALIDATION: 4}
-"""How stages are stored, so that the database sorts them as they run. Never renumber: databases in use hold these."""
+ORDER = {stage: number for number, stage in enumerate(StageName, 1)}
+"""Stored numbers of the stages, by which the database sorts them as they run."""
 
 
 class StageNumber(TypeDecorator[StageName]):
