@@ -15,6 +15,7 @@ from drivecal.contracts.specification import (
     SeparateThresholds,
     VehicleSpecification,
 )
+from drivecal.contracts.studies import STUDIES
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.parameters import ParameterSet, ParameterSpace
 from drivecal.domain.scenarios import Scenario
@@ -87,12 +88,8 @@ def choose_optimizer(specification: CampaignSpecification, diagnostics: Diagnost
     """The optimizer with its checked settings; None if none is requested."""
     wanted = specification.optimizer
     if wanted is None:
-        others = (
-            isinstance(specification.sensitivity, SensitivitySpecification),
-            specification.robustness,
-            specification.validation,
-        )
-        if not any(others):
+        analyses = isinstance(specification.sensitivity, SensitivitySpecification)
+        if not analyses and not any(getattr(specification, study) for study in STUDIES):
             diagnostics.add(
                 "optimizer", "there is nothing to do", "choose an optimizer, a sensitivity analysis or another stage"
             )
