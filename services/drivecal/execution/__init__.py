@@ -1,1 +1,1 @@
-"""Execution of cells: which are sent next, to which worker, and what becomes of those that broke down."""
+"""Execution of cells: order, choice of workers, retries."""

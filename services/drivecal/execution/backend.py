@@ -1,4 +1,4 @@
-"""The port through which cells get simulated: batches go in, every batch comes back once, finished or lost."""
+"""The port for simulation: every submitted batch comes back once, finished or lost."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -8,13 +8,12 @@ from drivecal.domain.errors import DrivecalError
 from drivecal.domain.evaluations import Breakdown
 
 DEADLINE_SECONDS = 60.0
-"""A batch that takes longer than this, and longer than ..."""
 DEADLINE_FACTOR = 20.0
-"""... times what was expected, is given up as hung."""
+"""A batch hangs if it takes longer than both the deadline and this multiple of its expected time."""
 
 
 class BackendLostError(DrivecalError):
-    """The backend as a whole is gone and does not come back: the process that uses it has to start again."""
+    """The whole backend is gone for good; its process has to start again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,23 +26,19 @@ class Finished:
 
 @dataclass(frozen=True, slots=True)
 class Lost:
-    """A batch without results, because its worker is gone: it crashed, was ended as hung, or ran out of memory.
-
-    A worker takes everything that was sent to it along, so cells may be in a lost batch that had no part in it, and may even have
-    been finished without the answer getting through.
-    """
+    """A batch whose worker crashed, hung, or ran out of memory. Its cells may be innocent, or even finished without an answer."""
 
     batch_id: int
     worker: str
     breakdown: Breakdown
     detail: str
     seconds: float | None = None
-    """How long the worker was busy with it; None where that is not known."""
+    """Time of the worker; None if unknown."""
 
 
 @dataclass(frozen=True, slots=True)
 class Slot:
-    """Room for one more batch at a worker: an `idle` one begins at once, a busy one after the batch that runs."""
+    """Room for a batch at a worker: an `idle` worker begins at once, a busy worker after its running batch."""
 
     worker: str
     idle: bool
@@ -51,10 +46,10 @@ class Slot:
 
 @dataclass(frozen=True, slots=True)
 class WorkerInfo:
-    """One worker: `state` is `starting`, `idle` or `busy`; `cells` counts what it has finished. No other process ever has its `id`.
+    """A worker: `state` is `starting`, `idle` or `busy`; `cells` counts finished cells. No other process ever has its `id`.
 
-    The pool adds what it is doing: the `scenario` that it simulates, `since` when (UTC, ISO 8601), and how fast it was lately; and how many
-    planning states it remembers to certify runs, in how much memory (MB) of how much."""
+    The pool adds its activity: the running `scenario`, `since` when (UTC, ISO 8601), its recent speed, and its planning states for
+    certificates with their memory and limit (MB)."""
 
     id: str
     node: str
@@ -73,24 +68,24 @@ class Backend(Protocol):
     """Runs batches on workers. Not thread-safe: one thread calls it all."""
 
     def submit(self, worker: str, batch_id: int, batch: Batch, expected_seconds: float | None, *, alone: bool = False) -> None:
-        """Sends a batch to a worker that has a slot, an idle one where it is to be `alone` (nothing is queued behind it, so that what
-        happens to the worker is known to be its doing). `expected_seconds` sets the deadline; None is unknown."""
+        """Sends a batch to a worker with a slot. `alone` needs an idle worker and queues nothing behind the batch, so that a loss is its
+        doing. `expected_seconds` sets the deadline; None is unknown."""
 
     def wait(self, timeout: float) -> list[Finished | Lost]:
-        """Returns what came back, after at most `timeout` seconds. Dead workers are replaced on the way. Raises BackendLostError."""
+        """Returns finished and lost batches, after at most `timeout` seconds, and replaces dead workers. Raises BackendLostError."""
 
     def slots(self) -> list[Slot]:
-        """Returns the workers with room for a batch, idle workers first. Workers that are still starting cannot."""
+        """Returns the workers with room for a batch, idle workers first, without starting workers."""
 
     def workers(self) -> list[WorkerInfo]:
-        """All workers, in a stable order."""
+        """Returns all workers, in a stable order."""
 
     def replace(self, worker: str, fault: str | None) -> None:
-        """Ends an idle worker and starts another process in its place. `fault` says what was wrong with it; it is told as `trouble` until
-        there is a result from that place, and a place that goes on failing gets longer and longer pauses. None: nothing was."""
+        """Replaces an idle worker's process. `fault`: what was wrong, None for nothing; `trouble` reports it until the place returns a
+        result, and repeated faults cause longer and longer pauses."""
 
     def trouble(self) -> str | None:
-        """Why fewer workers than wanted run, in words; None where all is well."""
+        """Returns the reason for missing workers, or None."""
 
     def close(self) -> None:
-        """Ends all workers; what was sent and not returned is dropped."""
+        """Ends all workers and drops running batches."""

@@ -12,28 +12,28 @@ from drivecal.execution.scheduling.activity import Activity
 from drivecal.execution.scheduling.scheduler import Completed, Dispatch
 
 FAILURES_TOLD = 20
-"""Failures of a campaign that are logged in full; after these only the 32nd, 64th, 128th and so on."""
+"""Failures of a campaign logged in full; then only the 32nd, 64th, 128th and so on."""
 
 log = logging.getLogger(__name__)
 
 
 class Observer:
-    """Sees every batch go and come back."""
+    """Reports every sent and returned batch."""
 
     def __init__(self) -> None:
         self._activity = Activity()
         self._failures: Counter[str] = Counter()
 
     def describe(self, workers: Collection[WorkerInfo]) -> list[WorkerInfo]:
-        """The workers with what they do."""
+        """Returns the workers with their activity."""
         return self._activity.describe(workers)
 
     def sent(self, dispatch: Dispatch) -> None:
-        """A batch went to a worker."""
+        """Notes a sent batch."""
         self._activity.sent(dispatch.worker, dispatch.batch_id, dispatch.batch.setup.scenario)
 
     def came_back(self, dispatch: Dispatch, event: Finished | Lost, completed: Collection[Completed]) -> None:
-        """A batch came back, with the final answers of those of its cells that are `completed`; the others are sent again."""
+        """Notes a returned batch; its cells that are not `completed` are sent again."""
         broken = breakdowns(dispatch, event)
         if isinstance(event, Finished):
             result = event.result
@@ -57,7 +57,7 @@ class Observer:
                 self._tell_failure(failed)
 
     def _tell_failure(self, completed: Completed) -> None:
-        """All of a campaign's first failures, then fewer and fewer: thousands may be alike."""
+        """Logs the first failures of a campaign, then fewer and fewer: thousands may be alike."""
         self._failures[completed.tag] += 1
         count = self._failures[completed.tag]
         if count <= FAILURES_TOLD or count.bit_count() == 1:
@@ -76,7 +76,7 @@ class Observer:
 
 
 def breakdowns(dispatch: Dispatch, event: Finished | Lost) -> Mapping[int, str]:
-    """How the cells of a batch broke down that gave no result, by id; a refusal is no breakdown."""
+    """Returns the kind of breakdown by cell id; a refusal is no breakdown."""
     if isinstance(event, Lost):
         return dict.fromkeys(dispatch.breakdowns, event.breakdown.value)
     result: BatchResult = event.result

@@ -1,4 +1,4 @@
-"""The work pool: what the dispatcher gives cells to and gets results from. A thin driver between `Scheduler`, `Leases` and `Backend`."""
+"""The work pool, a thin driver between `Scheduler`, `Leases` and `Backend`: takes cells and returns results."""
 
 import logging
 import time
@@ -15,16 +15,13 @@ from drivecal.execution.scheduling.in_flight import Work
 from drivecal.execution.scheduling.scheduler import Completed, Dispatch, Scheduler
 
 PATIENCE_WITH_REFUSALS = 30.0
-"""Seconds after which a worker that refuses what is to be done is replaced: its installation may have been mended meanwhile."""
+"""Seconds after which a refusing worker is replaced: its installation may have been repaired."""
 
 log = logging.getLogger(__name__)
 
 
 class WorkPool:
-    """Simulates cells on a backend's workers, in batches, retrying what gets lost. One thread calls it all.
-
-    Results come in the order in which they arrive; callers that need another order sort by the cell's id.
-    """
+    """Simulates cells on a backend's workers, in batches, and retries lost cells. Not thread-safe. Results are in order of arrival."""
 
     def __init__(
         self,
@@ -42,17 +39,17 @@ class WorkPool:
         self._numbers: dict[int, int] = {}
         """Lease numbers of cells at workers."""
         self._returned: dict[int, int] = {}
-        """Breakdowns of the cells whose leases are to be given back with the next exchange."""
+        """Breakdowns of cells whose leases the next exchange gives back."""
         self._completed: list[Completed] = []
         self._refusing_since: dict[str, float] = {}
         self._observer = Observer()
 
     def workers(self) -> list[WorkerInfo]:
-        """The backend's workers, and what they do."""
+        """Returns the backend's workers with their activity."""
         return self._observer.describe(self._backend.workers())
 
     def trouble(self) -> str | None:
-        """Why fewer workers than wanted run, or refuse to, in words; None where all is well."""
+        """Returns the reason for missing or refusing workers, or None."""
         return "; ".join(filter(None, (self._backend.trouble(), self._scheduler.trouble()))) or None
 
     def submit(self, work: Work, *, tag: str, priority: int = 0) -> None:
@@ -65,11 +62,11 @@ class WorkPool:
         self._fill()
 
     def poll(self, timeout: float) -> list[Completed]:
-        """Waits up to `timeout` seconds for results and keeps the workers busy. Every submitted cell comes back exactly once:
-        with a result, or with a `breakdown` after its last attempt, unless its lease was not granted: then it is forgotten, for it
-        has its answer or is simulated elsewhere. Returns earlier, perhaps with nothing, when a batch was lost.
+        """Waits up to `timeout` seconds for results and keeps the workers busy. Every submitted cell comes back exactly once, with a result
+        or with a `breakdown` after its last attempt. A cell without a lease is forgotten: it is answered or simulated elsewhere. Returns
+        earlier, perhaps empty, when a batch is lost.
 
-        Raises UnavailableError where nothing can be leased; no result is lost then, the next call returns them. Raises BackendLostError.
+        Raises UnavailableError if nothing can be leased; the next call returns the results. Raises BackendLostError.
         """
         self._fill()
         for event in self._backend.wait(timeout):
@@ -79,22 +76,22 @@ class WorkPool:
         return completed
 
     def withdraw(self, tag: str) -> int:
-        """Drops the cells of `tag` that are not at a worker. Returns how many are: `poll` still returns those, unless their worker
-        dies, in which case they are dropped as well. The tag is done with when `held(tag)` is 0."""
+        """Drops the cells of `tag` that are not at a worker. Returns how many are; `poll` still returns these unless their worker dies. The
+        tag is free when `held(tag)` is 0."""
         return self._scheduler.withdraw(tag)
 
     def held(self, tag: str) -> int:
-        """Cells of `tag` that have not come back."""
+        """Returns the number of cells of `tag` that have not come back."""
         return self._scheduler.held(tag) + sum(completion.tag == tag for completion in self._completed)
 
     def give_back(self, unwanted: Sequence[Completed]) -> None:
-        """Returns results that are not stored: their cells may be leased again."""
+        """Gives back unstored results: their cells may be leased again."""
         self._returned |= {
             entry.result.id: entry.attempts - 1 for entry in unwanted if entry.lease is not None and not entry.shared
         }
 
     def close(self) -> None:
-        """Ends the workers; what has no answer is dropped."""
+        """Ends the workers and drops unanswered cells."""
         self._backend.close()
 
     def _take_in(self, event: Finished | Lost) -> list[Completed]:
@@ -104,7 +101,7 @@ class WorkPool:
         else:
             finished = self._scheduler.lost(event.batch_id, event.worker, event.breakdown, event.detail, event.seconds)
         dispatch = self._sent.pop(event.batch_id, None)
-        if dispatch is None:  # it came back before, and the scheduler has taken no notice of it either
+        if dispatch is None:  # it came back before, and the scheduler ignored it too
             return []
         numbers = {cell: self._numbers.pop(cell, None) for cell in dispatch.breakdowns}
         completed = [
@@ -115,7 +112,7 @@ class WorkPool:
         return completed
 
     def _note_returned(self, dispatch: Dispatch, event: Finished | Lost, completed: set[int]) -> None:
-        """The cells of a batch that have no final answer give their leases back; those that broke down are told apart from others."""
+        """Gives back the leases of cells without a final answer, with their breakdowns."""
         broken = breakdowns(dispatch, event)
         for cell, count in dispatch.breakdowns.items():
             if cell not in completed:
@@ -128,7 +125,7 @@ class WorkPool:
             self._refusing_since[result.worker] = self._clock()
 
     def _fill(self) -> None:
-        """Sends what there is room for, and replaces idle workers that cannot be given anything."""
+        """Fills the free slots, and replaces idle workers that nothing can be sent to."""
         ready = [worker.id for worker in self._backend.workers() if worker.state != "starting"]
         self._scheduler.meet(ready)
         self._refusing_since = {worker: since for worker, since in self._refusing_since.items() if worker in ready}
@@ -147,7 +144,7 @@ class WorkPool:
             self._replace_if_needed(worker)
 
     def _lease(self, dispatches: Sequence[Dispatch]) -> list[Dispatch]:
-        """Leases the cells of all dispatches of a round at once, and gives back what is due; gives the dispatches to send."""
+        """Leases the cells of a round's dispatches at once and gives back due leases; returns the dispatches to send."""
         if self._leases is None:
             self._returned.clear()
             return list(dispatches)
@@ -160,7 +157,7 @@ class WorkPool:
         except UnavailableError:
             for dispatch in reversed(dispatches):
                 self._scheduler.take_back(dispatch.batch_id)
-            self._returned |= cells  # perhaps they are leased, and only the answer was lost
+            self._returned |= cells  # they may be leased, with only the answer lost
             raise
         self._returned.clear()
         self._numbers |= granted
@@ -186,5 +183,5 @@ class WorkPool:
 
 
 def _longest(expected_seconds: float | None) -> float:
-    """Seconds until a batch that is sent now has come back, one way or another: it may wait behind one like it."""
+    """Longest time until a batch sent now comes back; it may wait behind a batch like it."""
     return 2 * max(DEADLINE_SECONDS, DEADLINE_FACTOR * (expected_seconds or 0.0))

@@ -1,7 +1,7 @@
 """The backend on Ray actors, and the coordinator's only bridge to `drivecal.runtime`.
 
-Ray restarts and retries nothing here: an actor that is lost is replaced, and the scheduler decides what becomes of its batches. Each
-actor has at most two calls, so that it never waits for the next one.
+Ray restarts and retries nothing: lost actors are replaced here, and the scheduler handles their batches. Each actor has at most two
+calls, so that it never waits for the next.
 """
 
 import itertools
@@ -16,27 +16,35 @@ from drivecal.cluster.members import Node
 from drivecal.contracts.work import Batch, BatchResult
 from drivecal.domain.errors import DrivecalError
 from drivecal.domain.evaluations import Breakdown
-from drivecal.execution.backend import DEADLINE_FACTOR, DEADLINE_SECONDS, BackendLostError, Finished, Lost, Slot, WorkerInfo
+from drivecal.execution.backend import (
+    DEADLINE_FACTOR,
+    DEADLINE_SECONDS,
+    Backend,
+    BackendLostError,
+    Finished,
+    Lost,
+    Slot,
+    WorkerInfo,
+)
 from drivecal.execution.ray.actor import Actor, Call
 from drivecal.execution.ray.cluster import Cluster
 from drivecal.execution.ray.placement import complaint, fits, missing
 from drivecal.runtime.worker import Worker
 
 TRIES_TO_START = 3
-"""When no worker at all has started in so many attempts, a local Ray is given up: with a new process it may go better. The nodes of a
-cluster are not ours to mend; they are waited for."""
+"""Attempts without a started worker after which a local Ray is given up: a new process may succeed. A cluster is waited for."""
 LONGEST_REASON = 600
-"""Characters."""
+"""Characters of a reason."""
 
 log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
 class RayOptions:
-    """`address` of a cluster, None starts a local Ray; `workers`: None is one per CPU, of all nodes that are there.
+    """`address` of a cluster, None for a local Ray; `workers`: None is one per CPU of all nodes.
 
-    A batch that takes longer than `deadline_seconds` and longer than `deadline_factor` times what was expected is ended as hung, and so is
-    a worker that takes longer than `start_seconds` to start, which includes compiling."""
+    A batch is ended as hung after `deadline_seconds` and `deadline_factor` times its expected time, a worker after `start_seconds` of
+    starting, which includes compiling."""
 
     address: str | None = None
     workers: int | None = None
@@ -44,16 +52,16 @@ class RayOptions:
     deadline_factor: float = DEADLINE_FACTOR
     start_seconds: float = 600.0
     certificates_mb: int | None = None
-    """Memory of each worker for what certifies other runs; None: what its machine has for it."""
+    """Memory of each worker for certificates; None: its machine's share."""
 
 
-class RayBackend:
-    """See `Backend`. One per process. To be made, used and closed by the main thread."""
+class RayBackend(Backend):
+    """A `Backend`, once per process; only the main thread may create, use and close it."""
 
     def __init__(self, options: RayOptions, trial: Batch) -> None:
-        """Starts or joins Ray and starts the workers, without waiting for them; each has to run `trial` before it counts as ready.
+        """Starts or joins Ray and starts the workers without waiting for them; each runs `trial` before it is ready.
 
-        Raises UnavailableError where there is no Ray."""
+        Raises UnavailableError without Ray."""
         self._options = options
         self._cluster = Cluster(options.address, options.workers)
         self._ray = self._cluster.ray
@@ -70,7 +78,6 @@ class RayBackend:
             self._follow_nodes()
 
     def submit(self, worker: str, batch_id: int, batch: Batch, expected_seconds: float | None, *, alone: bool = False) -> None:
-        """See `Backend`."""
         actor = self._named(worker)
         if not actor.room(alone=alone):
             raise RuntimeError(f"{worker} has no slot; ask `slots` first")
@@ -78,7 +85,6 @@ class RayBackend:
         actor.take(Call(batch_id, len(batch.cells), actor.handle.run.remote(batch), allowed), alone=alone)
 
     def wait(self, timeout: float) -> list[Finished | Lost]:
-        """See `Backend`."""
         until = time.monotonic() + timeout
         events: list[Finished | Lost] = []
         while not events:
@@ -97,16 +103,13 @@ class RayBackend:
         return events
 
     def slots(self) -> list[Slot]:
-        """See `Backend`."""
         slots = [Slot(actor.name, not actor.calls) for actor in self._actors if actor.room(alone=False)]
         return sorted(slots, key=lambda slot: not slot.idle)
 
     def workers(self) -> list[WorkerInfo]:
-        """See `Backend`."""
         return [WorkerInfo(actor.name, actor.node, actor.pid, actor.state, actor.cells) for actor in self._actors]
 
     def replace(self, worker: str, fault: str | None) -> None:
-        """See `Backend`."""
         actor = self._named(worker)
         if not actor.room(alone=True):
             raise RuntimeError(f"{worker} is not idle")
@@ -118,7 +121,6 @@ class RayBackend:
         self._begin_anew(actor)
 
     def trouble(self) -> str | None:
-        """See `Backend`."""
         starting = [actor for actor in self._actors if actor.failed_starts]
         failing = [actor for actor in self._actors if actor.faults and not actor.failed_starts]
         complaints = [self._cluster.trouble()]
@@ -132,13 +134,12 @@ class RayBackend:
         return "; ".join(filter(None, complaints)) or None
 
     def close(self) -> None:
-        """See `Backend`."""
         for actor in self._actors:
             self._kill(actor)
         self._cluster.close()
 
     def _follow_nodes(self) -> list[Finished | Lost]:
-        """Workers on nodes that have come; what workers had whose nodes have gone is lost, and so are they."""
+        """Starts workers on new nodes; returns the lost batches of workers whose nodes are gone."""
         if self._nodes is self._cluster.nodes:
             return []
         before, self._nodes = self._nodes, self._cluster.nodes
@@ -169,7 +170,7 @@ class RayBackend:
         self._start(actor)
 
     def _dismiss(self, actor: Actor) -> list[Finished | Lost]:
-        """A worker whose node is gone; it may have been the worker that took the node along, so its cells are blamed as by a crash."""
+        """Removes a worker whose node is gone. The worker may have crashed the node, so its cells count as crashed."""
         events: list[Finished | Lost] = list(actor.lose(Breakdown.CRASH, f"{actor.place} went with its node"))
         self._kill(actor)
         self._actors.remove(actor)
@@ -184,7 +185,7 @@ class RayBackend:
         actor.deadline = time.monotonic() + self._options.start_seconds
 
     def _collect(self, timeout: float) -> list[Finished | Lost]:
-        """Returns what came back from running calls; waits for the first."""
+        """Waits for the first answer of running calls, and returns all answers."""
         waiting = {actor.waited_for: actor for actor in self._actors if actor.waited_for is not None}
         if not waiting:
             time.sleep(timeout)
@@ -195,11 +196,11 @@ class RayBackend:
             done, _ = self._ray.wait(references, num_returns=len(references), timeout=0, fetch_local=False)
         events = [event for reference in done for event in self._answer(waiting[reference])]
         if done and not events:
-            time.sleep(min(timeout, 0.02))  # a death that is not settled yet comes back at once
+            time.sleep(min(timeout, 0.02))  # an unconfirmed death is reported again at once
         return events
 
     def _answer(self, actor: Actor) -> list[Finished | Lost]:
-        """The answer of an actor whose running call has one."""
+        """Returns the answer of an actor's running call."""
         errors = self._ray.exceptions
         try:
             value = self._ray.get(actor.waited_for)
@@ -211,10 +212,8 @@ class RayBackend:
             if "low on memory" in str(error):
                 return self._bury(actor, Breakdown.MEMORY, f"{actor.place} was ended because its node ran out of memory", error)
             return self._bury(actor, Breakdown.CRASH, f"{actor.place} died, as after a segmentation fault or a kill", error)
-        except (
-            errors.RayError
-        ) as error:  # the worker lives, but this call gave no answer: it raised, or could not be transferred
-            cause = getattr(error, "cause", None)  # what the call raised, where it did
+        except errors.RayError as error:  # the worker lives, but its call raised or the answer could not be transferred
+            cause = getattr(error, "cause", None)  # the exception of the call, if any
             words = str(cause if isinstance(cause, DrivecalError) else error).strip().splitlines()[-1][:LONGEST_REASON]
             if actor.warming is not None:
                 return self._bury(actor, Breakdown.ERROR, f"{actor.place} cannot start: {words}", error)
@@ -231,7 +230,7 @@ class RayBackend:
         return [Finished(call.batch_id, result)]
 
     def _is_to_blame(self, actor: Actor) -> bool:
-        """Whether a dead actor died by itself: Ray was there afterwards. Where all of it is gone, its cells have no part in that."""
+        """Whether a dead actor died by itself: Ray answered afterwards. If all of Ray is gone, the cells are innocent."""
         if actor.died_at is None:
             actor.died_at = time.monotonic()
         return self._cluster.answered_since(actor.died_at)
@@ -251,7 +250,7 @@ class RayBackend:
         return events
 
     def _bury(self, actor: Actor, breakdown: Breakdown, detail: str, cause: BaseException | None) -> list[Finished | Lost]:
-        """Everything an actor had is lost; a new one starts at once, or after a pause where it was the start that failed."""
+        """Returns an actor's batches as lost and starts a new actor, after a pause if the start failed."""
         if actor in self._gone({node.id for node in self._cluster.nodes}):
             return self._dismiss(actor)
         log.warning("%s; it is replaced", detail, exc_info=cause if log.isEnabledFor(logging.DEBUG) else None)

@@ -1,5 +1,4 @@
-"""The dispatcher's own node in a Ray cluster: Ray lets a program take part only where a node runs. It has no CPUs, so nothing is ever
-simulated on it."""
+"""The dispatcher's own node in a Ray cluster: only programs beside a node can take part. It has no CPUs and simulates nothing."""
 
 import os
 import signal
@@ -21,11 +20,11 @@ LOOK_SECONDS = 0.5
 
 
 class OwnNode:
-    """Runs until `close`, or until this process ends, however it does."""
+    """Runs until `close`, or until this process ends in any way."""
 
     def __init__(self, address: str) -> None:
-        """Starts it, and returns when the cluster has accepted it. Raises UnavailableError where that does not happen, and
-        ConflictError where there is too little shared memory for it."""
+        """Starts the node and waits until the cluster accepts it. Raises UnavailableError if it does not, and ConflictError if there is
+        too little shared memory."""
         check_shared_memory()
         self._process = subprocess.Popen(  # noqa: S603  # drivecal's own command
             [sys.executable, "-m", "drivecal.cluster", "worker", address, "--cpus", "0"],
@@ -47,7 +46,7 @@ class OwnNode:
             time.sleep(LOOK_SECONDS)
 
     def ended(self) -> bool:
-        """Whether it is gone."""
+        """Whether the node is gone."""
         return self._process.poll() is not None
 
     def close(self) -> None:
@@ -67,6 +66,6 @@ def here(nodes: Collection[Node]) -> bool:
 
 
 def _end_with_parent() -> None:
-    """In the child, before the command: a process that is killed takes its node along."""
+    """Runs in the child before the command: a killed process takes its node along."""
     end_with_parent(signal.SIGTERM)
     os.setpgid(0, 0)  # Ctrl-C in a terminal is for the dispatcher, which ends its node in order

@@ -1,4 +1,4 @@
-"""On which nodes of a cluster workers belong: one per CPU, as many as there may be, and never on another version. Pure."""
+"""Placement of workers on the nodes of a cluster: one per CPU up to the limit, never on another version. Pure."""
 
 from collections import Counter
 from collections.abc import Collection, Sequence
@@ -7,10 +7,10 @@ from drivecal.cluster.members import Node
 
 
 def missing(nodes: Sequence[Node], placed: Collection[str], most: int | None, version: str) -> list[Node]:
-    """The nodes that get another worker each, in this order; a node occurs once for each.
+    """Returns the nodes of the workers to add, in order, one entry per worker.
 
-    `placed`: the ids of the nodes of all workers that there are. `most`: workers in all; None is one per CPU. The next worker goes where
-    the fewest are, so that a few workers are spread over many nodes.
+    `placed`: node ids of the existing workers. `most`: number of all workers; None is one per CPU. The next worker goes to the node with
+    the fewest, so that few workers are spread over many nodes.
     """
     room = {node.id: node.cpus for node in nodes if fits(node, version)}
     by_id = {node.id: node for node in nodes}
@@ -27,7 +27,7 @@ def missing(nodes: Sequence[Node], placed: Collection[str], most: int | None, ve
 
 
 def fits(node: Node, version: str) -> bool:
-    """Whether a node has the coordinator's drivecal, or does not say which."""
+    """Whether a node has the coordinator's version of drivecal, or an unknown version."""
     return node.version in {None, version}
 
 

@@ -1,7 +1,6 @@
-"""Notices that a Ray cluster is gone: Ray itself says nothing for a minute, and then ends the process.
+"""Notices that a Ray cluster is gone: Ray itself reports nothing for a minute, and then ends the process.
 
-Ray's calls to workers just wait meanwhile, and so do we: what counts is whether the store of the cluster's state (GCS) answers. A store
-that began anew knows nothing of what was before: whatever ran is gone.
+Calls to workers just wait meanwhile, so the watch asks the store of the cluster's state (GCS). A restarted store has forgotten all actors.
 """
 
 import threading
@@ -11,17 +10,17 @@ from datetime import UTC, datetime
 
 EVERY_SECONDS = 0.5
 PATIENCE_SECONDS = 2.5
-"""Without an answer, before it is said. A store that is only busy answers within milliseconds."""
+"""Silence before it is reported; a busy store answers within milliseconds."""
 GIVEN_UP_AFTER = 30.0
-"""Seconds without an answer. Stores that keep their state can be away for that long, and everything goes on."""
+"""Silence before the cluster is lost; a store that keeps its state may be away this long."""
 
 
 class StartedAnewError(Exception):
-    """The store does not know us any more."""
+    """The store has forgotten this process."""
 
 
 class ClusterWatch:
-    """Asks again and again, in a thread of its own. `ask` returns soon, or raises: StartedAnewError where it need not be asked again."""
+    """Calls `ask` repeatedly in its own thread. `ask` returns soon or raises; StartedAnewError ends the watch."""
 
     def __init__(self, name: str, ask: Callable[[], None], clock: Callable[[], float] = time.monotonic) -> None:
         """`name`: what is asked, for messages."""
@@ -35,21 +34,21 @@ class ClusterWatch:
         self._thread.start()
 
     def trouble(self) -> str | None:
-        """Returns a message while it does not answer, else None."""
+        """Returns a message during silence, else None."""
         if self._clock() - self._answered <= PATIENCE_SECONDS:
             return None
         return f"{self._name} has not answered since {self._answered_at:%H:%M:%S} UTC"
 
     def lost(self) -> str | None:
-        """Why it does not come back, in words; None while there is hope."""
+        """Returns the reason for a final loss, or None."""
         return self._gone or (self.trouble() if self._clock() - self._answered > GIVEN_UP_AFTER else None)
 
     def answered_since(self, moment: float) -> bool:
-        """Whether it answered after a moment (of the clock)."""
+        """Whether the store answered after a moment of the clock."""
         return self._answered > moment
 
     def stop(self) -> None:
-        """Asks no more. Nothing of Ray is used any more afterwards."""
+        """Ends the thread; Ray is unused afterwards."""
         self._stopped.set()
         self._thread.join()
 
@@ -60,6 +59,6 @@ class ClusterWatch:
             except StartedAnewError as error:
                 self._gone = f"{self._name} {error}"
                 return
-            except Exception:  # noqa: BLE001, S112  # whatever Ray raises: no answer came, which is told by `trouble`
+            except Exception:  # noqa: BLE001, S112  # any exception of Ray means no answer, which `trouble` reports
                 continue
             self._answered, self._answered_at = self._clock(), datetime.now(UTC)

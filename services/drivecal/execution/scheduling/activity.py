@@ -10,29 +10,29 @@ from drivecal.contracts.work import CertificateMemory
 from drivecal.execution.backend import WorkerInfo
 
 RECENT_BATCHES = 20
-"""From which the speed is taken: some seconds of work."""
+"""Batches that the speed is taken from: some seconds of work."""
 
 
 @dataclass(slots=True)
 class _Desk:
-    """Work at one worker. The first of `batches` (id and scenario) is in work since `since`, the others wait behind it."""
+    """Work at a worker: the first of `batches` (scenario by id) runs since `since`, the others wait."""
 
     batches: dict[int, str] = field(default_factory=dict)
     since: float = 0.0
     recent: deque[tuple[int, float]] = field(default_factory=lambda: deque(maxlen=RECENT_BATCHES))
-    """Cells and seconds of what it finished last."""
+    """Cells and seconds of the last batches."""
     remembered: CertificateMemory | None = None
 
 
 class Activity:
-    """By worker. `clock` gives seconds since 1970."""
+    """Activity by worker. `clock` returns seconds since 1970."""
 
     def __init__(self, clock: Callable[[], float] = time.time) -> None:
         self._clock = clock
         self._desks: dict[str, _Desk] = {}
 
     def sent(self, worker: str, batch_id: int, scenario: str) -> None:
-        """A batch was sent to a worker."""
+        """Notes a batch sent to a worker."""
         desk = self._desks.setdefault(worker, _Desk())
         if not desk.batches:
             desk.since = self._clock()
@@ -41,14 +41,14 @@ class Activity:
     def finished(
         self, worker: str, batch_id: int, cells: int, seconds: float, remembered: CertificateMemory | None = None
     ) -> None:
-        """A batch came back; it took the worker so many seconds, and this is what it keeps since to certify other runs."""
+        """Notes a returned batch, its duration, and the worker's memory for certificates since then."""
         if self._take(worker, batch_id) and cells and seconds > 0:
             self._desks[worker].recent.append((cells, seconds))
         if worker in self._desks and remembered is not None:
             self._desks[worker].remembered = remembered
 
     def lost(self, worker: str, batch_id: int) -> None:
-        """A batch does not come back."""
+        """Notes a lost batch."""
         self._take(worker, batch_id)
 
     def describe(self, workers: Collection[WorkerInfo]) -> list[WorkerInfo]:

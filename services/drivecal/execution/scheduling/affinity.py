@@ -1,7 +1,7 @@
-"""Which setup each worker has loaded, and which it is to take next. Pure.
+"""The setup that each worker has loaded, and the setup to take next. Pure.
 
-A worker remembers what it has simulated, and can answer more of a setup without a simulation the more of it it has seen (certificates). So
-each setup has a home, the worker that was the first to take it, and others take it only where they have nothing of their own to do.
+The more runs of a setup a worker has seen, the more cells it can certify. So each setup has a home, the first worker that took it; other
+workers take it only if they have nothing of their own to do.
 """
 
 from collections import Counter
@@ -10,20 +10,20 @@ from collections.abc import Collection, Mapping
 from drivecal.execution.scheduling.in_flight import SetupKey
 
 MOST_HOMES = 10_000
-"""Setups; studies of vehicle parameters go through hundreds, each used for some seconds."""
+"""Setups with a remembered home; a study of vehicle parameters uses hundreds, for some seconds each."""
 
 
 class SetupAffinity:
-    """A worker has loaded what it was sent last."""
+    """Tracks the last setup of each worker, which is the loaded one."""
 
     def __init__(self) -> None:
         self._last: dict[str, SetupKey] = {}
         self._workers: Counter[SetupKey] = Counter()
-        """How many have loaded each."""
+        """Number of workers that have loaded a setup."""
         self._home: dict[SetupKey, str] = {}
 
     def meet(self, ready: Collection[str]) -> None:
-        """Tells which workers live."""
+        """Forgets workers that are gone."""
         gone = self._last.keys() - set(ready)
         for worker in gone:
             self._unload(worker)
@@ -31,7 +31,7 @@ class SetupAffinity:
             self._home = {setup: worker for setup, worker in self._home.items() if worker not in gone}
 
     def load(self, worker: str, setup: SetupKey) -> None:
-        """A worker is sent cells of a setup."""
+        """Notes that a worker gets cells of a setup."""
         self._unload(worker)
         self._last[worker] = setup
         self._workers[setup] += 1

@@ -1,4 +1,4 @@
-"""How many cells go into one batch: enough to make the overhead of a call negligible, few enough that workers finish together."""
+"""Batch sizes: large enough to make the overhead of a call negligible, small enough that workers finish together."""
 
 import math
 from collections import deque
@@ -12,18 +12,17 @@ from drivecal.execution.scheduling.in_flight import SetupKey
 
 @dataclass(frozen=True, slots=True)
 class BatchPolicy:
-    """The sizes aimed at. Sending a batch and writing down its results takes the dispatcher about 8 ms beside what every cell costs:
-    batches of half a second lose less than 1 % of two cores to it."""
+    """Target sizes. A batch costs the dispatcher about 8 ms besides its cells: batches of 0.5 s lose less than 1 % of two cores to it."""
 
     target_seconds: float = 0.5
     shortest_seconds: float = 0.04
     """Batches shrink to this towards the end of the queue."""
     largest: int = 128
-    """Cells."""
+    """Cells per batch."""
 
 
 MOST_SETUPS = 1_000
-"""Of which costs are remembered, the last ones; studies of vehicle parameters go through hundreds."""
+"""Setups with remembered costs; a study of vehicle parameters uses hundreds."""
 K = TypeVar("K")
 V = TypeVar("V")
 Kind = tuple[str, ...]
@@ -31,15 +30,14 @@ Kind = tuple[str, ...]
 
 
 def kind_of(setup: SetupRequest) -> Kind:
-    """All of a setup but the vehicle's parameters: a robustness study drives a few cells in each of hundreds of vehicles."""
+    """Returns a setup's key without the vehicle's parameters: a robustness study drives few cells in each of hundreds of vehicles."""
     versions = (str(setup.document.get(name)) for name in ("driving_function_version", "vehicle_version", "simulator"))
     return (setup.catalogue, setup.scenario, setup.driving_function, setup.vehicle, setup.evaluator, *versions)
 
 
 class CellCosts:
-    """Seconds per cell of each setup, measured. The lower median of the last few batches counts: compiling, loading a scenario and
-    a busy machine make single batches too slow, nothing makes one too fast. A setup without a measurement costs what others of its
-    kind do."""
+    """Measured seconds per cell of each setup: the lower median of the last batches, because compiling, loading a scenario and a busy
+    machine slow single batches down. A setup without a measurement costs as much as others of its kind."""
 
     def __init__(self, remembered: int = 7) -> None:
         self._remembered = remembered
@@ -48,11 +46,11 @@ class CellCosts:
         self._medians: dict[SetupKey | Kind, float] = {}
 
     def relate(self, setup: SetupKey, kind: Kind) -> None:
-        """Says of which kind a setup is."""
+        """Notes the kind of a setup."""
         _note(self._kinds, setup, kind)
 
     def observe(self, setup: SetupKey, cells: int, seconds: float) -> None:
-        """Takes in one finished batch."""
+        """Notes the cost of a finished batch."""
         for name in filter(None, (setup, self._kinds.get(setup))):
             measured = self._measured.get(name) or deque(maxlen=self._remembered)
             measured.append(max(seconds, 1e-6) / cells)
@@ -64,8 +62,7 @@ class CellCosts:
         return self._medians.get(setup, self._medians.get(self._kinds.get(setup, ())))
 
     def seconds(self, cells: Mapping[SetupKey, int]) -> float:
-        """What cells, counted by setup, will cost together. Setups without a measurement count as the average of the others, or
-        nothing where there is none at all."""
+        """Returns the expected cost of cells counted by setup. Setups without a measurement cost the average of the others, or 0."""
         costs = ((count, self.seconds_per_cell(setup)) for setup, count in cells.items())
         known = [(count, cost) for count, cost in costs if cost is not None]
         counted = sum(count for count, _ in known)
@@ -81,8 +78,8 @@ def _note(known: dict[K, V], key: K, value: V) -> None:
 
 
 def batch_size(policy: BatchPolicy, seconds_per_cell: float | None, waiting_seconds: float, workers: int) -> int:
-    """Cells for the next batch: `target_seconds` worth, but no more than half a worker's share of what still waits (guided
-    self-scheduling), and one as a probe where nothing is known yet."""
+    """Returns the size of the next batch: `target_seconds` of work, at most half a worker's share of the waiting work (guided
+    self-scheduling), and a single cell before the first measurement."""
     if seconds_per_cell is None:
         return 1
     share = max(waiting_seconds / (2 * max(workers, 1)), policy.shortest_seconds)

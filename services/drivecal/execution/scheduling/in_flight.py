@@ -1,7 +1,7 @@
-"""The cells without an answer, and the simulations that will give it: identical cells of parallel campaigns share one.
+"""The cells without an answer and their simulations, which identical cells of parallel campaigns share.
 
-Each cell holds a claim to its simulation. The claim that comes first in its campaign's queue leads: the simulation is sent under its
-cell's id, and the others are answered with it. Nothing has to be rearranged where a claim goes or a more urgent one comes.
+Each cell holds a claim to its simulation. The first claim to reach the head of a queue leads: the simulation is sent under its cell's id
+and answers all claims. Claims can therefore come and go without rearrangement.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ Identity = tuple[SetupKey, tuple[str, ...], bytes]
 """Key shared by cells whose results are the same, bit by bit."""
 
 WITNESSES = 2
-"""Workers that must have seen an exception: it is deterministic, unless a worker or an earlier cell of the batch is to blame."""
+"""Workers that must report an exception before it counts: a worker or an earlier cell of the batch may be to blame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +36,7 @@ class Work:
 
 @dataclass(slots=True, eq=False)
 class PendingSimulation:
-    """What is sent to workers until it has a result, for all who claim it."""
+    """A simulation to send until it has a result, and its claims."""
 
     setup: SetupRequest
     key: SetupKey
@@ -44,36 +44,36 @@ class PendingSimulation:
     """None if the simulation is not shared."""
     claims: list[Claim] = field(default_factory=list)
     leader: Claim | None = None
-    """Under whose cell it is at a worker; None while it waits."""
+    """The claim whose cell is at a worker; None while the simulation waits."""
     breakdowns: int = 0
     witnesses: frozenset[str] = frozenset()
-    """Workers that live and reported that it broke down."""
+    """Living workers that reported a breakdown."""
 
     @property
     def avoid(self) -> frozenset[str]:
-        """The worker whose word alone does not count."""
+        """Workers whose report alone does not count."""
         return self.witnesses if len(self.witnesses) < WITNESSES else frozenset()
 
 
 @dataclass(slots=True, eq=False)
 class Claim:
-    """One cell of a campaign, `tag`, to the result of a simulation."""
+    """Claim of a cell of campaign `tag` to the result of a simulation."""
 
     cell: Cell
     tag: str
     priority: int
     simulation: PendingSimulation
     withdrawn: bool = False
-    """While it leads: its campaign does not want it any more."""
+    """The campaign dropped the cell while its claim leads."""
 
 
 def key_of(setup: SetupRequest) -> SetupKey:
-    """The key of a setup: see `SetupKey`."""
+    """Returns the key of a setup."""
     return (setup.run_fingerprint, setup.catalogue, setup.scenario, setup.evaluator)
 
 
 class InFlightCells:
-    """Every claim from when it is made until its cell is answered or given up."""
+    """All claims until their cells are answered or given up."""
 
     def __init__(self) -> None:
         self._claims: dict[int, Claim] = {}
@@ -101,7 +101,7 @@ class InFlightCells:
         return claims
 
     def remove(self, claim: Claim) -> None:
-        """Its cell is answered, or not asked for any more. A simulation without claims is none."""
+        """Removes the claim of an answered or dropped cell, and its simulation if it was the last claim."""
         simulation = claim.simulation
         simulation.claims.remove(claim)
         if not simulation.claims and simulation.identity is not None:

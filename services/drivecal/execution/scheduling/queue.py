@@ -1,9 +1,8 @@
-"""The queue: claims to simulations that wait for a worker, in lines of one campaign. Pure.
+"""The queue of claims to simulations that wait for a worker, one line per campaign. Pure.
 
-A higher priority goes first. Among campaigns of equal priority it is the turn of the one that has had the least worker time
-(start-time fair queueing, Goyal, Vin and Cheng 1996): one that comes, or comes back after it had nothing waiting, starts level with
-the least of those that wait, so that it neither makes up for the time in which it asked for nothing nor waits until others have
-caught up with it. Within a line, claims wait in groups of one setup, because a worker has to load each.
+Higher priorities go first. Among equal priorities the campaign with the least worker time is next (start-time fair queueing, Goyal, Vin
+and Cheng 1996). A campaign that joins, or returns after it had nothing waiting, starts level with the least waiting campaign: it neither
+catches up nor waits for others. Within a line, claims wait in groups of one setup, because a worker has to load each setup.
 """
 
 from __future__ import annotations
@@ -16,25 +15,25 @@ from dataclasses import dataclass, field
 from drivecal.execution.scheduling.in_flight import Claim, PendingSimulation, SetupKey
 
 Avoid = frozenset[str]
-"""The workers that must not have a suspect."""
+"""Workers that must not get a suspect."""
 
 
 @dataclass(slots=True, eq=False)
 class ClaimGroup:
-    """Claims of one line to simulations of one setup: suspects that keep away from the same workers, or such as never broke down."""
+    """Claims of a line to simulations of one setup: suspects that avoid the same workers, or simulations that never broke down."""
 
     line: Line
     setup: SetupKey
     avoid: Avoid | None
-    """None: no suspects."""
+    """None if the claims are no suspects."""
     entries: deque[Claim] = field(default_factory=deque)
-    """Skips entries that wait elsewhere by now, or no longer wait: that is cheaper than a search."""
+    """May hold stale entries, which are skipped: cheaper than a search."""
     waiting: int = 0
 
 
 @dataclass(slots=True, eq=False)
 class Line:
-    """Of one campaign at one priority. `used`: seconds of the workers' time that it has had, finished or, as expected, running."""
+    """Claims of a campaign at one priority. `used`: its worker time, s, with the expected time of running batches."""
 
     priority: int
     tag: str
@@ -45,44 +44,43 @@ class Line:
 
     @property
     def turn(self) -> tuple[float, int]:
-        """Lines of equal priority are served in this order."""
+        """Sort key among lines of equal priority."""
         return self.used, self.number
 
 
 class FairQueue:
-    """No call takes time in proportion to the cells that wait, but for those that it is about."""
+    """Waiting claims by line. The cost of a call does not depend on the number of other waiting cells."""
 
     def __init__(self) -> None:
         self._lines: dict[int, dict[str, Line]] = {}
         self._made = 0
         self._turns: dict[int, list[tuple[float, int, Line]]] = {}
-        """The lines with waiting cells by priority, in their order."""
+        """Lines with waiting cells by priority, in order."""
         self._groups: dict[Claim, ClaimGroup] = {}
-        """The line of each waiting claim."""
         self._simulations: dict[int, Counter[SetupKey]] = {}
-        """How many wait, by setup, each at the highest priority at which it is claimed."""
+        """Waiting simulations by setup, at the highest priority of their claims."""
         self._counted: dict[PendingSimulation, int] = {}
         self._avoided: dict[str, dict[ClaimGroup, None]] = {}
-        """By worker, the groups of suspects that it must not have."""
+        """Groups of suspects that a worker must not get."""
 
     def put(self, simulation: PendingSimulation) -> None:
-        """A simulation begins to wait, at the end of its lines."""
+        """Adds a simulation at the end of its lines."""
         for claim in simulation.claims:
             self.join(claim)
 
     def put_back(self, taken: Sequence[Claim]) -> None:
-        """Simulations that were taken from the queue go back to the front, in this order, and their line to its turn."""
+        """Returns taken simulations to the front, in this order, and their line to its turn."""
         for leader in reversed(taken):
             for claim in leader.simulation.claims:
                 self._enter(claim, front=True, level=claim is not leader)
 
     def join(self, claim: Claim) -> None:
-        """A claim begins to wait, at the end of its line, if it does not wait already."""
+        """Adds a claim at the end of its line unless it waits already."""
         if claim not in self._groups:
             self._enter(claim, front=False, level=True)
 
     def leave(self, claim: Claim) -> None:
-        """A claim ceases to wait, if it does."""
+        """Removes a claim if it waits."""
         group = self._groups.pop(claim, None)
         if group is None:
             return
@@ -92,12 +90,12 @@ class FairQueue:
             self._remove(group)
 
     def withdraw(self, simulation: PendingSimulation) -> None:
-        """A simulation ceases to wait for all who claim it."""
+        """Removes all claims to a simulation."""
         for claim in simulation.claims:
             self.leave(claim)
 
     def take(self, group: ClaimGroup, most: int) -> list[Claim]:
-        """The first claims of a group; their simulations wait no longer, in no line."""
+        """Takes the first claims of a group; their simulations leave all lines."""
         taken: list[Claim] = []
         while group.waiting and len(taken) < most:
             claim = group.entries.popleft()
@@ -113,7 +111,7 @@ class FairQueue:
                 yield line
 
     def charge(self, line: Line, seconds: float) -> None:
-        """Worker time that a line has had, or, negative, has not had after all."""
+        """Adds worker time to a line; negative corrects an earlier charge."""
         waits = self._waits(line)
         if waits:
             self._out_of_turn(line)
@@ -122,12 +120,12 @@ class FairQueue:
             self._into_turn(line)
 
     def forget(self, tag: str) -> None:
-        """A campaign is over, or starts anew. None of its claims waits."""
+        """Forgets a campaign without waiting claims."""
         for lines in self._lines.values():
             lines.pop(tag, None)
 
     def simulations(self, priority: int) -> Mapping[SetupKey, int]:
-        """How many wait at a priority, by setup."""
+        """Returns the number of waiting simulations at a priority, by setup."""
         return self._simulations.get(priority, {})
 
     def setups(self) -> Collection[SetupKey]:
@@ -135,7 +133,7 @@ class FairQueue:
         return {setup for counted in self._simulations.values() for setup in counted}
 
     def avoiding(self, worker: str) -> Iterable[ClaimGroup]:
-        """The suspects that a worker must not have."""
+        """Returns the suspects that a worker must not get."""
         return self._avoided.get(worker, ())
 
     def _enter(self, claim: Claim, *, front: bool, level: bool) -> None:
@@ -155,7 +153,7 @@ class FairQueue:
         self._count(simulation)
 
     def _level(self, priority: int) -> float:
-        """Where a line starts: with the least of those that wait; where none does, with the most of those that may come back."""
+        """The start of a line: the least of the waiting lines; without any, the most of the lines that may return."""
         turns = self._turns.get(priority)
         return turns[0][0] if turns else max(line.used for line in self._lines[priority].values())
 
@@ -192,7 +190,7 @@ class FairQueue:
                 del self._avoided[worker]
 
     def _count(self, simulation: PendingSimulation) -> None:
-        """Keeps how many simulations wait, after a claim to one began or ceased to."""
+        """Updates the number of waiting simulations after a claim joined or left."""
         priority = max((claim.priority for claim in simulation.claims if claim in self._groups), default=None)
         before = self._counted.get(simulation)
         if priority == before:

@@ -1,12 +1,11 @@
-"""Which cells are sent next, to whom, and what becomes of those that broke down: a pure state machine without clock or I/O.
+"""Chooses the next cells for a worker and handles breakdowns: a pure state machine without clock or I/O.
 
-Campaigns of equal priority share the workers' time (`queue`), identical cells are simulated once (`outstanding`), and workers seldom
-have to load another scenario. A batch whose worker was lost is a suspicion against each of its cells: from then on each is sent
-alone, to an idle worker with nothing behind it, so that a poison cell takes no other cell along. After `ATTEMPTS` breakdowns it has
-failed; innocent cells succeed at once.
+Campaigns of equal priority share the workers' time (`queue`), identical cells are simulated once (`in_flight`), and workers seldom load
+another scenario. The loss of a worker makes each cell of its batch a suspect, which is then sent alone to an idle worker, so that a poison
+cell harms no other cell. After `ATTEMPTS` breakdowns a cell has failed; innocent cells succeed at once.
 
-A worker that lives and reports a breakdown may itself be to blame. Its cells are suspects as well, but go to another worker, or to
-the process that replaces the only one. A worker that refuses a setup says nothing about the cells: they wait for another worker.
+A living worker that reports a breakdown may itself be to blame. Its cells are suspects too, but go to another worker, or to the
+replacement of the only worker. A refusal of a setup says nothing about the cells: they wait for another worker.
 """
 
 import itertools
@@ -22,27 +21,27 @@ from drivecal.execution.scheduling.queue import ClaimGroup, FairQueue, Line
 from drivecal.execution.scheduling.worker_health import WorkerHealth
 
 ATTEMPTS = 3
-"""After how many breakdowns a cell has failed."""
+"""Breakdowns after which a cell has failed."""
 MOST_PASSED_OVER = 100
-"""Batches of half a second, after which a suspect no longer waits until its only worker has nothing else to do."""
+"""Batches of 0.5 s after which a suspect no longer waits for its only worker to run idle."""
 
 
 @dataclass(frozen=True, slots=True)
 class Completed:
-    """The final answer of one cell: `attempts` counts the tries, its breakdowns and the one that gave the result."""
+    """The final answer of a cell; `attempts` counts its breakdowns and the attempt with the result."""
 
     tag: str
     worker: str
     result: CellResult
     attempts: int
     leader: int | None = None
-    """The id of the identical cell that was sent in its place; None where it was sent itself."""
+    """The id of the identical cell that was sent instead; None if the cell was sent itself."""
     lease: int | None = None
-    """The number of the lease under which the result was obtained (the leader's, if there is one); the lessor fills it in."""
+    """The number of the lease of the result (the leader's, if any); the pool fills it in."""
 
     @property
     def shared(self) -> bool:
-        """True where an identical cell was simulated in its place."""
+        """Whether an identical cell was simulated instead."""
         return self.leader is not None
 
 
@@ -56,7 +55,7 @@ class Dispatch:
     expected_seconds: float | None
     alone: bool
     breakdowns: Mapping[int, int]
-    """Breakdowns so far of each cell of the batch, by its id."""
+    """Breakdowns so far of the batch's cells, by id."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +68,7 @@ class Replacement:
 
 @dataclass(slots=True)
 class _Sent:
-    """Cells at a worker, and what the line that they came from was charged for them."""
+    """Cells at a worker, and the time charged to their line."""
 
     worker: str
     line: Line
@@ -79,7 +78,7 @@ class _Sent:
 
 
 class Scheduler:
-    """Every cell that is added is completed exactly once, unless it is withdrawn before it was sent or while it was lost."""
+    """Completes every added cell exactly once, unless it is withdrawn before it is sent or while it is lost."""
 
     def __init__(self, policy: BatchPolicy) -> None:
         self._policy = policy
@@ -89,10 +88,10 @@ class Scheduler:
         self._worker_health = WorkerHealth()
         self._affinity = SetupAffinity()
         self._passed_over = 0
-        """Batches that a worker got while a suspect waited that only its replacement can take."""
+        """Batches sent to a worker while a suspect waited for its replacement."""
         self._sent: dict[int, _Sent] = {}
         self._changed: dict[int, int] = {}
-        """Breakdowns that were not told yet."""
+        """Breakdowns that are not reported yet."""
         self._batch_ids = itertools.count(1)
 
     def add(self, work: Work, tag: str, priority: int = 0) -> None:
@@ -114,13 +113,13 @@ class Scheduler:
                 self._queue.join(claim)
 
     def meet(self, ready: Sequence[str]) -> None:
-        """Tells which workers have started and live."""
+        """Notes which workers have started and live."""
         self._worker_health.meet(ready)
         self._affinity.meet(ready)
 
     def next_batch(self, worker: str, *, idle: bool) -> Dispatch | None:
-        """What to send to a free slot of a worker, None for nothing. Where it is the turn of a suspect, it gets that alone, and
-        nothing behind a running batch: it runs dry, so that it can take it. So does a worker that is to be replaced."""
+        """Returns the batch for a free slot of a worker, or None. A suspect is sent alone and never behind a running batch; until then its
+        worker gets nothing. A worker to be replaced gets nothing either."""
         if self._worker_health.fault(worker) is not None:
             return None
         for line in self._queue.in_turn():
@@ -176,7 +175,7 @@ class Scheduler:
         return any(self._worker_health.refuses(worker, setup) for setup in self._queue.setups())
 
     def trouble(self) -> str | None:
-        """Which workers refuse what is to be done, in words, and why; None where none does."""
+        """Returns a message about workers that refuse waiting setups, or None."""
         setups = self._in_flight.setups()
         refusals = self._worker_health.refusals(setups)
         if not refusals:
@@ -187,7 +186,7 @@ class Scheduler:
         return f"{number} {', '.join(scenarios)}: {reason}"
 
     def finished(self, batch_id: int, result: BatchResult) -> list[Completed]:
-        """Takes in the results of a batch; a batch that is not (or no longer) expected changes nothing."""
+        """Takes the results of a batch; an unexpected batch changes nothing."""
         sent = self._sent.pop(batch_id, None)
         if sent is None:
             return []
@@ -214,8 +213,8 @@ class Scheduler:
     def lost(
         self, batch_id: int, worker: str, breakdown: Breakdown, detail: str, seconds: float | None = None
     ) -> list[Completed]:
-        """Takes in the loss of a batch: its cells are tried again one by one; those with no attempts left have failed. `seconds`: how
-        long the worker was busy with it, where that is known: it is charged to the campaign's share of the workers' time."""
+        """Takes the loss of a batch: its cells are tried again one by one, and fail without attempts left. `seconds`: the worker's time, if
+        known, which is charged to the campaign."""
         sent = self._sent.pop(batch_id, None)
         if sent is None:
             return []
@@ -227,7 +226,7 @@ class Scheduler:
         return [done for answer in answers for done in self._broke_down(*answer, worker, alone=sent.alone)]
 
     def withdraw(self, tag: str) -> int:
-        """Drops the cells of `tag` that are not at a worker. Returns how many are: those still complete, unless they get lost."""
+        """Drops the cells of `tag` that are not at a worker. Returns how many are; these still complete unless they are lost."""
         running = 0
         for claim in list(self._in_flight.of(tag)):
             if claim.simulation.leader is claim:
@@ -283,12 +282,12 @@ class Scheduler:
         return Dispatch(sent.worker, batch_id, batch, expected, sent.alone, breakdowns)
 
     def _charge(self, sent: _Sent, seconds: float) -> None:
-        """Returns the cost of a batch to its line by now."""
+        """Corrects the charge of a batch to its line."""
         self._queue.charge(sent.line, seconds - sent.charged)
         sent.charged = seconds
 
     def _put_back(self, sent: _Sent) -> None:
-        """These cells wait as before, as if they had not been sent."""
+        """Returns cells to the queue as if they had not been sent."""
         self._charge(sent, 0.0)
         for leader in sent.leaders:
             leader.simulation.leader = None
@@ -297,7 +296,7 @@ class Scheduler:
         self._queue.put_back(sent.leaders)
 
     def _broke_down(self, leader: Claim, answer: CellResult, worker: str, *, alone: bool) -> list[Completed]:
-        """A worker that lives reported that a cell gave no result."""
+        """Handles a cell without a result at a living worker."""
         simulation = leader.simulation
         simulation.witnesses |= {worker}
         if len(simulation.witnesses) >= WITNESSES:
@@ -306,13 +305,13 @@ class Scheduler:
 
     def _again_or_failed(self, leader: Claim, answer: CellResult, worker: str, *, alone: bool) -> list[Completed]:
         simulation = leader.simulation
-        # a cell that broke down before, elsewhere, may be in a batch all the same: what happens there proves nothing against it
+        # a suspect may be in a batch all the same; a breakdown there proves nothing against it
         simulation.breakdowns = min(simulation.breakdowns + 1, ATTEMPTS if alone else ATTEMPTS - 1)
         settled = answer.breakdown == Breakdown.ERROR and len(simulation.witnesses) >= WITNESSES
         if settled or simulation.breakdowns >= ATTEMPTS:
             return self._complete(leader, answer, worker, simulation.breakdowns)
         simulation.leader = None
-        if leader.withdrawn:  # it had fewer attempts than it was due: it has not failed, it was not simulated
+        if leader.withdrawn:  # with attempts left it has not failed: it was not simulated
             self._forget(leader)
         self._changed |= {claim.cell.id: simulation.breakdowns for claim in simulation.claims}
         self._queue.put(simulation)
@@ -333,7 +332,7 @@ class Scheduler:
         self._changed.pop(claim.cell.id, None)
 
     def _is_alone(self, worker: str) -> bool:
-        """Whether a cell broke down at this worker and no other worker can try it."""
+        """Whether a cell broke down at this worker and no other can try it."""
         return any(self._worker_health.no_worker_left(cell.setup, cell.avoid or ()) for cell in self._queue.avoiding(worker))
 
 

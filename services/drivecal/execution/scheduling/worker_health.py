@@ -1,8 +1,8 @@
-"""What the workers have shown so far: whose word counts when a cell breaks down, who is to be replaced, who refuses what. Pure.
+"""Health of the workers: trust in their errors, replacement, refusals. Pure.
 
-A worker that answers every cell with an error at once is always the idle one. Left alone it would take most of the work, and most of
-the second attempts at what it spoilt. So no single worker's word counts, a worker with results is asked before one without, and one
-that never has any is replaced.
+A worker that answers every cell with an error at once is always idle. It would take most of the work, and most second attempts at cells
+that it spoilt. So the report of a single worker never suffices, a worker with results is asked before a worker without, and a worker
+that never has results is replaced.
 """
 
 from collections import Counter
@@ -13,26 +13,26 @@ from enum import IntEnum
 from drivecal.contracts.work import BatchResult
 
 BATCHES_WITHOUT_RESULT = 3
-"""In a row; then a worker is replaced."""
+"""Batches without a result, in a row, after which a worker is replaced."""
 
 
 class Trust(IntEnum):
-    """In a worker's errors, by what it did since it started."""
+    """Trust in a worker's errors, by its record since its start."""
 
     DOUBTED = 0
-    """The last batch had no result, and no other worker has confirmed that its cells are to blame."""
+    """Its last batch had no result, and no other worker confirmed that the cells are to blame."""
     UNKNOWN = 1
     PROVEN = 2
-    """It has given results."""
+    """It has returned results."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Shown:
-    """By one worker since it started."""
+    """Record of a worker since its start."""
 
     proven: bool = False
     without_result: int = 0
-    """Its last batches, in a row."""
+    """Last batches without a result, in a row."""
     detail: str = ""
 
     @property
@@ -46,13 +46,13 @@ _NOTHING = _Shown()
 
 
 class WorkerHealth:
-    """Workers are known by names that no two processes share."""
+    """Records of workers by name; no two processes share a name."""
 
     def __init__(self) -> None:
         self._ready: frozenset[str] = frozenset()
         self._shown: dict[str, _Shown] = {}
         self._trusted: Counter[Trust] = Counter()
-        """How many of the ready workers are trusted how much."""
+        """Number of ready workers by trust."""
         self._refusals: dict[Hashable, dict[str, str]] = {}
 
     @property
@@ -61,8 +61,8 @@ class WorkerHealth:
         return len(self._ready)
 
     def meet(self, ready: Sequence[str]) -> None:
-        """Tells which workers have started. What the others have shown is forgotten, but not what they refused: it holds until
-        another worker answers."""
+        """Notes which workers have started. Records of the others are forgotten, but not their refusals, which hold until another worker
+        answers."""
         if self._ready == (now := frozenset(ready)):
             return
         self._ready = now
@@ -70,7 +70,7 @@ class WorkerHealth:
         self._trusted = Counter(map(self._trust, now))
 
     def answered(self, worker: str, setup: Hashable, result: BatchResult) -> None:
-        """Takes in what a worker made of a batch."""
+        """Notes the result of a batch."""
         refusing = self._refusals.pop(setup, {})
         still = {name: reason for name, reason in refusing.items() if name in self._ready and name != worker}
         if result.refusal is not None:
@@ -83,21 +83,21 @@ class WorkerHealth:
             self.failed(worker, (result.results[-1].detail if result.results else None) or "it says nothing")
 
     def failed(self, worker: str, detail: str) -> None:
-        """A whole batch went without a result."""
+        """Notes a whole batch without a result."""
         shown = self._shown.get(worker, _NOTHING)
         self._note(worker, _Shown(shown.proven, shown.without_result + 1, detail))
 
     def confirmed(self, workers: Iterable[str]) -> None:
-        """These workers broke down at the same cell: it is to blame."""
+        """Notes workers that broke down at the same cell: the cell is to blame."""
         for worker in workers:
             self._note(worker, _Shown(self._shown.get(worker, _NOTHING).proven))
 
     def refuses(self, worker: str, setup: Hashable) -> bool:
-        """True where the worker said that it cannot run the setup."""
+        """Whether the worker refused the setup."""
         return worker in self._refusals.get(setup, {})
 
     def may_try(self, worker: str, setup: Hashable, avoid: Collection[str]) -> bool:
-        """Whether this worker is to be asked about a cell that broke down at those in `avoid`: of the others the most trusted are."""
+        """Whether this worker may try a cell that broke down at those in `avoid`: only the most trusted others may."""
         if worker not in self._ready or worker in avoid or self.refuses(worker, setup):
             return False
         own = self._trust(worker)
@@ -108,18 +108,18 @@ class WorkerHealth:
         return not any(self._any_able(trust, setup, avoid) for trust in Trust)
 
     def on_probation(self, worker: str) -> bool:
-        """True for a worker without results while others have some: it gets a single cell to begin with."""
+        """Whether a worker has no results while others have some: it gets single cells."""
         return self._trust(worker) is not Trust.PROVEN and self._trusted[Trust.PROVEN] > 0
 
     def fault(self, worker: str) -> str | None:
-        """Why a worker is to be replaced, in words; None where it is not."""
+        """Returns the reason to replace a worker, or None."""
         shown = self._shown.get(worker, _NOTHING)
         if shown.without_result < BATCHES_WITHOUT_RESULT:
             return None
         return f"{shown.without_result} batches in a row gave no result, the last one because: {shown.detail}"
 
     def refusals(self, setups: Collection[Hashable]) -> dict[str, str]:
-        """The reason of each worker that refuses one of these setups."""
+        """Returns the reasons of workers that refuse any of these setups."""
         return {
             worker: reason
             for setup, refusing in self._refusals.items()
@@ -128,7 +128,7 @@ class WorkerHealth:
         }
 
     def _any_able(self, trust: Trust, setup: Hashable, avoid: Collection[str]) -> bool:
-        """Whether some worker that is trusted so much neither is in `avoid` nor refuses."""
+        """Whether a worker of this trust is not in `avoid` and does not refuse."""
         number, refusing = self._trusted[trust], self._refusals.get(setup, {})
         if number == 0 or number > len(avoid) + len(refusing):
             return number > 0
