@@ -27,7 +27,7 @@ def submit(database: Database, limits: Limits, specification: ComparisonSpecific
 
 
 def expected(database: Database, limits: Limits, specification: ComparisonSpecification) -> ExpectedComparison:
-    """What a comparison would cost. Raises InvalidInputError and TooLargeError as `submit` does."""
+    """Returns the expected cost of a comparison. Raises InvalidInputError and TooLargeError as `submit` does."""
     problem = _checked(limits, specification)
     with database.read() as connection:
         _map(connection, problem)
@@ -65,5 +65,5 @@ def _map(connection: Connection, problem: ComparisonProblem) -> str | None:
 
 
 def _fingerprints(problem: ComparisonProblem) -> list[str]:
-    """Of the setups that are simulated, which all runs have in common."""
+    """Returns the simulated setups, which all runs share."""
     return [setup.fingerprint for setup in problem.problems[0].bench.setups.values()]

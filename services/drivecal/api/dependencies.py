@@ -1,4 +1,4 @@
-"""What handlers are given."""
+"""Dependencies of the handlers."""
 
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ WAITING_BODIES = 16
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """How much of everything the server takes on."""
+    """Limits of the server."""
 
     queued_campaigns: int
     largest_campaign: int
@@ -81,4 +81,4 @@ IdempotencyKey = Annotated[
     ),
 ]
 Accept = Annotated[str, Header(description="text/csv and application/vnd.apache.parquet give the whole table.")]
-"""To be declared with the default `*/*`."""
+"""The `Accept` header; declare it with the default `*/*`."""

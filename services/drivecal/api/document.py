@@ -27,7 +27,7 @@ def describe(app: FastAPI, *, asks_for_tokens: bool) -> None:
 
 
 def _complete(node: object) -> None:
-    """Says of objects whose keys follow a pattern that other keys are refused, and of event streams what an event is."""
+    """Completes schemas: objects with patterned keys refuse others, and event streams describe their events."""
     if isinstance(node, dict):
         if "patternProperties" in node:
             node.setdefault("additionalProperties", False)
@@ -41,7 +41,7 @@ def _complete(node: object) -> None:
 
 
 def _event(data: dict[str, Any]) -> dict[str, Any]:
-    """One event of a stream, whose data is JSON text; before version 3.2 the schema of a stream is that of its events."""
+    """Returns the schema of a stream's event, with JSON text as data; before OpenAPI 3.2 it stands for the stream."""
     content = {key: value for key, value in data.items() if key not in {"type", "title"}}
     text = {"type": "string"}
     parts = {"id": text, "event": text, "data": text | {"contentMediaType": "application/json", "contentSchema": content}}

@@ -1,4 +1,4 @@
-"""What Prometheus is told at `/metrics`: of the requests to this process, of the database, and of the dispatcher through its heartbeat.
+"""Metrics for Prometheus at `/metrics`: requests to this process, the database, and the dispatcher through its heartbeat.
 
 Where the database does not answer, all that is known from it is left out and `drivecal_database_up` is 0. Counters taken from the
 database never go backwards, not even with a new process; those of the dispatcher's and the API's own memory begin at 0 with it, which
@@ -43,7 +43,7 @@ COUNT_METRICS: dict[Happening, tuple[str, str]] = {
 
 
 class Meters:
-    """What one API process measures and shows: a registry of its own, so that several may live in one process."""
+    """Metrics of an API, with a registry of its own, so that several may live in one process."""
 
     def __init__(self, database: Database) -> None:
         disable_created_metrics()  # type: ignore[no-untyped-call]  # a second, unused series for each

@@ -66,7 +66,7 @@ def etag(seen: CampaignRevision, silent: str | None) -> str:
 
 
 def list_etag(seen: Sequence[CampaignRevision], silent: str | None) -> str:
-    """As `etag`, of a page."""
+    """Returns the ETag of a page."""
     return f'W/"{digest("".join(f"{revision.id}-{_version(revision, silent)} " for revision in seen).encode())}"'
 
 
@@ -97,7 +97,7 @@ def _links(stored: StoredCampaign) -> dict[str, str]:
 
 
 def evaluation_row(stored: StoredEvaluation) -> dict[str, Any]:
-    """One row of the table `evaluations`."""
+    """Returns a row of the table `evaluations`."""
     names = list(EvaluationRow.model_fields)
     row: dict[str, Any] = {name: getattr(stored, name) for name in names[:PLACE]}
     row |= {parameter_column(name): value for name, value in stored.parameters.floats.items()}
@@ -105,7 +105,7 @@ def evaluation_row(stored: StoredEvaluation) -> dict[str, Any]:
 
 
 def evaluated_cell(stored: StoredEvaluation, metrics: Mapping[str, float | None] | None) -> EvaluatedCell:
-    """One cell of a single evaluation."""
+    """Returns a cell of a single evaluation."""
     return EvaluatedCell(
         id=stored.id,
         scenario=stored.scenario,

@@ -35,7 +35,7 @@ def submit(database: Database, limits: Limits, specification: CampaignSpecificat
 
 
 def expected(database: Database, limits: Limits, specification: CampaignSpecification) -> ExpectedRuns:
-    """What a campaign would cost. Raises InvalidInputError and TooLargeError as `submit` does."""
+    """Returns the expected cost of a campaign. Raises InvalidInputError and TooLargeError as `submit` does."""
     problem = resolve(specification)
     check_size(problem, limits.largest_campaign)
     with database.read() as connection:
@@ -168,5 +168,5 @@ def _merged(before: Mapping[str, Any] | None, changes: Mapping[str, Any]) -> dic
 
 
 def digest_of(path: str, body: BaseModel) -> str:
-    """What tells a request from others: its path and its body."""
+    """Returns the identity of a request: its path and body."""
     return digest(canonical_json({"path": path, "body": body.model_dump(mode="json")}).encode())

@@ -1,1 +1,1 @@
-"""How the processes of the coordinator are set up from outside."""
+"""Configuration of the coordinator's processes."""

@@ -43,7 +43,7 @@ _CONTROLS = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")
 _COLOURS = {"warning": "\x1b[33m", "error": "\x1b[31m", "critical": "\x1b[31m"}
 _PLAIN = "\x1b[0m"
 _TOLD_BETTER = "Exception in ASGI application"
-"""What uvicorn says of an error that the API has told already, with the same traceback."""
+"""Uvicorn's message of an error that the API logged already, with the same traceback."""
 
 _log = logging.getLogger("drivecal")
 
@@ -85,7 +85,7 @@ def about(**known: Value) -> AbstractContextManager[None]:
 
 
 def note(**known: Value) -> None:
-    """As `about`, from here on: for what is found out about a request on its way."""
+    """Like `about`, but until the end of the request."""
     structlog.contextvars.bind_contextvars(**{name: value for name, value in known.items() if value is not None})
 
 
@@ -96,12 +96,12 @@ def begin(**known: Value) -> None:
 
 
 def noted() -> dict[str, Any]:
-    """What is known at this place."""
+    """Returns the fields of the current context."""
     return structlog.contextvars.get_contextvars()
 
 
 class _Finish:
-    """Gives a line what every line has, in that order, and the rest by name."""
+    """Orders the fields of a line: common fields first, the rest by name."""
 
     def __init__(self, process: Process) -> None:
         self._process = process

@@ -27,44 +27,44 @@ Secret = Annotated[str, StringConstraints(min_length=1, max_length=4096, pattern
 
 
 class Settings(BaseSettings):
-    """What can be set from outside. `load_settings` makes it."""
+    """Settings, made by `load_settings`."""
 
     model_config = SettingsConfigDict(env_prefix=PREFIX, env_ignore_empty=True, extra="forbid", frozen=True)
 
     home: Path = Path(".drivecal")
-    """Where drivecal keeps its files: the SQLite database, the config file, the demo's results. Absolute once loaded."""
+    """Folder of drivecal's files: the SQLite database, the config file, the demo's results. Absolute once loaded."""
     database_url: Line = ""
     """SQLAlchemy URL; the default is the SQLite file `drivecal.db` in `home`."""
     database_password_file: Path | None = None
     """A file with the password that belongs into `database_url`, so that no environment shows it."""
     url: Line = "http://127.0.0.1:8000"
-    """Where clients find the server."""
+    """Address of the server for clients."""
     token: Secret | None = Field(default=None, repr=False)
-    """What clients show to the server."""
+    """Token of clients."""
     tokens_file: Path | None = None
     """The tokens file, see `drivecal.configuration.tokens`. Without it the server serves all users of this machine only."""
     queued_campaigns: Annotated[int, Field(ge=1, le=1_000_000)] = 1000
-    """How many campaigns and evaluations may wait to be started before further ones are refused (429)."""
+    """Largest number of waiting campaigns and evaluations; further ones are refused (429)."""
     largest_campaign: Annotated[int, Field(ge=1, le=10**12)] = 10_000_000
     """Cells that one campaign may propose, those of its sensitivity analysis included, before it is refused (413)."""
     posted_maps: Annotated[int, Field(ge=1, le=1_000_000)] = 1000
     """Influence maps of users that are kept before further ones are refused (413)."""
     event_streams: Annotated[int, Field(ge=1, le=10_000)] = 100
-    """How many event streams may be open at once before further ones are refused (429)."""
+    """Largest number of open event streams; further ones are refused (429)."""
     ray_address: Line | None = None
-    """Of a running Ray cluster; none: the dispatcher starts a local one."""
+    """Address of a Ray cluster; without it the dispatcher starts a local Ray."""
     workers: Annotated[int, Field(ge=1, le=MOST_WORKERS)] | None = None
     """Simulations at a time; none: one per CPU."""
     certificates_mb: Annotated[int, Field(ge=1, le=1_000_000)] | None = None
     """Memory that each worker may use, besides its own 400 MB, to remember what certifies other runs; none: 1 GB, or what its machine has
     for it."""
     log_format: Literal["text", "json"] = "text"
-    """How the server writes its log: lines to read, or one JSON document per line."""
+    """Format of the server's log: readable lines, or a JSON document per line."""
     log_level: Literal["debug", "info", "warning", "error"] = "info"
     running_campaigns: Annotated[int, Field(ge=1, le=1000)] = 8
     """Campaigns at a time; the others wait, those of higher priority the shortest. Single evaluations do not count."""
     event_days: Annotated[int, Field(ge=1, le=36_500)] = 30
-    """How long it is kept what happened to campaigns; the last event of each stays."""
+    """Days that events are kept; the last event of each campaign stays."""
 
     @field_validator("home", "tokens_file", "database_password_file")
     @classmethod

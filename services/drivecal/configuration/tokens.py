@@ -74,7 +74,7 @@ def _lines(content: bytes) -> Iterator[tuple[int, list[bytes]]]:
 
 
 def _wrong(words: list[bytes]) -> tuple[str, str] | None:
-    """What is wrong with a line, and what would be right; None where nothing is."""
+    """Returns the problem of a line with its remedy, or None."""
     if len(words) != 3:
         return f"there are {len(words)} words", f"write {FORM}"
     name, may, token = words

@@ -46,7 +46,7 @@ def listen(host: str, port: int) -> socket.socket:
 
 
 def url_of(listener: socket.socket, host: str) -> str:
-    """Where a client on this machine finds the server."""
+    """Returns the server's address for clients on this machine."""
     address, port = listener.getsockname()[:2]
     if is_loopback(address) and host != "localhost":
         host = address  # whatever name it was given by, this is one that a server without tokens answers to

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from drivecal.server.guardian import end_session
 
 GRACE_SECONDS = 8.0
-"""What a child may take to end in peace; with what the killing takes the server ends within ten."""
+"""Seconds for a child to end by itself; the server then ends within ten."""
 TRIES_TO_START = 3
 LOOK_SECONDS = 0.1
 PATIENCE_SECONDS = 30.0
@@ -24,7 +24,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class ChildProcess:
-    """What to run. `keep`: file descriptors that it inherits. `environment` is added to this process's own."""
+    """A command. `keep`: inherited file descriptors. `environment` is added to this process's own."""
 
     name: str
     command: Sequence[str]
@@ -34,7 +34,7 @@ class ChildProcess:
 
 @dataclass(slots=True)
 class Pauses:
-    """How long to wait before a restart: doubled with every death, from the beginning again after a minute of good health."""
+    """Returns the pause before a restart: doubled with every death, reset after a minute of health."""
 
     first: float = 0.5
     longest: float = 30.0

@@ -1,4 +1,4 @@
-"""Who may do what: in front of everything else, so that no route, known or not, is ever reached without it.
+"""Authorisation in front of everything else, so that no route, known or not, is reached without it.
 
 With a tokens file every request needs `Authorization: Bearer TOKEN`, or the session that the page was given for one, and every one that
 changes something a token that may write; with a session, it also has to come from a page of this very origin. Without a tokens file the
@@ -23,19 +23,19 @@ from drivecal.configuration.tokens import Token
 OPEN = {"/healthz", "/readyz"}
 """For supervisors and load balancers, which have no token: they are told no more than whether the service works."""
 PAGE = "/page/"
-"""Where the files of the page lie, which is shown at `/`: they hold nothing but the program, which asks for a token itself."""
+"""Path of the page's files, which hold only the program; the page itself asks for a token."""
 LIVE = f"{ROOT}/live"
 """The only WebSocket."""
 READING = {"GET", "HEAD", "OPTIONS"}
 CHECKED = {f"{ROOT}/campaigns", f"{ROOT}/comparisons"}
-"""Where `validate_only=true` stores nothing."""
+"""Paths at which `validate_only=true` stores nothing."""
 ANYBODY = Token("anybody", may_write=True, digest=b"")
-"""Who asks where no tokens are asked for."""
+"""The client of a server without tokens."""
 CHALLENGE = 'Bearer realm="drivecal"'
 
 
 class Tokens(Protocol):
-    """Where tokens are looked up."""
+    """Looks tokens up."""
 
     def find(self, presented: bytes) -> Token | None:
         """Returns the token with this secret; None if there is none."""

@@ -46,7 +46,7 @@ class ClosingGently(asyncio.Transport):
         self._transport.resume_reading()
 
     def throw_away(self, data: bytes) -> None:
-        """What comes after the last answer."""
+        """Ignores data after the last answer."""
         self._thrown_away += len(data)
         if self._thrown_away > LINGER_BYTES:
             self.stop()

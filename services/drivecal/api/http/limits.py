@@ -1,4 +1,4 @@
-"""What is too much is refused at once: the size of a request, the time it takes to arrive, and how many are answered at a time."""
+"""Limits of requests: their size, the time to arrive, and the number answered at once."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ LARGEST_HEAD = 65_536
 MOST_REQUESTS = 200
 """Requests being answered or waiting for one of the 40 threads. Without a bound, abandoned requests would be answered first."""
 MOST_REQUESTS_OF_STRANGERS = 8
-"""Of those who have no token, where one is asked for: supervisors that ask /readyz."""
+"""Requests without a token at a server with tokens, such as probes of /readyz."""
 CLOSE = {"Connection": "close"}
 
 
@@ -119,7 +119,7 @@ def _too_large(largest: int) -> str:
 
 
 class Places:
-    """How many of something there may be at once. Any thread may take a place and give it back."""
+    """A limited number of places. Any thread may take a place and give it back."""
 
     def __init__(self, most: int, what: str, retry_seconds: int) -> None:
         self._most = most

@@ -7,7 +7,7 @@ from functools import cache
 from typing import Any
 
 M_ARENA_MAX = -8
-"""Of glibc's malloc.h."""
+"""Constant of glibc's malloc.h."""
 
 
 def settle() -> None:

@@ -29,7 +29,7 @@ from drivecal.domain.errors import (
 
 MEDIA_TYPE = "application/problem+json"
 RETRY_SECONDS = 5
-"""What a client is told to wait when something the service depends on does not answer."""
+"""`Retry-After` while a part of the service does not answer."""
 REQUEST_ID = "X-Request-ID"
 """The header with the id under which the log speaks of a request."""
 MOST_PROBLEMS = 100
@@ -39,7 +39,7 @@ log = logging.getLogger("drivecal.api")
 
 
 class FieldProblem(BaseModel):
-    """One thing that is wrong: `field` is a dotted path, empty where it is about the request as a whole."""
+    """A problem; `field` is a dotted path, empty for the whole request."""
 
     field: str
     message: str
@@ -127,7 +127,7 @@ async def _drivecal_error(request: Request, error: Exception) -> Response:
 
 
 async def _validation_error(request: Request, error: Exception) -> Response:
-    """What FastAPI itself found: query, path and header parameters. Bodies are read by `drivecal.api.http.bodies`."""
+    """Answers FastAPI's own errors of query, path and header parameters; `drivecal.api.http.bodies` reads bodies."""
     if not isinstance(error, RequestValidationError):
         raise error
     problems = [
@@ -138,7 +138,7 @@ async def _validation_error(request: Request, error: Exception) -> Response:
 
 
 async def _database_error(request: Request, error: Exception) -> Response:
-    """What the storage could not name, such as a table that is gone. Whatever ails a database, trying again later may work."""
+    """Answers unnamed database errors, such as a lost table. A later attempt may succeed."""
     log.error("%s %s: the database fails", request.method, request.url.path, exc_info=error)
     detail = "the database does not do what drivecal asks of it; the server's log says more"
     return problem_response(request, 503, detail, headers={"Retry-After": str(RETRY_SECONDS)})
@@ -158,7 +158,7 @@ async def _http_error(request: Request, error: Exception) -> Response:
 
 
 def _methods(request: Request) -> list[str]:
-    """What is possible where a request went: of all routes, not of the first one only that has the path."""
+    """Returns the methods of all routes that match a request's path."""
     allowed: set[str] = set()
     for template, methods in request.app.openapi()["paths"].items():
         pattern = "".join("[^/]+" if part.startswith("{") else re.escape(part) for part in re.split(r"(\{\w+\})", template))

@@ -21,14 +21,14 @@ MOST_CONNECTIONS = 500
 """Open at a time, those included that wait for their client's next request. Below the 1,024 files that a process may have open on most
 systems, of which the database takes 40 and more."""
 SECONDS_IDLE = 15
-"""How long a connection stays open for the next request."""
+"""Seconds that a connection stays open for the next request."""
 SECONDS_TO_STOP = 5
 LARGEST_LIVE_MESSAGE = 4_096
 """Bytes that a page may send at once over a WebSocket."""
 
 
 class Protocol(H11Protocol):
-    """One connection."""
+    """A connection of a client."""
 
     _impatience: asyncio.TimerHandle | None = None
 
@@ -67,7 +67,7 @@ class Protocol(H11Protocol):
         self._stop_waiting()
 
     def send_400_response(self, msg: str) -> None:
-        """What is no HTTP, or has too large a head, is refused as everything else is."""
+        """Refuses invalid HTTP and large heads like every other bad request."""
         error = sys.exception()
         hint = error.error_status_hint if isinstance(error, h11.RemoteProtocolError) else 400
         detail = "the head of the request is too large" if hint == 431 else f"this is no HTTP request: {error or msg}"
@@ -110,7 +110,7 @@ class Server(uvicorn.Server):
     """uvicorn, which ends event streams before it waits for everything that is being answered."""
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """To be called by uvicorn."""
+        """Called by uvicorn."""
         app = self.config.app
         if isinstance(app, FastAPI):
             app.state.event_hub.close()
@@ -118,7 +118,7 @@ class Server(uvicorn.Server):
 
 
 def configuration(app: FastAPI) -> uvicorn.Config:
-    """How uvicorn serves the API."""
+    """Returns uvicorn's configuration."""
     return uvicorn.Config(
         app,
         http=Protocol,

@@ -24,16 +24,16 @@ class _Query(BaseModel):
 
 
 class PageOf(_Query):
-    """Which part of a list."""
+    """A page of a list."""
 
     limit: Annotated[int, Field(ge=1, le=1000)] = 100
-    """How many items at most."""
+    """Largest number of items."""
     cursor: Annotated[str, StringConstraints(max_length=500)] | None = None
     """`next_cursor` of the page before."""
 
 
 class CampaignsOf(PageOf):
-    """Which campaigns."""
+    """A page of campaigns."""
 
     state: CampaignState | None = None
 
@@ -45,17 +45,17 @@ class FormOf(_Query):
 
 
 class TableOf(PageOf, FormOf):
-    """Which part of a table; `format` csv or parquet gives all of it, as does an `Accept` header that asks for them."""
+    """A page of a table; `format` csv or parquet, or such an `Accept` header, returns the whole table."""
 
 
 class SolutionsOf(TableOf):
-    """Which solutions, and by which weights they are ranked: `S1=2,S2=1`; scenarios that are not named have weight 1."""
+    """A page of solutions, ranked by weights such as `S1=2,S2=1`; other scenarios have weight 1."""
 
     weights: Annotated[str, StringConstraints(max_length=20_000)] | None = None
 
 
 class SubmissionOf(_Query):
-    """How a campaign is submitted."""
+    """Options of a submission."""
 
     validate_only: bool = False
     """Check it and count its runs, store nothing."""

@@ -1,4 +1,4 @@
-"""What is known of every request: its id, its line in the log, its place in the metrics. Around everything else."""
+"""Id, log line and metrics of every request; the outermost middleware."""
 
 import logging
 import re

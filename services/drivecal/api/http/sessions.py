@@ -17,14 +17,14 @@ from drivecal.api.responses import ROOT
 from drivecal.configuration.tokens import Token
 
 SECONDS = 12 * 3600
-"""How long a session lasts: a day's work."""
+"""Duration of a session: a day's work."""
 PATH = f"{ROOT}/session"
-"""Where sessions begin and end."""
+"""Path at which sessions begin and end."""
 _LONGEST = 300
 
 
 class Names(Protocol):
-    """Where tokens are looked up by their names."""
+    """Looks tokens up by name."""
 
     def named(self, name: str) -> Token | None:
         """The token of this name; None where there is none."""

@@ -27,7 +27,7 @@ NOT_STARTED = "no dispatcher is running"
 
 
 def silence(heartbeat_at: datetime | None, now: datetime) -> str | None:
-    """What to say of a dispatcher that was last heard of at `heartbeat_at`; None where it works."""
+    """Returns a message about a dispatcher whose last heartbeat was at `heartbeat_at`, or None if it works."""
     if heartbeat_at is None:
         return NOT_STARTED
     silent = (now - heartbeat_at) / timedelta(seconds=1)

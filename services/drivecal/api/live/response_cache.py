@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 SECONDS = 1.0
-"""How old an answer may be that is given again: the time in it stands still meanwhile."""
+"""Largest age of a repeated answer, whose times are as old."""
 MOST = 64
 LARGEST = 65_536
 """Bytes of an answer that is remembered: together at most 4 MB."""

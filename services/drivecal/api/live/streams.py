@@ -31,13 +31,13 @@ from drivecal.storage.events import StoredEvent
 from drivecal.storage.revision_queries import ProgressSnapshot
 
 LOOK_SECONDS = 1.0
-"""How often the poller looks, and so how often progress is sent at most."""
+"""Interval of the poller, and the shortest interval between two progress messages."""
 KEEPALIVE_SECONDS = 15.0
 """After which something is sent in any case, so that no proxy takes the connection for dead."""
 RETRY_MILLISECONDS = 2_000
 """After which a client whose stream broke off is asked to come back."""
 PATIENCE_SECONDS = 3.0
-"""What the database may take to answer before streams are told that it does not."""
+"""Seconds without an answer of the database before streams report it."""
 HELD = 500
 """Events that a feed holds."""
 PAGE = 100
@@ -48,7 +48,7 @@ log = logging.getLogger("drivecal.api")
 
 @dataclass(slots=True)
 class Feed:
-    """What is new of one campaign."""
+    """New events and progress of a campaign."""
 
     sequence: int
     campaign: str
@@ -58,7 +58,7 @@ class Feed:
     revision: int = -1
     snapshot: ProgressSnapshot | None = None
     trouble: str | None = None
-    """What is wrong that the dispatcher does not tell itself, because it is the dispatcher that is silent, or the database."""
+    """A trouble that the dispatcher cannot report: its own silence, or the database's."""
     progress: bytes = b""
     ended: bool = False
     readers: int = 0
@@ -83,14 +83,14 @@ class Feed:
 
 @dataclass(frozen=True, slots=True)
 class _Look:
-    """What the poller read, all of it at one moment."""
+    """A consistent reading of the poller."""
 
     heartbeat_at: datetime | None
     snapshots: Mapping[int, ProgressSnapshot]
-    """Of the campaigns that changed."""
+    """Progress of changed campaigns."""
     found: Mapping[int, list[StoredEvent]]
     newest: Mapping[int, int]
-    """Of the campaigns that were looked at for the first time."""
+    """Newest events of campaigns that are read for the first time."""
 
 
 class EventHub:
@@ -122,7 +122,7 @@ class EventHub:
             feed.wake()
 
     async def stream(self, sequence: int, campaign: str, last_id: int) -> AsyncGenerator[bytes]:
-        """What happened to a campaign after the event `last_id`, and what happens from now on, until its end."""
+        """Yields a campaign's events after the event `last_id`, past and future, until its end."""
         yield format_sse_event(retry=RETRY_MILLISECONDS)
         position, progress, trouble = last_id, b"", None
         with self._feed(sequence, campaign) as feed:

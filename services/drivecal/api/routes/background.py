@@ -1,4 +1,4 @@
-"""What stands behind a campaign: the setups it was taken up with, and the studies that were made of what it found."""
+"""Setups of a campaign, and studies of its results."""
 
 from collections.abc import Mapping
 from importlib.metadata import version
@@ -22,7 +22,7 @@ from drivecal.storage.studies import StoredStudy
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["results"], route_class=StrictRoute)
 
 SAME_FOR_A_MAP = ("setups", "evaluator", "space", "fixed")
-"""What a validation has in common with every campaign whose use of the map it vouches for."""
+"""Parts of the setup that a validation shares with every campaign whose map it confirms."""
 
 
 @router.get("/setup")

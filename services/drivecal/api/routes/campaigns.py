@@ -29,7 +29,7 @@ from drivecal.storage.references import influence_maps
 router = APIRouter(prefix="/campaigns", tags=["campaigns"], route_class=StrictRoute)
 
 SECONDS_BETWEEN_POLLS = 1
-"""What a client that follows a running campaign is asked to wait."""
+"""`Retry-After` of a running campaign."""
 NOT_MODIFIED: dict[int | str, dict[str, Any]] = {304: {"description": "Not changed since"}}
 IfNoneMatch = Annotated[str | None, Header(max_length=10_000)]
 
@@ -67,7 +67,7 @@ def list_campaigns(query: CampaignsQuery, database: DatabaseDependency, if_none_
 
 @router.get("/{campaign_id}", response_model=Campaign, responses=NOT_MODIFIED)
 def read(campaign_id: str, request: Request, database: DatabaseDependency, if_none_match: IfNoneMatch = None) -> Response:
-    """One campaign. Send its `ETag` back as `If-None-Match` to be told 304 while nothing changed."""
+    """A campaign. With its `ETag` as `If-None-Match` the answer is 304 while nothing changes."""
     moment = now()
     remembered: ResponseCache = request.app.state.remembered
     with database.read() as connection:
@@ -90,7 +90,7 @@ def read(campaign_id: str, request: Request, database: DatabaseDependency, if_no
 
 @router.get("/{campaign_id}/accounting")
 def accounting(campaign_id: str, database: DatabaseDependency) -> Accounting:
-    """What answering cells without a simulation saved so far, what the sensitivity stage cost, and from when on its map pays."""
+    """Savings of cells answered without a simulation, cost of the sensitivity stage, and the break-even of its map."""
     with database.read() as connection:
         stored = campaigns.get(connection, campaign_id)
         refuse_comparison(stored)

@@ -74,7 +74,7 @@ def list_pairs(campaign_id: str, query: TableQuery, database: DatabaseDependency
 
 @router.get("/campaigns/{campaign_id}/comparison-effects", responses=page_or_file(ReductionEffect))
 def list_effects(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
-    """What the pairs say together: whether a reduction changes the final optimum, and what it saves."""
+    """Effects over all pairs: whether a reduction changes the final optimum, and its savings."""
     comparison = _compared(database, campaign_id)
     return _table(f"comparison-effects-{campaign_id}", query, accept, ReductionEffect, comparison.effects())
 

@@ -32,7 +32,7 @@ without an id: `degraded` and `recovered`, which no process can store while the 
 
 
 class EventsOf(BaseModel):
-    """Where a stream begins."""
+    """Start of a stream."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -77,7 +77,7 @@ async def stream(
     place: EventStreamPlace,
     last_event_id: Annotated[EventId | None, Header(alias="Last-Event-ID")] = None,
 ) -> Response:
-    """What happened to a campaign, from its beginning or from after the event `Last-Event-ID`, and what happens from now on. The stream
+    """Events of a campaign, from its beginning or after the event `Last-Event-ID`, past and future. The stream
     closes when the campaign has ended and when the server stops: come back with the last id, and nothing is missed or told twice.
 
     Old events are forgotten after a while, the last one of a campaign never. Single evaluations have a stream as well.

@@ -45,7 +45,7 @@ def list_maps(query: PageQuery, database: DatabaseDependency) -> InfluenceMapPag
 
 @router.get("/{map_id}", response_model=InfluenceMapAnswer, responses={200: FILES})
 def read(map_id: str, query: FormQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
-    """One influence map with its rows, which `Accept: text/csv` or `format` gives as a table. What is not listed counts as influential."""
+    """An influence map with its rows, as a table with `Accept: text/csv` or `format`. Unlisted parameters count as influential."""
     with database.read() as connection:
         stored = influence_maps.get(connection, map_id)
     form = form_of(query, accept)

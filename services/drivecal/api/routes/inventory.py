@@ -1,4 +1,4 @@
-"""What is there: scenarios, parameter spaces, references, workers."""
+"""Inventory: scenarios, parameter spaces, references, workers."""
 
 from typing import Any
 
@@ -53,7 +53,7 @@ def scenarios() -> ScenarioPage:
 
 @router.get("/scenarios/{scenario_id}")
 def scenario(scenario_id: str, catalogue: str | None = None) -> ScenarioDetail:
-    """One scenario with its road, so that its traces can be drawn; `catalogue` where several have one of this id."""
+    """A scenario with its road, for drawing traces; `catalogue` chooses among equal ids."""
     for offered in registry.catalogues():
         if catalogue in {None, offered.name} and scenario_id in offered.scenarios:
             return _detail(offered.name, offered.scenarios[scenario_id])
@@ -77,7 +77,7 @@ def parameters() -> ParameterSpacePage:
 
 @router.get("/references")
 def references(database: DatabaseDependency) -> ReferencePage:
-    """How many simulated runs the reference table holds, by setup."""
+    """Number of simulated runs in the reference table, by setup."""
     with database.read() as connection:
         counts = setups.counts(connection)
     return ReferencePage(items=[_reference(count) for count in counts])

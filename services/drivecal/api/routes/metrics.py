@@ -13,7 +13,7 @@ OPEN_METRICS = "application/openmetrics-text"
 
 @router.get("/metrics", response_class=Response, responses={200: {"content": {"text/plain": {}, OPEN_METRICS: {}}}})
 def metrics(request: Request) -> Response:
-    """What goes on, in Prometheus' text format, or in OpenMetrics where it is asked for."""
+    """Metrics in Prometheus' text format, or in OpenMetrics on request."""
     meters: Meters = request.app.state.meters
     if OPEN_METRICS in request.headers.get("accept", ""):
         content: bytes = openmetrics.generate_latest(meters.registry)  # type: ignore[no-untyped-call]  # it has no types

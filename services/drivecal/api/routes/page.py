@@ -16,7 +16,7 @@ from drivecal.api.http.auth import PAGE
 router = APIRouter(include_in_schema=False)
 
 FILES = Path(__file__).parent.parent / "static"
-"""Where the build (services/web/build_hook.py) puts the page."""
+"""Folder of the built page (services/web/build_hook.py)."""
 START = "index.html"
 REASON = "missing.txt"
 """Why there is no page, where it could not be built."""
@@ -62,7 +62,7 @@ def start(accept_encoding: AcceptEncoding = "", if_none_match: IfNoneMatch = "")
 
 @router.get(PAGE + "{name:path}")
 def file(name: str, accept_encoding: AcceptEncoding = "", if_none_match: IfNoneMatch = "") -> Response:
-    """One of the files that the page is made of."""
+    """A file of the page."""
     if name not in _names():
         raise HTTPException(404, "the page has no such file; it may have been built anew since: load it again")
     return _answer(FILES / name, FOREVER if name.startswith("assets/") else "no-cache", accept_encoding, if_none_match)

@@ -46,7 +46,7 @@ PROTOCOL = (
     f"A page follows {MOST_FOLLOWED} campaigns at most. Browsers are let in from pages of this very origin only; the connection is closed "
     f"with {NOT_UNDERSTOOD} where a message cannot be understood, and refused where the server has no place for it."
 )
-"""Of the live connection, in Markdown."""
+"""Protocol of the live connection, in Markdown."""
 
 CampaignId = Annotated[str, Field(min_length=1, max_length=64)]
 
@@ -74,7 +74,7 @@ async def live(socket: WebSocket) -> None:
 
 
 class _Line:
-    """One open connection."""
+    """An open connection."""
 
     def __init__(self, socket: WebSocket) -> None:
         self._socket = socket

@@ -11,7 +11,7 @@ router = APIRouter(tags=["page"])
 
 
 class Session(BaseModel):
-    """Who asks, and what they may do; `name` is null where the server asks for no tokens."""
+    """The client and its rights; `name` is null without tokens."""
 
     model_config = ConfigDict(frozen=True)
 

@@ -1,4 +1,4 @@
-"""What a campaign found, as pages of JSON or as whole tables in CSV and Parquet."""
+"""Tables of a campaign, as pages of JSON or whole in CSV and Parquet."""
 
 from collections.abc import Iterable
 from dataclasses import asdict
@@ -52,7 +52,7 @@ def list_generations(campaign_id: str, query: TableQuery, database: DatabaseDepe
 
 @router.get("/evaluations", responses=page_or_file(EvaluationRow))
 def list_evaluations(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
-    """One row per requested cell, ordered by stage, iteration, individual and scenario."""
+    """Requested cells, ordered by stage, iteration, individual and scenario."""
     campaign = _campaign(database, campaign_id)
 
     def pages(limit: int, cursor: str | None) -> tuple[list[Row], str | None]:
@@ -124,7 +124,7 @@ def list_robustness(campaign_id: str, query: TableQuery, database: DatabaseDepen
 
 @router.get("/validation", responses=page_or_file(ValidationRow))
 def list_validation(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
-    """How often answers differ where the influence map says that they cannot, by scenario (Tables 1 and 2, Figure 14). None before the
+    """Share of answers that differ although the influence map excludes it, by scenario (Tables 1 and 2, Figure 14). None before the
     validation stage."""
     campaign = _campaign(database, campaign_id)
     pages = _study(database, campaign, StageName.VALIDATION, ValidationRow)
@@ -157,7 +157,7 @@ def _pinned(campaign: StoredCampaign) -> ResolvedSpec:
 
 
 def _parameter_names(database: Database, campaign: StoredCampaign) -> Iterable[str]:
-    """Those of the first row; of a campaign without rows yet, those it will have."""
+    """Returns the parameters of the first row; without rows, those of the coming rows."""
     with database.read() as connection:
         rows, _ = results.page(connection, campaign.sequence, limit=1)
     return rows[0].parameters.names if rows else resolved_spec(campaign).space.names

@@ -16,7 +16,7 @@ MEASURES = ("s_rel_intervals", "mu", "sigma", "mu_star")
 
 
 def campaign_rows(stored: StoredInfluenceMap, resolved: ResolvedSpec) -> list[InfluenceRow]:
-    """What a map means for a campaign: each of its scenarios with each parameter that it searches, within the bounds of its search."""
+    """Returns a map for a campaign: its scenarios and searched parameters, within the bounds of its search."""
     influence_map = map_from_document(stored.scenarios)
     return [
         _row(
@@ -32,7 +32,7 @@ def campaign_rows(stored: StoredInfluenceMap, resolved: ResolvedSpec) -> list[In
 
 
 def map_rows(stored: StoredInfluenceMap) -> list[InfluenceRow]:
-    """What a map lists, within the bounds of the space it was made for."""
+    """Returns the rows of a map within the bounds of its own space."""
     space = {parameter.name: parameter for parameter in space_from_document(stored.parameters)}
     return [
         _row(scenario, name, influence, _entry(stored, scenario, name), space.get(name))
