@@ -1,4 +1,4 @@
-"""What runs of several optimizers, population sizes, seeds and reductions say beside each other (Section IV-B, Table 5). Pure."""
+"""Comparison of runs with several optimizers, population sizes, seeds and reductions (Section IV-B, Table 5). Pure."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -85,7 +85,7 @@ def succeeds(course: Course, best: float | None) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class RunGroup:
-    """What runs that differ in their seeds alone found; see `drivecal.contracts.comparison.ComparedGroup`."""
+    """Runs that differ only in their seeds; see `drivecal.contracts.comparison.ComparedGroup`."""
 
     optimizer: str
     population: int
@@ -174,7 +174,7 @@ def pairs(courses: Sequence[Course]) -> list[Pair]:
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """What a reduction changes; see `drivecal.contracts.comparison.ReductionEffect`."""
+    """Effect of a reduction; see `drivecal.contracts.comparison.ReductionEffect`."""
 
     optimizer: str | None
     population: int | None

@@ -10,14 +10,14 @@ from dataclasses import dataclass, field
 from drivecal.analysis.solutions import EQUAL, EvaluatedSet, Ranking
 
 CONFIRMED = "confirmed by simulation"
-"""How the verdict begins if the best set has only scores of its own."""
+"""Beginning of the verdict if the best set has only scores of its own."""
 NOT_CONFIRMED = "not confirmed"
-"""How it begins where a score of the best set is still a reference's."""
+"""Beginning of the verdict if a score of the best set is still a reference's."""
 
 
 @dataclass(slots=True)
 class Confirmation:
-    """Of one search: at most `limit` sets are `tried`, each once, by their ids; `believed` is the best objective that it ended with."""
+    """Confirmation of a search: at most `limit` sets are `tried`, once each, by id; `believed` is the search's best objective."""
 
     limit: int
     believed: float
@@ -32,7 +32,7 @@ class Confirmation:
         return best.parameter_set != self.tried[0] or abs(best.objective - self.believed) > EQUAL
 
     def verdict(self, best: EvaluatedSet) -> str:
-        """What came out of it, in a sentence, from the first of the final ranking."""
+        """Returns the verdict as a sentence, from the first set of the final ranking."""
         sets = "1 set" if len(self.tried) == 1 else f"{len(self.tried)} sets"
         if not best.reused:
             if abs(best.objective - self.believed) <= EQUAL:

@@ -43,20 +43,20 @@ def regions(points: Floats, neighbours: float = NEIGHBOURS) -> npt.NDArray[np.in
 
 @dataclass(frozen=True, slots=True)
 class Optimum:
-    """One of the best sets: its region, and how far, in shares of the ranges, the nearest worse set lies, if there is one."""
+    """A best set: its region, and the distance of the nearest worse set, if any, in shares of the ranges."""
 
     region: int
     to_worse: float | None
 
 
 def optima(best: Floats, worse: Floats, neighbours: float = NEIGHBOURS) -> list[Optimum]:
-    """Of the best sets, shape (n, n_p), and all others that were evaluated, shape (m, n_p), in the unit cube."""
+    """Groups the best sets, shape (n, n_p), with all other evaluated sets, shape (m, n_p), in the unit cube."""
     numbers = regions(best, neighbours)
     return [Optimum(int(region), distance) for region, distance in zip(numbers, to_nearest(best, worse), strict=True)]
 
 
 def to_nearest(points: Floats, others: Floats) -> list[float | None]:
-    """How far, in shares of the ranges, the nearest of `others` lies from each of `points`; None if there are none."""
+    """Returns the distance of the nearest of `others` from each of `points`, in shares of the ranges; None without others."""
     if not len(others):
         return [None] * len(points)
     return [float(np.sqrt(((others - point) ** 2).mean(axis=1).min())) for point in points]

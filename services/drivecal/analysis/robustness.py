@@ -55,7 +55,7 @@ def check_nominal(parameters: Sequence[VehicleParameter], nominal: Mapping[str, 
 
 
 def directions(count: int, samples: int, seed: int, box: int) -> Floats:
-    """Where in the unit box [-1, 1]^n the vehicles of one box lie, shape (samples, count): a Latin hypercube of its own for each box."""
+    """Returns a box's vehicles in the unit box [-1, 1]^n, shape (samples, count): a Latin hypercube of its own per box."""
     from scipy.stats import qmc
 
     generator = np.random.Generator(np.random.PCG64([seed, box]))
@@ -98,7 +98,7 @@ def holds(deviations: Floats, settings: RobustnessSettings) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Box:
-    """What is to be driven next: by solution its `radius` and its vehicles. `number` counts the boxes from 1."""
+    """The next box: `radius` and vehicles by solution. `number` counts from 1."""
 
     number: int
     radius: Mapping[int, float]
@@ -202,7 +202,7 @@ class RobustnessStudy:
         }
 
     def _growing(self, trials: Sequence[Trial]) -> int:
-        """How many of the trials were in growing boxes: up to the first in which the condition failed."""
+        """Number of trials in growing boxes, up to the first failure of the condition."""
         failed = next((index for index, trial in enumerate(trials) if not trial.holds), len(trials))
         return min(failed + 1, len(trials), self._settings.steps)
 

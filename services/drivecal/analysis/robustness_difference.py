@@ -31,7 +31,7 @@ def pairs_of(rows: Sequence[RobustnessRow], others: Sequence[RobustnessRow]) -> 
 
 
 def difference(rows: Sequence[RobustnessRow], others: Sequence[RobustnessRow]) -> StudyDifference:
-    """What changes."""
+    """Returns the changes from one study to the other."""
     pairs = pairs_of(rows, others)
     count = max(len(pairs), 1)
     ranks = [(row.rank, other.rank) for row, other in pairs]

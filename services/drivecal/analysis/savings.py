@@ -1,4 +1,4 @@
-"""What reuse saved and what that cost: the sensitivity stage beside the simulations that its map spared. Pure.
+"""Savings and costs of reuse: the sensitivity stage beside the simulations that its map saved. Pure.
 
 A saved cell is worth the mean CPU time of the scenario's simulated cells. Audited cells are simulated like any other: they are a saving
 forgone, already missing among the reused, and not a cost on top. Reused cells that were simulated after the search to confirm its best
@@ -81,7 +81,7 @@ _SECONDS = ("simulated_seconds", "audited_seconds", "repeated_saved_seconds", "r
 
 
 def sensitivity_cost(costs: Iterable[OutcomeCosts]) -> SensitivityCost:
-    """What the sensitivity stage among `costs` took."""
+    """Returns the cost of the sensitivity stage."""
     stage = [cost for cost in costs if cost.stage is StageName.SENSITIVITY]
     cells = _cells(stage)
     return SensitivityCost(

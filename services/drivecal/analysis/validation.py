@@ -13,13 +13,13 @@ import numpy.typing as npt
 from drivecal.domain.parameters import Indices
 
 ROWS = 1_000
-"""Of a table of all combinations with all others that are in memory at a time."""
+"""Rows of the table of all pairs of combinations that are in memory at a time."""
 MOST_EXACT = 16
 """Reducible parameters up to which every one of the 2^n - 1 effects is looked at; beyond, those of up to three parameters."""
 
 
 class ReducibleSpace:
-    """Where one scenario's map lets the searched parameters vary: which grid values of a parameter it takes for the same."""
+    """Regions in which a scenario's map lets the searched parameters vary: classes of equal grid values."""
 
     def __init__(self, classes: Sequence[npt.NDArray[np.int64]]) -> None:
         """`classes`: for each parameter the class of every grid value, shape (n_values,), as the reference keys code them: values of one
@@ -39,7 +39,7 @@ class ReducibleSpace:
         return columns
 
     def variable(self, points: Indices) -> npt.NDArray[np.bool_]:
-        """Which values could be another one of the same region, shape (n, n_searched)."""
+        """Returns the values with others in their region, shape (n, n_searched)."""
         sizes = [np.array([len(member) for member in members]) for members in self._members]
         return np.column_stack([size[column] > 1 for size, column in zip(sizes, points.T, strict=True)])
 
@@ -55,7 +55,7 @@ class ReducibleSpace:
 
 @dataclass(frozen=True, slots=True)
 class Coverage:
-    """How many `effects` (main effects and interactions) of the `reducible` parameters there are, and how many are `covered`."""
+    """Number of `effects` (main effects and interactions) of the `reducible` parameters, and of `covered` ones."""
 
     reducible: int
     effects: int
@@ -68,7 +68,7 @@ class Coverage:
 
 
 def coverage(masks: npt.NDArray[np.bool_]) -> Coverage:
-    """Of sets whose values can vary in the reducible parameters where `masks` is true, shape (n_sets, n_reducible).
+    """Returns the coverage of sets that can vary in the reducible parameters of `masks`, shape (n_sets, n_reducible).
 
     A set in which the parameters A can vary covers the effect of every non-empty subset of A.
     """

@@ -9,7 +9,7 @@ from drivecal.execution.scheduling.scheduler import Completed
 
 
 class Job(ABC):
-    """Gives cells to simulate and takes their results, until it is `finished`. All of its state is in the database after every call."""
+    """Returns cells to simulate and takes their results until it is `finished`. The database holds all state after every call."""
 
     finished: bool = False
     stage: StageName | None = None

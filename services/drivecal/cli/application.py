@@ -1,4 +1,4 @@
-"""What every command shares: the application, its options, and what becomes of errors."""
+"""Parts of every command: the application, its options, its errors."""
 
 import re
 import sys
@@ -22,7 +22,7 @@ from drivecal.domain.errors import (
 
 
 class ExitCode(IntEnum):
-    """What the command's exit status means."""
+    """Exit status of a command."""
 
     OK = 0
     FAILED = 1
@@ -62,7 +62,7 @@ _COMMANDS = (
     (r"\bPOST /api/v1/comparisons\b(?!/)", "`drivecal compare-optimizers`"),
     (r"\bpost another one to /api/v1/evaluations\b", "make another one with `drivecal evaluate`"),
 )
-"""What the server's hints to its callers are as commands."""
+"""Commands for the server's hints."""
 
 
 class Commands(TyperGroup):
@@ -139,7 +139,7 @@ def complain(error: DrivecalError) -> None:
 
 
 def tell(message: str) -> None:
-    """Says something on stderr."""
+    """Prints to stderr."""
     typer.echo(f"drivecal: {message}", err=True)
     sys.stderr.flush()
 
@@ -157,7 +157,7 @@ def full_id(client: Client, identifier: str) -> str:
 
 
 def full_map_id(client: Client, identifier: str) -> str:
-    """As `full_id`, of an influence map."""
+    """Like `full_id`, for an influence map."""
     if len(identifier) >= 32 or not identifier:
         return identifier
     return _beginning("influence map", [item.id for item in client.influence_maps(limit=200).items], identifier)

@@ -42,11 +42,11 @@ Answer = TypeVar("Answer", bound=BaseModel)
 
 ATTEMPTS_TO_CONNECT = 3
 BROKEN_ANSWERS = 2
-"""How often a connection may break off in the middle of a call before it counts as unreachable: a server that is restarted."""
+"""Broken connections in a call before the server counts as unreachable; a restart breaks some."""
 SECONDS_TO_RESTART = 1.0
 BROKEN_OFF = (httpx.ReadError, httpx.WriteError, httpx.CloseError, httpx.RemoteProtocolError)
 PATIENCE_SECONDS = 30.0
-"""How long a call waits in all for a server that asks to try again later, where trying again can do no harm."""
+"""Total wait for a server that asks to try again, in calls that are safe to repeat."""
 
 
 class Client:
@@ -98,7 +98,7 @@ class Client:
         return self._get("/api/v1/campaigns", CampaignPage, query=query)
 
     def campaign(self, identifier: str) -> Campaign:
-        """One campaign."""
+        """Returns a campaign."""
         return self._get(_path("campaigns", identifier), Campaign, kind="campaign", identifier=identifier)
 
     def watch(
@@ -216,7 +216,7 @@ class Client:
         return self._rows_of(identifier, "optima", OptimumRow)
 
     def setup(self, identifier: str) -> CampaignSetup:
-        """What a campaign was taken up with: parameters, versions, fingerprints."""
+        """Returns a campaign's setup: parameters, versions, fingerprints."""
         return self._get(_path("campaigns", identifier, "setup"), CampaignSetup, kind="campaign", identifier=identifier)
 
     def studies(self, identifier: str) -> StudyPage:
@@ -228,7 +228,7 @@ class Client:
         return self._rows_of(identifier, "robustness", RobustnessRow)
 
     def validation(self, identifier: str) -> list[ValidationRow]:
-        """What the validation of a campaign's map found by scenario; nothing where it has no such stage (yet)."""
+        """Returns the validation of a campaign's map by scenario; empty before that stage."""
         return self._rows_of(identifier, "validation", ValidationRow)
 
     def compared_runs(self, identifier: str) -> list[ComparedRun]:
@@ -244,7 +244,7 @@ class Client:
         return self._rows_of(identifier, "comparison-pairs", ComparedPair)
 
     def reduction_effects(self, identifier: str) -> list[ReductionEffect]:
-        """What those pairs say together."""
+        """Returns the effects over all pairs."""
         return self._rows_of(identifier, "comparison-effects", ReductionEffect)
 
     def _rows_of(self, identifier: str, table: TableName, model: type[Answer]) -> list[Answer]:
@@ -254,7 +254,7 @@ class Client:
             raise self._strange() from error
 
     def accounting(self, identifier: str) -> Accounting:
-        """What a campaign saved, and what that cost."""
+        """Returns the savings and costs of a campaign."""
         path = _path("campaigns", identifier, "accounting")
         return self._get(path, Accounting, kind="campaign", identifier=identifier)
 
@@ -285,7 +285,7 @@ class Client:
         return self._get("/api/v1/influence-maps", InfluenceMapPage, query={"limit": limit, "cursor": cursor})
 
     def influence_map(self, identifier: str) -> InfluenceMapAnswer:
-        """One influence map with its rows."""
+        """Returns an influence map with its rows."""
         path = _path("influence-maps", identifier)
         return self._get(path, InfluenceMapAnswer, kind="influence map", identifier=identifier)
 

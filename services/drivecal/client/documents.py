@@ -20,7 +20,7 @@ from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
 
 Document = Mapping[str, Any] | BaseModel | str | PathLike[str]
-"""What a call submits: plain data, a specification of `drivecal.contracts`, or the path of a YAML or JSON file."""
+"""A submitted document: plain data, a specification of `drivecal.contracts`, or the path of a YAML or JSON file."""
 LARGEST_FILE = 1_048_576
 """Bytes, as the server accepts them."""
 

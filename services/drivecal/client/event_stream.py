@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class ServerSentEvent:
-    """One event. `id` is None where the stream gave this very event none."""
+    """An event. `id` is None if this event has none in the stream."""
 
     event: str
     data: str

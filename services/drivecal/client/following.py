@@ -11,7 +11,7 @@ from drivecal.domain.errors import InvalidInputError, NotFoundError, OverloadErr
 from drivecal.domain.events import EventKind
 
 SILENCE_SECONDS = 60.0
-"""How long a server that does not answer is borne: a restart takes less."""
+"""Tolerated silence of a server, s; a restart takes less."""
 READ_SECONDS = 20.0
 """A stream that gives no sign of life for so long has broken; servers give one every 15 s."""
 WAIT_SECONDS = 1.0
@@ -25,14 +25,14 @@ Sent = CampaignEvent | CampaignProgress | None
 
 
 class Source(Protocol):
-    """Where campaigns are read."""
+    """Reads campaigns."""
 
     def campaign_unless(self, identifier: str, etag: str) -> tuple[Campaign | None, str, float | None]:
         """The campaign, None where it is still the one of `etag`; its ETag; the seconds to wait before asking again. Raises
         NotFoundError, and UnavailableError where nothing answers."""
 
     def events(self, identifier: str, last_id: int | None = None) -> Iterator[Sent]:
-        """What happened after an event, and what happens until the stream ends.
+        """Yields the events after an event until the stream ends.
 
         Raises OverloadError where there is no place for another stream, UnavailableError where nothing answers or the stream breaks
         off, NotFoundError or InvalidInputError where the server has no such stream.
@@ -40,7 +40,7 @@ class Source(Protocol):
 
 
 class Following:
-    """One campaign that is followed until it has ended; `told` is called with each event.
+    """Follows a campaign until its end; calls `told` with each event.
 
     Where `from_beginning` is False, only with what happens from now on. Iterating raises TimeoutError when the monotonic clock passes
     `deadline`, and UnavailableError where the server was silent for SILENCE_SECONDS, or is from the start.
@@ -59,7 +59,7 @@ class Following:
         self._silent_since: float | None = None
         self._wait = WAIT_SECONDS
         self._campaign: Campaign | None = None
-        """As it was last heard of."""
+        """The last known state."""
         self._tells = from_beginning
 
     def __iter__(self) -> Iterator[Campaign]:

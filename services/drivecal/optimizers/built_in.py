@@ -68,7 +68,7 @@ class Resumable(Optimizer, Protocol):
 
 
 class BuiltIn(ABC, Generic[Chosen]):
-    """What the plug-ins of this package have in common: see `drivecal.plugins.ports.OptimizerPlugin`."""
+    """Base of this package's plug-ins: see `drivecal.plugins.ports.OptimizerPlugin`."""
 
     name: str
 
@@ -79,11 +79,11 @@ class BuiltIn(ABC, Generic[Chosen]):
 
     @abstractmethod
     def _renewed(self, settings: Chosen) -> int:
-        """How many individuals each iteration after the first requests at most."""
+        """Returns the largest number of individuals that an iteration after the first requests."""
 
     @abstractmethod
     def _optimizer(self, settings: Chosen, first: Indices, n_values: Indices, generator: np.random.Generator) -> Resumable:
-        """One that starts from the population `first`."""
+        """Returns an optimizer that starts from the population `first`."""
 
     def requested_individuals(self, settings: BaseModel) -> int:
         """The first population and those that each further iteration renews."""

@@ -47,7 +47,7 @@ class BitEncoding:
         return (2 * patterns * (self.n_values - 1) + self._largest) // (2 * self._largest)
 
     def patterns(self, indices: Indices) -> Indices:
-        """One bit pattern for each grid index, the one in the middle of those that mean it; both of shape (n, n_searched)."""
+        """Returns the bit pattern of each grid index, the middle of its patterns; both of shape (n, n_searched)."""
         return (2 * indices * self._largest + (self.n_values - 1)) // (2 * (self.n_values - 1))
 
     def chromosomes(self, patterns: Indices) -> Bits:

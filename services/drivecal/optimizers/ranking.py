@@ -1,4 +1,4 @@
-"""Who is fitter."""
+"""Order of individuals by fitness."""
 
 import numpy as np
 
@@ -20,7 +20,7 @@ def ranking(objectives: Floats, tie_breakers: Floats) -> Indices:
 
 
 def fitness(objectives: Floats, tie_breakers: Floats) -> Floats:
-    """What is compared, the first column before the second, higher is fitter; shape (n, 2). NaN is the lowest there is."""
+    """Returns sort keys, the first column before the second, higher is fitter; shape (n, 2). NaN is lowest."""
     first = np.where(np.isnan(objectives), -np.inf, np.round(objectives, EQUAL_DECIMALS))
     second = np.where(np.isnan(tie_breakers), -np.inf, tie_breakers)
     return np.column_stack([first, second])

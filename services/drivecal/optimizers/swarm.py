@@ -61,7 +61,7 @@ class ParticleSwarm:
         self._told = True
 
     def state(self) -> dict[str, Any]:
-        """All of it as data for strict JSON."""
+        """Returns the state as data for strict JSON."""
         return {
             "individuals": self._positions.tolist(),
             "velocities": self._velocities.tolist(),

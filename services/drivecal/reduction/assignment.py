@@ -26,7 +26,7 @@ class RequestedCell:
 
 @dataclass(frozen=True, slots=True)
 class Assignment:
-    """What answers a cell.
+    """The answer of a cell.
 
     `donor`: the stored result that is copied (repeated, reused) or that an audit does not trust (`audited`). `leader`: the position of
     the cell of the same population whose simulation answers this one, or that an audit does not trust.
@@ -40,7 +40,7 @@ class Assignment:
 
 @dataclass(frozen=True, slots=True)
 class Policy:
-    """Which answers are allowed. `audit`: share of reused cells that are simulated all the same; `stopped`: scenarios in which the
+    """Allowed answers. `audit`: share of reused cells that are simulated all the same; `stopped`: scenarios in which the
     self-check found too many wrong answers, so that nothing is reused there any more."""
 
     mode: Literal["off", "exact", "influence"]

@@ -71,7 +71,7 @@ class CellComparison:
         )
 
     def blocking(self, stored: Integers) -> npt.NDArray[np.bool_]:
-        """Which parameters of which stored sets forbid reuse, shape (n, n_p), for `stored` in billionths, shape (n, n_p)."""
+        """Returns the parameters of stored sets that forbid reuse, shape (n, n_p), for `stored` in billionths, shape (n, n_p)."""
         both_below = (stored < self._lower) & (self._values < self._lower)
         both_above = (stored > self._upper) & (self._values > self._upper)
         covered = self._covers(stored) & self._covers(self._values)
@@ -79,7 +79,7 @@ class CellComparison:
         return blocks
 
     def _covers(self, values: Integers) -> npt.NDArray[np.bool_]:
-        """Which values the map speaks of; of others it says nothing."""
+        """Returns whether values lie inside the map's space."""
         covered: npt.NDArray[np.bool_] = (values >= self._lowest) & (values <= self._highest)
         return covered
 

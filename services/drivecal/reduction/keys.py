@@ -48,7 +48,7 @@ class ReferenceKeys:
         return np.where(covered, np.where(self._matters, codes, ANY), ordered)
 
     def keys(self, values: npt.NDArray[np.int64]) -> list[bytes]:
-        """One key of 16 bytes per row of `values`, shape (n, n_p), in billionths in the order of `names`."""
+        """Returns a key of 16 bytes per row of `values`, shape (n, n_p), in billionths in the order of `names`."""
         start = hashlib.blake2b(self._header, digest_size=16)
         rows = np.ascontiguousarray(self.codes(values), dtype="<i8")
         width = rows.shape[1] * 8

@@ -68,7 +68,7 @@ class SearchArea:
         return narrowed
 
     def note(self) -> str:
-        """What was removed, in words."""
+        """Returns a note about the removed part."""
         parts: list[str] = []
         for parameter, first, last in zip(self.space.searched, self.first.tolist(), self.last.tolist(), strict=True):
             if first == last:
@@ -82,7 +82,7 @@ class SearchArea:
 
 
 def full_area(space: ParameterSpace) -> SearchArea:
-    """All of it."""
+    """Returns the whole space."""
     return SearchArea(space, np.zeros_like(space.n_values), space.n_values - 1)
 
 

@@ -148,7 +148,7 @@ def _problem(campaign: Campaign) -> str:
 
 
 def _plain(value: object) -> str:
-    """As in a file, without what is not given."""
+    """Returns a value as in a file, without missing parts."""
     if isinstance(value, str):
         return value
     if isinstance(value, list):
@@ -226,7 +226,7 @@ def _pairs(pairs: Sequence[ComparedPair]) -> str:
 
 
 def _runs(runs: Sequence[ComparedRun], *, several: bool) -> str:
-    """As narrow as they allow: what is the same of all, or nothing, has no column."""
+    """Returns columns that differ between rows, for a narrow table."""
     believed = any(run.best != run.simulated_best for run in runs)
     failed, analysed = any(run.state != "succeeded" for run in runs), any(run.analysis for run in runs)
     columns: list[tuple[str, Callable[[ComparedRun], object]]] = [

@@ -1,4 +1,4 @@
-"""Which figures a campaign's report has."""
+"""Figures of a campaign's report."""
 
 from collections.abc import Iterator
 

@@ -25,7 +25,7 @@ class Folder:
 
     @property
     def files(self) -> list[str]:
-        """What was written, relative to the folder."""
+        """Written files, relative to the folder."""
         return [path.relative_to(self.path).as_posix() for path in self.written]
 
     def write(self, name: str, pieces: Iterable[bytes]) -> None:

@@ -24,7 +24,7 @@ from drivecal.sensitivity.settings import SensitivitySettings
 PhaseName = Literal["intervals", "confirmation", "global"]
 
 _INTERVALS, _GLOBAL, _FIRST_CONFIRMATION = 0, 1, 2
-"""Which Sobol' sequences a phase draws from; each round of confirmation has its own."""
+"""Sobol' sequences of the phases; each round of confirmation has its own."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +46,7 @@ class Phase:
 
 
 class SensitivityAnalysis:
-    """One analysis of all scenarios. Deterministic: a function of its arguments and of the scores it was told."""
+    """An analysis of all scenarios, a deterministic function of its arguments and of the scores."""
 
     def __init__(self, space: ParameterSpace, scenarios: Sequence[str], settings: SensitivitySettings) -> None:
         """Raises InvalidInputError if nothing is searched or the intervals are finer than a parameter's grid."""
@@ -103,7 +103,7 @@ class SensitivityAnalysis:
         self._name = self._next()
 
     def result(self) -> dict[str, ScenarioInfluence]:
-        """What was found, by scenario. Raises RuntimeError before the analysis is finished."""
+        """Returns the results by scenario. Raises RuntimeError before the analysis is finished."""
         if self._name is not None:
             raise RuntimeError("the analysis is not finished: ask for its next phase")
         return {scenario: state.result() for scenario, state in self._states.items()}

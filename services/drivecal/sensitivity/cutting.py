@@ -1,4 +1,4 @@
-"""Which values of a parameter are cut: non-influential intervals from both ends inwards until the first influential one.
+"""Cut regions of a parameter: non-influential intervals from both ends inwards until the first influential one.
 
 Intervals share their edges, so that every step between neighbouring values lies in exactly one of them: a change between the last value
 of one interval and the first of the next cannot be missed. What is cut are the values strictly outside the kept intervals.
@@ -54,7 +54,7 @@ class Region:
         return 0, int(edges[-1])
 
     def given_back(self) -> Region | None:
-        """What is left to confirm after the region as a whole turned out influential.
+        """Returns the regions left to confirm if the whole region is influential.
 
         Its inner half, rounded up, is given back: influence is likelier next to the influential intervals, and halving costs a few
         more analyses only where giving back everything would lose most of what is cut. What is left must be confirmed by an analysis of

@@ -69,7 +69,7 @@ class DesignBuilder:
 
 @dataclass(frozen=True, slots=True)
 class EffectStatistics:
-    """What r elementary effects of one parameter say: mean, mean of magnitudes, standard deviation, and how many there were.
+    """Statistics of r elementary effects of a parameter: mean, mean of magnitudes, standard deviation, and number.
 
     Fewer than two effects have no standard deviation: all figures are NaN then.
     """
@@ -86,7 +86,7 @@ class EffectStatistics:
 
 
 def measures(effects: Floats) -> EffectStatistics:
-    """Of the effects of one analysis, shape (r,); NaN ones, whose run failed, do not count."""
+    """Returns the statistics of an analysis' effects, shape (r,); NaN effects of failed runs do not count."""
     known = effects[~np.isnan(effects)]
     if known.size < 2:
         return EffectStatistics(nan, nan, nan, known.size)

@@ -16,7 +16,7 @@ from drivecal.sensitivity.effects import Design, DesignBuilder
 from drivecal.sensitivity.radial import COLUMNS, SHORTEST, SobolRows, auxiliary_points, snapped
 
 BASE, PAIRS = 1, 2
-"""Which of a design's sequences a key names: base points, or the pairs of one box."""
+"""Key of a design's sequence: base points, or the pairs of a box."""
 
 
 def base_points(n_values: Indices, samples: int, *key: int) -> Indices:
@@ -59,7 +59,7 @@ def lines_design(n_values: Indices, edges: Sequence[Indices], samples: int, seed
 
 
 def regions_design(n_values: Indices, regions: Sequence[tuple[int, int, int]], samples: int, seed: int, tag: int) -> Design:
-    """One analysis for each (column, lower, upper) in `regions`, on shared base points: 2 r runs each; effects (n_regions, r).
+    """Returns an analysis per (column, lower, upper) in `regions`, on shared base points: 2 r runs each; effects (n_regions, r).
 
     Where a base point lies inside a region it is the first of the two, so that regions share these runs; what is asked twice is
     answered by the reference table. Equal regions have equal points, whatever else is in the list.

@@ -1,4 +1,4 @@
-"""What is known about one scenario while the analysis goes on, and what it comes to in the end."""
+"""State of the analysis of a scenario, and its result."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from drivecal.sensitivity.thresholds import Threshold, Verdict, verdict
 
 @dataclass(frozen=True, slots=True)
 class RegionConfirmation:
-    """One analysis over a whole cut region: its first and last grid index, and what it found."""
+    """An analysis over a whole cut region: its first and last grid index, and the result."""
 
     region: Region
     lower: int
@@ -24,7 +24,7 @@ class RegionConfirmation:
 
 @dataclass(frozen=True, slots=True)
 class ParameterInfluence:
-    """What the analysis found about one parameter in one scenario.
+    """Result for a parameter in a scenario.
 
     `influence`: what holds. `intervals`: from the lower end to the upper. `confirmations`: of its cut regions, in order. `overall`: the
     global analysis inside the influential box, None if there was none (the scenario is unknown).
@@ -87,7 +87,7 @@ class ScenarioState:
                 self._try(cut(column, [interval.influential for interval in verdicts]))
 
     def take_confirmations(self, effects: Floats, steps: Floats) -> None:
-        """Gives back what turned out influential. `effects`, `steps`: shape (n_waiting, r), in the order of `waiting`."""
+        """Restores influential regions. `effects`, `steps`: shape (n_waiting, r), in the order of `waiting`."""
         regions, self.waiting = self.waiting, []
         for region, *row in zip(regions, effects, steps, strict=True):
             confirmed = self._verdict(*row)
@@ -122,7 +122,7 @@ class ScenarioState:
         return lower, upper
 
     def result(self) -> ScenarioInfluence:
-        """What it came to, by the names of the searched parameters."""
+        """Returns the results by searched parameter."""
         influences: dict[str, ParameterInfluence] = {}
         for column, parameter in enumerate(self._space.searched):
             overall = None if self._overall is None else self._overall[column]

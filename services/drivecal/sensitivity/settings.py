@@ -1,4 +1,4 @@
-"""What a sensitivity analysis is asked for."""
+"""Settings of a sensitivity analysis."""
 
 from dataclasses import dataclass
 from math import isfinite

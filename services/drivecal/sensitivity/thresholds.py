@@ -56,7 +56,7 @@ def automatic(steps: Floats) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What was found about one parameter in one box, and whether that is influential.
+    """Statistics of a parameter in a box, and whether it is influential.
 
     `threshold` is what was applied: on s_rel, or on |mu| and sigma; None if there was nothing to apply it to.
     """

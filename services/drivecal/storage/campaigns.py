@@ -32,7 +32,7 @@ LONGEST_LISTED = 20_000
 
 @dataclass(frozen=True, slots=True)
 class CampaignHeading:
-    """Which campaign it is, and what is to be done with it: all that the dispatcher looks at several times a second."""
+    """A campaign's identity, state and requested action, which the dispatcher reads several times a second."""
 
     sequence: int
     id: str
@@ -55,7 +55,7 @@ class StoredCampaign(CampaignHeading):
     spec: Mapping[str, Any]
     """The specification with its defaults filled in; empty where it is too long for a `page`."""
     resolution: Mapping[str, Any] | None
-    """What the specification came to when the campaign was taken up first: setups, evaluator, space."""
+    """The specification as resolved at the first start: setups, evaluator, space."""
     rerun_of: str | None
     parent_sequence: int | None
     """The number of the comparison that it is a run of."""
@@ -72,7 +72,7 @@ class StoredCampaign(CampaignHeading):
     best: Best | None
     baseline: Baseline | None
     narrowed: tuple[Narrowed, ...] | None
-    """What the common reduction left out; None where it was not asked for or is not known yet."""
+    """The part that narrowing removed; None if not requested or not known yet."""
     simulating_seconds: float
     created_at: datetime
     started_at: datetime | None
@@ -368,7 +368,7 @@ def runs_of(connection: Connection, sequence: int) -> list[StoredCampaign]:
 
 
 def _tell(connection: Connection, sequence: int, kind: EventKind, state: CampaignState, **more: Any) -> None:
-    """Tells what became of a campaign, and has the runs of a comparison follow it."""
+    """Adds the event of a changed state, and changes the runs of a comparison."""
     events.add(connection, sequence, kind, {"state": state, **more})
     comparisons.follow(connection, sequence, state)
 

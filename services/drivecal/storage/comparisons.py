@@ -89,14 +89,14 @@ def names_of(connection: Connection, sequence: int) -> list[str]:
 
 
 def ended_of(connection: Connection, sequence: int) -> tuple[int, int]:
-    """How many runs have ended, and how many there are."""
+    """Returns the numbers of ended runs and of all runs."""
     mine = select(func.count()).where(campaigns.c.parent_sequence == sequence)
     ended = mine.where(campaigns.c.state.not_in(_OPEN))
     return connection.scalar(ended) or 0, connection.scalar(mine) or 0
 
 
 def failed_runs(connection: Connection, sequence: int, most: int) -> tuple[int, list[tuple[str, str | None]]]:
-    """How many runs did not succeed, and the first of them with why."""
+    """Returns the number of unsuccessful runs, and the first with its reason."""
     run = campaigns.c
     failed = (run.parent_sequence == sequence) & (run.state != CampaignState.SUCCEEDED)
     query = select(run.name, run.error).where(failed).order_by(run.sequence).limit(most)

@@ -10,7 +10,7 @@ from drivecal.storage.engine.bulk import among
 from drivecal.storage.engine.tables import evaluations, runs, setups
 
 RECENT_RUNS = 1_000
-"""Of a setup, which tell what the next one will take."""
+"""Runs of a setup that predict the cost of the next."""
 
 
 def by_outcome(connection: Connection, campaign_sequence: int) -> list[OutcomeCosts]:

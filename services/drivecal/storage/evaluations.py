@@ -58,7 +58,7 @@ class AnsweredCell:
     proven_by: int | None = None
     """The evaluation whose run this cell provably repeats."""
     proof_agrees: bool | None = None
-    """Of a cell that was simulated all the same: whether it did."""
+    """Whether a simulation agreed with the certificate, if it was checked."""
 
 
 def insert(connection: Connection, campaign_sequence: int, cells: Sequence[NewEvaluation]) -> list[int]:
@@ -98,7 +98,7 @@ def reused(
 
 
 def note_proofs(connection: Connection, proofs: Mapping[int, int]) -> None:
-    """Which run reused cells would repeat, as the evaluation that it is of, by the cells' ids."""
+    """Stores the evaluations whose runs reused cells would repeat, by cell id."""
     statement = update(evaluations).where(evaluations.c.id == bindparam("evaluation"), evaluations.c.outcome == Outcome.REUSED)
     rows = [{"evaluation": evaluation, "proof": proof} for evaluation, proof in proofs.items()]
     if rows:
@@ -135,7 +135,7 @@ def simulate_instead(connection: Connection, evaluation_ids: Sequence[int]) -> N
 
 
 def set_reference_keys(connection: Connection, keys: Mapping[int, bytes]) -> None:
-    """Gives evaluations, by id, the keys under a map that was not known when they were asked for."""
+    """Stores keys of evaluations, by id, under a map that was unknown when they were requested."""
     statement = update(evaluations).where(evaluations.c.id == bindparam("evaluation")).values(reference_key=bindparam("key"))
     if keys:
         connection.execute(statement, [{"evaluation": evaluation, "key": key} for evaluation, key in keys.items()])

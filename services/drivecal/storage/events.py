@@ -19,7 +19,7 @@ from drivecal.storage.engine.types import now
 
 @dataclass(frozen=True, slots=True)
 class StoredEvent:
-    """One event; `data` depends on its `kind`."""
+    """An event; `data` depends on its `kind`."""
 
     id: int
     campaign_sequence: int
@@ -29,7 +29,7 @@ class StoredEvent:
 
 
 def add(connection: Connection, campaign_sequence: int, kind: EventKind, data: Mapping[str, Any] | None = None) -> None:
-    """Tells of a campaign what the same transaction writes, and thereby changes its revision."""
+    """Adds an event in the transaction that it reports, and changes the campaign's revision."""
     if connection.dialect.name == "postgresql":
         held = select(campaigns.c.sequence).where(campaigns.c.sequence == campaign_sequence)
         connection.execute(held.with_for_update(key_share=True))  # not in the way of rows that only refer to the campaign

@@ -80,7 +80,7 @@ def end(connection: Connection, evaluation_ids: Sequence[int]) -> None:
 
 
 def breakdowns(connection: Connection, evaluation_ids: Sequence[int]) -> dict[int, int]:
-    """How often evaluations broke down so far, by id; those that never did are left out."""
+    """Returns the breakdowns of evaluations by id, without those that never broke down."""
     counts: dict[int, int] = {}
     for condition in among(connection, leases.c.evaluation_id, list(evaluation_ids)):
         query = select(leases.c.evaluation_id, leases.c.attempts).where(condition, leases.c.attempts > 0)

@@ -24,7 +24,7 @@ _PLACE = (evaluations.c.stage, evaluations.c.iteration, evaluations.c.individual
 
 @dataclass(frozen=True, slots=True)
 class StoredEvaluation:
-    """One requested cell. `outcome` is None while its answer is pending; `plan` says what is to answer it."""
+    """A requested cell. `outcome` is None while it is pending; `plan` is the planned kind of answer."""
 
     id: int
     campaign_sequence: int
@@ -53,14 +53,14 @@ class StoredEvaluation:
     """The evaluation whose run a certificate says that it repeats, whatever answered it: known of certified cells and of those simulated to
     check a certificate, and of reused ones by chance."""
     proof_agrees: bool | None
-    """Where it was simulated to check: whether both runs are the same."""
+    """Whether a simulation agreed with the certificate, if it was checked."""
 
 
 _STORED = tuple(field.name for field in fields(StoredEvaluation) if field.name in evaluations.c)
 
 
 def by_id(connection: Connection, evaluation_id: int) -> StoredEvaluation:
-    """One evaluation. Raises NotFoundError."""
+    """Returns an evaluation. Raises NotFoundError."""
     row = None
     if 0 < evaluation_id < 2**63:
         row = connection.execute(_select().where(evaluations.c.id == evaluation_id)).one_or_none()
@@ -175,7 +175,7 @@ def sets_since(connection: Connection, campaign_sequence: int, stage: StageName,
 
 
 def counted_since(connection: Connection, campaign_sequence: int, stage: StageName, iteration: int) -> dict[str, int]:
-    """How many cells a stage asked for from an iteration on, by scenario."""
+    """Returns the number of cells that a stage requested from an iteration on, by scenario."""
     table = evaluations.c
     asked = (table.campaign_sequence == campaign_sequence, table.stage == stage, table.iteration >= iteration)
     query = select(table.scenario, func.count()).where(*asked).group_by(table.scenario)

@@ -85,7 +85,7 @@ def revisions(connection: Connection, sequences: Collection[int]) -> dict[int, i
 
 
 def snapshots(connection: Connection, sequences: Collection[int]) -> list[ProgressSnapshot]:
-    """How far campaigns are."""
+    """Returns the progress of campaigns."""
     snapshots: list[ProgressSnapshot] = []
     for condition in among(connection, campaigns.c.sequence, list(sequences)):
         rows = connection.execute(select(*_PROGRESS).where(condition)).mappings()

@@ -28,7 +28,7 @@ def get(connection: Connection, campaign_sequence: int, stage: StageName) -> dic
 
 @dataclass(frozen=True, slots=True)
 class StoredStudy:
-    """Who made a study, with what: `spec` and `resolution` are the maker's."""
+    """A study with its maker's `spec` and `resolution`."""
 
     campaign_sequence: int
     campaign: str

@@ -40,7 +40,7 @@ class ComparisonProblem:
     specification: ComparisonSpecification
     runs: tuple[Run, ...]
     problems: tuple[CalibrationProblem, ...]
-    """Of the runs with the first seed: those with the others differ in nothing that this tells."""
+    """Returns the expected runs with the first seed, which represent the other seeds."""
 
     @property
     def proposed(self) -> int:

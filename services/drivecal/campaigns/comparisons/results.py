@@ -30,16 +30,16 @@ class ComparisonResults:
     courses: Sequence[Course]
 
     def runs(self) -> list[ComparedRun]:
-        """One row per run."""
+        """Returns a row per run."""
         best = analysis.best_of_all(self.courses)
         return [_run(campaign, course, best) for campaign, course in zip(self.campaigns, self.courses, strict=True)]
 
     def groups(self) -> list[ComparedGroup]:
-        """One row per optimizer, population and reduction."""
+        """Returns a row per optimizer, population and reduction."""
         return [ComparedGroup(**asdict(group)) for group in analysis.groups(self.courses)]
 
     def pairs(self) -> list[ComparedPair]:
-        """One row per pair of runs that differ only in the reduction."""
+        """Returns a row per pair of runs that differ only in the reduction."""
         ids = {course.conditions: campaign.id for campaign, course in zip(self.campaigns, self.courses, strict=True)}
         return [pair_row(pair, ids[pair.run.conditions], ids[pair.base.conditions]) for pair in analysis.pairs(self.courses)]
 

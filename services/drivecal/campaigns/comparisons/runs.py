@@ -185,7 +185,7 @@ class _Sum:
 
     stages: dict[StageName, Counter[str]] = field(default_factory=dict)
     audits: dict[str, Counter[str]] = field(default_factory=dict)
-    """Of all runs together, by scenario. What runs have in common counts for each of them."""
+    """Returns the sums over all runs by scenario. Shared cells count for each run."""
     best: Best | None = None
     """The best set of all runs, of equal ones the first run's."""
     baseline: Baseline | None = None

@@ -30,7 +30,7 @@ class PostedMap:
     specification: InfluenceMapSpecification
     influence_map: InfluenceMap
     space: tuple[Parameter, ...]
-    """What its bounds were checked against."""
+    """The space that the bounds were checked against."""
 
 
 def resolve_map(specification: InfluenceMapSpecification) -> PostedMap:

@@ -148,7 +148,7 @@ class CalibrationProblem:
         return 0 if wanted is None else wanted.samples * (1 + wanted.references) * len(self.scenarios)
 
     def resolution(self) -> dict[str, Any]:
-        """What decides how the campaign goes on, and must not change before it ends: setups, evaluator, space; JSON-ready.
+        """Returns what must not change before the campaign ends: setups, evaluator, space; JSON-ready.
 
         `resolved_spec.ResolvedSpec` is what it means once the campaign has been taken up.
         """

@@ -20,7 +20,7 @@ class ResolvedSpec:
     evaluator: str
     space: ParameterSpace
     weights: Mapping[str, float]
-    """Of the simulated scenarios, in the catalogue's order, normalised to a sum of 1; empty for a single evaluation."""
+    """Weights of the simulated scenarios in the catalogue's order, with sum 1; empty for a single evaluation."""
     setups: Mapping[str, str]
     """Their fingerprints."""
 

@@ -12,7 +12,7 @@ from drivecal.storage.engine.database import Database
 
 
 class SingleEvaluation(Stage):
-    """One parameter set in one or more scenarios. Answers come from equal parameter sets or a simulation, never by reuse; with time series,
+    """A parameter set in one or more scenarios. Answers come from equal parameter sets or a simulation, never by reuse; with time series,
     always from a new simulation."""
 
     name = StageName.CALIBRATION

@@ -193,7 +193,7 @@ def _print_expected(expected: ExpectedRuns, as_json: bool) -> None:
 
 
 def kind_text(campaign: Campaign) -> str:
-    """What a campaign does: `calibration`, `comparison`, `analysis`, or the study that it makes and in which vehicle."""
+    """Returns the kind of a campaign: `calibration`, `comparison`, `analysis`, or its study and vehicle."""
     spec = campaign.spec
     if campaign.kind != "calibration" or not spec or spec.get("optimizer") is not None:
         return campaign.kind

@@ -119,7 +119,7 @@ def _opened(database_url: str | None) -> Iterator[tuple[str, Database]]:
 
 
 class _Telling:
-    """Says on stderr how far a copy is, every now and then."""
+    """Prints the progress of a copy to stderr now and then."""
 
     def __init__(self) -> None:
         self._next = time.monotonic() + TOLD_SECONDS
@@ -140,7 +140,7 @@ def _copied(file: Path, opened: Database, copied: Copied, started: float) -> dic
 
 
 def _verified(opened: Database, *, full: bool) -> dict[str, Any]:
-    """What all checks found; problems also on stderr, as they are found."""
+    """Returns the results of all checks; prints problems to stderr at once."""
     from drivecal.campaigns.results.verification import verify
 
     checks: list[dict[str, Any]] = []

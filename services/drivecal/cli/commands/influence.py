@@ -1,4 +1,4 @@
-"""Where a parameter can change the score of a scenario: as a campaign or a map has it, and compared with another."""
+"""`drivecal influence`: influential bounds of a campaign or a map, and their comparison with another."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -109,7 +109,7 @@ def _line(row: InfluenceRow, measured: bool) -> list[object]:
 
 
 def decided_text(rows: Sequence[InfluenceRow]) -> list[str]:
-    """Which rows seem to contradict the intervals' largest s_rel, and what decided: a line each for either way."""
+    """Returns lines about rows that seem to contradict the intervals' largest s_rel, with the reason."""
     known = [(row, largest) for row in rows if not row.unknown and (largest := _largest(row)) is not None]
     overruled = [(row.scenario, row.parameter) for row, largest in known if not row.influential and _short(largest) != _NONE]
     added = [(row.scenario, row.parameter) for row, largest in known if row.influential and _short(largest) == _NONE]

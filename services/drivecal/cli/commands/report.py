@@ -47,7 +47,7 @@ def report(
 
 
 def _tables(client: Client, diagnostics: ReportData) -> dict[str, Iterator[bytes]]:
-    """Those of the campaign, and of the studies that the page shows, whichever campaign made them."""
+    """Returns the tables of the campaign and of the studies on the page."""
     tables: dict[str, Iterator[bytes]] = {name: client.table(diagnostics.campaign.id, name, "csv") for name in TABLES}
     if diagnostics.robustness:
         tables["robustness"] = client.table(diagnostics.robustness[0].study.campaign, "robustness", "csv")

@@ -16,13 +16,13 @@ from drivecal.domain.campaigns import CampaignState
 
 STAGES = ("optimizer", "sensitivity", *STUDIES)
 BENCH = ("catalogue", "weights", "driving_function", "vehicle", "evaluator")
-"""What a study shares with the campaign whose sets or map it is about, unless something else is asked for."""
+"""Settings that a study takes from its subject by default."""
 _STUDIES = re.compile(rf"( \(({'|'.join(STUDIES)})( in [^()]*)?\))+$")
 
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """Which study: its `settings` as far as they matter, and on what."""
+    """A wanted study: its given `settings`, and its bench."""
 
     stage: StudyName
     settings: Mapping[str, Any]
@@ -54,7 +54,7 @@ def known(client: Client, campaign: Campaign, wanted: Wanted) -> Campaign | None
 
 
 def specification(campaign: Campaign, study: str, stages: Mapping[str, Any]) -> dict[str, Any]:
-    """Of a campaign like the given one that makes the study alone. A study of a study is named as one of what both are about."""
+    """Returns the specification of a campaign that makes only the study. A study of a study is named after their common subject."""
     name = f"{_STUDIES.sub('', campaign.name)[:180]} ({study})"
     return {**campaign.spec, **dict.fromkeys(STAGES), **stages, "name": name}
 

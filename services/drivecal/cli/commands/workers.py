@@ -35,21 +35,21 @@ def workers(url: UrlOption = None, as_json: JsonOption = False) -> None:
 
 
 def doing(worker: WorkerAnswer, now: datetime) -> str | None:
-    """What a worker simulates, and for how long it has been at this batch."""
+    """Returns the running scenario of a worker, and the time of its batch."""
     if worker.scenario is None or worker.since is None:
         return worker.scenario
     return f"{worker.scenario} for {duration(max(0.0, (now - worker.since) / timedelta(seconds=1)))}"
 
 
 def remembering(worker: WorkerAnswer) -> str | None:
-    """What a worker keeps to certify runs."""
+    """Returns a worker's memory for certificates."""
     if worker.states is None or worker.state_mb is None or worker.state_mb_at_most is None:
         return None
     return f"{worker.states:,} states, {worker.state_mb:.0f} of {worker.state_mb_at_most:.0f} MB"
 
 
 def remarks(page: WorkerPage, now: datetime) -> list[str]:
-    """What has to be said about the table."""
+    """Returns remarks on the table."""
     lines = [f"degraded: {page.degraded}"] if page.degraded else []
     if not page.fresh and page.items and page.dispatcher_seen_at is not None:
         age = duration((now - page.dispatcher_seen_at) / timedelta(seconds=1))

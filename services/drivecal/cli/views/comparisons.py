@@ -1,4 +1,4 @@
-"""How a comparison is shown: Table 5 over the seeds, and what a reduction changed and saved."""
+"""Views of a comparison: Table 5 over the seeds, and the effects of reductions."""
 
 from collections.abc import Sequence
 from typing import Any

@@ -1,4 +1,4 @@
-"""How results look on stdout: plain columns that survive a pipe, or JSON."""
+"""Results on stdout: plain columns that survive a pipe, or JSON."""
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
@@ -14,7 +14,7 @@ from drivecal.domain.events import ASKED
 from drivecal.report.sections.commands import evaluation
 
 OUTCOMES = ("failed", "certified", "reused", "repeated", "simulated")
-"""Of requested cells, the frequent ones last."""
+"""Outcomes of requested cells, frequent ones last."""
 
 
 def print_json(answer: BaseModel | Mapping[str, Any] | Sequence[Any]) -> None:
@@ -141,7 +141,7 @@ def by_outcome(cells: CellCounts | StageCellCounts) -> dict[str, int]:
 
 
 def self_check_text(campaign: Campaign) -> str:
-    """What the audits found, on one line; empty before the first."""
+    """Returns the audits' results on a line; empty before the first audit."""
     rates = campaign.error_rate
     audited, different, wrong = (
         sum(getattr(rate, name) for rate in rates.values()) for name in ("audited", "different", "wrong")

@@ -70,7 +70,7 @@ class Bar:
 
 
 class Lines:
-    """One line every few seconds, and one for each change of state or stage."""
+    """A line every few seconds, and for each change of state or stage."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
@@ -107,7 +107,7 @@ class Lines:
 
 
 def reporter() -> Reporter:
-    """What fits stderr."""
+    """Returns the reporter for stderr."""
     return Bar(Console(stderr=True)) if sys.stderr.isatty() else Lines()
 
 

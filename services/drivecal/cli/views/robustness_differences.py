@@ -1,4 +1,4 @@
-"""What changes between two robustness studies of the same sets, as in a plain and a hybrid vehicle."""
+"""Differences of two robustness studies of the same sets, for example in a plain and a hybrid vehicle."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -51,7 +51,7 @@ def settings_that_differ(here: Mapping[str, Any], there: Mapping[str, Any]) -> S
 
 
 def document(here: MadeStudy, there: MadeStudy) -> dict[str, object]:
-    """All of it for programs."""
+    """Returns the differences, JSON-ready."""
     differing = settings_that_differ(here.settings, there.settings)
     return {
         "settings": {name: list(both) for name, both in differing.items()},
@@ -62,7 +62,7 @@ def document(here: MadeStudy, there: MadeStudy) -> dict[str, object]:
 
 
 def settings_text(differing: Settings) -> list[str]:
-    """Which settings differ, and what that means for the comparison, in a line or two."""
+    """Returns lines about differing settings and their meaning for the comparison."""
     if not differing:
         return ["both studies have the same settings"]
     listed = ", ".join(f"{name} {_said(here)} -> {_said(there)}" for name, (here, there) in differing.items())

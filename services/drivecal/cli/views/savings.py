@@ -1,4 +1,4 @@
-"""What `show` and `watch` print below a campaign: what the self-check found by scenario, and whether reuse paid."""
+"""Savings below a campaign in `show` and `watch`: the self-check by scenario, and the balance of reuse."""
 
 from collections.abc import Mapping
 
@@ -88,7 +88,7 @@ def break_even_text(even: BreakEven) -> str:
 
 
 def pays_text(share: float) -> str:
-    """What `ExpectedRuns.break_even_share` means, before a campaign is submitted."""
+    """Returns the meaning of `ExpectedRuns.break_even_share` for a coming campaign."""
     if share > 1:
         return "the analysis cannot pay within this campaign: it takes more runs than there are cells to reuse; reruns share its map"
     return f"the analysis pays within this campaign if {share:.1%} of the requested cells are reused"

@@ -13,7 +13,7 @@ SUFFIXES = (".csv", ".parquet", ".json")
 
 
 def columns_of(trace: TraceAnswer) -> dict[str, list[float]]:
-    """One value for each step: the time, the ego vehicle's columns, and those of every neighbour with its name in front."""
+    """Returns columns with a value per step: time, ego vehicle, and neighbours with their names in front."""
     columns = {"time_s": trace.time_s, **trace.ego}
     for vehicle, series in trace.neighbours.items():
         columns |= {f"{vehicle}_{name}": values for name, values in series.items()}

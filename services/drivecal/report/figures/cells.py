@@ -41,7 +41,7 @@ def drawn(generations: Sequence[Generation]) -> Drawn:
 
 
 def cells_table(generations: Sequence[Generation]) -> str:
-    """What Figure 11 shows; every outcome, also those that never occurred."""
+    """Returns Figure 11 as a table, with every outcome."""
     totals = accumulated(generations)
     places = {generation.iteration: place for place, generation in enumerate(generations)}
     lines = shown(generations)

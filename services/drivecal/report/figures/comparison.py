@@ -18,7 +18,7 @@ MARKERS = "osv^DPX*"
 SPREAD = 0.06
 """In shares of the range that is drawn: between the outermost of lines of equal value, which would hide each other."""
 Kind = tuple[int, str]
-"""Of a run of one optimizer: population and reduction."""
+"""Population and reduction of a run."""
 
 
 def search_figures(runs: Sequence[ComparedRun], generations: Mapping[str, Sequence[Generation]]) -> Iterator[Drawn]:
@@ -98,7 +98,7 @@ def _caption(optimizer: str, *, by_rating: bool) -> str:
 
 
 def optima_figure(runs: Sequence[ComparedRun]) -> Drawn:
-    """Where all runs ended, and what that took, by population: a mark for each run."""
+    """Returns a figure of the final objective and cost of each run, by population."""
     populations = list(dict.fromkeys(run.population for run in runs))
     kinds = list(dict.fromkeys((run.optimizer, run.reduction) for run in runs))
     several = len({reduction for _, reduction in kinds}) > 1

@@ -1,4 +1,4 @@
-"""How all figures look, and how they become SVG and PNG: the same bytes for the same data, readable in print and without colours."""
+"""Style of all figures, and their SVG and PNG: same bytes for the same data, readable in print and without colours."""
 
 import io
 import re
@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 DOTS_PER_INCH = 200
 BLUE, SKY, GREEN, VERMILION, ORANGE, PURPLE = "#0072B2", "#56B4E9", "#009E73", "#D55E00", "#E69F00", "#CC79A7"
-"""Of the palette of Okabe and Ito, which the colour-blind can tell apart."""
+"""Colours of the palette of Okabe and Ito, distinct for the colour-blind."""
 Dashes = Literal["-", "--", "-."] | tuple[float, Sequence[float]]
 KINDS: tuple[tuple[str, Dashes], ...] = (
     (BLUE, "-"),

@@ -22,7 +22,7 @@ WORSE = "#D0D0D0"
 
 
 def positions(sets: Sequence[Solution], parameters: Sequence[SearchedParameter]) -> Floats:
-    """Where the values lie in the parameters' ranges, from 0 to 1, shape (n_sets, n_parameters)."""
+    """Returns the values as shares of the parameters' ranges, shape (n_sets, n_parameters)."""
     rows = [
         [(parameter_set.parameters[each.name] - each.lower) / (each.upper - each.lower) for each in parameters]
         for parameter_set in sets

@@ -49,7 +49,7 @@ def scenario_figure(rows: Sequence[InfluenceRow], title: str = "") -> Figure:
 
 
 def overview_figures(rows: Sequence[InfluenceRow], titles: Mapping[str, str]) -> list[Figure]:
-    """One panel per scenario, on as many sheets as it takes. `titles` by scenario; those that are missing stay empty."""
+    """Yields sheets with a panel per scenario. `titles` by scenario; missing titles stay empty."""
     scenarios = list(by_scenario(rows).items())
     starts = range(0, len(scenarios), PANELS_PER_SHEET)
     return [_sheet(scenarios[start : start + PANELS_PER_SHEET], titles) for start in starts]

@@ -1,4 +1,4 @@
-"""How wrong answers are told of: how many have another score at all, and how many of them are wrong."""
+"""Sentences about wrong answers: the number of different scores, and of wrong ones."""
 
 
 def errors_text(what: str, count: int, different: int, wrong: int) -> str:

@@ -1,4 +1,4 @@
-"""Where parameters matter, as a table, and what that knowledge rests on."""
+"""Influential bounds as a table, and the basis of the map."""
 
 import json
 from collections.abc import Mapping, Sequence

@@ -31,7 +31,7 @@ def count(number: int, what: str) -> str:
 
 
 def summary(optima: Sequence[OptimumRow]) -> str:
-    """How many sets, in how many regions."""
+    """Returns the numbers of sets and regions."""
     regions = len({optimum.region for optimum in optima})
     share = "shares" if len(optima) == 1 else "share"
     return f"{count(len(optima), 'set')} that {share} the best objective, in {count(regions, 'distinct region')}."

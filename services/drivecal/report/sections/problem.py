@@ -1,4 +1,4 @@
-"""What was asked for, and all that one needs to ask for it again: problem, versions, fingerprints, commands."""
+"""Problem, versions, fingerprints, and the commands that repeat the campaign."""
 
 import json
 from collections.abc import Mapping
@@ -12,7 +12,7 @@ from drivecal.report.sections.commands import evaluation
 SETTINGS = ("optimizer", "reduction", "sensitivity", "robustness", "validation")
 SPECIFICATION = "campaign.json"
 MOST_CHARACTERS = 10_000
-"""Of a specification that the page shows; the file has all of it."""
+"""Settings of a specification on the page; the file has all."""
 
 
 def setting(findings: ReportData) -> list[str]:
@@ -58,7 +58,7 @@ def _settings(value: object) -> str:
 
 
 def versions(setup: CampaignSetup, version: str) -> list[str]:
-    """What decided the runs, and the fingerprints under which the reference table keeps them."""
+    """Returns the versions of the runs and their fingerprints in the reference table."""
     program = f"drivecal {version}" if version == setup.server else f"drivecal {version} of a server {setup.server}"
     known = [scenario for scenario in setup.scenarios if scenario.driving_function is not None]
     used: dict[str, list[str | None]] = {

@@ -14,7 +14,7 @@ SHOWN = 20
 
 
 def summary(findings: ReportData) -> list[str]:
-    """What a reader should know first."""
+    """Returns the summary."""
     campaign, best = findings.campaign, findings.campaign.best
     if best is None:
         return [bullets(_studies(findings))] if findings.robustness or findings.validation else [_nothing(campaign)]

@@ -1,4 +1,4 @@
-"""What answered the cells, how often that was wrong, and what it saved."""
+"""Answers of the cells: outcomes, errors, savings."""
 
 from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.campaign import Campaign, CellCounts, StageCellCounts
@@ -26,7 +26,7 @@ def cells_by_stage(campaign: Campaign) -> str:
 
 
 def self_check(campaign: Campaign, account: Accounting | None) -> list[str]:
-    """What the audits of reused cells, the checks of certified ones, and certificates of reused ones found."""
+    """Returns the results of audits, of checked certificates, and of certificates of reused cells."""
     content = []
     rates = {name: rate for name, rate in campaign.error_rate.items() if rate.audited or rate.stopped or rate.contradictions}
     if rates:

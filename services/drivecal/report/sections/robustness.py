@@ -18,14 +18,14 @@ def condition(settings: Mapping[str, Any]) -> str:
 
 
 def _label(studied: Robust, vehicles: Collection[str | None]) -> str:
-    """What tells a study from others in the head of a column."""
+    """Returns the column head of a study."""
     settings, vehicle = studied.study.settings, studied.study.vehicle
     model = f", {vehicle}" if vehicle and len(vehicles) > 1 else ""
     return f"degree: {condition(settings)}, δ = {settings['delta']:g}{model}"
 
 
 def degree(row: RobustnessRow) -> str:
-    """As in Table 9: at least so many where no box failed."""
+    """Returns the degree as in Table 9: a lower bound if no box failed."""
     return f"≥ {row.degree}" if row.at_least else f"{row.degree}"
 
 

@@ -79,7 +79,7 @@ def shown(generations: Sequence[Generation]) -> list[Generation]:
 
 
 def population_table(generations: Sequence[Generation]) -> str:
-    """What Figure 10 shows."""
+    """Returns Figure 10 as a table."""
     lines = shown(generations)
     rows = [
         [line.iteration + 1, *(_fixed(value) for value in (line.best, line.mean, line.minimum)), line.alternatives]

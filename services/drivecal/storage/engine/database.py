@@ -23,7 +23,7 @@ OLDEST_SQLITE = (3, 35, 0)
 
 @dataclass(frozen=True, slots=True)
 class Patience:
-    """How long a process waits for the database before UnavailableError, s. All but `lock` is about PostgreSQL."""
+    """Waits for the database before UnavailableError, s. All but `lock` concern PostgreSQL."""
 
     lock: float
     """For what another transaction holds, and for a connection of the pool."""

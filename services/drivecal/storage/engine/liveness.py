@@ -18,9 +18,9 @@ import psycopg
 from psycopg.conninfo import make_conninfo
 
 SILENCE_SECONDS = 2.0
-"""How long a statement may be silent before the server is asked whether it lives."""
+"""Silence of a statement before the server's liveness is checked."""
 PROBE_SECONDS = 2
-"""How long a server may take to give a new connection."""
+"""Longest time for a new connection."""
 TRY_AGAIN_SECONDS = 1.0
 
 Answer = TypeVar("Answer")

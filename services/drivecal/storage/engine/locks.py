@@ -1,4 +1,4 @@
-"""One server per database: a lock that ends with the process that holds it, however it ends."""
+"""Lock of a database's only server; it ends with its process, even after a kill."""
 
 import os
 import socket
@@ -33,7 +33,7 @@ class ServerLock(Protocol):
         """
 
     def release(self) -> None:
-        """Gives the lock back."""
+        """Releases the lock."""
 
     def __enter__(self) -> Self: ...
 

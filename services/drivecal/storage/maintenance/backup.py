@@ -125,7 +125,7 @@ def _partial(file: Path) -> Iterator[Path]:
 
 
 def _publish(partial: Path, file: Path) -> None:
-    """Gives a complete backup its name, on the disk too."""
+    """Gives a complete backup its name, durably."""
     with partial.open("rb+") as written:
         os.fsync(written.fileno())
     partial.replace(file)

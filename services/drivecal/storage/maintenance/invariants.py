@@ -107,7 +107,7 @@ def _cells(connection: Connection, joined: FromClause, broken: ColumnElement[boo
 
 
 def check_references(connection: Connection) -> Iterator[str]:
-    """One run per setup and parameter set, rated, and simulated for a cell that is there."""
+    """Checks that each setup and parameter set has one rated run of an existing cell."""
     origin = evaluations.alias("origin")
     several = select(runs.c.setup_id, runs.c.parameter_set_id).group_by(runs.c.setup_id, runs.c.parameter_set_id)
     for setup, parameters in connection.execute(several.having(func.count() > 1).limit(5)):
@@ -130,7 +130,7 @@ def check_references(connection: Connection) -> Iterator[str]:
 
 
 def check_key_copies(connection: Connection) -> Iterator[str]:
-    """What reference keys say of their runs is what the runs say."""
+    """Checks that reference keys agree with their runs."""
     key = reference_keys.c
     joined = (
         reference_keys.outerjoin(reference_indexes, reference_indexes.c.id == key.index_id)
@@ -183,7 +183,7 @@ def check_comparisons(connection: Connection) -> Iterator[str]:
 
 
 def _wrong_sums(connection: Connection) -> Iterator[str]:
-    """Where a comparison has succeeded: until then its sums may be a second behind."""
+    """Checks succeeded comparisons; the sums of others may be a second late."""
     ended = campaigns.alias("ended")
     succeeded = (ended.c.kind == "comparison") & (ended.c.state == CampaignState.SUCCEEDED)
     for row in connection.execute(select(ended.c.sequence, ended.c.id, by_stage(ended)).where(succeeded)):

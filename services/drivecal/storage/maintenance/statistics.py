@@ -30,14 +30,14 @@ SETTLED_AFTER = timedelta(minutes=1)
 
 
 class CampaignKey(NamedTuple):
-    """Which campaigns are counted together."""
+    """Group of campaigns."""
 
     kind: str
     state: str
 
 
 class CellKey(NamedTuple):
-    """Which cells are counted together: `stage` is `evaluation` for single evaluations."""
+    """Group of cells: `stage` is `evaluation` for single evaluations."""
 
     stage: str
     outcome: str
@@ -71,7 +71,7 @@ class Sums:
 
 @dataclass(frozen=True, slots=True)
 class Tally:
-    """What needs not be read again: the sums over ended campaigns up to number `settled`, and which ones up to there are `open`."""
+    """Remembered sums over ended campaigns up to number `settled`, and the `open` campaigns up to there."""
 
     settled: int = 0
     open: tuple[int, ...] = ()

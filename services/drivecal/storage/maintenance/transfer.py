@@ -53,7 +53,7 @@ def _reflected(connection: Connection, names: Sequence[str]) -> list[Table]:
 
 
 def count_rows(connection: Connection, tables: Sequence[Table]) -> dict[str, int]:
-    """How many rows there are, by table."""
+    """Returns the number of rows by table."""
     return {table.name: connection.execute(select(func.count()).select_from(table)).scalar_one() for table in tables}
 
 

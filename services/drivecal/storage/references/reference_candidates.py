@@ -1,4 +1,4 @@
-"""What a campaign could take its references from when it asked for a cell: read in chunks, so that any table fits into memory."""
+"""Stored sets that a cell could have reused, read in chunks, so that any table fits into memory."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

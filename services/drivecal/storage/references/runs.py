@@ -38,7 +38,7 @@ class NewRun:
 
 @dataclass(frozen=True, slots=True)
 class StoredRun:
-    """What the reference table holds for a cell after `insert_results`: this result or an earlier one.
+    """The reference table's result for a cell after `insert_results`: this result or an earlier one.
 
     `agrees`: False where an earlier result of the same cell differs in any bit of metrics, failure or, by the same evaluator, score or
     rating, so that something that decides runs is missing in the setup's fingerprint.
@@ -128,7 +128,7 @@ def _insert(connection: Connection, results: Sequence[NewRun]) -> dict[tuple[int
 
 
 def _compare(connection: Connection, results: Sequence[NewRun]) -> list[StoredRun]:
-    """What is stored for cells that had a result already, and whether these agree with it."""
+    """Returns the earlier results of cells, and whether the new ones agree."""
     if not results:
         return []
     known = _stored(connection, results)

@@ -21,7 +21,7 @@ class StoredSetup:
 
 @dataclass(frozen=True, slots=True)
 class SetupCount:
-    """How many simulated results the reference table holds for a setup."""
+    """Number of simulated results of a setup in the reference table."""
 
     id: int
     fingerprint: str
@@ -57,7 +57,7 @@ def counts(connection: Connection) -> list[SetupCount]:
 
 
 def by_id(connection: Connection, setup_id: int) -> StoredSetup:
-    """One setup, which must be there."""
+    """Returns an existing setup."""
     row = connection.execute(select(setups).where(setups.c.id == setup_id)).one()
     return StoredSetup(row.fingerprint, row.document)
 

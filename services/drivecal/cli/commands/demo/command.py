@@ -143,7 +143,7 @@ def _print_end(campaign: Campaign, folder: Path, seconds: float) -> None:
 
 
 def _command() -> str:
-    """How this command is called here."""
+    """Returns the name of this command as called."""
     return "drivecal" if shutil.which("drivecal") == shutil.which(sys.argv[0]) else _short(Path(sys.argv[0]).absolute())
 
 

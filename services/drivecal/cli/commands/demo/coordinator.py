@@ -20,7 +20,7 @@ SECONDS_TO_START = 600.0
 """Ray needs some seconds, compiling the kernels for the first time half a minute on a slow machine, and many times that on a busy one."""
 SECONDS_TO_STOP = 20.0
 ANNOUNCEMENT = "serve.json"
-"""Where the coordinator says its address when it is ready."""
+"""File with the address of the ready coordinator."""
 LOG = "serve.log"
 
 

@@ -1,1 +1,1 @@
-"""One module per revision of the database, oldest first."""
+"""Revisions of the database, a module each."""
