@@ -1,1 +1,1 @@
-"""What drivecal's parts say to each other: pydantic models over HTTP, plain frozen data over Ray."""
+"""Messages between drivecal's parts: pydantic models over HTTP, plain frozen data over Ray."""

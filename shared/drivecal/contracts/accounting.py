@@ -1,10 +1,10 @@
-"""What the service answers when it is asked what reuse saved, and what it cost."""
+"""Answers about the savings and costs of reuse."""
 
 from drivecal.contracts.campaign import Answer
 
 
 class SensitivityCost(Answer):
-    """What a sensitivity stage cost: cells it asked for, runs it had made, CPU seconds of the workers."""
+    """Cost of a sensitivity stage: requested cells, simulated runs, CPU seconds of the workers."""
 
     requested: int = 0
     repeated: int = 0
@@ -65,7 +65,7 @@ class BreakEven(Answer):
 
 
 class Accounting(Answer):
-    """What a campaign saved and what that cost, in cells and in CPU seconds of the workers.
+    """Savings and costs of a campaign, in cells and in CPU seconds of the workers.
 
     `saved_seconds`: by repeated, reused and certified cells, without reused ones that were `confirmed`. `audited_seconds` is the price of
     the self-check: audited cells could have been reused but were simulated, so they are not among the saved, and are not taken off once

@@ -1,4 +1,4 @@
-"""What the service answers about campaigns."""
+"""Answers about campaigns."""
 
 from datetime import datetime
 from typing import Any
@@ -104,7 +104,7 @@ class CellsByStage(Answer):
 
 
 class ErrorRate(Answer):
-    """What the self-check found in one scenario: `different`: any change; `wrong`: |dF| > 1 (Eq. 8); `upper_95`: the upper end of
+    """Results of the self-check in a scenario: `different`: any change; `wrong`: |dF| > 1 (Eq. 8); `upper_95`: the upper end of
     the 95 % Clopper-Pearson interval of wrong / audited, null before the first audit; `contradictions`: reference keys under which
     simulated results have different scores, among the campaign's own and the references of their keys."""
 
@@ -175,17 +175,17 @@ class Campaign(CellsByStage):
     best: Best | None = None
     baseline: Baseline | None = None
     narrowed: list[Narrowed] | None = None
-    """What `reduction.narrow` removed, by parameter; null where it was not asked for or is not known yet."""
+    """The part that `reduction.narrow` removed, by parameter; null if not requested or not known yet."""
     seconds: Seconds = Seconds()
     error: str | None = None
     notes: list[str] = []
-    """What a reader should know: scenarios left out by weight 0, reuse that was stopped."""
+    """Remarks for the reader: scenarios left out by weight 0, stopped reuse."""
     rerun_of: str | None = None
     created_at: datetime | None = None
     started_at: datetime | None = None
     ended_at: datetime | None = None
     spec: dict[str, Any] = {}
-    """As submitted, with its defaults filled in. Empty in a list where it is longer than 20,000 characters: read the campaign by its id."""
+    """The specification with its defaults. Empty in a list if longer than 20,000 characters: read the campaign by its id."""
     links: dict[str, str] = {}
 
 
@@ -197,10 +197,10 @@ class CampaignPage(Answer):
 
 
 class ExpectedRuns(Answer):
-    """What a campaign will cost at most: cells proposed by stage, and simulations if nothing could be answered otherwise."""
+    """Upper bounds of a campaign's cost: proposed cells by stage, and simulations without any reuse."""
 
     sensitivity: int
-    """Of the interval analysis, which is known beforehand; confirmations and the global analysis follow from what it finds."""
+    """Runs of the interval analysis, which is known beforehand; its results decide confirmations and the global analysis."""
     sensitivity_at_most: int
     calibration_proposed: int
     calibration_at_most: int

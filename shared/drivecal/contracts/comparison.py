@@ -28,7 +28,7 @@ Label = Annotated[str, StringConstraints(min_length=1, max_length=60, pattern=r"
 
 
 class ComparedOptimizer(BaseModel):
-    """One of the optimizers with the settings that are its own, checked by its plug-in; `label` is what it is called in the tables, its
+    """An optimizer with its own settings, checked by its plug-in; `label` is its name in the tables, its
     kind where none is given. Population, iterations, start and seed are the comparison's."""
 
     model_config = ConfigDict(extra="allow", strict=True, frozen=True, allow_inf_nan=False)
@@ -58,7 +58,7 @@ class ComparisonSpecification(ProblemSpecification):
 
 
 class ExpectedComparison(Answer):
-    """What a comparison will cost at most: cells that its runs propose, simulations if each run had to make its own, and what those take.
+    """Upper bounds of a comparison's cost: proposed cells, simulations without sharing between runs, and their time.
 
     Runs simulate together what they have in common, the start population first of all; so it will be less.
     """
@@ -78,7 +78,7 @@ class ExpectedComparison(Answer):
 
 
 class ComparedRun(Answer):
-    """One run. Iterations count from 1; `best` is the best objective found, by `alternatives` sets.
+    """A run. Iterations count from 1; `best` is the best objective, shared by `alternatives` sets.
 
     `simulations`: cells of its calibration that had no answer among the run's own earlier cells, simulated by any campaign: the
     simulations that the run alone would need on an empty database. `confirmations` of them follow the search, to simulate its best
@@ -112,7 +112,7 @@ class ComparedRun(Answer):
     `alternatives` and `mean`."""
     alternatives: int
     mean: float | None
-    """Of the last population's objectives."""
+    """Mean objective of the last population."""
     converged_at: int | None
     simulations_to_converge: int | None
     alternatives_converged_at: int | None

@@ -1,4 +1,4 @@
-"""What the service answers about single evaluations: one parameter set in one scenario, or in all of a catalogue."""
+"""Answers about single evaluations: a parameter set in a scenario, or in all scenarios of a catalogue."""
 
 from pydantic import Field
 
@@ -6,7 +6,7 @@ from drivecal.contracts.campaign import Answer
 
 
 class EvaluatedCell(Answer):
-    """One cell of a single evaluation. `outcome`, `score` and `rating` are null while the answer is pending."""
+    """A cell of a single evaluation. `outcome`, `score` and `rating` are null while the answer is pending."""
 
     id: int
     scenario: str
@@ -33,7 +33,7 @@ class PendingTrace(Answer):
 
 
 class TraceAnswer(Answer):
-    """One run step by step; lists have one value for each of `time_s`, the moments after each step. SI units, in the names.
+    """A run step by step; lists have a value for each of `time_s`, the times after each step. SI units, in the names.
 
     `ego`: s_m, d_m (Frenet), x_m, y_m, heading_rad, speed_mps, side_slip_rad, yaw_rate_radps, accelerations (longitudinal and lateral) and
     their jerks over the last 0.5 s. `neighbours`: by vehicle, s_m, d_m, s_dot_mps, d_dot_mps, x_m, y_m, heading_rad. `plans`: each

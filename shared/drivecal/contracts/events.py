@@ -1,4 +1,4 @@
-"""What the event stream of a campaign sends. Which events there are, `drivecal.domain.events` lists."""
+"""Messages of a campaign's event stream; `drivecal.domain.events` lists the kinds."""
 
 from datetime import datetime
 from typing import Any
@@ -27,7 +27,7 @@ class CampaignEvent(Answer):
 
 
 class CampaignProgress(CellsByStage):
-    """What moves while a campaign runs, as in `Campaign`."""
+    """Fields of `Campaign` that change while it runs."""
 
     state: str
     requested_action: str | None = None

@@ -1,4 +1,4 @@
-"""What the service answers when it is asked why a cell was, or was not, answered without a simulation."""
+"""Explanations why a cell was, or was not, answered without a simulation."""
 
 from typing import Literal
 
@@ -7,7 +7,7 @@ from pydantic import Field
 from drivecal.contracts.campaign import Answer
 
 Region = Literal["below", "influential", "above", "anywhere", "outside"]
-"""Where a value lies under the influence map: beyond the influential bounds, between them, `anywhere` where none exist, or `outside` of
+"""Region of a value under the influence map: beyond the influential bounds, between them, `anywhere` where none exist, or `outside` of
 the space that the map speaks of."""
 
 Reason = Literal[
@@ -59,7 +59,7 @@ class Reference(Answer):
 
 
 class Audit(Answer):
-    """What a simulation says of the reference that would have answered the cell (audited), or had (confirmation). `agrees`: equal scores;
+    """Comparison with the reference that would have answered the cell (audited), or had (confirmation). `agrees`: equal scores;
     `wrong`: they differ by more than 1 (Eq. 8). Null where one of the two has no result."""
 
     score: int | None
@@ -69,7 +69,7 @@ class Audit(Answer):
 
 
 class Proof(Answer):
-    """What a certificate says of a cell that it did not answer: its run would repeat that of evaluation `reference`, bit for bit.
+    """Certificate of a cell with another answer: its run would repeat that of evaluation `reference`, bit for bit.
 
     Of a reused cell: `score` is what a simulation would have given, `agrees` whether the reference's is the same, `wrong`: they differ by
     more than 1 (Eq. 8). Of a cell that was simulated to check the certificate: `agrees` says whether both runs are the same.

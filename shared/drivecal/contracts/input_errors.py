@@ -12,7 +12,7 @@ from drivecal.domain.errors import InvalidInputError, Problem
 
 Specification = TypeVar("Specification", bound=BaseModel)
 Detail = Mapping[str, Any]
-"""One entry of `ValidationError.errors()`."""
+"""An entry of `ValidationError.errors()`."""
 MOST_FINDINGS = 500
 """Of a larger document, the beginning of every list and object is looked at first: what is to be told of a hostile megabyte takes a
 hundred, and minutes."""
@@ -102,7 +102,7 @@ def _beginning(value: object) -> object:
 
 
 def problems(details: Sequence[Any], model: type[BaseModel], document: object) -> list[Problem]:
-    """One problem per field and finding. `details` as from `ValidationError.errors()`, of `model` read from `document`."""
+    """Returns a problem per field and cause. `details` as from `ValidationError.errors()`, of `model` read from `document`."""
     located = [(_path(detail, document), detail) for detail in details]
     return list(dict.fromkeys(_merged(located, model)))
 
@@ -123,7 +123,7 @@ def _path(detail: Detail, document: object) -> tuple[int | str, ...]:
 
 
 def _merged(located: Sequence[tuple[tuple[int | str, ...], Detail]], model: type[BaseModel]) -> list[Problem]:
-    """Where a union's members disagree, what the fitting member says counts; where none fits, what any of them would take."""
+    """Merges errors of a union: those of the fitting member count, else the types that any member takes."""
     merged: list[Problem] = []
     for path, detail in located:
         if not _is_type(detail):
@@ -147,7 +147,7 @@ def _is_type(detail: Detail) -> bool:
 
 
 def problem(field: str, detail: Detail) -> Problem:
-    """What one finding of pydantic means for the user."""
+    """Returns pydantic's error as a problem for the user."""
     kind, context, given = detail["type"], detail.get("ctx", {}), shown(detail.get("input"))
     if kind == "missing":
         return Problem(field, "the value is missing", "give it")

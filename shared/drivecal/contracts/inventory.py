@@ -1,4 +1,4 @@
-"""What the service answers about what is there: scenarios, parameter spaces, influence maps, references, workers, its own health."""
+"""Answers about the inventory: scenarios, parameter spaces, influence maps, references, workers, health."""
 
 from datetime import datetime
 from typing import Any
@@ -19,7 +19,7 @@ class InfluenceMapAnswer(Answer):
     created_at: datetime | None = None
     rows: list[InfluenceRow] | None = None
     basis: dict[str, Any] | None = None
-    """What an analysis rests on: its settings, fixed values, setups, evaluator and runs, and by scenario `smallest_s_rel`, the smallest
+    """Basis of an analysis: its settings, fixed values, setups, evaluator and runs, and by scenario `smallest_s_rel`, the smallest
     s_rel that is not 0 of its `intervals` and of its `overall` analysis; null for a map that a user posted."""
     links: dict[str, str] = Field(default_factory=dict)
 
@@ -115,7 +115,7 @@ class ParameterSpacePage(Answer):
 
 
 class ReferenceAnswer(Answer):
-    """How many runs of one setup the reference table holds."""
+    """Number of a setup's runs in the reference table."""
 
     scenario: str
     fingerprint: str

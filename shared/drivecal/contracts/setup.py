@@ -1,4 +1,4 @@
-"""What the service answers about what a campaign was taken up with: the problem it solves and all that decides its runs."""
+"""Answers about a campaign's setup: its problem and all that decides its runs."""
 
 from drivecal.contracts.campaign import Answer
 
@@ -15,7 +15,7 @@ class SearchedParameter(Answer):
 
 
 class ScenarioSetup(Answer):
-    """One scenario's setup. `weight`: its share of the objective. `fingerprint` is the content hash of all the rest, under which the
+    """Setup of a scenario. `weight`: its share of the objective. `fingerprint` is the content hash of all the rest, under which the
     reference table keeps its runs; what it was made of is null where no run has been asked for yet."""
 
     scenario: str

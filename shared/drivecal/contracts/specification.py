@@ -54,7 +54,7 @@ class SeparateThresholds(Model):
 
 
 class SensitivitySpecification(Model):
-    """Where each parameter matters: a complexity reduction by elementary effects (Section II-A).
+    """Sensitivity analysis: a complexity reduction by elementary effects (Section II-A).
 
     `threshold` on s_rel, on |mu| and sigma separately, or `auto`.
     """
@@ -67,7 +67,7 @@ class SensitivitySpecification(Model):
 
 
 class OptimizerSpecification(BaseModel):
-    """What every optimizer has; the rest is the chosen optimizer's own and checked by its plug-in."""
+    """Common settings of all optimizers; the plug-in checks its own."""
 
     model_config = ConfigDict(extra="allow", strict=True, frozen=True, allow_inf_nan=False)
 
@@ -83,7 +83,7 @@ class OptimizerSpecification(BaseModel):
 
 
 class ReductionSpecification(Model):
-    """Which cells may be answered without a simulation.
+    """Cells that may be answered without a simulation.
 
     `off`: none but in-population duplicates' own repeats is ever copied; `exact`: equal parameter sets; `influence`: Figure 6.
     `narrow`: search only the smallest common area, where some scenario is influenced (Section III). `confirm`: at most so many sets are
@@ -100,7 +100,7 @@ class ReductionSpecification(Model):
 
 
 class RobustnessSpecification(Model):
-    """How far the vehicle may differ before the best sets lose what makes them good (Sections II-C and IV-D).
+    """Robustness of the best sets against other vehicles (Sections II-C and IV-D).
 
     Boxes of half width k `delta`, k = 1 .. `steps`, in shares of the vehicle parameters' ranges (Table 8), `samples` vehicles in each.
     `condition`: `max` allows a change of at most `eta` points in every scenario and vehicle (the paper's study); `mean` over the vehicles
@@ -113,7 +113,7 @@ class RobustnessSpecification(Model):
     eta: Annotated[float, Field(gt=0, le=7)] | Annotated[list[Annotated[float, Field(gt=0, le=7)]], Field(min_length=1)] = 1.0
     condition: Literal["max", "mean", "per_factor"] = "max"
     refinements: Annotated[int, Field(ge=0, le=30)] = 0
-    """How often the last step, in which the condition failed, is halved to find delta_max."""
+    """Number of halvings of the last, failed step to find delta_max."""
     solutions: Annotated[int, Field(ge=1, le=1000)] = 20
     """The most sets that are examined, of those that share the best objective: one from every region of the space first."""
     within: Annotated[float, Field(ge=0, le=7)] = 0.0
@@ -152,7 +152,7 @@ MaybeSensitivity = (
 
 
 class ProblemSpecification(Model):
-    """What is to be calibrated: all that a campaign and a comparison of optimizers have in common."""
+    """The calibration problem, common to campaigns and comparisons of optimizers."""
 
     name: Name = "campaign"
     priority: Annotated[int, Field(ge=-100, le=100)] = 0
@@ -186,7 +186,7 @@ class CampaignSpecification(ProblemSpecification):
 
 
 class RerunSpecification(Model):
-    """What a rerun changes; everything else, the references and the influence map included, is taken from the first campaign.
+    """Changes of a rerun; everything else, with references and influence map, comes from the first campaign.
 
     Weights of 0 leave scenarios out. Another `evaluator` rates the stored runs anew, without a simulation; a map that was computed from
     the first one's ratings is then computed again, mostly from stored runs.
@@ -221,7 +221,7 @@ class InfluenceMapSpecification(Model):
 
 
 class EvaluationSpecification(Model):
-    """One parameter set in one scenario, or in all of the catalogue."""
+    """A parameter set in a scenario, or in all scenarios of the catalogue."""
 
     parameters: Annotated[dict[Identifier, Number], Field(min_length=1, max_length=200)]
     scenario: Identifier | None = None

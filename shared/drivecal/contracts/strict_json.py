@@ -13,9 +13,9 @@ from drivecal.domain.errors import InvalidInputError, Problem
 DEEPEST = 32
 """Nesting beyond this is refused; the deepest document that drivecal understands needs six levels."""
 MOST_VALUES = 100_000
-"""Of a whole document: eight thousand start sets have fewer. Counted before anything is made of them, which takes fifty times the text."""
+"""Values of a document: eight thousand start sets have fewer. Counted before parsing, which takes fifty times the text's memory."""
 MOST_KEYS = 2_000
-"""Of one object; the largest that drivecal understands has a thousand."""
+"""Fields of an object; the largest valid object has a thousand."""
 _HARMLESS = {int, bool, type(None)}
 _TOO_DEEP = Problem("", f"the document is nested deeper than {DEEPEST} levels", "send a flatter one")
 

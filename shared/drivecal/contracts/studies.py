@@ -1,4 +1,4 @@
-"""What the service answers about the best sets and the stages after the calibration: robustness and validation."""
+"""Answers about studies of a campaign's results: robustness and validation."""
 
 from datetime import datetime
 from typing import Any, Literal, get_args

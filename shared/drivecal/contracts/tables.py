@@ -1,4 +1,4 @@
-"""One row model per table: its columns, files, JSON and OpenAPI schema follow from it."""
+"""Row models of all tables; columns, files, JSON and OpenAPI schemas follow from them."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -110,7 +110,7 @@ PLACE = 5
 
 
 class EvaluationRow(Answer):
-    """One requested cell; each parameter is a field of its own, by its name.
+    """A requested cell; each parameter is a field with its name.
 
     `outcome` is null while the answer is pending. `reference`: the evaluation that answered it, or that its audit did not trust.
     `proven_by`: the evaluation whose run a certificate says that it repeats; it answered certified cells, was checked by a simulation if
@@ -145,7 +145,7 @@ class EvaluationRow(Answer):
 
 
 class Generation(Answer):
-    """One iteration of the calibration stage."""
+    """An iteration of the calibration stage."""
 
     iteration: int
     proposed: int
@@ -168,7 +168,7 @@ class Generation(Answer):
 
 
 class Solution(Answer):
-    """One evaluated parameter set; `rank` counts from 1, equal objectives are ordered by `rating`, then by discovery."""
+    """An evaluated parameter set; `rank` counts from 1, equal objectives are ordered by `rating`, then by discovery."""
 
     rank: int
     objective: float
@@ -182,7 +182,7 @@ class Solution(Answer):
 
 
 class OptimumRow(Solution):
-    """One of the sets that share the best objective: an alternative optimum (Section IV-C).
+    """An alternative optimum: a set with the best objective (Section IV-C).
 
     `region`: sets of one number are neighbours, or joined by a chain of neighbours; `to_worse`: how far, as a root mean square in shares
     of the searched ranges, the nearest set of a lower objective lies; null where there is none.
@@ -193,7 +193,7 @@ class OptimumRow(Solution):
 
 
 class InfluenceRow(Answer):
-    """One parameter in one scenario. `lower` and `upper` are the inclusive influential bounds in parameter units, the space's own
+    """A parameter in a scenario. `lower` and `upper` are the inclusive influential bounds in parameter units, the space's own
     where nothing is cut, null where nothing is influential. What only an analysis can know is null in maps that a user posted."""
 
     scenario: str
@@ -202,7 +202,7 @@ class InfluenceRow(Answer):
     lower: float | None
     upper: float | None
     s_rel_intervals: list[float | None] | None = None
-    """One for each interval, from the lower end of the space to its upper; null where too few runs gave a result."""
+    """A value per interval, from the lower end of the space to the upper; null with too few results."""
     mu: float | None = None
     sigma: float | None = None
     mu_star: float | None = None
@@ -212,7 +212,7 @@ class InfluenceRow(Answer):
     space_lower: float | None = None
     space_upper: float | None = None
     n_values: int | None = None
-    """How many values the parameter may take from `space_lower` to `space_upper`."""
+    """Number of the parameter's values from `space_lower` to `space_upper`."""
 
 
 class BoxTrial(Answer):
@@ -226,7 +226,7 @@ class BoxTrial(Answer):
 
 
 class RobustnessRow(Answer):
-    """One of the best sets, ordered by robustness: the degree, then the objective, then the rating.
+    """A best set; rows are ordered by degree of robustness, objective, rating.
 
     `scores`: simulated in the nominal vehicle. `degree`: the multiples of delta up to which the condition holds, at least so many where
     `at_least`; `radius`: the widest box in which it held (delta_max from below). `region`: sets of one number are neighbours;
@@ -241,7 +241,7 @@ class RobustnessRow(Answer):
     radius: float
     recommended: bool
     reason: str | None
-    """Of the recommended one: why it is."""
+    """The reason for the recommendation."""
     region: int
     to_worse: float | None
     scores: Annotated[dict[str, int | None], Spread("score_")]
@@ -250,7 +250,7 @@ class RobustnessRow(Answer):
 
 
 class ValidationRow(Answer):
-    """One scenario of the validation (Tables 1 and 2, Figure 14).
+    """A scenario of the validation (Tables 1 and 2, Figure 14).
 
     `reducible` parameters have a region in which they do not matter; of their `effects` (main effects and interactions) so many were
     `covered`. `drawn`: the size of the Latin hypercube, of which `bases` that qualify were kept (n*_LHS), each compared with

@@ -1,4 +1,4 @@
-"""What the dispatcher and the workers say to each other: plain, picklable data."""
+"""Messages between dispatcher and workers: plain, picklable data."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -17,7 +17,7 @@ class SetupRequest:
     evaluator: str
     run_fingerprint: str
     document: Mapping[str, object] = field(default_factory=dict)
-    """What the coordinator fingerprinted (`Setup.document`), so that a worker can name what differs."""
+    """The fingerprinted document (`Setup.document`), so that a worker can name differences."""
     evaluator_version: str | None = None
     """The coordinator's: ratings of another one must not be stored under its name. None where it does not matter."""
 
@@ -43,7 +43,7 @@ class Cell:
     trace: bool = False
     """It is simulated in any case, and its time series are wanted."""
     probes: tuple[Probe, ...] = ()
-    """Of the same setup, looked at when this cell is done."""
+    """Probes of the same setup, checked after this cell."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +56,7 @@ class Batch:
 
 @dataclass(frozen=True, slots=True)
 class CellResult:
-    """What became of one cell: a rated run (`breakdown` None) or no result (`breakdown` says why, `detail` in words)."""
+    """Result of a cell: a rated run (`breakdown` None), or the reason for a missing one (`breakdown`, in words `detail`)."""
 
     id: int
     rating: float | None
@@ -73,14 +73,14 @@ class CellResult:
     """Of a cell that was certified and simulated all the same: whether both are the same. False without `proven_by`: the simulation of
     this setup turned out not to be deterministic."""
     probed: tuple[tuple[int, int], ...] = ()
-    """Of the probes about which something is known: the id, and that of the cell whose run it would repeat."""
+    """Known probes: the id, and the id of the cell whose run it would repeat."""
     trace: bytes | None = None
     """The time series that were wanted, as gzipped JSON."""
 
 
 @dataclass(frozen=True, slots=True)
 class CertificateMemory:
-    """What a worker keeps to certify runs, of all setups: planning states, and the memory (bytes) that they take of what they may."""
+    """A worker's memory for certificates, over all setups: planning states, bytes, and their limit."""
 
     states: int
     bytes: int

@@ -13,7 +13,7 @@ class DrivecalError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """One fault of an input.
+    """A fault of an input.
 
     `field`: the dotted path of the field (`optimizer.population`); `message`: what is wrong; `remedy`: how to fix it.
     """

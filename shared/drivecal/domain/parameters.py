@@ -80,7 +80,7 @@ def _check_bounds(name: str, lower: Decimal, upper: Decimal, **others: Decimal) 
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One calibration parameter: `n_values` equally spaced values from `lower` to `upper`, both included, in `unit`."""
+    """A calibration parameter: `n_values` equally spaced values from `lower` to `upper`, both included, in `unit`."""
 
     name: str
     lower: Decimal
@@ -162,7 +162,7 @@ class Parameter:
 
 @dataclass(frozen=True, slots=True)
 class ParameterSet:
-    """One value per parameter, in billionths, in the driving function's order of names."""
+    """A value per parameter, in billionths, in the driving function's order of names."""
 
     names: tuple[str, ...]
     billionths: tuple[int, ...]

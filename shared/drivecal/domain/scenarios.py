@@ -111,7 +111,7 @@ class TrafficVehicle:
 
 @dataclass(frozen=True)
 class Scenario:
-    """One manoeuvre of the catalogue."""
+    """A scenario of a catalogue."""
 
     id: str
     title: str

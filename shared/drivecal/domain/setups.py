@@ -20,7 +20,7 @@ def digest(content: bytes) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Setup:
-    """One scenario driven by one driving function in one vehicle in one simulator.
+    """A scenario driven by a driving function in a vehicle and a simulator.
 
     It excludes weights and bounds, so that reruns with other weights or narrower ranges find all stored results.
     """

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class VehicleParameter:
-    """One physical parameter of a vehicle model in `unit`, with its nominal value and the bounds of Table 8."""
+    """A physical parameter of a vehicle model in `unit`, with its nominal value and the bounds of Table 8."""
 
     name: str
     unit: str
