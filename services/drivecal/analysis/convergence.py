@@ -9,7 +9,7 @@ UNCHANGED_ALTERNATIVES = 5
 
 
 def converged_at(values: Sequence[float | None], unchanged: int, tolerance: float = 1e-9) -> int | None:
-    """The iteration, counted from 1, from which on `values` stayed the same for at least `unchanged` further ones; None where that never
+    """The iteration, counted from 1, from which on `values` stayed the same for at least `unchanged` further ones; None if that never
     happened. The last such stretch counts: what changed after a rest had not converged.
 
     A stretch may end with the run: 20 iterations with the best found in the 12th have only 8 further ones, which is less than 10.

@@ -82,7 +82,7 @@ def vehicles(
 
 def deviation(nominal: Floats, scores: Floats, condition: Condition) -> Floats:
     """What the condition compares with eta, by scenario, shape (n_s,), for scores `nominal`, shape (n_s,), in the nominal vehicle and
-    `scores`, shape (samples, n_s), in the others. NaN where a vehicle has no result."""
+    `scores`, shape (samples, n_s), in the others. NaN if a vehicle has no result."""
     away = np.abs(scores - nominal)
     if condition != "max":
         away = away / np.maximum(nominal, 1.0)

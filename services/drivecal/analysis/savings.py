@@ -19,7 +19,7 @@ ROUNDING = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class MapOrigin:
-    """The influence map in use. `made_by`: the campaign whose sensitivity stage made it, None where a user posted it; `costs`: of that
+    """The influence map in use. `made_by`: the campaign whose sensitivity stage made it, None if a user posted it; `costs`: of that
     campaign's cells."""
 
     id: str

@@ -69,7 +69,7 @@ class Ranking:
 
     def doubtful(self, tried: Collection[int] = ()) -> EvaluatedSet | None:
         """The best of the solutions that owe a score to a reference and rank before every one that owes none, but for those `tried`, by
-        their ids; None if there is none."""
+        their ids; None without one."""
         surest = min((solution.order for solution in self._solutions.values() if not solution.reused), default=None)
         candidates = [
             candidate
@@ -79,7 +79,7 @@ class Ranking:
         return min(candidates, key=lambda solution: solution.order, default=None)
 
     def get(self, parameter_set: int) -> EvaluatedSet | None:
-        """A parameter set's solution, None where a result is missing; `parameter_set` is its id."""
+        """A parameter set's solution, None if a result is missing; `parameter_set` is its id."""
         return self._solutions.get(parameter_set)
 
     def _solution(self, number: int) -> EvaluatedSet | None:

@@ -104,7 +104,7 @@ class ValidationDesign:
 
 
 def design(space: ReducibleSpace, samples: int, references: int, seed: int, largest: int) -> ValidationDesign | None:
-    """The validation of one scenario; None where nothing can be reduced.
+    """The validation of one scenario; None if nothing can be reduced.
 
     Latin hypercubes of `samples`, 2 `samples`, 4 `samples` ... points are drawn until their qualifying sets cover all effects, at most
     `largest`: the coverage reports what is left uncovered then. Of those sets as many are kept as it takes to cover the same, and in the

@@ -39,7 +39,7 @@ from drivecal.storage.engine.database import PROMPT, Database
 
 
 def create_app(settings: Settings) -> FastAPI:
-    """The ASGI application. Raises DatabaseError where the settings name no usable database, InvalidInputError where its tokens file
+    """The ASGI application. Raises DatabaseError if the settings name no usable database, InvalidInputError where its tokens file
     cannot be used."""
     database = Database.open(settings.database_url, PROMPT)
     meters = Meters(database)

@@ -60,7 +60,7 @@ def _checked(limits: Limits, specification: ComparisonSpecification) -> Comparis
 
 
 def _map(connection: Connection, problem: ComparisonProblem) -> str | None:
-    """The id of the influence map that the comparison names. Raises InvalidInputError where it does not hold for the runs."""
+    """The id of the influence map that the comparison names. Raises InvalidInputError if it does not hold for the runs."""
     return next((named_map(connection, row) for row in problem.problems if row.specification.sensitivity is not None), None)
 
 

@@ -50,7 +50,7 @@ class Meters:
         self.registry = CollectorRegistry()
         self.requests = Counter(
             "drivecal_http_requests",
-            "Answered requests; route is the template, or none where nothing is or the request was refused before",
+            "Answered requests; route is the template, or none if nothing is or the request was refused before",
             ["route", "method", "status"],
             registry=self.registry,
         )
@@ -120,7 +120,7 @@ def _of_dispatcher(dispatcher: StoredProcess | None) -> Iterator[Any]:
     silent = silent_seconds(dispatcher, now())
     yield GaugeMetricFamily("drivecal_dispatcher_heartbeat_age_seconds", "Since the dispatcher was last heard of", silent)
     yield CounterMetricFamily("drivecal_dispatcher_elections", "How many dispatchers this database has had", dispatcher.term)
-    workers = GaugeMetricFamily("drivecal_workers", "Workers by state; none where the dispatcher is silent", labels=["state"])
+    workers = GaugeMetricFamily("drivecal_workers", "Workers by state; none if the dispatcher is silent", labels=["state"])
     states = [] if readiness.silent else [worker.get("state") for worker in dispatcher.detail.get("workers", [])]
     for state in WORKER_STATES:
         workers.add_metric([state], states.count(state))

@@ -45,7 +45,7 @@ def expected(database: Database, limits: Limits, specification: CampaignSpecific
 
 
 def check_size(problem: CalibrationProblem, largest: int) -> None:
-    """Raises TooLargeError where the stages of a campaign propose more than `largest` cells."""
+    """Raises TooLargeError if the stages of a campaign propose more than `largest` cells."""
     runs = problem.expected_runs()
     stages = {
         "optimizer": runs.calibration_proposed,
@@ -83,7 +83,7 @@ def rerun(database: Database, limits: Limits, first_id: str, changes: RerunSpeci
 
 
 def evaluate(database: Database, limits: Limits, specification: EvaluationSpecification, key: str | None) -> StoredCampaign:
-    """Queues a single evaluation. Raises InvalidInputError for one that cannot run, OverloadError where the queue is full."""
+    """Queues a single evaluation. Raises InvalidInputError for one that cannot run, OverloadError if the queue is full."""
     resolve_evaluation(specification)
     with database.transaction() as connection:
         admission.admit(connection, limits.queued_campaigns, key)
@@ -121,7 +121,7 @@ def _queue(
 
 
 def named_map(connection: Connection, problem: CalibrationProblem) -> str | None:
-    """The id of the map that a campaign names. Raises InvalidInputError where there is none or it does not hold for the campaign."""
+    """The id of the map that a campaign names. Raises InvalidInputError if there is none or it does not hold for the campaign."""
     specification = problem.specification
     if not isinstance(specification.sensitivity, MapReference):
         return None

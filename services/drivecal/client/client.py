@@ -118,7 +118,7 @@ class Client:
         return campaign
 
     def campaign_unless(self, identifier: str, etag: str) -> tuple[Campaign | None, str, float | None]:
-        """The campaign, None where it is still the one of `etag`; its ETag; how many seconds the server asks to wait before the next
+        """The campaign, None if it is still the one of `etag`; its ETag; how many seconds the server asks to wait before the next
         question."""
         headers = {"If-None-Match": etag} if etag else {}
         response = self._once("GET", _path("campaigns", identifier), headers=headers)  # who follows has a patience of its own
@@ -130,7 +130,7 @@ class Client:
 
     def events(self, identifier: str, last_id: int | None = None) -> Iterator[Sent]:
         """What happened to a campaign, all of it or after the event `last_id`, and what happens until the stream ends; None is a sign of
-        life. The stream ends when the campaign has ended, and also when the server stops. Raises OverloadError where it has no place for
+        life. The stream ends when the campaign has ended, and also when the server stops. Raises OverloadError if it has no place for
         another stream."""
         headers = {"Accept": "text/event-stream"} | ({} if last_id is None else {"Last-Event-ID": str(last_id)})
         timeout = httpx.Timeout(self._http.timeout.connect, read=READ_SECONDS)
@@ -208,7 +208,7 @@ class Client:
                 return
 
     def influence(self, identifier: str) -> list[InfluenceRow]:
-        """The rows of the influence map that a campaign uses; none where it has no map (yet)."""
+        """The rows of the influence map that a campaign uses; none if it has no map (yet)."""
         return self._rows_of(identifier, "influence", InfluenceRow)
 
     def optima(self, identifier: str) -> list[OptimumRow]:
@@ -224,7 +224,7 @@ class Client:
         return self._get(_path("campaigns", identifier, "studies"), StudyPage, kind="campaign", identifier=identifier)
 
     def robustness(self, identifier: str) -> list[RobustnessRow]:
-        """The examined sets of a campaign, most robust first; none where it has no robustness stage (yet)."""
+        """The examined sets of a campaign, most robust first; none if it has no robustness stage (yet)."""
         return self._rows_of(identifier, "robustness", RobustnessRow)
 
     def validation(self, identifier: str) -> list[ValidationRow]:
@@ -290,7 +290,7 @@ class Client:
         return self._get(path, InfluenceMapAnswer, kind="influence map", identifier=identifier)
 
     def map_of(self, campaign: Campaign) -> InfluenceMapAnswer | None:
-        """The influence map that a campaign uses, None where it has none (yet)."""
+        """The influence map that a campaign uses, None if it has none (yet)."""
         link = campaign.links.get("influence_map")
         return None if link is None else self.influence_map(link.rpartition("/")[2])
 
@@ -390,7 +390,7 @@ def _path(*parts: str) -> str:
 
 
 def _pause(response: httpx.Response) -> float | None:
-    """Seconds after which the server wants to be asked again; None where it does not."""
+    """Seconds after which the server wants to be asked again; None if it does not."""
     if response.status_code not in {HTTPStatus.TOO_MANY_REQUESTS, HTTPStatus.SERVICE_UNAVAILABLE}:
         return None
     given = response.headers.get("retry-after", "")

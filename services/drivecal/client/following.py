@@ -28,13 +28,13 @@ class Source(Protocol):
     """Reads campaigns."""
 
     def campaign_unless(self, identifier: str, etag: str) -> tuple[Campaign | None, str, float | None]:
-        """The campaign, None where it is still the one of `etag`; its ETag; the seconds to wait before asking again. Raises
+        """The campaign, None if it is still the one of `etag`; its ETag; the seconds to wait before asking again. Raises
         NotFoundError, and UnavailableError where nothing answers."""
 
     def events(self, identifier: str, last_id: int | None = None) -> Iterator[Sent]:
         """Yields the events after an event until the stream ends.
 
-        Raises OverloadError where there is no place for another stream, UnavailableError where nothing answers or the stream breaks
+        Raises OverloadError if there is no place for another stream, UnavailableError where nothing answers or the stream breaks
         off, NotFoundError or InvalidInputError where the server has no such stream.
         """
 
@@ -119,7 +119,7 @@ class Following:
             self._empty_streams += 1
 
     def _take(self, sent: Sent) -> Campaign | None:
-        """The campaign as it is with what the stream sent; None where that changes nothing that a campaign holds."""
+        """The campaign as it is with what the stream sent; None if that changes nothing that a campaign holds."""
         if self._campaign is None or sent is None:
             return None
         if isinstance(sent, CampaignEvent):

@@ -15,7 +15,7 @@ def is_loopback(address: str) -> bool:
 
 
 def check_exposure(address: str, settings: Settings) -> None:
-    """Raises InvalidInputError where others than this machine could use a server that asks for no token."""
+    """Raises InvalidInputError if others than this machine could use a server that asks for no token."""
     if settings.tokens_file is None and not is_loopback(address):
         remedy = (
             f"make a tokens file ({MAKE_TOKENS}) and name it by --tokens-file or DRIVECAL_TOKENS_FILE, or listen on 127.0.0.1"

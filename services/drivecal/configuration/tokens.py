@@ -97,7 +97,7 @@ class TokenFile:
     """The tokens of a file as it is now."""
 
     def __init__(self, path: Path) -> None:
-        """Reads the file. Raises InvalidInputError where it cannot be read, or holds anything that is wrong."""
+        """Reads the file. Raises InvalidInputError if it cannot be read, or holds anything that is wrong."""
         self._path = path
         self._version = _version(path)
         self.tokens = parse(_read(path), str(path))
@@ -113,7 +113,7 @@ class TokenFile:
         return match
 
     def named(self, name: str) -> Token | None:
-        """Returns the token of this name, None if there is none (any more)."""
+        """Returns the token of this name, None without one (any more)."""
         self._refresh()
         return next((token for token in self.tokens if token.name == name), None)
 

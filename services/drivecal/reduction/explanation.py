@@ -94,7 +94,7 @@ class CellComparison:
     def nearest(self, stored: Integers, places: Integers, evaluations: Integers) -> Nearest | None:
         """The stored set with the fewest blocking parameters, then the smallest distance, then the first place in the order of references.
 
-        `places`: what references are ordered by, shape (n, k); `evaluations`: their ids, shape (n,). None where nothing is stored. Of two
+        `places`: what references are ordered by, shape (n, k); `evaluations`: their ids, shape (n,). None if nothing is stored. Of two
         chunks of stored sets the one with the smaller `order` is the nearest of both.
         """
         if not len(stored):

@@ -94,7 +94,7 @@ def _range(row: InfluenceRow) -> float:
 
 
 def _interval(row: InfluenceRow) -> float:
-    """The width of the intervals that were analysed, in parameter units; 0 where none were."""
+    """The width of the intervals that were analysed, in parameter units; 0 if none were."""
     if not row.s_rel_intervals or row.n_values is None:
         return 0.0
     return _range(row) * (1 / len(row.s_rel_intervals) + 0.5 / max(1, row.n_values - 1))

@@ -79,7 +79,7 @@ class SensitivityAnalysis:
         return Phase(self._number, self._name, {scenario: design.points for scenario, design in self._designs.items()})
 
     def tell(self, scores: Mapping[str, Floats]) -> None:
-        """The scores 0..7 of the points of the phase asked last, by scenario, shape (n,); NaN where a run failed.
+        """The scores 0..7 of the points of the phase asked last, by scenario, shape (n,); NaN if a run failed.
 
         Raises ValueError if they do not fit the phase, RuntimeError if nothing was asked.
         """
@@ -149,4 +149,4 @@ def _check(scenario: str, scores: Floats, count: int) -> None:
         raise ValueError(f"scores of {scenario} must be {count} numbers, not of shape {scores.shape}")
     known = scores[~np.isnan(scores)]
     if np.any((known < 0) | (known > LARGEST_SCORE)):
-        raise ValueError(f"scores of {scenario} must lie in 0..{LARGEST_SCORE}, or be NaN where a run failed")
+        raise ValueError(f"scores of {scenario} must lie in 0..{LARGEST_SCORE}, or be NaN if a run failed")

@@ -29,7 +29,7 @@ class Design:
     steps: Floats
 
     def effects(self, scores: Floats) -> Floats:
-        """Elementary effects, shaped as `steps`, from the points' scores 0..7, shape (n,); NaN where one of the two runs failed."""
+        """Elementary effects, shaped as `steps`, from the points' scores 0..7, shape (n,); NaN if one of the two runs failed."""
         changes: Floats = (scores[self.second] - scores[self.first]) / LARGEST_SCORE
         return changes / self.steps
 
@@ -95,5 +95,5 @@ def measures(effects: Floats) -> EffectStatistics:
 
 
 def smallest_nonzero(statistics: Sequence[EffectStatistics]) -> float | None:
-    """The smallest s_rel that is not zero, None where all are: with few samples a threshold below it means any change at all."""
+    """The smallest s_rel that is not zero, None if all are: with few samples a threshold below it means any change at all."""
     return min((effect.s_rel for effect in statistics if effect.s_rel > 0), default=None)

@@ -45,7 +45,7 @@ class ParameterInfluence:
 class ScenarioInfluence:
     """By parameter name. `unknown`: no run gave a score above 0, so nothing is known and everything counts as influential.
 
-    `smallest_interval_s_rel`, `smallest_overall_s_rel`: the smallest that are not zero, None where all are. A threshold below them
+    `smallest_interval_s_rel`, `smallest_overall_s_rel`: the smallest that are not zero, None if all are. A threshold below them
     means any change at all.
     """
 

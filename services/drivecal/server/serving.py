@@ -58,7 +58,7 @@ def url_of(listener: socket.socket, host: str) -> str:
 def prepare_database(settings: Settings) -> Database:
     """The database, made or upgraded.
 
-    Raises DatabaseError where it cannot be used or another server uses it, InvalidInputError where the home folder cannot be made.
+    Raises DatabaseError if it cannot be used or another server uses it, InvalidInputError where the home folder cannot be made.
     """
     try:
         settings.home.mkdir(parents=True, exist_ok=True)

@@ -11,7 +11,7 @@ RETRY_SECONDS = 30
 
 
 def admit(connection: Connection, most: int, idempotency_key: str | None) -> None:
-    """Raises OverloadError where `most` campaigns and evaluations wait already to be started; a comparison is one. To be called in the
+    """Raises OverloadError if `most` campaigns and evaluations wait already to be started; a comparison is one. To be called in the
     transaction that inserts: until its end no other one is admitted, so that any number of them at once cannot overshoot.
 
     A request whose key is known inserts nothing and is always admitted.
@@ -33,7 +33,7 @@ def admit(connection: Connection, most: int, idempotency_key: str | None) -> Non
 
 
 def admit_map(connection: Connection, most: int, source: str) -> None:
-    """Raises TooLargeError where `most` influence maps of a source are kept already; otherwise as `admit`."""
+    """Raises TooLargeError if `most` influence maps of a source are kept already; otherwise as `admit`."""
     _alone(connection)
     kept = connection.scalar(select(func.count()).where(influence_maps.c.source == source)) or 0
     if kept >= most:

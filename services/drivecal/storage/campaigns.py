@@ -53,7 +53,7 @@ class StoredCampaign(CampaignHeading):
     stage: StageName | None
     iteration: int | None
     spec: Mapping[str, Any]
-    """The specification with its defaults filled in; empty where it is too long for a `page`."""
+    """The specification with its defaults filled in; empty if it is too long for a `page`."""
     resolution: Mapping[str, Any] | None
     """The specification as resolved at the first start: setups, evaluator, space."""
     rerun_of: str | None
@@ -121,7 +121,7 @@ def insert(
 ) -> StoredCampaign:
     """Queues a campaign, or gives the one that an earlier request with the same `idempotency_key` queued.
 
-    Raises ConflictError where that request's `body_digest` (of all that tells requests apart, the path included) was another one.
+    Raises ConflictError if that request's `body_digest` (of all that tells requests apart, the path included) was another one.
     """
     row: dict[str, Any] = {
         "id": uuid.uuid4().hex,
@@ -256,7 +256,7 @@ _EXECUTES = {CampaignState.CANCELLING: "cancel", CampaignState.PAUSED: "pause", 
 
 
 def change_state(connection: Connection, sequence: int, expected: Collection[CampaignState], state: CampaignState) -> bool:
-    """Moves a campaign from one of the `expected` states; False where it was in none of them. Takes back the request that this
+    """Moves a campaign from one of the `expected` states; False if it was in none of them. Takes back the request that this
     executes (cancelling: cancel, paused: pause, running: resume), but not a newer one."""
     executed = campaigns.c.requested_action == _EXECUTES.get(state, "")
     statement = (
@@ -271,7 +271,7 @@ def change_state(connection: Connection, sequence: int, expected: Collection[Cam
 
 
 def start(connection: Connection, sequence: int) -> StoredCampaign | None:
-    """Takes a queued campaign up: running from now on, with its watermark. None where it is not queued any more.
+    """Takes a queued campaign up: running from now on, with its watermark. None if it is not queued any more.
 
     A run of a comparison sees no other results, so that what it needs does not depend on what was there before.
     """
@@ -309,7 +309,7 @@ def set_resolution(connection: Connection, sequence: int, resolution: Mapping[st
 
 
 def pause(connection: Connection, sequence: int) -> bool:
-    """Lets a running campaign rest, where that is still what is asked for; False where it was taken back or overtaken by a cancel."""
+    """Lets a running campaign rest, where that is still what is asked for; False if it was taken back or overtaken by a cancel."""
     statement = (
         _of(sequence)
         .where(campaigns.c.state == CampaignState.RUNNING, campaigns.c.requested_action == "pause")
@@ -333,7 +333,7 @@ def set_narrowed(connection: Connection, sequence: int, narrowed: Collection[Nar
 
 def degrade(connection: Connection, sequences: Collection[int], reason: str | None) -> None:
     """Says of running campaigns, and of the running runs of those that are comparisons, why they go on more slowly, or not at all, for
-    now; None where all is well."""
+    now; None if all is well."""
     if not sequences:
         return
     runs_of_them = campaigns.c.parent_sequence.in_(list(sequences)) & (campaigns.c.state == CampaignState.RUNNING)
@@ -347,7 +347,7 @@ def degrade(connection: Connection, sequences: Collection[int], reason: str | No
 
 
 def end(connection: Connection, sequence: int, state: CampaignState, error: str | None = None) -> bool:
-    """Ends a campaign as `state`; False where it has ended already."""
+    """Ends a campaign as `state`; False if it has ended already."""
     open_states = [state for state in CampaignState if not state.ended]
     statement = (
         _of(sequence)

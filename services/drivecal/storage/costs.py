@@ -36,7 +36,7 @@ def by_outcome(connection: Connection, campaign_sequence: int) -> list[OutcomeCo
 
 
 def recent_milliseconds(connection: Connection, fingerprints: Sequence[str]) -> float | None:
-    """CPU time of one simulation, over the newest ones in each of these setups, which count alike; None where there is none in one. Runs
+    """CPU time of one simulation, over the newest ones in each of these setups, which count alike; None if there is none in one. Runs
     that were proved are not among them: they took next to nothing."""
     means = []
     for condition in among(connection, setups.c.fingerprint, fingerprints):

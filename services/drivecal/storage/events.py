@@ -44,7 +44,7 @@ def since(connection: Connection, campaign_sequence: int, last_id: int, limit: i
 
 
 def newest_id(connection: Connection, campaign_sequence: int) -> int:
-    """The id of a campaign's last event; 0 where it has none, as those have that an older drivecal made."""
+    """The id of a campaign's last event; 0 if it has none, as those have that an older drivecal made."""
     query = select(func.max(events.c.id)).where(events.c.campaign_sequence == campaign_sequence)
     return connection.execute(query).scalar() or 0
 

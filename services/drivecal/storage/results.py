@@ -141,7 +141,7 @@ def answers(
 
 def best_simulated(connection: Connection, campaign_sequence: int, weights: Mapping[str, float]) -> float | None:
     """The best weighted objective among the sets of a calibration that have a score of their own in every scenario: simulated, certified or
-    repeated, none from a reference. None where there is no such set."""
+    repeated, none from a reference. None if there is no such set."""
     table = evaluations.c
     of_its_own = (
         select(table.parameter_set_id, table.scenario, func.max(table.score).label("score"))

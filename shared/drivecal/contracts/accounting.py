@@ -27,7 +27,7 @@ class MapCost(Answer):
 
 class ScenarioAccount(Answer):
     """The calibration stage in one scenario. `mean_seconds`: CPU time per simulated cell; where none was simulated, per stored run that
-    answered cells; null where there is neither. Savings are numbers of cells times it. `confirmed`: of the reused cells, those that were
+    answered cells; null if there is neither. Savings are numbers of cells times it. `confirmed`: of the reused cells, those that were
     simulated after the search to confirm its best set, and so save nothing. `proved`: of the reused cells, those of which a
     worker happened to know by a certificate what a simulation would have given; `proved_different`: their score is another one,
     `proved_wrong`: by more than 1 (Eq. 8). Two equal campaigns need not know the same."""
@@ -56,7 +56,7 @@ class BreakEven(Answer):
     """When a map pays: its cost against what reuse saves at the share observed in this campaign.
 
     `requested_cells`: from so many requested cells on; `campaigns`: from so many campaigns like this one on the same map, the first
-    included; `reruns`: the same without the first. All null where nothing was reused, so that the map never pays at that share.
+    included; `reruns`: the same without the first. All null if nothing was reused, so that the map never pays at that share.
     """
 
     requested_cells: int | None

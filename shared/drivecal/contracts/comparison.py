@@ -71,9 +71,9 @@ class ExpectedComparison(Answer):
     measured: bool
     """Whether that was measured in these setups; else none was made yet, and it is assumed."""
     workers: int | None
-    """Workers at this moment; null where the dispatcher is silent."""
+    """Workers at this moment; null if the dispatcher is silent."""
     seconds: float | None
-    """`at_most` simulations on the `workers`; null where they are not known."""
+    """`at_most` simulations on the `workers`; null if they are not known."""
     notes: list[str] = Field(default_factory=list)
 
 
@@ -84,7 +84,7 @@ class ComparedRun(Answer):
     simulations that the run alone would need on an empty database. `confirmations` of them follow the search, to simulate its best
     set. `analysis`: the same of its sensitivity stage. `converged_at`: the iteration after which the best objective stayed for at
     least 10 further iterations (Table 5),
-    null where it did not; `alternatives_converged_at`: after which the number of alternatives stayed for more than 5 (Table 7).
+    null if it did not; `alternatives_converged_at`: after which the number of alternatives stayed for more than 5 (Table 7).
     `success`: no run of the comparison found better.
     """
 

@@ -86,7 +86,7 @@ class Explanation(Answer):
 
     `reference` is the donor (repeated, reused), the donor that was not trusted (audited, confirmation), or the nearest stored set
     (blocked): fewest blocking parameters first, then the smallest distance. `distance` is that of the blocking parameters, in units of
-    their ranges (Euclidean), and `stored` counts the results of the same setup that the campaign saw; both null where nothing was
+    their ranges (Euclidean), and `stored` counts the results of the same setup that the campaign saw; both null if nothing was
     searched for.
     """
 

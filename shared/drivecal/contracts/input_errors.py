@@ -71,7 +71,7 @@ def validated(model: type[Specification], document: object) -> Specification:
 
 
 def _check_beginning(model: type[BaseModel], document: object) -> None:
-    """Raises InvalidInputError where the first entries of lists and objects do not fit. What is missing there may be in the rest."""
+    """Raises InvalidInputError if the first entries of lists and objects do not fit. What is missing there may be in the rest."""
     beginning = _beginning(document)
     try:
         model.model_validate(beginning)

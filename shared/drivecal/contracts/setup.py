@@ -4,7 +4,7 @@ from drivecal.contracts.campaign import Answer
 
 
 class SearchedParameter(Answer):
-    """A parameter on its grid of `n_values` from `lower` to `upper`; `fixed`: the value at which it is held, null where it is searched."""
+    """A parameter on its grid of `n_values` from `lower` to `upper`; `fixed`: the value at which it is held, null if it is searched."""
 
     name: str
     unit: str
@@ -16,7 +16,7 @@ class SearchedParameter(Answer):
 
 class ScenarioSetup(Answer):
     """Setup of a scenario. `weight`: its share of the objective. `fingerprint` is the content hash of all the rest, under which the
-    reference table keeps its runs; what it was made of is null where no run has been asked for yet."""
+    reference table keeps its runs; what it was made of is null if no run has been asked for yet."""
 
     scenario: str
     weight: float

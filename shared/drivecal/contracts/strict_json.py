@@ -21,7 +21,7 @@ _TOO_DEEP = Problem("", f"the document is nested deeper than {DEEPEST} levels", 
 
 
 def loads(content: bytes) -> object:
-    """The document in `content`. Raises InvalidInputError that says where and what is wrong."""
+    """The document in `content`. Raises InvalidInputError that says if and what is wrong."""
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -46,7 +46,7 @@ def loads(content: bytes) -> object:
 
 
 def check_plain(document: object) -> None:
-    """Raises InvalidInputError, naming the field, where plain data is nested too deeply or has an object with too many entries, holds a
+    """Raises InvalidInputError, naming the field, if plain data is nested too deeply or has an object with too many entries, holds a
     number that is not finite, or text that is no Unicode text."""
     waiting: list[tuple[object, tuple[str | int, ...]]] = [(document, ())]
     while waiting:

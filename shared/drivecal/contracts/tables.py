@@ -185,7 +185,7 @@ class OptimumRow(Solution):
     """An alternative optimum: a set with the best objective (Section IV-C).
 
     `region`: sets of one number are neighbours, or joined by a chain of neighbours; `to_worse`: how far, as a root mean square in shares
-    of the searched ranges, the nearest set of a lower objective lies; null where there is none.
+    of the searched ranges, the nearest set of a lower objective lies; null if there is none.
     """
 
     region: int
@@ -194,7 +194,7 @@ class OptimumRow(Solution):
 
 class InfluenceRow(Answer):
     """A parameter in a scenario. `lower` and `upper` are the inclusive influential bounds in parameter units, the space's own
-    where nothing is cut, null where nothing is influential. What only an analysis can know is null in maps that a user posted."""
+    where nothing is cut, null if nothing is influential. What only an analysis can know is null in maps that a user posted."""
 
     scenario: str
     parameter: str
@@ -217,7 +217,7 @@ class InfluenceRow(Answer):
 
 class BoxTrial(Answer):
     """A solution in the vehicles of one box: `radius` is half its width in shares of the vehicle parameters' ranges; `deviations` are what
-    the condition compares with eta, by scenario, null where a vehicle has no result."""
+    the condition compares with eta, by scenario, null if a vehicle has no result."""
 
     box: int
     radius: float

@@ -19,7 +19,7 @@ class SetupRequest:
     document: Mapping[str, object] = field(default_factory=dict)
     """The fingerprinted document (`Setup.document`), so that a worker can name differences."""
     evaluator_version: str | None = None
-    """The coordinator's: ratings of another one must not be stored under its name. None where it does not matter."""
+    """The coordinator's: ratings of another one must not be stored under its name. None if it does not matter."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -38,10 +38,10 @@ class Tokens(Protocol):
     """Looks tokens up."""
 
     def find(self, presented: bytes) -> Token | None:
-        """Returns the token with this secret; None if there is none."""
+        """Returns the token with this secret; None without one."""
 
     def named(self, name: str) -> Token | None:
-        """The token of this name; None where there is none."""
+        """The token of this name; None without one."""
 
 
 class Authorisation:
@@ -81,7 +81,7 @@ class Authorisation:
         return token is not None and ("origin" not in headers or sessions.same_origin(headers))
 
     def _admit_by_token(self, request: Request, tokens: Tokens) -> tuple[int, str, dict[str, str]] | None:
-        """Status, sentence and headers of a refusal; None where the request may go on."""
+        """Status, sentence and headers of a refusal; None if the request may go on."""
         given = request.headers.getlist("authorization")
         request.state.token = token = _holder(request, tokens)
         logs.note(token=None if token is None else token.name)
@@ -145,7 +145,7 @@ def _is_open(request: Request) -> bool:
 
 
 def _bearer(header: str) -> bytes | None:
-    """The token in an Authorization header, as the bytes that were sent; None where the scheme is another one."""
+    """The token in an Authorization header, as the bytes that were sent; None if the scheme is another one."""
     scheme, _, token = header.encode("latin-1").partition(b" ")
     return token.strip(b" ") if scheme.lower() == b"bearer" else None
 

@@ -129,7 +129,7 @@ class Places:
         self.taken = 0
 
     def take(self) -> Place:
-        """A place, to be given back. Raises OverloadError where there is none."""
+        """A place, to be given back. Raises OverloadError if there is none."""
         with self._lock:
             if self.taken >= self._most:
                 raise OverloadError(f"{self._most:,} {self._what} already; try again later", self._retry_seconds)

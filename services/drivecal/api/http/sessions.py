@@ -27,7 +27,7 @@ class Names(Protocol):
     """Looks tokens up by name."""
 
     def named(self, name: str) -> Token | None:
-        """The token of this name; None where there is none."""
+        """The token of this name; None without one."""
 
 
 def cookie_name(host: str) -> str:
@@ -56,7 +56,7 @@ def holder(value: str, names: Names, moment: float | None = None) -> Token | Non
 
 
 def presented(headers: Headers) -> str | None:
-    """The value of the session's cookie; None where there is none."""
+    """The value of the session's cookie; None without one."""
     try:
         cookie = SimpleCookie(headers.get("cookie", "")).get(cookie_name(headers.get("host", "")))
     except CookieError:
@@ -65,7 +65,7 @@ def presented(headers: Headers) -> str | None:
 
 
 def same_origin(headers: Headers) -> bool:
-    """Whether the page that asks is one that this very host and port served. False where the browser does not say."""
+    """Whether the page that asks is one that this very host and port served. False if the browser does not say."""
     hosts, origins = headers.getlist("host"), headers.getlist("origin")
     return len(hosts) == 1 and origins in ([f"http://{hosts[0]}"], [f"https://{hosts[0]}"])
 

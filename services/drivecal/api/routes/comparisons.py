@@ -67,7 +67,7 @@ def list_groups(campaign_id: str, query: TableQuery, database: DatabaseDependenc
 
 @router.get("/campaigns/{campaign_id}/comparison-pairs", responses=page_or_file(ComparedPair))
 def list_pairs(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
-    """Each ended run beside the one that differs from it in the reduction alone; none where there is one reduction."""
+    """Each ended run beside the one that differs from it in the reduction alone; none if there is one reduction."""
     comparison = _compared(database, campaign_id)
     return _table(f"comparison-pairs-{campaign_id}", query, accept, ComparedPair, comparison.pairs())
 

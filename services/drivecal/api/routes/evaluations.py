@@ -65,7 +65,7 @@ def explain_evaluation(evaluation_id: str, database: DatabaseDependency) -> Expl
 
 
 def number_of(connection: Connection, evaluation_id: str) -> int:
-    """The number of the one cell that an id names. Raises NotFoundError, and ConflictError where it names none yet, or several."""
+    """The number of the one cell that an id names. Raises NotFoundError, and ConflictError if it names none yet, or several."""
     if _is_number(evaluation_id):
         return int(evaluation_id)
     rows, _ = results.page(connection, _single(connection, evaluation_id).sequence, limit=MOST_SCENARIOS)

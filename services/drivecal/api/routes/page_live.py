@@ -96,7 +96,7 @@ class _Line:
             await asyncio.gather(*tasks, return_exceptions=True)
 
     async def _obey(self, message: str) -> bool:
-        """False where the page cannot be understood, and was let go."""
+        """False if the page cannot be understood, and was let go."""
         try:
             if len(message) > LARGEST_MESSAGE:
                 raise ValueError

@@ -100,7 +100,7 @@ def list_optima(campaign_id: str, query: TableQuery, database: DatabaseDependenc
 
 @router.get("/influence", responses=page_or_file(InfluenceRow))
 def list_influence(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
-    """The influence map that the campaign uses: one row per scenario and searched parameter, none where it has no map (yet)."""
+    """The influence map that the campaign uses: one row per scenario and searched parameter, none if it has no map (yet)."""
     campaign = _campaign(database, campaign_id)
     rows = _influence_rows(database, campaign)
     pages = slices(lambda start, stop: rows[start:stop], len(rows))

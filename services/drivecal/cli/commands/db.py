@@ -57,7 +57,7 @@ def upgrade(database_url: DatabaseOption = None, as_json: JsonOption = False) ->
 
 @database.command()
 def check(full: FullOption = False, database_url: DatabaseOption = None, as_json: JsonOption = False) -> None:
-    """Say whether the database is current and whole. Only reads, beside a running server too; exit status 1 where it is not."""
+    """Say whether the database is current and whole. Only reads, beside a running server too; exit status 1 if not."""
     with _opened(database_url) as (_, opened):
         opened.check()
         report = _verified(opened, full=full)

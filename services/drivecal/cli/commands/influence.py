@@ -21,7 +21,7 @@ _NONE = "0.000"
 
 @dataclass(frozen=True)
 class Described:
-    """Rows, whose they are, and what they rest on (None where nothing but a user's word)."""
+    """Rows, whose they are, and what they rest on (None if nothing but a user's word)."""
 
     title: str
     rows: Sequence[InfluenceRow]
@@ -87,7 +87,7 @@ def bounds_text(row: InfluenceRow) -> str:
 
 
 def picture(row: InfluenceRow, width: int = WIDTH) -> str:
-    """The parameter's range from left to right: `#` where it is influential, `.` where not; empty where the range is not known."""
+    """The parameter's range from left to right: `#` where it is influential, `.` where not; empty if the range is not known."""
     if row.space_lower is None or row.space_upper is None:
         return ""
     if not row.influential:

@@ -110,7 +110,7 @@ def _study(client: Client, maker: Campaign) -> MadeStudy:
 
 
 def few_text(study: MadeStudy) -> str:
-    """Why fewer sets were examined than asked for, and what would take more; empty where it is so many."""
+    """Why fewer sets were examined than asked for, and what would take more; empty if it is so many."""
     wanted = study.maker.spec.get("robustness") or {}
     count, within = len(study.rows), wanted.get("within") or 0
     if not count or wanted.get("sets") or count >= wanted.get("solutions", 0):

@@ -10,7 +10,7 @@ from drivecal.contracts.campaign import ErrorRate, Narrowed
 
 
 def print_error_rates(rates: Mapping[str, ErrorRate]) -> None:
-    """Prints a line per scenario that was audited or contradicts itself; nothing where there is none."""
+    """Prints a line per scenario that was audited or contradicts itself; nothing if there is none."""
     known = {name: rate for name, rate in rates.items() if rate.audited or rate.stopped or rate.contradictions}
     if not known:
         return
@@ -95,7 +95,7 @@ def pays_text(share: float) -> str:
 
 
 def print_narrowed(narrowed: list[Narrowed] | None) -> None:
-    """Prints what was cut from the search space; nothing where nothing was."""
+    """Prints what was cut from the search space; nothing if nothing was."""
     if not narrowed:
         return
     typer.echo("\nthe search was narrowed to where some scenario is influenced")

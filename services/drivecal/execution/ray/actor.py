@@ -78,7 +78,7 @@ class Actor:
 
     @property
     def waited_for(self) -> Any:
-        """Reference to what it does; None where it does nothing."""
+        """Reference to what it does; None if it does nothing."""
         if self.warming is not None:
             return self.warming
         return self.calls[0].reference if self.calls else None

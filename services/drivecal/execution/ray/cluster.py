@@ -100,7 +100,7 @@ class Cluster:
         return int(self.ray.cluster_resources().get("CPU", 0))
 
     def check(self) -> None:
-        """Raises BackendLostError where Ray is gone for good: left alone, it would end this process a minute later."""
+        """Raises BackendLostError if Ray is gone for good: left alone, it would end this process a minute later."""
         node = self.ray._private.worker._global_node  # noqa: SLF001  # no public interface
         dead = sorted({kind for kind, _ in node.dead_processes()} & _VITAL) if node else ["connection"]
         if dead:

@@ -145,7 +145,7 @@ class Scheduler:
     def drop(self, batch_id: int, cells: Collection[int]) -> Dispatch | None:
         """Some cells of a dispatch, which was not sent yet, are not to be simulated: they are forgotten, neither completed nor held.
         Identical cells that waited for them wait for themselves. Returns the dispatch of what is left, to be sent in place of the
-        first one; None where nothing is."""
+        first one; None if nothing is."""
         sent = self._sent[batch_id]
         dropped = [claim for claim in sent.leaders if claim.cell.id in cells]
         sent.leaders = [claim for claim in sent.leaders if claim.cell.id not in cells]
@@ -171,7 +171,7 @@ class Scheduler:
         return Replacement(worker, fault) if fault is not None or self._is_alone(worker) else None
 
     def is_kept_from(self, worker: str) -> bool:
-        """True where something waits that this worker refuses."""
+        """True if something waits that this worker refuses."""
         return any(self._worker_health.refuses(worker, setup) for setup in self._queue.setups())
 
     def trouble(self) -> str | None:

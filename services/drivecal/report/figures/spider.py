@@ -25,7 +25,7 @@ def by_scenario(rows: Sequence[InfluenceRow]) -> dict[str, list[InfluenceRow]]:
 
 
 def segment(row: InfluenceRow) -> tuple[float, float] | None:
-    """The influential part of a parameter's range, from 0 (its lower bound) to 1 (its upper bound); None where nothing is."""
+    """The influential part of a parameter's range, from 0 (its lower bound) to 1 (its upper bound); None if nothing is."""
     if not row.influential:
         return None
     if row.space_lower is None or row.space_upper is None:

@@ -39,7 +39,7 @@ def reducible(rows: Sequence[InfluenceRow]) -> list[str]:
 
 
 def drawn(rows: Sequence[ValidationRow]) -> Iterator[Drawn]:
-    """Figure 14, on as many sheets as it takes; nothing where nothing was compared."""
+    """Figure 14, on as many sheets as it takes; none if nothing was compared."""
     compared = [row for row in rows if row.compared]
     caption = (
         "Figure 14. How far the scores of variants, which differ from a basis only where the map says that it does not matter, are from "

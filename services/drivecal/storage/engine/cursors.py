@@ -14,7 +14,7 @@ def encode(*position: int | str) -> str:
 
 
 def decode(cursor: str, *kinds: type[int | str]) -> tuple[Any, ...]:
-    """The inverse of `encode` for values of these `kinds`. Raises InvalidInputError where the cursor is not one of ours."""
+    """The inverse of `encode` for values of these `kinds`. Raises InvalidInputError if the cursor is not one of ours."""
     try:
         position = json.loads(base64.b64decode(cursor + "=" * (-len(cursor) % 4), altchars=b"-_", validate=True))
     except (binascii.Error, ValueError, RecursionError):

@@ -53,7 +53,7 @@ class Database:
 
     @classmethod
     def open(cls, url: str, patience: Patience = PATIENT) -> Database:
-        """Prepares the pool; nothing is connected yet. Raises DatabaseError where the URL names no usable database."""
+        """Prepares the pool; nothing is connected yet. Raises DatabaseError if the URL names no usable database."""
         parsed = urls.parse(url)
         if parsed.get_backend_name() == "sqlite" and sqlite3.sqlite_version_info < OLDEST_SQLITE:
             needed = ".".join(map(str, OLDEST_SQLITE))
@@ -104,7 +104,7 @@ class Database:
                 schema.upgrade(connection, self.name)
 
     def check(self) -> None:
-        """Raises DatabaseError saying what is wrong and what to do where drivecal cannot work with this database as it is."""
+        """Raises DatabaseError saying what is wrong and what to do if drivecal cannot work with this database as it is."""
         with self._plain_errors():
             schema.refuse_missing(self.url)
             with self._engine.connect() as connection:

@@ -45,7 +45,7 @@ class ServerLiveness:
         self._next_try = 0.0
 
     def connect(self, *arguments: Any, **options: Any) -> WatchedConnection:
-        """A connection, as by `psycopg.connect`. Raises OperationalError, at once where the server was silent a moment ago."""
+        """A connection, as by `psycopg.connect`. Raises OperationalError, at once if the server was silent a moment ago."""
         with self._lock:
             if self._reason is not None:
                 if self._clock() < self._next_try:
@@ -85,7 +85,7 @@ class WatchedConnection(psycopg.Connection[Any]):
     watch: ServerLiveness | None = None
 
     def wait(self, gen: Generator[Any, Any, Answer], *arguments: Any, **options: Any) -> Answer:
-        """Carries a statement out, as psycopg does. Raises OperationalError, and closes the connection, where the server is silent."""
+        """Carries a statement out, as psycopg does. Raises OperationalError, and closes the connection, if the server is silent."""
         return super().wait(self._watched(gen), *arguments, **options)
 
     def _watched(self, gen: Generator[Any, Any, Answer]) -> Generator[Any, Any, Answer]:

@@ -27,7 +27,7 @@ class ServerLock(Protocol):
     """The right to be the server of a database, held from `hold` until `release` or the end of the process."""
 
     def renew(self) -> None:
-        """Raises DatabaseError where the lock was lost, with a connection to PostgreSQL, and another server has taken it since.
+        """Raises DatabaseError if the lock was lost, with a connection to PostgreSQL, and another server has taken it since.
 
         UnavailableError where PostgreSQL does not answer. To be called with every heartbeat.
         """
@@ -43,7 +43,7 @@ class ServerLock(Protocol):
 
 
 def hold(url: str, otherwise: str = "name another database by DRIVECAL_DATABASE_URL") -> ServerLock:
-    """Takes the lock. Raises DatabaseError naming the holder where another server has it; `otherwise`: what to do but stop it."""
+    """Takes the lock. Raises DatabaseError naming the holder if another server has it; `otherwise`: what to do but stop it."""
     parsed = urls.parse(url)
     file = urls.sqlite_file(parsed)
     return _PostgresLock(parsed, otherwise) if file is None else _FileLock(file, otherwise)

@@ -21,7 +21,7 @@ UPGRADE_LOCK = 0x64726976
 
 
 def refuse_missing(url: URL) -> None:
-    """Raises DatabaseError where the file is not there or cannot be written."""
+    """Raises DatabaseError if the file is not there or cannot be written."""
     file = sqlite_file(url)
     if file is None:
         return
@@ -35,7 +35,7 @@ def refuse_missing(url: URL) -> None:
 
 
 def prepare_file(url: URL) -> None:
-    """Creates the folder of an SQLite database. Raises DatabaseError where that or writing in it is not possible."""
+    """Creates the folder of an SQLite database. Raises DatabaseError if that or writing in it is not possible."""
     file = sqlite_file(url)
     if file is None:
         return
@@ -50,7 +50,7 @@ def prepare_file(url: URL) -> None:
 
 
 def refuse_foreign(connection: Connection, database: str) -> None:
-    """Raises DatabaseError where the database holds another program's tables or was made by a newer drivecal."""
+    """Raises DatabaseError if the database holds another program's tables or was made by a newer drivecal."""
     tables = inspect(connection).get_table_names()
     if tables and REVISION_TABLE not in tables:
         listed = ", ".join(sorted(tables)[:3])
@@ -63,7 +63,7 @@ def refuse_foreign(connection: Connection, database: str) -> None:
 
 
 def refuse_unmigrated(connection: Connection, database: str) -> None:
-    """Raises DatabaseError where the database is not at this drivecal's revision."""
+    """Raises DatabaseError if the database is not at this drivecal's revision."""
     revision, head = revision_of(connection), known_revisions()[0]
     if revision != head:
         state = "is empty" if revision is None else f"is at revision {revision}, this drivecal needs {head}"
@@ -90,7 +90,7 @@ def upgrade(connection: Connection, database: str, to: str = "head") -> None:
 
 
 def revision_of(connection: Connection) -> str | None:
-    """The database's revision; None where it has none of drivecal's tables."""
+    """The database's revision; None if it has none of drivecal's tables."""
     if REVISION_TABLE not in inspect(connection).get_table_names():
         return None
     return connection.execute(text(f"SELECT version_num FROM {REVISION_TABLE}")).scalar()  # noqa: S608  # a constant

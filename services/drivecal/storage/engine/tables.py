@@ -177,7 +177,7 @@ ratings = Table(
     Column("evaluator", Name, primary_key=True),
     Column("score", Integer, nullable=False),
     Column("rating", Float, nullable=False),
-    # From which watermark on it is seen, where it is younger than its run; 0 where it is as old. Of the same numbers as the ids of runs.
+    # From which watermark on it is seen, where it is younger than its run; 0 if it is as old. Of the same numbers as the ids of runs.
     Column("since", Identity, nullable=False, server_default="0"),
     Index(None, "since", sqlite_where=text("since > 0"), postgresql_where=text("since > 0")),
     sqlite_with_rowid=False,

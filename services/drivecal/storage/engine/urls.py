@@ -11,7 +11,7 @@ EXAMPLES = "give e.g. sqlite:////home/me/drivecal.db or postgresql://user:passwo
 
 
 def parse(url: str) -> URL:
-    """The URL with its driver. Raises DatabaseError where it names no database file or server that drivecal can use."""
+    """The URL with its driver. Raises DatabaseError if it names no database file or server that drivecal can use."""
     try:
         parsed = make_url(url)
     except (ArgumentError, ValueError) as error:

@@ -38,7 +38,7 @@ class Copied:
 
 
 def write(database: Database, file: Path, progress: Progress, *, force: bool = False) -> Copied:
-    """Backs the database up into `file`, while others use it. Raises DatabaseError, where `file` exists unless `force`d too, and
+    """Backs the database up into `file`, while others use it. Raises DatabaseError, if `file` exists unless `force`d too, and
     UnavailableError; `file` is then as it was."""
     _refuse_target(database, file, force=force)
     schema.refuse_missing(database.url)
@@ -62,7 +62,7 @@ def write(database: Database, file: Path, progress: Progress, *, force: bool = F
 def restore(file: Path, database: Database, progress: Progress) -> Copied:
     """Fills an empty database from a backup and brings it to this drivecal's revision. The caller holds the server's lock.
 
-    Raises DatabaseError where the file is no backup or the database has rows, and UnavailableError; the database is then as it was.
+    Raises DatabaseError if the file is no backup or the database has rows, and UnavailableError; the database is then as it was.
     """
     if not file.is_file():
         raise DatabaseError(f"there is no file {file}; name a backup that `drivecal db backup` made")

@@ -59,7 +59,7 @@ def count_rows(connection: Connection, tables: Sequence[Table]) -> dict[str, int
 
 def copy_rows(source: Connection, target: Connection, progress: Progress) -> dict[str, int]:
     """Copies all rows and the numbers that the next rows get; says how many rows there were by table. The target has its tables, and no
-    rows yet. Raises DatabaseError where the source lacks one of the target's tables."""
+    rows yet. Raises DatabaseError if the source lacks one of the target's tables."""
     names = [table.name for table in tables_of(target)]
     missing = sorted(set(names) - set(inspect(source).get_table_names()))
     if missing:
@@ -150,7 +150,7 @@ def _set_sequences(connection: Connection, last: dict[str, int]) -> None:
 
 
 def _postgresql_sequence(connection: Connection, table: str) -> str | None:
-    """The sequence that numbers a table's rows; None where nothing does."""
+    """The sequence that numbers a table's rows; None if nothing does."""
     query = text(
         "SELECT pg_get_serial_sequence(:table, attname) FROM pg_attribute WHERE attrelid = CAST(:table AS regclass) AND attnum > 0"
         " AND NOT attisdropped AND pg_get_serial_sequence(:table, attname) IS NOT NULL"

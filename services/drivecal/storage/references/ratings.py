@@ -25,7 +25,7 @@ def are_all_by(connection: Connection, evaluator: str) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class UnratedRun:
-    """A run that an evaluator has not rated; a metric is None where it was not finite."""
+    """A run that an evaluator has not rated; a metric is None if it was not finite."""
 
     id: int
     metrics: Mapping[str, float | None]

@@ -40,7 +40,7 @@ class NewRun:
 class StoredRun:
     """The reference table's result for a cell after `insert_results`: this result or an earlier one.
 
-    `agrees`: False where an earlier result of the same cell differs in any bit of metrics, failure or, by the same evaluator, score or
+    `agrees`: False if an earlier result of the same cell differs in any bit of metrics, failure or, by the same evaluator, score or
     rating, so that something that decides runs is missing in the setup's fingerprint.
     """
 

@@ -28,7 +28,7 @@ LOG = "serve.log"
 def fresh_folder(folder: Path) -> Iterator[None]:
     """Empties `folder` and keeps other demos out of it.
 
-    Raises ConflictError where one is running there, DatabaseError where a server shows what the last one found.
+    Raises ConflictError if one is running there, DatabaseError where a server shows what the last one found.
     """
     from drivecal.storage.engine import locks
 
@@ -52,7 +52,7 @@ def _database_url(folder: Path) -> str:
 def coordinator(home: Path) -> Iterator[Client]:
     """A running coordinator that keeps its files in `home`, and a client of it; stopped cleanly when the block is left.
 
-    Raises DrivecalError with the end of the log where it does not start.
+    Raises DrivecalError with the end of the log if it does not start.
     """
     settings = load_settings(home=str(home), database_url=_database_url(home)).environment
     environment = {name: value for name, value in (os.environ | settings).items() if name != "DRIVECAL_TOKENS_FILE"}
