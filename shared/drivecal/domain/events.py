@@ -88,9 +88,13 @@ _TEXTS = {
 
 
 def event_text(kind: str, data: Mapping[str, Any]) -> str:
-    """Returns an event as a line for readers; a kind of another version is its name."""
-    text = _TEXTS.get(kind) or kind.replace("_", " ")  # type: ignore[call-overload]  # a stored kind is a string
-    return text.format_map(_Words({name: _word(name, value) for name, value in data.items() if value is not None}))
+    """Returns an event as a line for readers; of another version's kind or data, the name of the kind."""
+    name_of_kind = kind.replace("_", " ")
+    text = _TEXTS.get(kind, name_of_kind)  # type: ignore[call-overload]  # a stored kind is a string
+    try:
+        return text.format_map(_Words({name: _word(name, value) for name, value in data.items() if value is not None}))
+    except (AttributeError, TypeError, ValueError):
+        return name_of_kind
 
 
 class _Words(dict[str, Any]):

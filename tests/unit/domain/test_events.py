@@ -41,3 +41,8 @@ def test_the_text_of_an_event_holds_its_figures(kind: EventKind, data: dict[str,
 @pytest.mark.parametrize("kind", [*EventKind, "something_new"])
 def test_every_kind_has_a_text_even_without_data_or_of_another_version(kind: str) -> None:
     assert event_text(kind, {})
+
+
+def test_data_of_another_version_cannot_break_a_stream() -> None:
+    odd = {"cells": "many", "stage": 7, "iteration": "x", "influential": [], "scores": 3, "best": {}, "mean": [], "objective": "5"}
+    assert all(event_text(kind, odd) for kind in EventKind)

@@ -138,13 +138,13 @@ def show_until_ended(
     said: str | None = None
     with reporter() as report:
 
-        def told(event: CampaignEvent) -> None:
+        def show_event(event: CampaignEvent) -> None:
             nonlocal said
-            if event.text != said and event.kind not in SHOWN:  # stream and dispatcher may both report the same trouble
+            if event.text not in ("", said) and event.kind not in SHOWN:  # stream and dispatcher may both report the same trouble
                 report.tell(event.text)
                 said = event.text
 
-        for campaign in client.watch(identifier, deadline, told, from_beginning=from_beginning):
+        for campaign in client.watch(identifier, deadline, show_event, from_beginning=from_beginning):
             report.show(campaign)
     return campaign
 

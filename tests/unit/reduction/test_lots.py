@@ -1,0 +1,88 @@
+"""Lots of predictions: whatever is wrong in them, few errors are released."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivecal.reduction.lots import SamplingPlan, best_plan, draw, outgoing_errors, smallest_plan
+
+
+@pytest.mark.parametrize(
+    ("size", "limit", "sample"), [(250, 0.05, 16), (250, 0.02, 38), (250, 0.01, 70), (1500, 0.05, 17), (1500, 0.02, 42), (1500, 0.01, 82)]
+)
+def test_samples_are_those_of_the_tables_of_dodge_and_romig(size: int, limit: float, sample: int) -> None:
+    assert smallest_plan(size, limit, acceptance=1).sample == sample
+
+
+@settings(deadline=None)
+@given(st.integers(1, 400), st.sampled_from([0.01, 0.02, 0.05, 0.1]), st.integers(0, 5))
+def test_a_smallest_plan_keeps_the_limit_and_one_cell_less_does_not(size: int, limit: float, acceptance: int) -> None:
+    plan = smallest_plan(size, limit, acceptance)
+    assert outgoing_errors(plan).max() <= limit or plan.sample == plan.size
+    if 0 < plan.sample:
+        assert plan.sample == 1 or outgoing_errors(SamplingPlan(size, plan.sample - 1, acceptance)).max() > limit
+
+
+def test_expected_errors_are_those_of_a_simulation() -> None:
+    plan = smallest_plan(100, 0.05, acceptance=1)
+    generator = np.random.default_rng(1)
+    for wrong in (0, 3, 8, 20, 60):
+        released = []
+        for _ in range(20_000):
+            drawn = generator.hypergeometric(wrong, 100 - wrong, plan.sample)
+            released.append((wrong - drawn) / 100 if plan.releases(int(drawn)) else 0.0)
+        assert np.mean(released) == pytest.approx(outgoing_errors(plan)[wrong], abs=0.002)
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.integers(0, 2**32 - 1), st.floats(0, 1), st.sampled_from([0.02, 0.05]))
+def test_a_thousand_replays_of_any_predictor_release_few_errors_in_the_mean(seed: int, drift: float, limit: float) -> None:
+    """The predictor drifts from lot to lot, claims an arbitrary error rate, and knows every earlier verdict."""
+    generator = np.random.default_rng(seed)
+    errors = cells = 0.0
+    wrong_share = drift
+    for _ in range(1000):
+        size = int(generator.integers(20, 300))
+        plan = best_plan(size, limit, error_rate=0.0)
+        wrong = int(generator.binomial(size, wrong_share))
+        drawn = int(generator.hypergeometric(wrong, size - wrong, plan.sample))
+        cells += size
+        if plan.releases(drawn):
+            errors += wrong - drawn
+            wrong_share = min(1.0, wrong_share * 1.5 + 0.001)  # greedy: more errors as long as they pass
+        else:
+            wrong_share /= 3.0
+    assert errors / cells <= limit * 1.25  # four standard errors of a thousand lots
+
+
+def test_a_better_predictor_saves_more_and_a_bad_lot_is_not_worth_a_sample() -> None:
+    savings = [best_plan(200, 0.05, rate).expected_saving(rate) for rate in (0.0, 0.01, 0.03, 0.1, 0.5)]
+    assert savings == sorted(savings, reverse=True)
+    assert savings[0] > 150
+    assert savings[-1] < 5
+
+
+def test_a_sample_is_fixed_by_its_secret_and_unrelated_to_order_and_other_secrets() -> None:
+    members = [number.to_bytes(4) for number in range(1000)]
+    drawn = draw(members, 50, b"a secret")
+    assert drawn == draw(members, 50, b"a secret")
+    shuffled = members[::-1]
+    assert {members[place] for place in drawn} == {shuffled[place] for place in draw(shuffled, 50, b"a secret")}
+    assert len(set(drawn) & set(draw(members, 50, b"another"))) < 15
+
+
+def test_every_member_is_drawn_equally_often() -> None:
+    members = [number.to_bytes(4) for number in range(20)]
+    counts = np.zeros(20)
+    for secret in range(2000):
+        counts[draw(members, 5, secret.to_bytes(8))] += 1
+    assert counts.min() > 400
+    assert counts.max() < 600
+
+
+def test_a_lot_with_a_member_twice_and_a_limit_beyond_one_are_refused() -> None:
+    with pytest.raises(ValueError, match="distinct"):
+        draw([b"a", b"a"], 1, b"")
+    with pytest.raises(ValueError, match="1.5"):
+        smallest_plan(10, 1.5, 1)
