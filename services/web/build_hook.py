@@ -92,7 +92,8 @@ def _digest() -> str:
 def check() -> str | None:
     """Runs the checks and the tests of the page's sources; what they say, where they find anything. Raises PageError where they cannot."""
     node, npm = _node()
-    if not (_complete() and (WEB / "node_modules" / "vitest").is_dir()):
+    wanted = json.loads((WEB / "package.json").read_text(encoding="utf-8"))["devDependencies"]
+    if not (_complete() and all((WEB / "node_modules" / name).is_dir() for name in wanted)):
         _run([*npm, *FETCHING], node, SECONDS_TO_FETCH, UNFETCHED)
     (WEB / "openapi.json").write_text(json.dumps(_document()), encoding="utf-8")
     for script in ("types", "check", "test"):
