@@ -62,7 +62,7 @@ ASKED = {
 }
 """Texts of a requested action until it takes effect."""
 
-_TEXTS = {
+_TEXTS: dict[str, str] = {
     EventKind.QUEUED: "queued",
     EventKind.RUNNING: "started",
     EventKind.PAUSING: ASKED["pause"],
@@ -90,7 +90,7 @@ _TEXTS = {
 def event_text(kind: str, data: Mapping[str, Any]) -> str:
     """Returns an event as a line for readers; of another version's kind or data, the name of the kind."""
     name_of_kind = kind.replace("_", " ")
-    text = _TEXTS.get(kind, name_of_kind)  # type: ignore[call-overload]  # a stored kind is a string
+    text = _TEXTS.get(kind, name_of_kind)
     try:
         return text.format_map(_Words({name: _word(name, value) for name, value in data.items() if value is not None}))
     except (AttributeError, TypeError, ValueError):
