@@ -2,8 +2,8 @@
 
 A lot of n predictions is committed first. Then m of them are drawn by a secret and simulated. If more than c differ, the whole lot is
 simulated; otherwise the rest is released. For D wrong predictions in the lot, k of them in the sample, the expected share of released
-errors is sum_{k <= c} P(k | D) (D - k) / n. Its maximum over D, the average outgoing quality limit (AOQL), bounds it for every predictor and
-every drift, because chance comes from the sample alone. Expected errors of several lots add up without a correction.
+errors is sum_{k <= c} P(k | D) (D - k) / n. Its maximum over D, the average outgoing quality limit (AOQL), bounds it for every
+predictor and every drift, because chance comes from the sample alone. Expected errors of several lots add up without a correction.
 """
 
 import hashlib

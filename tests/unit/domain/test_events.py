@@ -44,5 +44,14 @@ def test_every_kind_has_a_text_even_without_data_or_of_another_version(kind: str
 
 
 def test_data_of_another_version_cannot_break_a_stream() -> None:
-    odd = {"cells": "many", "stage": 7, "iteration": "x", "influential": [], "scores": 3, "best": {}, "mean": [], "objective": "5"}
+    odd = {
+        "cells": "many",
+        "stage": 7,
+        "iteration": "x",
+        "influential": [],
+        "scores": 3,
+        "best": {},
+        "mean": [],
+        "objective": "5",
+    }
     assert all(event_text(kind, odd) for kind in EventKind)

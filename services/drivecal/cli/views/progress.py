@@ -140,7 +140,9 @@ def show_until_ended(
 
         def show_event(event: CampaignEvent) -> None:
             nonlocal said
-            if event.text not in ("", said) and event.kind not in SHOWN:  # stream and dispatcher may both report the same trouble
+            if (
+                event.text not in ("", said) and event.kind not in SHOWN
+            ):  # stream and dispatcher may both report the same trouble
                 report.tell(event.text)
                 said = event.text
 

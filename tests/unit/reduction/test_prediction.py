@@ -1,0 +1,103 @@
+"""Predictions: the calibration of confidences, the choice of a lot, and the forest behind them."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivecal.reduction.forest import Forest
+from drivecal.reduction.lots import outgoing_errors
+from drivecal.reduction.prediction import Calibration, Floats, choose_lot
+
+GENERATOR = np.random.default_rng(3)
+SETS = GENERATOR.random((600, 4))
+SCORES: Floats = np.round(7.0 * (1.0 - np.abs(SETS[:, 0] - 0.5) - 0.5 * SETS[:, 1] ** 2)).clip(0.0, 7.0)
+
+
+def learned(tolerance: float = 0.0) -> Forest:
+    forest = Forest(tolerance)
+    forest.fit(SETS[:400], SCORES[:400])
+    return forest
+
+
+def test_without_a_record_nothing_is_expected_to_be_right() -> None:
+    assert Calibration().error_rates(np.array([0.2, 1.0])).tolist() == [1.0, 1.0]
+    assert choose_lot(np.ones(500), 0.05) is None
+
+
+@given(st.lists(st.tuples(st.floats(0, 1), st.booleans(), st.floats(0.5, 30)), min_size=1, max_size=60))
+def test_error_rates_never_rise_with_the_confidence(record: list[tuple[float, bool, float]]) -> None:
+    calibration = Calibration()
+    confidence, wrong, weight = (np.array(column) for column in zip(*record, strict=True))
+    calibration.add(confidence, wrong, weight)
+    rates = calibration.error_rates(np.linspace(0.0, 1.0, 101))
+    assert ((rates >= 0.0) & (rates <= 1.0)).all()
+    assert (np.diff(rates) <= 1e-12).all()
+
+
+def test_a_long_record_is_reproduced() -> None:
+    confidence = GENERATOR.random(50_000)
+    calibration = Calibration()
+    calibration.add(confidence, GENERATOR.random(50_000) > confidence)
+    at = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
+    assert calibration.error_rates(at) == pytest.approx(1.0 - at, abs=0.04)
+
+
+def test_a_sampled_prediction_stands_for_its_lot() -> None:
+    calibration = Calibration()
+    calibration.add(np.full(1000, 0.9), np.zeros(1000, dtype=bool))
+    calibration.add(np.full(20, 0.9), np.ones(20, dtype=bool), weight=50.0)
+    assert calibration.error_rates(np.array([0.95]))[0] == pytest.approx(0.5, abs=0.02)
+
+
+@given(st.lists(st.floats(0, 1), max_size=80), st.sampled_from([0.01, 0.05]))
+def test_a_lot_holds_the_most_certain_predictions_and_keeps_the_limit(rates: list[float], limit: float) -> None:
+    lot = choose_lot(np.array(rates), limit)
+    if lot is not None:
+        left = np.setdiff1d(np.arange(len(rates)), lot.members)
+        assert not len(left) or max(rates[member] for member in lot.members) <= min(rates[place] for place in left)
+        assert lot.plan.size == len(lot.members)
+        assert outgoing_errors(lot.plan).max() <= limit or lot.plan.sample == lot.plan.size
+
+
+def test_the_forest_is_better_than_its_most_frequent_score_and_knows_when() -> None:
+    answers, confidence = learned().predict(SETS[400:])
+    wrong = answers != SCORES[400:]
+    values, counts = np.unique(SCORES[:400], return_counts=True)
+    assert wrong.mean() < (SCORES[400:] != values[counts.argmax()]).mean() / 2
+    certain = confidence > np.median(confidence)
+    assert wrong[certain].mean() < wrong[~certain].mean()
+
+
+def test_a_tolerance_counts_neighbouring_scores() -> None:
+    answers, confidence = learned(tolerance=1.0).predict(SETS[400:])
+    assert (np.abs(answers - SCORES[400:]) > 1.0).mean() < 0.05
+    assert (confidence >= learned().predict(SETS[400:])[1] - 1e-12).all()
+
+
+def test_left_out_errors_predict_the_errors_of_new_sets() -> None:
+    forest = learned()
+    _, left_out = forest.known_errors()
+    answers, _ = forest.predict(SETS[400:])
+    assert left_out.mean() == pytest.approx((answers != SCORES[400:]).mean(), abs=0.08)
+
+
+def test_a_single_known_score_is_predicted_everywhere() -> None:
+    forest = Forest()
+    forest.fit(SETS[:5], np.full(5, 3.0))
+    answers, confidence = forest.predict(SETS[5:9])
+    assert answers.tolist() == [3.0] * 4
+    assert confidence.tolist() == [1.0] * 4
+
+
+def test_predictions_have_the_same_bits_in_another_process() -> None:
+    script = (
+        "import numpy as np; from tests.unit.reduction.test_prediction import learned, SETS;"
+        "print(*(part.tobytes().hex() for part in learned().predict(SETS[400:])))"
+    )
+    here = " ".join(part.tobytes().hex() for part in learned().predict(SETS[400:]))
+    there = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)  # this test itself
+    assert there.stdout.strip() == here
