@@ -15,6 +15,7 @@ import subprocess
 import sys
 from hashlib import sha256
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
@@ -95,7 +96,7 @@ def check() -> str | None:
     wanted = json.loads((WEB / "package.json").read_text(encoding="utf-8"))["devDependencies"]
     if not (_complete() and all((WEB / "node_modules" / name).is_dir() for name in wanted)):
         _run([*npm, *FETCHING], node, SECONDS_TO_FETCH, UNFETCHED)
-    (WEB / "openapi.json").write_text(json.dumps(_document()), encoding="utf-8")
+    _write_document(WEB / "openapi.json")
     for script in ("types", "check", "test"):
         ran = subprocess.run(
             [*npm, "run", "--silent", script], cwd=WEB, env=_environment(node), capture_output=True, text=True, check=False
@@ -105,11 +106,26 @@ def check() -> str | None:
     return None
 
 
-def _document() -> dict[str, Any]:
-    from drivecal.api.app import create_app  # to check the page drivecal must be installed; to build it, not
-    from drivecal.configuration.settings import load_settings
-
-    return create_app(load_settings(database_url="sqlite:///unused.db")).openapi()
+def _write_document(path: Path) -> None:
+    """Writes the API's OpenAPI document. Raises PageError without an installed drivecal, which only the checks need."""
+    script = (
+        "import json, sys; from drivecal.api.app import create_app; from drivecal.configuration.settings import Settings;"
+        "json.dump(create_app(Settings(database_url='sqlite:///unused.db')).openapi(), sys.stdout)"
+    )
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("DRIVECAL_")}
+    with TemporaryDirectory() as folder:  # no config file lies there
+        made = subprocess.run(
+            [sys.executable, "-c", script],
+            cwd=folder,
+            env=environment | {"DRIVECAL_HOME": folder},
+            capture_output=True,
+            check=False,
+        )
+    if made.returncode:
+        raise PageError(
+            "the API's description cannot be made: " + (made.stderr.decode().strip().splitlines() or ["no reason"])[-1]
+        )
+    path.write_bytes(made.stdout)
 
 
 def _complete() -> bool:

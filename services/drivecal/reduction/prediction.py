@@ -4,6 +4,7 @@ A prediction needs no guarantee of its own: `reduction.lots` bounds the released
 more, because fewer lots are rejected and fewer right predictions are left out.
 """
 
+from collections import deque
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -17,6 +18,10 @@ Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 Positions = npt.NDArray[np.int64]
 
+RECENT = 6
+"""Batches that a calibration remembers."""
+LEFT_OUT = 0.2
+"""Weight of a left-out error of the training data beside a prediction's own."""
 SIZES = 48
 """Lot sizes that `choose_lot` compares."""
 LEVELS = 40
@@ -40,29 +45,30 @@ class Predictor(Protocol):
 
 @dataclass(slots=True)
 class Calibration:
-    """Error rates by raw confidence, from predictions of earlier batches whose cells were simulated.
+    """Error rates by raw confidence, from the last batches of predictions whose cells were simulated.
 
-    Predictions of a released lot are known by its sample alone: each sampled one stands for size / sample of them.
+    Predictions of a released lot are known by its sample alone: each sampled one stands for size / sample of them. Left-out errors of the
+    training data fill the gaps of the record, at less weight: an optimizer leaves the region that they come from.
     """
 
-    _confidence: list[Floats] = field(default_factory=list)
-    _wrong: list[Bools] = field(default_factory=list)
-    _weight: list[Floats] = field(default_factory=list)
+    _record: deque[tuple[Floats, Bools, Floats]] = field(default_factory=lambda: deque(maxlen=RECENT))
 
     def add(self, confidence: Floats, wrong: Bools, weight: Floats | float = 1.0) -> None:
-        """Adds known predictions, each of shape (n,)."""
-        self._confidence.append(confidence)
-        self._wrong.append(wrong)
-        self._weight.append(np.broadcast_to(np.asarray(weight, dtype=np.float64), confidence.shape))
+        """Adds the known predictions of a batch, each of shape (n,)."""
+        self._record.append((confidence, wrong, np.broadcast_to(np.asarray(weight, dtype=np.float64), confidence.shape)))
 
-    def error_rates(self, confidence: Floats) -> Floats:
-        """Returns expected error rates of raw confidences, shape (n,): non-increasing, 1 without a record.
+    def error_rates(self, confidence: Floats, left_out: tuple[Floats, Bools] | None = None) -> Floats:
+        """Returns expected error rates of raw confidences, shape (n,): non-increasing, 1 without any known prediction. `left_out`: as from
+        `Predictor.known_errors`.
 
         Levels of equal weight, shrunk towards the record's mean error, then made monotone by isotonic regression.
         """
-        if not self._confidence:
+        batches = [batch for batch in self._record if len(batch[0])]
+        if left_out is not None and len(left_out[0]):
+            batches.append((*left_out, np.full(len(left_out[0]), LEFT_OUT)))
+        if not batches:
             return np.ones(confidence.shape)
-        known, wrong, weight = (np.concatenate(column) for column in (self._confidence, self._wrong, self._weight))
+        known, wrong, weight = (np.concatenate(column) for column in zip(*batches, strict=True))
         order = np.lexsort((wrong, known))
         known, wrong, weight = known[order], wrong[order].astype(np.float64), weight[order]
         level = np.minimum((np.cumsum(weight) - weight) / weight.sum() * LEVELS, LEVELS - 1).astype(np.int64)
@@ -88,8 +94,8 @@ class Lot:
 def choose_lot(error_rates: Floats, limit: float) -> Lot | None:
     """Returns the lot with the largest expected saving; None if no lot saves a simulation.
 
-    A lot holds the predictions with the lowest `error_rates`, shape (n,); equal rates keep their order. `limit`: the largest expected
-    share of released errors.
+    A lot holds the predictions with the lowest `error_rates`, shape (n,); equal rates keep their order. Its mean expected error is at most
+    `limit`, the largest expected share of released errors: worse lots would pass at times, but most would be simulated.
     """
     order = np.argsort(error_rates, kind="stable")
     expected = np.cumsum(error_rates[order]) / np.arange(1, len(order) + 1)
@@ -97,6 +103,8 @@ def choose_lot(error_rates: Floats, limit: float) -> Lot | None:
     best: tuple[float, Lot] | None = None
     for size in sizes:
         rate = float(expected[size - 1])
+        if rate > limit:
+            break
         plan = best_plan(size, limit, rate)
         saving = plan.expected_saving(rate)
         if saving >= 1.0 and (best is None or saving > best[0]):

@@ -29,7 +29,12 @@ def anchor(title: str) -> str:
 
 
 _ENVIRONMENT = Environment(
-    loader=PackageLoader("drivecal.report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    loader=PackageLoader("drivecal.report"),
+    autoescape=True,
+    undefined=StrictUndefined,
+    trim_blocks=True,
+    lstrip_blocks=True,
+    keep_trailing_newline=True,
 )
 _ENVIRONMENT.filters["anchor"] = anchor
 _MACROS: Any = _ENVIRONMENT.get_template("markup.html.jinja").module

@@ -16,6 +16,7 @@ from drivecal.cli.views.output import by_outcome, duration
 from drivecal.client.client import Client
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.events import CampaignEvent
+from drivecal.domain.events import event_text
 
 SECONDS_BETWEEN_LINES = 5.0
 SHOWN = frozenset({"queued", "running", "generation", "succeeded", "failed", "cancelled"})
@@ -140,11 +141,10 @@ def show_until_ended(
 
         def show_event(event: CampaignEvent) -> None:
             nonlocal said
-            if (
-                event.text not in ("", said) and event.kind not in SHOWN
-            ):  # stream and dispatcher may both report the same trouble
-                report.tell(event.text)
-                said = event.text
+            text = event.text or event_text(event.kind, event.data)  # an older server sends no text
+            if text != said and event.kind not in SHOWN:  # stream and dispatcher may both report the same trouble
+                report.tell(text)
+                said = text
 
         for campaign in client.watch(identifier, deadline, show_event, from_beginning=from_beginning):
             report.show(campaign)

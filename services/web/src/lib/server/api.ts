@@ -22,10 +22,11 @@ export function whenRefused(handler: () => void): void {
   refused = handler;
 }
 
-export async function ask(path: string, options: RequestInit = {}): Promise<Response> {
+/** Asks the server. Throws a Refusal for every error status; 401 asks for a token first. */
+export async function ask(path: string, options: RequestInit = {}, root = ROOT): Promise<Response> {
   let answer: Response;
   try {
-    answer = await fetch(ROOT + path, { credentials: "same-origin", ...options });
+    answer = await fetch(root + path, { credentials: "same-origin", ...options });
   } catch (error) {
     if (error instanceof DOMException && error.name === "AbortError") throw error;
     throw new Refusal(0, "The server cannot be reached.");

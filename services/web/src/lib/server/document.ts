@@ -1,18 +1,18 @@
 /** The API's own description: its OpenAPI document. */
 
 import type { Definitions, Schema } from "../forms/schema";
-import { Refusal } from "./api";
+import { Refusal, ask } from "./api";
 
 let reading: Promise<Definitions> | null = null;
 
 /** The schemas of the API by name, read once. */
 export function definitions(): Promise<Definitions> {
-  reading ??= fetch("/openapi.json", { credentials: "same-origin" })
+  reading ??= ask("/openapi.json", {}, "")
     .then((answer) => answer.json())
     .then((document: { components: { schemas: Definitions } }) => document.components.schemas)
     .catch((error: unknown) => {
       reading = null;
-      throw new Refusal(0, `The API's description cannot be read: ${String(error)}`);
+      throw error instanceof Refusal ? error : new Refusal(0, `The API's description cannot be read: ${String(error)}`);
     });
   return reading;
 }
