@@ -32,7 +32,8 @@ PLANTED = {
     "Only the Ray backend and drivecal.local reach the workers": ("services/drivecal/cli", "import drivecal.runtime"),
     "The workers do not know the coordinator": ("workers/drivecal/runtime", "from drivecal.reduction import keys"),
     "Only drivecal.traffic speaks to SUMO": ("workers/drivecal/episode", "import libsumo"),
-    "Only drivecal.training needs the libraries of training": ("workers/drivecal/vehicle", "import sklearn"),
+    "Only drivecal.training needs the multi-body model": ("workers/drivecal/vehicle", "import vehiclemodels"),
+    "Only the forest and drivecal.training learn by scikit-learn": ("services/drivecal/sensitivity", "import sklearn"),
     "No database and no web server beside the simulation": (
         "workers/drivecal/planner",
         "def late():\n    import sqlalchemy.orm",

@@ -24,7 +24,7 @@ from tests.benchmarks.certified import carry_out
 
 from drivecal.reduction.forest import Forest
 from drivecal.reduction.lots import draw
-from drivecal.reduction.prediction import Bools, Calibration, Floats, choose_lot
+from drivecal.reduction.prediction import Bools, ConfidenceRecord, Floats, choose_lot
 
 HOME = Path(".drivecal/bench/predicted").absolute()
 TARGET = Path(".drivecal/bench/predicted.json")
@@ -72,17 +72,17 @@ def scenarios(database: Path) -> dict[str, Scenario]:
     for scenario, iteration, individual, number, values, score in rows:
         batch = individual // SLICE if iteration == 0 else 1_000_000 + iteration
         read.setdefault(scenario, {}).setdefault(number, (list(json.loads(values).values()), score, batch))
-    found = {}
+    ordered = {}
     for scenario, cells in sorted(read.items()):
         features, scores, batches = (np.array(column, dtype=np.float64) for column in zip(*cells.values(), strict=True))
         spread = np.ptp(features, axis=0)
-        found[scenario] = Scenario((features - features.min(axis=0)) / np.where(spread > 0, spread, 1.0), scores, batches)
-    return found
+        ordered[scenario] = Scenario((features - features.min(axis=0)) / np.where(spread > 0, spread, 1.0), scores, batches)
+    return ordered
 
 
 def replay(cells: Scenario, tolerance: float, limit: float) -> Tally:
     """Predicts the cells of a scenario batch by batch."""
-    tally, calibration = Tally(cells=len(cells.scores)), Calibration()
+    tally, record = Tally(cells=len(cells.scores)), ConfidenceRecord()
     known: Bools = np.zeros(len(cells.scores), dtype=np.bool_)
     for batch in np.unique(cells.batches):
         here = np.flatnonzero(cells.batches == batch)
@@ -93,12 +93,12 @@ def replay(cells: Scenario, tolerance: float, limit: float) -> Tally:
         forest = Forest(tolerance)
         forest.fit(cells.features[known], cells.scores[known])
         answers, confidence = forest.predict(cells.features[here])
-        lot = choose_lot(calibration.error_rates(confidence, forest.known_errors()), limit)
+        lot = choose_lot(record.error_rates(confidence, forest.known_errors()), limit)
         tally.seconds += time.process_time() - began
         wrong: Bools = np.abs(answers - cells.scores[here]) > tolerance + 1e-9
         if lot is None:
             known[here] = True
-            calibration.add(confidence, wrong)
+            record.add(confidence, wrong)
             continue
         identities = [int(here[member]).to_bytes(8) for member in lot.members]
         sampled = lot.members[draw(identities, lot.plan.sample, str(batch).encode())]
@@ -108,7 +108,7 @@ def replay(cells: Scenario, tolerance: float, limit: float) -> Tally:
         if not lot.plan.releases(int(wrong[sampled].sum())):
             tally.rejected += 1
             known[here] = True
-            calibration.add(confidence, wrong)
+            record.add(confidence, wrong)
             continue
         released = np.setdiff1d(lot.members, sampled)
         tally.released += len(released)
@@ -116,17 +116,15 @@ def replay(cells: Scenario, tolerance: float, limit: float) -> Tally:
         simulated = np.concatenate([outside, sampled])
         known[here[simulated]] = True
         stands_for = np.full(len(sampled), lot.plan.size / max(1, lot.plan.sample))
-        calibration.add(confidence[simulated], wrong[simulated], np.concatenate([np.ones(len(outside)), stands_for]))
+        record.add(confidence[simulated], wrong[simulated], np.concatenate([np.ones(len(outside)), stands_for]))
     return tally
 
 
 def table(tallies: dict[str, Tally]) -> Iterator[str]:
     """Yields a line per scenario and their sum."""
     yield f"{'':6}{'cells':>9}{'no simulation':>15}{'different':>11}{'lots':>6}{'rejected':>10}{'sampled':>9}{'fits, s':>9}"
-    rows = [
-        *tallies.items(),
-        ("all", Tally(*(sum(column) for column in zip(*(asdict(row).values() for row in tallies.values()), strict=True)))),
-    ]
+    columns = zip(*(asdict(row).values() for row in tallies.values()), strict=True)
+    rows = [*tallies.items(), ("all", Tally(*(sum(column) for column in columns)))]
     for name, row in rows:
         share = f"{row.different / row.released:.2%}" if row.released else "-"
         yield (

@@ -44,7 +44,7 @@ class Predictor(Protocol):
 
 
 @dataclass(slots=True)
-class Calibration:
+class ConfidenceRecord:
     """Error rates by raw confidence, from the last batches of predictions whose cells were simulated.
 
     Predictions of a released lot are known by its sample alone: each sampled one stands for size / sample of them. Left-out errors of the

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from drivecal.reduction.forest import Forest
 from drivecal.reduction.lots import outgoing_errors
-from drivecal.reduction.prediction import Calibration, Floats, choose_lot
+from drivecal.reduction.prediction import ConfidenceRecord, Floats, choose_lot
 
 GENERATOR = np.random.default_rng(3)
 SETS = GENERATOR.random((600, 4))
@@ -24,13 +24,13 @@ def learned(tolerance: float = 0.0) -> Forest:
 
 
 def test_without_a_record_nothing_is_expected_to_be_right() -> None:
-    assert Calibration().error_rates(np.array([0.2, 1.0])).tolist() == [1.0, 1.0]
+    assert ConfidenceRecord().error_rates(np.array([0.2, 1.0])).tolist() == [1.0, 1.0]
     assert choose_lot(np.ones(500), 0.05) is None
 
 
 @given(st.lists(st.tuples(st.floats(0, 1), st.booleans(), st.floats(0.5, 30)), min_size=1, max_size=60))
 def test_error_rates_never_rise_with_the_confidence(record: list[tuple[float, bool, float]]) -> None:
-    calibration = Calibration()
+    calibration = ConfidenceRecord()
     confidence, wrong, weight = (np.array(column) for column in zip(*record, strict=True))
     calibration.add(confidence, wrong, weight)
     rates = calibration.error_rates(np.linspace(0.0, 1.0, 101))
@@ -40,14 +40,14 @@ def test_error_rates_never_rise_with_the_confidence(record: list[tuple[float, bo
 
 def test_a_long_record_is_reproduced() -> None:
     confidence = GENERATOR.random(50_000)
-    calibration = Calibration()
+    calibration = ConfidenceRecord()
     calibration.add(confidence, GENERATOR.random(50_000) > confidence)
     at = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
     assert calibration.error_rates(at) == pytest.approx(1.0 - at, abs=0.04)
 
 
 def test_a_sampled_prediction_stands_for_its_lot() -> None:
-    calibration = Calibration()
+    calibration = ConfidenceRecord()
     calibration.add(np.full(1000, 0.9), np.zeros(1000, dtype=bool))
     calibration.add(np.full(20, 0.9), np.ones(20, dtype=bool), weight=50.0)
     assert calibration.error_rates(np.array([0.95]))[0] == pytest.approx(0.5, abs=0.02)
