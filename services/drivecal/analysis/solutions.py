@@ -1,4 +1,4 @@
-"""Ranks the parameter sets that were evaluated, under any weights, without a new simulation. Pure."""
+"""Ranks evaluated parameter sets by their weighted objective (Eq. 6) under any weights, without a simulation. Pure."""
 
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass

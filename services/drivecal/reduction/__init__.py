@@ -12,8 +12,8 @@
 ['simulated', 'reused']
 """
 
-from drivecal.reduction.assignment import Assignment, Policy, RequestedCell, assign, is_audited
-from drivecal.reduction.audit import clopper_pearson, error_rates
+from drivecal.reduction.assignment import Assignment, Policy, RequestedCell, assign
+from drivecal.reduction.audit import clopper_pearson, error_rates, is_audited, is_checked
 from drivecal.reduction.keys import ReferenceKeys, billionths_matrix
 from drivecal.reduction.narrowing import SearchArea, common_area, full_area
 
@@ -30,4 +30,5 @@ __all__ = [
     "error_rates",
     "full_area",
     "is_audited",
+    "is_checked",
 ]

@@ -4,13 +4,13 @@ Order of answers: repeated, reused, (certified,) simulated. The decision depends
 alone, never on the workers' timing, so that it can be committed, resumed and repeated.
 """
 
-import hashlib
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 from drivecal.domain.evaluations import Donor, Outcome
 from drivecal.domain.parameters import ParameterSet
+from drivecal.reduction.audit import is_audited
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,24 +83,9 @@ def assign(
         if donor is None and leader is None:
             same_set[identity] = position
             assignments.append(Assignment(Outcome.SIMULATED))
-        elif is_audited(cell, policy):
+        elif is_audited(cell.scenario, cell.parameters, policy.audit, policy.seed):
             same_set[identity] = position
             assignments.append(Assignment(Outcome.SIMULATED, donor=donor, leader=leader, audited=True))
         else:
             assignments.append(Assignment(Outcome.REUSED, donor=donor, leader=leader))
     return assignments
-
-
-def is_audited(cell: RequestedCell, policy: Policy) -> bool:
-    """Whether this cell is simulated although it could be reused: by a hash of seed, scenario and parameter set."""
-    return _drawn(f"{policy.seed}:{cell.scenario}:".encode() + cell.parameters.key, policy.audit)
-
-
-def is_checked(campaign: int, scenario: str, parameter_key: bytes, share: float) -> bool:
-    """Whether a cell is simulated although a certificate answers it: by a hash of the campaign's number, scenario and parameter set."""
-    return _drawn(f"certificate:{campaign}:{scenario}:".encode() + parameter_key, share)
-
-
-def _drawn(content: bytes, share: float) -> bool:
-    draw = int.from_bytes(hashlib.blake2b(content, digest_size=8).digest(), "big")
-    return draw < share * 2**64

@@ -1,15 +1,32 @@
-"""The audit of reuse: a share of reused cells is simulated, and wrong answers are counted by scenario. Pure."""
+"""Audits: the choice of reused and certified cells that are simulated all the same, and the error rates of reuse. Pure."""
 
+import hashlib
 from collections.abc import Iterable, Mapping
 
 from drivecal.contracts.campaign import ErrorRate
 from drivecal.domain.evaluations import AuditCount
+from drivecal.domain.parameters import ParameterSet
 
 CONFIDENCE = 0.95
 
 
+def is_audited(scenario: str, parameters: ParameterSet, share: float, seed: int) -> bool:
+    """Whether a reusable cell is simulated all the same: by a hash of seed, scenario and parameter set."""
+    return _drawn(f"{seed}:{scenario}:".encode() + parameters.key, share)
+
+
+def is_checked(scenario: str, parameters: ParameterSet, share: float, campaign: int) -> bool:
+    """Whether a certified cell is simulated all the same: by a hash of the campaign's number, scenario and parameter set."""
+    return _drawn(f"certificate:{campaign}:{scenario}:".encode() + parameters.key, share)
+
+
+def _drawn(content: bytes, share: float) -> bool:
+    draw = int.from_bytes(hashlib.blake2b(content, digest_size=8).digest(), "big")
+    return draw < share * 2**64
+
+
 def clopper_pearson(wrong: int, audited: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
-    """The exact two-sided confidence interval of a proportion (Clopper, Pearson 1934). (0, 1) where nothing was audited."""
+    """Returns the exact two-sided confidence interval of a proportion (Clopper, Pearson 1934); (0, 1) without audits."""
     from scipy.special import betaincinv  # takes a while, which commands that only look things up need not pay
 
     tail = (1 - confidence) / 2  # closed form: scipy's binomtest searches the same limits to 1e-11

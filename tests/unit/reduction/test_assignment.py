@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from drivecal.domain.evaluations import Donor, Outcome
 from drivecal.domain.parameters import ParameterSet
-from drivecal.reduction.assignment import Assignment, Policy, RequestedCell, assign, is_audited
+from drivecal.reduction.assignment import Assignment, Policy, RequestedCell, assign
+from drivecal.reduction.audit import is_audited
 
 DONOR = Donor(evaluation=7, run=3, score=5, rating=5.2, failure=None)
 
@@ -73,7 +74,7 @@ def test_an_audited_cell_is_simulated_and_remembers_the_donor_that_was_not_trust
 @given(st.integers(0, 2**63 - 1))
 def test_the_audited_share_is_close_to_what_was_asked(seed: int) -> None:
     cells = [_cell(i, f"set {i}") for i in range(2_000)]
-    audited = sum(is_audited(cell, Policy("influence", audit=0.2, seed=seed)) for cell in cells)
+    audited = sum(is_audited(cell.scenario, cell.parameters, share=0.2, seed=seed) for cell in cells)
     assert 280 < audited < 520
 
 

@@ -20,7 +20,7 @@ from drivecal.execution.measures import MEASURES
 from drivecal.execution.scheduling.in_flight import Work
 from drivecal.execution.scheduling.scheduler import Completed
 from drivecal.plugins.ports import SeriesEvaluator
-from drivecal.reduction.assignment import is_checked
+from drivecal.reduction.audit import is_checked
 from drivecal.storage import evaluations, leases, results, traces
 from drivecal.storage.evaluations import COPIES, AnsweredCell, NewEvaluation
 from drivecal.storage.references import runs
@@ -186,7 +186,7 @@ class CellTracker:
         share = self._view.checked_certificates
         if share is None:
             return Cell(pending.id, pending.parameters.floats, trace=self._view.traced)
-        check = pending.audited or is_checked(self._view.campaign, pending.scenario, pending.parameters.key, share)
+        check = pending.audited or is_checked(pending.scenario, pending.parameters, share, self._view.campaign)
         return Cell(pending.id, pending.parameters.floats, certify=True, check=check)
 
     def raise_if_refuted(self) -> None:
