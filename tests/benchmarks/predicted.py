@@ -16,6 +16,7 @@ import time
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,20 +25,18 @@ from tests.benchmarks.certified import carry_out
 
 from drivecal.reduction.forest import Forest
 from drivecal.reduction.lots import draw
-from drivecal.reduction.prediction import Bools, ConfidenceRecord, Floats, choose_lot
+from drivecal.reduction.prediction import Floats, ScenarioLearner, choose_lot
 
 HOME = Path(".drivecal/bench/predicted").absolute()
 TARGET = Path(".drivecal/bench/predicted.json")
 SLICE = 250
 """Parameter sets of the start population in one batch."""
-FIRST = 100
-"""Known scores before the first prediction."""
 SETTINGS = ((0.0, 0.05), (1.0, 0.01))
 """(tolerance, limit)."""
 WANTED = {(0.0, 0.05): 0.40, (1.0, 0.01): 0.50}
 """Smallest share of cells without a simulation in the replay, at the paper's size."""
 CELLS = """
-    SELECT scenario, iteration, individual, parameter_set_id, parameter_values, score FROM evaluations
+    SELECT scenario, iteration, individual, parameter_set_id, parameter_values, score, rating FROM evaluations
     JOIN parameter_sets ON parameter_sets.id = parameter_set_id WHERE stage = 2 AND score IS NOT NULL ORDER BY iteration, individual"""
 
 
@@ -57,10 +56,11 @@ class Tally:
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """Distinct cells of a scenario in the order of their request: features (n, k), scores (n,), batches (n,)."""
+    """Distinct cells of a scenario in the order of their request: features (n, k); scores, ratings, batches (n,)."""
 
     features: Floats
     scores: Floats
+    ratings: Floats
     batches: Floats
 
 
@@ -68,55 +68,53 @@ def scenarios(database: Path) -> dict[str, Scenario]:
     """Reads the cells of the calibration stage; each parameter set counts at its first request."""
     with closing(sqlite3.connect(database)) as connection:
         rows = connection.execute(CELLS).fetchall()
-    read: dict[str, dict[int, tuple[list[float], float, int]]] = {}
-    for scenario, iteration, individual, number, values, score in rows:
+    read: dict[str, dict[int, tuple[list[float], float, float, int]]] = {}
+    for scenario, iteration, individual, number, values, score, rating in rows:
         batch = individual // SLICE if iteration == 0 else 1_000_000 + iteration
-        read.setdefault(scenario, {}).setdefault(number, (list(json.loads(values).values()), score, batch))
+        read.setdefault(scenario, {}).setdefault(number, (list(json.loads(values).values()), score, rating, batch))
     ordered = {}
     for scenario, cells in sorted(read.items()):
-        features, scores, batches = (np.array(column, dtype=np.float64) for column in zip(*cells.values(), strict=True))
+        features, scores, ratings, batches = (
+            np.array(column, dtype=np.float64) for column in zip(*cells.values(), strict=True)
+        )
         spread = np.ptp(features, axis=0)
-        ordered[scenario] = Scenario((features - features.min(axis=0)) / np.where(spread > 0, spread, 1.0), scores, batches)
+        ordered[scenario] = Scenario(
+            (features - features.min(axis=0)) / np.where(spread > 0, spread, 1.0), scores, ratings, batches
+        )
     return ordered
 
 
 def replay(cells: Scenario, tolerance: float, limit: float) -> Tally:
     """Predicts the cells of a scenario batch by batch."""
-    tally, record = Tally(cells=len(cells.scores)), ConfidenceRecord()
-    known: Bools = np.zeros(len(cells.scores), dtype=np.bool_)
+    tally, learner = Tally(cells=len(cells.scores)), ScenarioLearner(partial(Forest, tolerance), tolerance)
     for batch in np.unique(cells.batches):
         here = np.flatnonzero(cells.batches == batch)
-        if known.sum() < FIRST:
-            known[here] = True
-            continue
+        features, scores, ratings = cells.features[here], cells.scores[here], cells.ratings[here]
         began = time.process_time()
-        forest = Forest(tolerance)
-        forest.fit(cells.features[known], cells.scores[known])
-        answers, confidence = forest.predict(cells.features[here])
-        lot = choose_lot(record.error_rates(confidence, forest.known_errors()), limit)
+        told = learner.predict(features)
+        if told is None:
+            learner.learn(features, scores, ratings)
+            continue
+        predictions, error_rates = told
+        lot = choose_lot(error_rates, limit)
         tally.seconds += time.process_time() - began
-        wrong: Bools = np.abs(answers - cells.scores[here]) > tolerance + 1e-9
-        if lot is None:
-            known[here] = True
-            record.add(confidence, wrong)
-            continue
-        identities = [int(here[member]).to_bytes(8) for member in lot.members]
-        sampled = lot.members[draw(identities, lot.plan.sample, str(batch).encode())]
-        outside = np.setdiff1d(np.arange(len(here)), lot.members)
-        tally.lots += 1
-        tally.sampled += len(sampled)
-        if not lot.plan.releases(int(wrong[sampled].sum())):
-            tally.rejected += 1
-            known[here] = True
-            record.add(confidence, wrong)
-            continue
-        released = np.setdiff1d(lot.members, sampled)
-        tally.released += len(released)
-        tally.different += int(wrong[released].sum())
-        simulated = np.concatenate([outside, sampled])
-        known[here[simulated]] = True
-        stands_for = np.full(len(sampled), lot.plan.size / max(1, lot.plan.sample))
-        record.add(confidence[simulated], wrong[simulated], np.concatenate([np.ones(len(outside)), stands_for]))
+        wrong = learner.is_wrong(predictions.scores, scores)
+        simulated, weight = np.arange(len(here)), np.ones(len(here))
+        if lot is not None:
+            identities = [int(here[member]).to_bytes(8) for member in lot.members]
+            sampled = lot.members[draw(identities, lot.plan.sample, str(batch).encode())]
+            tally.lots += 1
+            tally.sampled += len(sampled)
+            if lot.plan.releases(int(wrong[sampled].sum())):
+                released = np.setdiff1d(lot.members, sampled)
+                tally.released += len(released)
+                tally.different += int(wrong[released].sum())
+                simulated, weight[sampled] = np.setdiff1d(simulated, released), lot.plan.size / lot.plan.sample
+            else:
+                tally.rejected += 1
+        learner.learn(features[simulated], scores[simulated], ratings[simulated])
+        seen = predictions.scores[simulated], predictions.confidence[simulated]
+        learner.observe(*seen, scores[simulated], weight[simulated])
     return tally
 
 

@@ -236,7 +236,7 @@ def step_until(database: Database, campaign: StoredCampaign, iteration: int, wor
     """Until an iteration of the stage was asked for."""
     for _ in range(1_000):
         with database.read() as connection:
-            if results.has_iteration(connection, campaign.sequence, StageName.CALIBRATION, iteration):
+            if results.is_requested(connection, campaign.sequence, StageName.CALIBRATION, iteration):
                 return
         working.step()
     raise AssertionError(f"iteration {iteration} was never asked for")

@@ -40,7 +40,7 @@ class Ranking:
         self._solutions: dict[int, EvaluatedSet] = {}
 
     def add(self, answers: Iterable[CellScore]) -> None:
-        """Takes answers in, in any order."""
+        """Takes answers in, in any order. A set with a predicted score takes no place in the ranking."""
         touched: set[int] = set()
         for answer in answers:
             number = answer.parameter_set
@@ -89,7 +89,7 @@ class Ranking:
         reused: list[str] = []
         for scenario, share in self._shares.items():
             cell = cells.get(scenario)
-            if cell is None or cell.score is None or cell.rating is None:
+            if cell is None or cell.score is None or cell.rating is None or cell.predicted:
                 return None
             objective += share * cell.score
             rating += share * cell.rating
@@ -101,11 +101,11 @@ class Ranking:
 
 def _counts_more(new: CellScore, known: CellScore | None) -> bool:
     """Whether an answer takes the place of another one for the same cell: a result counts more than none, an own one than a copy,
-    an earlier one than a later one."""
+    a copy than a prediction, an earlier one than a later one."""
     if known is None:
         return True
 
-    def worth(answer: CellScore) -> tuple[bool, bool, int, int]:
-        return answer.score is not None, answer.own, -answer.iteration, -answer.individual
+    def worth(answer: CellScore) -> tuple[bool, bool, bool, int, int]:
+        return answer.score is not None, answer.own, not answer.predicted, -answer.iteration, -answer.individual
 
     return worth(new) > worth(known)

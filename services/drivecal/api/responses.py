@@ -38,6 +38,7 @@ def campaign_answer(stored: StoredCampaign, now: datetime, silent: str | None, c
         progress=stored.progress,
         stages={stage: CellCounts(**cells) for stage, cells in stored.stages.items()},
         error_rate=dict(stored.error_rate),
+        released=dict(stored.released),
         best=stored.best,
         baseline=stored.baseline,
         narrowed=None if stored.narrowed is None else list(stored.narrowed),

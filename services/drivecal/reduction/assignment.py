@@ -1,13 +1,13 @@
 """Decides for every requested cell of a population what answers it, before anything is simulated.
 
-Order of answers: repeated, reused, (certified,) simulated. The decision depends on the population, on what was stored and on the seed
-alone, never on the workers' timing, so that it can be committed, resumed and repeated.
+Order of answers: repeated, reused, (predicted, certified,) simulated. The decision depends on the population, on what was stored and on
+the seed alone, never on the workers' timing, so that it can be committed, resumed and repeated.
 """
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
+from drivecal.contracts.specification import ReductionMode
 from drivecal.domain.evaluations import Donor, Outcome
 from drivecal.domain.parameters import ParameterSet
 from drivecal.reduction.audit import is_audited
@@ -43,10 +43,20 @@ class Policy:
     """Allowed answers. `audit`: share of reused cells that are simulated all the same; `stopped`: scenarios in which the
     self-check found too many wrong answers, so that nothing is reused there any more."""
 
-    mode: Literal["off", "exact", "influence"]
+    mode: ReductionMode
     audit: float = 0.0
     seed: int = 0
     stopped: Collection[str] = ()
+
+    @property
+    def reuses(self) -> bool:
+        """Whether references may answer cells."""
+        return self.mode in {"influence", "both"}
+
+    @property
+    def predicts(self) -> bool:
+        """Whether predictions may answer cells."""
+        return self.mode in {"predicted", "both"}
 
 
 def assign(
@@ -73,7 +83,7 @@ def assign(
             assignments.append(Assignment(Outcome.REPEATED, leader=same_set[identity]))
             continue
         donor = leader = None
-        reusable = policy.mode == "influence" and cell.reference_key is not None and cell.scenario not in policy.stopped
+        reusable = policy.reuses and cell.reference_key is not None and cell.scenario not in policy.stopped
         if reusable and cell.reference_key is not None:
             kind = (cell.scenario, cell.reference_key)
             donor = references.get(kind)

@@ -7,12 +7,14 @@ predictor and every drift, because chance comes from the sample alone. Expected 
 """
 
 import hashlib
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import brentq
 from scipy.stats import betabinom, hypergeom
 
 Floats = npt.NDArray[np.float64]
@@ -21,6 +23,12 @@ MOST_ACCEPTED = 5
 """Largest acceptance number that `best_plan` tries."""
 DISPERSION = 50.0
 """Equivalent observations behind an expected error rate: lots of the same expectation differ by more than chance."""
+
+
+GROWTH = (0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
+"""Growth rates of the mixture behind `most_released`."""
+MOST_PER_ERROR = 60.0
+"""Largest evidence that one error in a sample may take back, as a logarithm."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,3 +95,48 @@ def draw(members: Sequence[bytes], sample: int, secret: bytes) -> list[int]:
         raise ValueError(f"cannot draw {sample} of {len(members)} members; members must be distinct")
     ranks = [hashlib.blake2b(member, key=secret, digest_size=16).digest() for member in members]
     return sorted(sorted(range(len(members)), key=ranks.__getitem__)[:sample])
+
+
+def most_released(lots: Iterable[tuple[SamplingPlan, int]], confidence: float = 0.95) -> float:
+    """Returns an upper limit of the number of errors released by inspected lots, each with the errors in its sample.
+
+    Time-uniform: with probability `confidence` it holds after every lot at once, for every number of errors in each of them, which may
+    depend on all earlier samples. Per lot, exp(g E - h(g) k) of E released errors and k sampled ones has an expectation of at most 1 over
+    the draw without replacement, and a rejected lot counts as 1; the product over lots is a supermartingale, a mixture over growth rates g
+    as well (Waudby-Smith and Ramdas 2020 build theirs in this way), and Ville's inequality bounds it.
+    """
+    inspected = list(lots)
+    offsets: list[tuple[float, float]] = []
+    for growth in GROWTH:
+        costs = [_cost_of_an_error(plan, growth) for plan, _ in inspected]
+        if all(math.isfinite(cost) for cost in costs):
+            paid = sum(cost * errors for cost, (plan, errors) in zip(costs, inspected, strict=True) if plan.releases(errors))
+            offsets.append((growth, -paid))
+    unknown = sum(plan.size - plan.sample for plan, errors in inspected if plan.releases(errors))
+    evidence = math.log(len(GROWTH) / (1.0 - confidence))
+
+    def excess(released: float) -> float:
+        exponents = np.array([growth * released + offset for growth, offset in offsets])
+        return float(np.logaddexp.reduce(exponents)) - evidence
+
+    if not offsets or excess(float(unknown)) <= 0.0:
+        return float(unknown)
+    return float(brentq(excess, 0.0, float(unknown)))
+
+
+@lru_cache(maxsize=4096)
+def _cost_of_an_error(plan: SamplingPlan, growth: float) -> float:
+    """Returns the smallest h for `most_released`: the evidence against released errors that an error in the sample takes back; infinite if
+    none suffices."""
+    wrong = np.arange(plan.size + 1)
+    drawn = np.arange(min(plan.acceptance, plan.sample) + 1)[:, None]
+    chance: Floats = np.asarray(hypergeom.pmf(drawn, plan.size, wrong[None, :], plan.sample), dtype=np.float64)
+    gain = np.exp(np.minimum(growth * np.maximum(wrong[None, :] - drawn, 0), 700.0))
+    rejected = np.maximum(1.0 - chance.sum(axis=0), 0.0)
+
+    def expected(cost: float) -> float:
+        return float((rejected + (chance * gain * np.exp(-cost * drawn)).sum(axis=0)).max()) - 1.0
+
+    if expected(MOST_PER_ERROR) > 1e-9:
+        return math.inf
+    return 0.0 if expected(0.0) <= 1e-9 else float(brentq(lambda cost: expected(cost) - 1e-9, 0.0, MOST_PER_ERROR))

@@ -5,6 +5,7 @@ more, because fewer lots are rejected and fewer right predictions are left out.
 """
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -26,18 +27,34 @@ SIZES = 48
 """Lot sizes that `choose_lot` compares."""
 LEVELS = 40
 """Levels of confidence in a calibration, of equal weight."""
+FEWEST_KNOWN, MOST_KNOWN = 100, 10_000
+"""Known answers before the first prediction, and the newest answers that a predictor is trained on."""
+ROUNDING = 1e-9
+"""Difference of scores that counts as none."""
 DOUBT = 5.0
 """Weight of the prior in each level: so many observations of the record's mean error."""
+
+
+@dataclass(frozen=True, slots=True)
+class Predictions:
+    """Predicted scores, continuous ratings and raw confidences in 0..1, with mean and variance of the believed scores; each of shape
+    (n,)."""
+
+    scores: Floats
+    ratings: Floats
+    confidence: Floats
+    mean: Floats
+    variance: Floats
 
 
 class Predictor(Protocol):
     """Predicts scores from features in 0..1, shape (n, k). Deterministic: the same bits for the same data in every process."""
 
-    def fit(self, features: Floats, scores: Floats) -> None:
-        """Learns from simulated scores, shape (n,), in a canonical order."""
+    def fit(self, features: Floats, scores: Floats, ratings: Floats) -> None:
+        """Learns from simulated scores and ratings, each of shape (n,), in a canonical order."""
 
-    def predict(self, features: Floats) -> tuple[Floats, Floats]:
-        """Returns predicted scores and raw confidences in 0..1, each of shape (n,)."""
+    def predict(self, features: Floats) -> Predictions:
+        """Predicts n sets."""
 
     def known_errors(self) -> tuple[Floats, Bools]:
         """Returns raw confidences and whether the prediction was wrong, of training data left out of the fit, each of shape (n,)."""
@@ -81,6 +98,60 @@ class ConfidenceRecord:
         place = np.searchsorted(known[starts], confidence, side="right") - 1
         rates: Floats = np.where(place >= 0, fitted[np.maximum(place, 0)], 1.0)
         return rates
+
+
+class ScenarioLearner:
+    """Learns a scenario's answers batch by batch, and predicts the next batch with calibrated error rates."""
+
+    def __init__(self, predictor: Callable[[], Predictor], tolerance: float) -> None:
+        """`predictor` creates an untrained predictor; errors up to `tolerance` count as none."""
+        self._predictor = predictor
+        self._tolerance = tolerance
+        self._record = ConfidenceRecord()
+        self._known: deque[tuple[Floats, Floats, Floats]] = deque()
+
+    @property
+    def known(self) -> int:
+        """Number of known answers."""
+        return sum(len(scores) for _, scores, _ in self._known)
+
+    def newest(self) -> tuple[float, float]:
+        """Returns mean and variance of the scores of the newest batch; zeros without one."""
+        if not self._known:
+            return 0.0, 0.0
+        scores = self._known[-1][1]
+        return float(scores.mean()), float(scores.var())
+
+    def learn(self, features: Floats, scores: Floats, ratings: Floats) -> None:
+        """Adds simulated answers: features of shape (n, k), scores and ratings of shape (n,)."""
+        if len(scores):
+            self._known.append((features, scores, ratings))
+
+    def observe(self, predicted: Floats, confidence: Floats, scores: Floats, weight: Floats | float = 1.0) -> None:
+        """Compares predicted scores with simulated ones, each of shape (n,); a prediction stands for `weight` ones."""
+        self._record.add(confidence, self.is_wrong(predicted, scores), weight)
+
+    def is_wrong(self, predicted: Floats, scores: Floats) -> Bools:
+        """Whether predicted scores are off by more than the tolerance."""
+        wrong: Bools = np.abs(predicted - scores) > self._tolerance + ROUNDING
+        return wrong
+
+    def fitted(self) -> Predictor | None:
+        """Returns a predictor trained on the newest known answers; None with too few."""
+        if self.known < FEWEST_KNOWN:
+            return None
+        features, scores, ratings = (np.concatenate(column)[-MOST_KNOWN:] for column in zip(*self._known, strict=True))
+        predictor = self._predictor()
+        predictor.fit(features, scores, ratings)
+        return predictor
+
+    def predict(self, features: Floats) -> tuple[Predictions, Floats] | None:
+        """Returns the predictions of n sets with their expected error rates, shape (n,); None with too few known answers."""
+        predictor = self.fitted()
+        if predictor is None:
+            return None
+        predictions = predictor.predict(features)
+        return predictions, self._record.error_rates(predictions.confidence, predictor.known_errors())
 
 
 @dataclass(frozen=True, slots=True)

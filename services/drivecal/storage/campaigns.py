@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from sqlalchemy import ColumnElement, Connection, Row, Select, Text, Update, bindparam, case, cast, func, select, update
 
-from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, Narrowed, Progress
+from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, Narrowed, Progress, Released
 from drivecal.domain.actions import Action
 from drivecal.domain.actions import change as change_by
 from drivecal.domain.campaigns import CampaignState, StageName
@@ -69,6 +69,7 @@ class StoredCampaign(CampaignHeading):
     """Cells by outcome of the stages that have begun."""
     progress: Progress
     error_rate: Mapping[str, ErrorRate]
+    released: Mapping[str, Released]
     best: Best | None
     baseline: Baseline | None
     narrowed: tuple[Narrowed, ...] | None
@@ -98,6 +99,7 @@ class Snapshot:
     progress: Progress
     simulating_seconds: float
     error_rate: Mapping[str, ErrorRate] | None = None
+    released: Mapping[str, Released] | None = None
     best: Best | None = None
     baseline: Baseline | None = None
     notes: Collection[str] | None = None
@@ -295,8 +297,9 @@ def save_progress(connection: Connection, sequence: int, snapshot: Snapshot) -> 
         for name in ("progress", "best", "baseline")
         if getattr(snapshot, name)
     }
-    if snapshot.error_rate is not None:
-        values["error_rate"] = {scenario: rate.model_dump(mode="json") for scenario, rate in snapshot.error_rate.items()}
+    for name in ("error_rate", "released"):
+        if getattr(snapshot, name) is not None:
+            values[name] = {scenario: rate.model_dump(mode="json") for scenario, rate in getattr(snapshot, name).items()}
     if snapshot.notes is not None:
         values["notes"] = list(snapshot.notes)
     connection.execute(_of(sequence).values(values))
@@ -385,6 +388,7 @@ def _campaign(row: Row[Any]) -> StoredCampaign:
         "notes": tuple(row.notes),
         "progress": Progress(**row.progress),
         "error_rate": {scenario: ErrorRate(**rate) for scenario, rate in row.error_rate.items()},
+        "released": {scenario: Released(**rate) for scenario, rate in (row.released or {}).items()},
         "best": None if row.best is None else Best(**row.best),
         "baseline": None if row.baseline is None else Baseline(**row.baseline),
         "narrowed": None if row.narrowed is None else tuple(Narrowed(**parameter) for parameter in row.narrowed),

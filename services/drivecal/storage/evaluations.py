@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
-from sqlalchemy import Column, ColumnElement, Connection, Select, SmallInteger, bindparam, select, type_coerce, update
+from sqlalchemy import Column, ColumnElement, Connection, Select, SmallInteger, bindparam, func, select, type_coerce, update
 
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Donor, Outcome
@@ -37,12 +37,16 @@ class NewEvaluation:
     donor: Donor | None = None
     leader: int | None = None
     audited: bool = False
+    lot: int | None = None
+    confidence: float | None = None
+    predicted_score: int | None = None
+    predicted_rating: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class AnsweredCell:
     """Answer of a pending cell. `failure` is a `Failure` of a run or a `Breakdown` of the attempts, whose cause `detail` says in words;
-    `agrees`: of an audited cell."""
+    `agrees`: whether a sampled cell has its predicted score."""
 
     id: int
     outcome: Outcome
@@ -134,6 +138,22 @@ def simulate_instead(connection: Connection, evaluation_ids: Sequence[int]) -> N
         connection.execute(statement.values(plan=Outcome.SIMULATED, reference=None), rows)
 
 
+def draw_sample(connection: Connection, evaluation_ids: Sequence[int]) -> None:
+    """Plans a simulation for the predicted cells that were drawn as the samples of their lots."""
+    statement = update(evaluations).where(evaluations.c.id == bindparam("evaluation"), evaluations.c.outcome.is_(None))
+    rows = [{"evaluation": identifier} for identifier in evaluation_ids]
+    if rows:
+        connection.execute(statement.values(plan=Outcome.SIMULATED, sampled=True), rows)
+
+
+def mean_seconds(connection: Connection, campaign_sequence: int) -> dict[str, float]:
+    """Returns the mean CPU time of a campaign's simulated and certified cells, by scenario."""
+    query = select(evaluations.c.scenario, func.avg(evaluations.c.milliseconds) / 1000.0).where(
+        evaluations.c.campaign_sequence == campaign_sequence, evaluations.c.milliseconds.is_not(None)
+    )
+    return dict(connection.execute(query.group_by(evaluations.c.scenario)).all())
+
+
 def set_reference_keys(connection: Connection, keys: Mapping[int, bytes]) -> None:
     """Stores keys of evaluations, by id, under a map that was unknown when they were requested."""
     statement = update(evaluations).where(evaluations.c.id == bindparam("evaluation")).values(reference_key=bindparam("key"))
@@ -213,4 +233,8 @@ def _row(campaign_sequence: int, cell: NewEvaluation) -> dict[str, Any]:
         "reference": None if cell.donor is None else cell.donor.evaluation,
         "audited": cell.audited,
         "attempts": 0,
+        "lot": cell.lot,
+        "confidence": cell.confidence,
+        "predicted_score": cell.predicted_score,
+        "predicted_rating": cell.predicted_rating,
     }

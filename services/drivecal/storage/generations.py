@@ -24,6 +24,8 @@ class Figures:
     simulated: int = 0
     failed: int = 0
     audited: int = 0
+    predicted: int = 0
+    sampled: int = 0
     best: float | None = None
     rating: float | None = None
     mean: float | None = None
@@ -78,6 +80,12 @@ def insert(
             **finite(asdict(figures)),
         )
     )
+
+
+def is_stored(connection: Connection, campaign_sequence: int, iteration: int) -> bool:
+    """Whether an iteration was requested, at least in part."""
+    here = generations.c.campaign_sequence == campaign_sequence, generations.c.iteration == iteration
+    return connection.execute(select(generations.c.iteration).where(*here)).first() is not None
 
 
 def finish(

@@ -1,6 +1,6 @@
 """Evaluations of campaigns, read for pages, exports and rankings."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from functools import lru_cache
 from typing import Any
@@ -12,8 +12,9 @@ from drivecal.domain.errors import NotFoundError
 from drivecal.domain.evaluations import CellScore, Outcome
 from drivecal.domain.parameters import ParameterSet
 from drivecal.storage.engine import cursors
-from drivecal.storage.engine.tables import evaluations, parameter_sets
+from drivecal.storage.engine.tables import evaluations, lots, parameter_sets
 from drivecal.storage.engine.types import ORDER, STAGES
+from drivecal.storage.lots import LotVerdict
 
 BATCH = 1_000
 """Rows that an export holds in memory at a time."""
@@ -54,6 +55,28 @@ class StoredEvaluation:
     check a certificate, and of reused ones by chance."""
     proof_agrees: bool | None
     """Whether a simulation agreed with the certificate, if it was checked."""
+    lot: int | None
+    confidence: float | None
+    predicted_score: int | None
+    predicted_rating: float | None
+    sampled: bool
+
+
+@dataclass(frozen=True, slots=True)
+class KnownAnswer:
+    """A simulated or certified answer that a predictor may learn from. `predicted_score` and `confidence`: of a cell that was predicted
+    first; `stands_for`: the number of predictions that a sampled cell of a released lot represents, else 1."""
+
+    scenario: str
+    stage: StageName
+    iteration: int
+    individual: int
+    parameters: ParameterSet
+    score: int
+    rating: float
+    predicted_score: int | None
+    confidence: float | None
+    stands_for: float
 
 
 _STORED = tuple(field.name for field in fields(StoredEvaluation) if field.name in evaluations.c)
@@ -78,7 +101,8 @@ def number_at(connection: Connection, campaign_sequence: int, iteration: int, in
     number = connection.scalar(at)
     if number is None:
         raise NotFoundError("evaluation", f"of individual {individual} in iteration {iteration}, {scenario}")
-    worth = case((table.score.is_(None), 2), (table.outcome == Outcome.REUSED, 1), else_=0)
+    copied = table.outcome.in_((Outcome.REUSED, Outcome.PREDICTED))
+    worth = case((table.score.is_(None), 2), (copied, 1), else_=0)
     cells = select(table.id).where(*here, table.parameter_set_id == number).order_by(worth, *_PLACE)
     return int(connection.execute(cells.limit(1)).scalar_one())
 
@@ -125,9 +149,10 @@ def answers(
             table.scenario,
             table.score,
             table.rating,
-            table.outcome != Outcome.REUSED,
+            table.outcome.not_in((Outcome.REUSED, Outcome.PREDICTED)),
             table.iteration,
             table.individual,
+            table.outcome == Outcome.PREDICTED,
         )
         .where(table.campaign_sequence == campaign_sequence, table.stage == stage, table.outcome.is_not(None))
         .order_by(*_PLACE)
@@ -195,14 +220,55 @@ def reference_of(connection: Connection, campaign_sequence: int, scenario: str, 
     return connection.scalar(query.order_by(*_PLACE).limit(1))
 
 
-def has_iteration(connection: Connection, campaign_sequence: int, stage: StageName, iteration: int) -> bool:
-    """Whether the cells of an iteration have been asked for."""
+def is_requested(
+    connection: Connection, campaign_sequence: int, stage: StageName, iteration: int, individual: int | None = None
+) -> bool:
+    """Whether cells of an iteration, or of an individual in it, were requested."""
     query = select(evaluations.c.id).where(
         evaluations.c.campaign_sequence == campaign_sequence,
         evaluations.c.stage == stage,
         evaluations.c.iteration == iteration,
     )
+    if individual is not None:
+        query = query.where(evaluations.c.individual == individual)
     return connection.execute(query.limit(1)).first() is not None
+
+
+def known(
+    connection: Connection, campaign_sequence: int, setup_ids: Collection[int], after: int
+) -> tuple[list[KnownAnswer], int]:
+    """Returns the simulated and certified answers of a campaign in some setups, of cells stored `after` a cell's id, in the order of their
+    request, and the id of the newest. Call it while no cell waits for its answer."""
+    cell = evaluations.c
+    weight = case(((lots.c.verdict == LotVerdict.RELEASED) & cell.sampled, lots.c.size * 1.0 / lots.c.sample), else_=1.0)
+    query = (
+        select(
+            cell.id,
+            cell.scenario,
+            cell.stage,
+            cell.iteration,
+            cell.individual,
+            parameter_sets.c.parameter_values,
+            cell.score,
+            cell.rating,
+            cell.predicted_score,
+            cell.confidence,
+            weight,
+        )
+        .join(parameter_sets)
+        .outerjoin(lots, lots.c.id == cell.lot)
+        .where(
+            cell.campaign_sequence == campaign_sequence,
+            cell.id > after,
+            cell.setup_id.in_(list(setup_ids)),
+            cell.outcome.in_((Outcome.SIMULATED, Outcome.CERTIFIED)),
+        )
+        .order_by(cell.stage, cell.iteration, cell.individual, cell.scenario)
+    )
+    read = lru_cache(MOST_SETS)(ParameterSet.from_json)
+    rows = connection.execute(query).all()
+    answers = [KnownAnswer(*row[1:5], read(row.parameter_values), *row[6:]) for row in rows]
+    return answers, max((row.id for row in rows), default=after)
 
 
 def is_pending(connection: Connection, campaign_sequence: int, stage: StageName, iteration: int) -> bool:

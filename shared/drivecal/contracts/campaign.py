@@ -22,7 +22,7 @@ class Progress(Answer):
 
 class CellCounts(Answer):
     """The calibration stage's cells: proposed = carried_over + pending + requested, and
-    requested = repeated + reused + certified + simulated + failed at every moment; `audited` are among `simulated`."""
+    requested = repeated + reused + predicted + certified + simulated + failed at every moment; `audited` are among `simulated`."""
 
     proposed: int = 0
     carried_over: int = 0
@@ -30,10 +30,13 @@ class CellCounts(Answer):
     requested: int = 0
     repeated: int = 0
     reused: int = 0
+    predicted: int = 0
     certified: int = 0
     simulated: int = 0
     failed: int = 0
     audited: int = 0
+    sampled: int = 0
+    """Predicted cells that were drawn as the sample of their lot; among `simulated` and `certified`."""
     checked: int = 0
     """Certified cells that were simulated all the same, to check the certificate; among `simulated`. One that differs ends the campaign."""
     unrepeatable: int = 0
@@ -116,6 +119,24 @@ class ErrorRate(Answer):
     contradictions: int = 0
 
 
+class Released(Answer):
+    """Lots of predicted answers in a scenario: `rejected` ones were simulated whole, the others' `predicted` answers were released.
+
+    Of the `sampled` predictions so many were `different`, i.e. off by more than the tolerance. `limit` bounds the expected share of errors
+    among released answers (AOQL). `upper_95`: a time-uniform upper limit of the share that was released; null before the first lot.
+    `seconds`: CPU time of the predictor.
+    """
+
+    lots: int = 0
+    rejected: int = 0
+    predicted: int = 0
+    sampled: int = 0
+    different: int = 0
+    limit: float
+    upper_95: float | None = None
+    seconds: float = 0.0
+
+
 class Best(Answer):
     """The best parameter set so far. `alternatives` counts all sets whose objective is equal within 1e-9, this one included."""
 
@@ -172,6 +193,8 @@ class Campaign(CellsByStage):
     iteration: int | None = None
     progress: Progress = Progress()
     error_rate: dict[str, ErrorRate] = {}
+    released: dict[str, Released] = {}
+    """Predicted answers by scenario; empty if the campaign predicts nothing."""
     best: Best | None = None
     baseline: Baseline | None = None
     narrowed: list[Narrowed] | None = None

@@ -82,15 +82,22 @@ class OptimizerSpecification(BaseModel):
     """Sets from expert knowledge: in the start population, after the baseline."""
 
 
+ReductionMode = Literal["off", "exact", "influence", "predicted", "both"]
+
+
 class ReductionSpecification(Model):
     """Cells that may be answered without a simulation.
 
-    `off`: none but in-population duplicates' own repeats is ever copied; `exact`: equal parameter sets; `influence`: Figure 6.
+    `off`: none but in-population duplicates' own repeats is ever copied; `exact`: equal parameter sets; `influence`: Figure 6;
+    `predicted`: equal sets and predictions in inspected lots; `both`: `influence` and `predicted`. `tolerance`: the largest error of a
+    prediction that counts as none, in points; `limit`: the largest expected share of released errors (AOQL), by scenario.
     `narrow`: search only the smallest common area, where some scenario is influenced (Section III). `confirm`: at most so many sets are
     simulated after the search, one after the other, until the best of the ranking has no score of a reference.
     """
 
-    mode: Literal["off", "exact", "influence"] = "influence"
+    mode: ReductionMode = "influence"
+    tolerance: Annotated[float, Field(ge=0, le=7)] = 0.0
+    limit: Annotated[float, Field(ge=0.001, le=0.5)] = 0.05
     audit: Annotated[float, Field(ge=0, le=1)] = 0.02
     max_error: Annotated[float, Field(gt=0, le=1)] = 0.02
     narrow: bool = False

@@ -114,7 +114,9 @@ class EvaluationRow(Answer):
 
     `outcome` is null while the answer is pending. `reference`: the evaluation that answered it, or that its audit did not trust.
     `proven_by`: the evaluation whose run a certificate says that it repeats; it answered certified cells, was checked by a simulation if
-    `proof_agrees` is not null, and tells for reused cells what a simulation would have given.
+    `proof_agrees` is not null, and tells for reused cells what a simulation would have given. `lot`: the lot of a predicted cell, also if
+    its sample or the whole lot was simulated; `sampled`: it was drawn, and `agrees` says whether the prediction was right; `confidence`:
+    the predictor's share of votes, 0 to 1, for every cell that it was asked about.
     """
 
     model_config = ConfigDict(extra="allow")
@@ -136,6 +138,9 @@ class EvaluationRow(Answer):
     worker: str | None
     proven_by: int | None
     proof_agrees: bool | None
+    lot: int | None = None
+    confidence: float | None = None
+    sampled: bool = False
 
     @classmethod
     def file_columns(cls, parameters: Sequence[str]) -> list[Column]:
@@ -153,10 +158,12 @@ class Generation(Answer):
     requested: int
     repeated: int
     reused: int
+    predicted: int = 0
     certified: int
     simulated: int
     failed: int
     audited: int
+    sampled: int = 0
     best: float | None
     """The best objective so far."""
     rating: float | None = None

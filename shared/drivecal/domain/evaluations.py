@@ -8,12 +8,14 @@ from drivecal.domain.campaigns import StageName
 
 
 class Outcome(StrEnum):
-    """The way in which a requested cell was answered, in the order of trying: repeated, reused, certified, simulated."""
+    """The way in which a requested cell was answered, in the order of trying: repeated, reused, predicted, certified, simulated."""
 
     REPEATED = "repeated"
     """Stored result of the same parameter set in the same setup."""
     REUSED = "reused"
     """Result of a reference that differs only inside non-influential regions (Figure 6 of the paper)."""
+    PREDICTED = "predicted"
+    """Prediction of a released lot, whose sample was simulated (Dodge and Romig 1959); never a reference, never an optimum."""
     CERTIFIED = "certified"
     """Stored run that is proved to be bit-identical to the simulation."""
     SIMULATED = "simulated"
@@ -83,7 +85,7 @@ class Donor:
 class CellScore:
     """Score of one requested cell; `score` and `rating` are None without a result.
 
-    `own` is False if the score was copied from a reference: the set's own result, if it exists, takes precedence.
+    `own` is False if the score was copied from a reference or predicted: the set's own result, if it exists, takes precedence.
     """
 
     parameter_set: int
@@ -94,6 +96,7 @@ class CellScore:
     own: bool
     iteration: int
     individual: int
+    predicted: bool = False
 
 
 @dataclass(frozen=True, slots=True)

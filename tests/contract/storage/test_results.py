@@ -108,9 +108,9 @@ def test_donors_are_the_simulated_cells_of_a_stage_with_their_sets(database: Dat
         zero, one, _ = sample_sets(3)
         assert list(results.donors(connection, sequence, StageName.SENSITIVITY)) == [(first, "S1", zero), (second, "S1", one)]
         assert list(results.donors(connection, sequence, CALIBRATION)) == []
-        asked = [results.has_iteration(connection, sequence, StageName.SENSITIVITY, iteration) for iteration in (3, 4, 5)]
+        asked = [results.is_requested(connection, sequence, StageName.SENSITIVITY, iteration) for iteration in (3, 4, 5)]
         assert asked == [False, True, True]
-        assert not results.has_iteration(connection, sequence, CALIBRATION, 4)
+        assert not results.is_requested(connection, sequence, CALIBRATION, 4)
 
 
 def test_cells_get_their_keys_once_a_map_is_known(database: Database) -> None:

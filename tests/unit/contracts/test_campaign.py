@@ -17,8 +17,9 @@ def test_a_campaign_has_every_field_of_the_interface() -> None:
 
 
 def test_cells_are_counted_under_the_names_of_the_interface() -> None:
-    assert list(CellCounts.model_fields)[:10] == [
-        "proposed", "carried_over", "pending", "requested", "repeated", "reused", "certified", "simulated", "failed", "audited",
+    assert list(CellCounts.model_fields)[:11] == [
+        "proposed", "carried_over", "pending", "requested", "repeated", "reused", "predicted", "certified", "simulated", "failed",
+        "audited",
     ]  # fmt: skip
     assert list(StageCellCounts.model_fields)[:5] == ["requested", "repeated", "certified", "simulated", "failed"]
     assert set(ErrorRate.model_fields) >= {"audited", "different", "wrong", "upper_95", "stopped"}

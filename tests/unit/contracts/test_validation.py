@@ -39,7 +39,10 @@ def complaints(document: object, model: type[BaseModel] = CampaignSpecification)
         ({"catalogue": ["S1", 5]}, "catalogue[1]: 5 does not fit; give text"),
         ({"catalogue": []}, "catalogue: a list has too few entries; give at least 1"),
         ({"catalogue": ["S1", "S1"]}, "catalogue: a scenario is listed twice; list each once"),
-        ({"reduction": {"mode": "x"}}, "reduction.mode: x is not one of the choices; give off, exact or influence"),
+        (
+            {"reduction": {"mode": "x"}},
+            "reduction.mode: x is not one of the choices; give off, exact, influence, predicted or both",
+        ),
         ({"reduction": {"audt": 1}}, "reduction.audt: there is no such field; did you mean audit?"),
         ({"name": "a\0"}, "name: 'a\\x00' is no valid name; leave out control characters"),
         ({"parameters": [{"name": "P1", "lower": 0, "upper": 1}]}, "parameters[0].step: the value is missing; give it"),

@@ -15,11 +15,12 @@ from drivecal.reduction.prediction import ConfidenceRecord, Floats, choose_lot
 GENERATOR = np.random.default_rng(3)
 SETS = GENERATOR.random((600, 4))
 SCORES: Floats = np.round(7.0 * (1.0 - np.abs(SETS[:, 0] - 0.5) - 0.5 * SETS[:, 1] ** 2)).clip(0.0, 7.0)
+RATINGS: Floats = (SCORES + 0.3 * np.sin(9.0 * SETS[:, 2])).clip(0.0, 7.0)
 
 
 def learned(tolerance: float = 0.0) -> Forest:
     forest = Forest(tolerance)
-    forest.fit(SETS[:400], SCORES[:400])
+    forest.fit(SETS[:400], SCORES[:400], RATINGS[:400])
     return forest
 
 
@@ -64,8 +65,8 @@ def test_a_lot_holds_the_most_certain_predictions_and_keeps_the_limit(rates: lis
 
 
 def test_the_forest_is_better_than_its_most_frequent_score_and_knows_when() -> None:
-    answers, confidence = learned().predict(SETS[400:])
-    wrong = answers != SCORES[400:]
+    told = learned().predict(SETS[400:])
+    wrong, confidence = told.scores != SCORES[400:], told.confidence
     values, counts = np.unique(SCORES[:400], return_counts=True)
     assert wrong.mean() < (SCORES[400:] != values[counts.argmax()]).mean() / 2
     certain = confidence > np.median(confidence)
@@ -73,31 +74,49 @@ def test_the_forest_is_better_than_its_most_frequent_score_and_knows_when() -> N
 
 
 def test_a_tolerance_counts_neighbouring_scores() -> None:
-    answers, confidence = learned(tolerance=1.0).predict(SETS[400:])
-    assert (np.abs(answers - SCORES[400:]) > 1.0).mean() < 0.05
-    assert (confidence >= learned().predict(SETS[400:])[1] - 1e-12).all()
+    told = learned(tolerance=1.0).predict(SETS[400:])
+    assert (np.abs(told.scores - SCORES[400:]) > 1.0).mean() < 0.05
+    assert (told.confidence >= learned().predict(SETS[400:]).confidence - 1e-12).all()
 
 
 def test_left_out_errors_predict_the_errors_of_new_sets() -> None:
     forest = learned()
     _, left_out = forest.known_errors()
-    answers, _ = forest.predict(SETS[400:])
-    assert left_out.mean() == pytest.approx((answers != SCORES[400:]).mean(), abs=0.08)
+    told = forest.predict(SETS[400:])
+    assert left_out.mean() == pytest.approx((told.scores != SCORES[400:]).mean(), abs=0.08)
+
+
+def test_predicted_ratings_follow_the_ratings_of_near_sets() -> None:
+    told = learned().predict(SETS[400:])
+    right = told.scores == SCORES[400:]
+    error = np.abs(told.ratings - RATINGS[400:])[right]
+    assert error.mean() < np.abs(SCORES[400:] - RATINGS[400:])[right].mean()
+    assert (np.abs(told.ratings - told.scores) <= 0.3 + 1e-12).all()
+
+
+def test_weights_of_known_sets_sum_to_one_and_prefer_near_sets() -> None:
+    weights = learned().weights(SETS[450])
+    assert weights.sum() == pytest.approx(1.0)
+    distance = np.abs(SETS[:400, :2] - SETS[450, :2]).sum(axis=1)
+    assert distance[np.argsort(weights)[-10:]].mean() < distance.mean() / 2
 
 
 def test_a_single_known_score_is_predicted_everywhere() -> None:
     forest = Forest()
-    forest.fit(SETS[:5], np.full(5, 3.0))
-    answers, confidence = forest.predict(SETS[5:9])
-    assert answers.tolist() == [3.0] * 4
-    assert confidence.tolist() == [1.0] * 4
+    forest.fit(SETS[:5], np.full(5, 3.0), np.full(5, 3.2))
+    told = forest.predict(SETS[5:9])
+    assert told.scores.tolist() == [3.0] * 4
+    assert told.ratings.tolist() == pytest.approx([3.2] * 4)
+    assert told.confidence.tolist() == [1.0] * 4
+
+
+def bits() -> str:
+    told = learned().predict(SETS[400:])
+    return " ".join(part.tobytes().hex() for part in (told.scores, told.ratings, told.confidence))
 
 
 def test_predictions_have_the_same_bits_in_another_process() -> None:
-    script = (
-        "import numpy as np; from tests.unit.reduction.test_prediction import learned, SETS;"
-        "print(*(part.tobytes().hex() for part in learned().predict(SETS[400:])))"
-    )
-    here = " ".join(part.tobytes().hex() for part in learned().predict(SETS[400:]))
+    script = "from tests.unit.reduction.test_prediction import bits;print(bits())"
+    here = bits()
     there = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)  # this test itself
     assert there.stdout.strip() == here

@@ -11,6 +11,7 @@ from dataclasses import replace
 
 from sqlalchemy import Connection
 
+from drivecal.campaigns.cells.inspection import Inspection
 from drivecal.campaigns.cells.planning import View, ensure_setups
 from drivecal.campaigns.resolve.problem import Bench
 from drivecal.contracts.work import Cell, Probe, SetupRequest
@@ -22,7 +23,7 @@ from drivecal.execution.scheduling.scheduler import Completed
 from drivecal.plugins.ports import SeriesEvaluator
 from drivecal.reduction.audit import is_checked
 from drivecal.storage import evaluations, leases, results, traces
-from drivecal.storage.evaluations import COPIES, AnsweredCell, NewEvaluation
+from drivecal.storage.evaluations import COPIES, DONORS, AnsweredCell, NewEvaluation
 from drivecal.storage.references import runs
 from drivecal.storage.references.runs import NewRun, StoredRun
 from drivecal.storage.results import StoredEvaluation
@@ -47,6 +48,7 @@ class CellTracker:
         self._proofs: dict[int, int] = {}
         """Certificate probes for reused cells without an answer, see `_probes`."""
         self._requests: Mapping[int, SetupRequest] = {}
+        self._inspection = Inspection(view.campaign)
         self._refuted: str | None = None
         self._exclusive = False
         self._evaluator_id = view.bench.evaluator_id
@@ -75,7 +77,9 @@ class CellTracker:
                 self._counts["pending"] += 1
 
     def load(self, connection: Connection, *, share_runs: bool, benches: Sequence[Bench] = ()) -> list[Work]:
-        """Loads the cells that wait for an answer, and returns the work to simulate.
+        """Loads the cells that wait for an answer, draws the samples of new lots, and returns the work to simulate.
+
+        The transaction must not be the one that stores new predictions: these are committed before their sample is drawn.
 
         With `share_runs`, a cell takes a run that another campaign simulated in the meantime. It still counts as simulated, because the
         campaign did not see that run when it planned. Without it, every cell is simulated for this campaign alone. `benches` lists the
@@ -88,12 +92,16 @@ class CellTracker:
         }
         self._exclusive = not share_runs
         self._pending = {cell.id: cell for cell in results.pending(connection, self._view.campaign)}
+        self._pending |= self._inspection.load(connection, self._pending)
         self._copies, self._proofs = {}, {}
         for cell in self._pending.values():
             if cell.plan in COPIES and cell.reference is not None:
                 self._copies.setdefault(cell.reference, []).append(cell)
+        answers: list[AnsweredCell] = []
         if share_runs:
-            self._share_runs(connection)
+            self._share_runs(connection, answers)
+        rejected = self._settle(connection, answers)
+        evaluations.simulate_instead(connection, [cell.id for cell in rejected])
         self._breakdowns = leases.breakdowns(connection, list(self._pending))
         simulated = [cell for cell in self._pending.values() if cell.plan is Outcome.SIMULATED]
         return self._work(simulated, self._probes(connection, simulated))
@@ -125,10 +133,21 @@ class CellTracker:
             self._simulated(cell, simulation, run, answers)
             if simulation.result.trace is not None:
                 traces.fill(connection, self._view.campaign, simulation.result.trace)
-        evaluations.answer(connection, answers)
+        orphans += self._settle(connection, answers)
         evaluations.note_proofs(connection, proofs)
         evaluations.simulate_instead(connection, [orphan.id for orphan in orphans])
         return self._work([*again, *orphans])
+
+    def _settle(self, connection: Connection, answers: list[AnsweredCell]) -> list[StoredEvaluation]:
+        """Stores answers and the verdicts that follow from them; returns the cells of rejected lots, to be simulated."""
+        released, rejected = self._inspection.conclude(connection)
+        for cell in released:
+            answers.append(AnsweredCell(cell.id, Outcome.PREDICTED, cell.predicted_score, cell.predicted_rating, run_id=None))
+            self._close(cell, Outcome.PREDICTED)
+        for cell in rejected:
+            self._pending[cell.id] = replace(cell, plan=Outcome.SIMULATED)
+        evaluations.answer(connection, answers)
+        return [self._pending[cell.id] for cell in rejected]
 
     def _probes(self, connection: Connection, simulated: Sequence[StoredEvaluation]) -> dict[int, tuple[Probe, ...]]:
         """Distributes the reused cells of an iteration over simulated cells of the same setup, by cell id."""
@@ -166,7 +185,7 @@ class CellTracker:
 
     def _work(self, cells: Sequence[StoredEvaluation], probes: Mapping[int, tuple[Probe, ...]] | None = None) -> list[Work]:
         by_setup: dict[int, list[Cell]] = {}
-        for pending in cells:
+        for pending in sorted(cells, key=lambda cell: not cell.sampled):  # lots wait for their samples
             cell = self._cell(pending)
             if probes and pending.id in probes:
                 cell = replace(cell, probes=probes[pending.id])
@@ -194,12 +213,11 @@ class CellTracker:
         if self._refuted is not None:
             raise RefutedError(self._refuted)
 
-    def _share_runs(self, connection: Connection) -> None:
+    def _share_runs(self, connection: Connection, answers: list[AnsweredCell]) -> None:
         wanted: dict[int, list[StoredEvaluation]] = {}
         for waiting in self._pending.values():
             if waiting.plan is Outcome.SIMULATED:
                 wanted.setdefault(waiting.setup_id, []).append(waiting)
-        answers: list[AnsweredCell] = []
         for setup_id in sorted(runs.stocked(connection, wanted)):
             cells = wanted[setup_id]
             ids = [cell.parameter_set_id for cell in cells]
@@ -207,7 +225,6 @@ class CellTracker:
             for cell in cells:
                 if cell.parameter_set_id in stored:
                     self._answer(cell, stored[cell.parameter_set_id], answers)
-        evaluations.answer(connection, answers)
 
     def _simulated(self, cell: StoredEvaluation, completion: Completed, run: StoredRun, answers: list[AnsweredCell]) -> None:
         if completion.result.score is None or completion.result.rating is None:
@@ -242,6 +259,7 @@ class CellTracker:
                     milliseconds=None if own is None else own.result.milliseconds,
                     worker=None if own is None else own.worker,
                     attempts=0 if own is None else own.attempts,
+                    agrees=self._inspection.compare(other, result.score),
                     proven_by=self._proofs.get(other.id) if own is None else own.result.proven_by,
                     proof_agrees=None if own is None else own.result.agrees,
                 )
@@ -268,6 +286,7 @@ class CellTracker:
                     milliseconds=completion.result.milliseconds if own else None,
                     worker=completion.worker if own else None,
                     attempts=completion.attempts if own else 0,
+                    agrees=self._inspection.compare(other, None),
                     detail=detail,
                 )
             )
@@ -282,6 +301,8 @@ class CellTracker:
         self._count(outcome)
         if outcome is Outcome.SIMULATED and cell.audited:
             self._counts["audited"] += 1
+        if outcome in DONORS and cell.sampled:
+            self._counts["sampled"] += 1
 
     def _count(self, outcome: Outcome) -> None:
         self._counts["requested"] += 1

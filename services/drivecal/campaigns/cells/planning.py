@@ -98,7 +98,7 @@ def plan_cells(
             by_id = {set_ids[parameter_set]: parameter_set for parameter_set in here}
             known = _exact(connection, view, scenario, setup_id, list(by_id))
             exact |= {(scenario, by_id[set_id]): donor for set_id, donor in known.items()}
-        if policy.mode == "influence" and scenario in view.keys and setup_id in stocked:
+        if policy.reuses and scenario in view.keys and setup_id in stocked:
             stored = _references(connection, view, scenario, setup_id, list(dict.fromkeys(keys)))
             references |= {(scenario, key): donor for key, donor in stored.items()}
     cells = [replace(cell, reference_key=class_keys.get((cell.scenario, cell.parameters))) for cell in wanted]

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+import numpy as np
+
 from drivecal.campaigns.resolve import resolvers
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.resolvers import Optimization
@@ -17,12 +19,14 @@ from drivecal.contracts.campaign import ExpectedRuns
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, SensitivitySpecification
 from drivecal.contracts.work import Batch, Cell, SetupRequest
 from drivecal.domain.errors import InvalidInputError
-from drivecal.domain.parameters import Parameter, ParameterSet, ParameterSpace, text
+from drivecal.domain.influence import InfluenceMap
+from drivecal.domain.parameters import Indices, Parameter, ParameterSet, ParameterSpace, text
 from drivecal.domain.scenarios import Scenario
 from drivecal.domain.setups import Setup
 from drivecal.plugins import registry
 from drivecal.plugins.ports import DrivingFunction, Evaluator, Vehicle
 from drivecal.plugins.setups import setup_of
+from drivecal.reduction.narrowing import SearchArea, common_area, full_area
 from drivecal.sensitivity.analysis import SensitivityAnalysis
 
 
@@ -113,6 +117,19 @@ class CalibrationProblem:
     def scenarios(self) -> tuple[str, ...]:
         """The ids of the simulated scenarios, in the catalogue's order."""
         return tuple(self.weights)
+
+    @property
+    def start_indices(self) -> Indices:
+        """Grid indices of the start sets, shape (n, n_searched)."""
+        rows = [self.space.indices(parameter_set.values) for parameter_set in self.start_sets]
+        return np.array(rows, dtype=np.int64).reshape(len(rows), len(self.space.searched))
+
+    def search_area(self, influence_map: InfluenceMap | None) -> SearchArea:
+        """Returns the common area if `reduction.narrow` requests it, widened to hold the start sets; else the whole space. It depends only
+        on specification and influence map, so a campaign can resume."""
+        if influence_map is None or not self.specification.reduction.narrow:
+            return full_area(self.space)
+        return common_area(self.space, influence_map, self.scenarios, self.start_indices)
 
     def expected_runs(self) -> ExpectedRuns:
         """The number of simulations if no cell can be answered without one."""

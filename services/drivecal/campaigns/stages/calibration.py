@@ -14,26 +14,29 @@ from sqlalchemy import Connection
 from drivecal.analysis.confirmation import Confirmation, verdict_in
 from drivecal.analysis.solutions import EQUAL, EvaluatedSet, Ranking
 from drivecal.campaigns.cells.planning import View, sync_reference_keys
+from drivecal.campaigns.cells.predicting import LotPlanner, released_by_scenario, slice_size
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.stages.stage import CampaignStage, Round
-from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate
+from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, Released
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import NoResultError
 from drivecal.domain.events import EventKind
-from drivecal.domain.influence import InfluenceMap
-from drivecal.domain.parameters import Indices, ParameterSet
+from drivecal.domain.parameters import ParameterSet
 from drivecal.execution.scheduling.in_flight import Work
 from drivecal.plugins.ports import Optimizer, Proposal
 from drivecal.reduction.assignment import Policy, RequestedCell
 from drivecal.reduction.audit import error_rates
-from drivecal.reduction.narrowing import SearchArea, common_area, full_area
-from drivecal.storage import audits, campaigns, events, generations, results
+from drivecal.storage import audits, campaigns, evaluations, events, generations, lots, results
 from drivecal.storage.campaigns import Snapshot, StoredCampaign
 from drivecal.storage.engine.database import Database
+from drivecal.storage.evaluations import NewEvaluation
 from drivecal.storage.generations import Figures
 from drivecal.storage.references import parameter_sets
 
-_COUNTED = ("proposed", "carried_over", "requested", "repeated", "reused", "certified", "simulated", "failed", "audited")
+_COUNTED = (
+    *("proposed", "carried_over", "requested", "repeated", "reused", "predicted", "certified", "simulated", "failed"),
+    *("audited", "sampled"),
+)
 
 
 class Calibration(CampaignStage):
@@ -56,7 +59,7 @@ class Calibration(CampaignStage):
         self._optimization = problem.optimization
         self._ranking = Ranking(problem.weights)
         self._error_rate: dict[str, ErrorRate] = dict(campaign.error_rate)
-        self._area = _search_area(problem, view.influence_map)
+        self._area = problem.search_area(view.influence_map)
         self._notes = problem.notes
         if problem.specification.reduction.narrow:
             self._notes = (*problem.notes, self._area.note())
@@ -68,6 +71,13 @@ class Calibration(CampaignStage):
         self._iteration: int | None = None
         self._proposal: Proposal | None = None
         self._optimizer: Optimizer | None = None
+        self._batches: list[list[int]] = []
+        """Individuals of the current generation that have not been requested."""
+        self._planner: LotPlanner | None = None
+        if self._policy().predicts:
+            population = self._optimization.population
+            self._planner = LotPlanner(view, problem.space, problem.specification.reduction, problem.weights, population)
+        self._released: dict[str, Released] = dict(campaign.released)
         self._confirmation: Confirmation | None = None
         self._verdict = verdict_in(campaign.notes)
 
@@ -81,14 +91,16 @@ class Calibration(CampaignStage):
         return self._problem.expected_runs().calibration_at_most
 
     def _ask(self) -> Round | None:
-        """The next generation, or the next set to confirm."""
+        """The next batch of the generation, the next generation, or the next set to confirm."""
+        if self._batches:
+            return self._next_batch()
         if self._iteration is not None and self._iteration + 1 >= self._optimization.iterations:
             self._refuse_nothing()
             return self._confirm()
         return self._propose()
 
     def _tell(self, asked: Round) -> None:
-        if asked.number < self._optimization.iterations:
+        if asked.number < self._optimization.iterations and not self._batches:
             self._close()
 
     def _refuse_nothing(self) -> None:
@@ -105,7 +117,7 @@ class Calibration(CampaignStage):
         with self._database.transaction() as connection:
             last = generations.last(connection, self._campaign.sequence)
             if last is None or last.optimizer_state is None:
-                start = self._area.contract(_given_indices(problem)) if problem.start_sets else None
+                start = self._area.contract(problem.start_indices) if problem.start_sets else None
                 self._optimizer = self._optimization.plugin.create(self._optimization.settings, self._area.n_values, start)
                 if problem.specification.reduction.narrow:
                     campaigns.set_narrowed(connection, self._campaign.sequence, self._area.narrowed())
@@ -122,6 +134,11 @@ class Calibration(CampaignStage):
                 self._optimizer.tell(self._weighted(self._scores), self._weighted(self._ratings))
             else:
                 self._proposal = Proposal(np.array(last.population, dtype=np.int64), np.array(last.changed, dtype=np.bool_))
+                self._batches = [
+                    batch
+                    for batch in self._split(last.iteration, self._proposal)
+                    if not results.is_requested(connection, self._campaign.sequence, self.name, last.iteration, batch[0])
+                ]
                 self._round = Round(last.iteration, (), self._policy())
             work = self._tracker.load(connection, share_runs=self._policy().mode != "off")
             self._save(connection)
@@ -130,18 +147,43 @@ class Calibration(CampaignStage):
     def _propose(self) -> Round:
         if self._optimizer is None:
             raise RuntimeError("the stage has not been taken up")
-        problem, proposal = self._problem, self._optimizer.ask()
+        self._proposal = self._optimizer.ask()
+        self._iteration = 0 if self._iteration is None else self._iteration + 1
+        self._batches = self._split(self._iteration, self._proposal)
+        carried_over = int((~self._proposal.changed).sum()) * len(self._problem.scenarios)
+        return replace(self._next_batch(), carried_over=carried_over)
+
+    def _split(self, iteration: int, proposal: Proposal) -> list[list[int]]:
+        """Returns the individuals to request, in batches: the start population is learned from slice by slice if answers are predicted."""
         changed = [int(index) for index in np.flatnonzero(proposal.changed)]
-        sets = problem.space.parameter_sets(self._area.expand(proposal.population[changed]))
+        size = slice_size(self._optimization.population) if self._planner is not None and iteration == 0 else len(changed)
+        return [changed[start : start + size] for start in range(0, len(changed), size)] if changed else [[]]
+
+    def _next_batch(self) -> Round:
+        if self._proposal is None or self._iteration is None:
+            raise RuntimeError("the stage has not been taken up")
+        batch, problem = self._batches.pop(0), self._problem
+        sets = problem.space.parameter_sets(self._area.expand(self._proposal.population[batch]))
         wanted = [
             RequestedCell(individual, scenario, parameters)
-            for individual, parameters in zip(changed, sets, strict=True)
+            for individual, parameters in zip(batch, sets, strict=True)
             for scenario in problem.scenarios
         ]
-        self._iteration = 0 if self._iteration is None else self._iteration + 1
-        self._proposal = proposal
-        carried_over = (len(proposal.changed) - len(changed)) * len(problem.scenarios)
-        return Round(self._iteration, [(problem.bench, wanted)], self._policy(), carried_over)
+        if self._planner is not None:
+            with self._database.transaction() as connection:
+                self._planner.learn(connection)
+                stored = lots.of_campaign(connection, self._campaign.sequence)
+                costs = evaluations.mean_seconds(connection, self._campaign.sequence)
+                self._take_in(connection, [self._iteration])
+            self._planner.predict(dict(zip(batch, sets, strict=True)), stored, costs)
+        return Round(self._iteration, [(problem.bench, wanted)], self._policy())
+
+    def _predict(self, connection: Connection, asked: Round, planned: list[NewEvaluation]) -> list[NewEvaluation]:
+        if self._planner is None or asked.number != self._iteration:
+            return planned
+        best = self._ranking.best()
+        given = range(len(self._problem.start_sets)) if asked.number == 0 else ()  # first in the start population
+        return self._planner.plan(connection, planned, None if best is None else best[0].objective, given)
 
     def _policy(self) -> Policy:
         reduction = self._problem.specification.reduction
@@ -151,6 +193,8 @@ class Calibration(CampaignStage):
     def _store(self, connection: Connection, asked: Round) -> None:
         """Commits a generation with the optimizer's state beside its cells; a set to confirm belongs to no generation."""
         if self._optimizer is None or self._proposal is None or asked.number != self._iteration:
+            return
+        if generations.is_stored(connection, self._campaign.sequence, asked.number):  # with an earlier batch
             return
         generations.insert(
             connection,
@@ -211,6 +255,9 @@ class Calibration(CampaignStage):
             self._take_in(connection, iterations=[self._iteration])
             objectives, ratings = self._weighted(self._scores), self._weighted(self._ratings)
             self._check_reuse(connection, self._iteration)
+            if self._planner is not None:
+                limit = self._problem.specification.reduction.limit
+                self._released = released_by_scenario(lots.of_campaign(connection, self._campaign.sequence), limit)
             self._describe_best(connection)
             figures = self._figures(objectives)
             generations.finish(connection, self._campaign.sequence, self._iteration, figures, objectives.tolist())
@@ -344,21 +391,8 @@ class Calibration(CampaignStage):
             iteration=self._iteration,
             progress=self._progress(counts.requested, counts.requested + counts.pending),
             error_rate=self._error_rate,
+            released=self._released,
             best=self._best,
             baseline=self._baseline,
             notes=notes,
         )
-
-
-def _search_area(problem: CalibrationProblem, influence_map: InfluenceMap | None) -> SearchArea:
-    """The common area if `reduction.narrow` requests it, widened to hold the start sets; else the whole space. It depends only on
-    specification and influence map, so a campaign can resume."""
-    if influence_map is None or not problem.specification.reduction.narrow:
-        return full_area(problem.space)
-    return common_area(problem.space, influence_map, problem.scenarios, _given_indices(problem))
-
-
-def _given_indices(problem: CalibrationProblem) -> Indices:
-    """Grid indices of the start sets, shape (n, n_searched)."""
-    rows = [problem.space.indices(parameter_set.values) for parameter_set in problem.start_sets]
-    return np.array(rows, dtype=np.int64).reshape(len(rows), len(problem.space.searched))

@@ -21,6 +21,7 @@ from drivecal.reduction.assignment import Policy, RequestedCell
 from drivecal.storage import campaign_stages, campaigns, results
 from drivecal.storage.campaigns import Snapshot, StoredCampaign
 from drivecal.storage.engine.database import Database
+from drivecal.storage.evaluations import NewEvaluation
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,8 +128,9 @@ class Stage(Job):
     def _request(self, asked: Round) -> list[Work]:
         """Commits the cells of a round before any is dispatched; resumes them unchanged if an earlier process committed them."""
         sequence = self._campaign.sequence
+        first = asked.cells[0][1][0].individual if asked.cells and asked.cells[0][1] else None
         with self._database.transaction() as connection:
-            is_new = not results.has_iteration(connection, sequence, self.name, asked.number)
+            is_new = not results.is_requested(connection, sequence, self.name, asked.number, first)
             if not is_new and not results.is_pending(connection, sequence, self.name, asked.number):
                 return []  # over before this process began; cells that wait belong to a later round
             if is_new:
@@ -136,13 +138,20 @@ class Stage(Job):
                 for position, (bench, cells) in enumerate(asked.cells):
                     view = self._view if bench is self._view.bench else replace(self._view, bench=bench)
                     planned = plan_cells(connection, view, asked.policy, self.name, asked.number, cells)
+                    planned = self._predict(connection, asked, planned)
                     self._tracker.request(connection, planned, carried_over=0 if position else asked.carried_over)
-            benches = [bench for bench, _ in asked.cells if bench is not self._view.bench]
-            work = self._tracker.load(connection, share_runs=asked.policy.mode != "off", benches=benches)
-            if is_new:
                 self._store(connection, asked)
+                self._save(connection)
+        benches = [bench for bench, _ in asked.cells if bench is not self._view.bench]
+        with self._database.transaction() as connection:  # a sample is drawn after its predictions are committed
+            work = self._tracker.load(connection, share_runs=asked.policy.mode != "off", benches=benches)
             self._save(connection)
         return work
+
+    def _predict(self, connection: Connection, asked: Round, planned: list[NewEvaluation]) -> list[NewEvaluation]:  # a hook
+        """Replaces simulations by predictions."""
+        del connection, asked
+        return planned
 
     def _save(self, connection: Connection) -> None:
         campaigns.save_progress(connection, self._campaign.sequence, self._snapshot(connection))

@@ -12,6 +12,7 @@ from sqlalchemy import (
     Table,
     Text,
     UniqueConstraint,
+    false,
     text,
 )
 
@@ -69,6 +70,9 @@ campaigns = Table(
     Column("notes", Document, nullable=False),
     Column("progress", Document, nullable=False),
     Column("error_rate", Document, nullable=False),
+    Column("released", Document),
+    # Draws the samples of lots; no user reads it, because who knows it knows which predictions are checked.
+    Column("secret", LargeBinary),
     Column("best", Document),
     Column("baseline", Document),
     Column("simulating_seconds", Float, nullable=False),
@@ -118,6 +122,8 @@ generations = Table(
             "alternatives",
         )
     ),
+    Column("predicted", Integer, nullable=False, server_default="0"),
+    Column("sampled", Integer, nullable=False, server_default="0"),
     Column("best", Float),
     Column("rating", Float),
     Column("mean", Float),
@@ -211,6 +217,27 @@ reference_indexes = Table(  # the keys of one setup's runs under one map, of tho
     sqlite_autoincrement=True,
 )
 
+lots = Table(  # predictions of a batch in a scenario, and their inspection; size 0: none was accepted
+    "lots",
+    metadata,
+    Column("id", Identity, primary_key=True),
+    Column("campaign_sequence", Identity, ForeignKey("campaigns.sequence"), nullable=False),
+    Column("iteration", Integer, nullable=False),
+    Column("individual", Integer, nullable=False),  # the first of the batch
+    Column("scenario", Name, nullable=False),
+    Column("size", Integer, nullable=False),
+    Column("sample", Integer, nullable=False),
+    Column("acceptance", Integer, nullable=False),
+    Column("tolerance", Float, nullable=False),
+    Column("aoql", Float, nullable=False),
+    Column("known", Integer, nullable=False),
+    Column("seconds", Float, nullable=False),
+    Column("verdict", Name),
+    Column("errors", Integer),
+    UniqueConstraint("campaign_sequence", "iteration", "individual", "scenario"),
+    sqlite_autoincrement=True,
+)
+
 evaluations = Table(
     "evaluations",
     metadata,
@@ -238,6 +265,12 @@ evaluations = Table(
     Column("detail", Text),
     Column("proven_by", Identity),
     Column("proof_agrees", Boolean),
+    # Of cells that the predictor was asked about; `lot` of those that it was trusted with.
+    Column("lot", Identity),
+    Column("confidence", Float),
+    Column("predicted_score", Integer),
+    Column("predicted_rating", Float),
+    Column("sampled", Boolean, nullable=False, server_default=false()),
     UniqueConstraint("campaign_sequence", "stage", "iteration", "individual", "scenario"),
     # The plan is in the two look-up indexes, or a class that answered thousands of cells would be read in full to find its donor.
     Index(None, "campaign_sequence", "scenario", "reference_key", "plan"),

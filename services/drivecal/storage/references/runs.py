@@ -9,8 +9,9 @@ from sqlalchemy import Connection, func, select, text
 
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Donor
+from drivecal.domain.parameters import ParameterSet
 from drivecal.storage.engine.bulk import among, insert
-from drivecal.storage.engine.tables import ratings, runs, setups
+from drivecal.storage.engine.tables import parameter_sets, ratings, runs, setups
 from drivecal.storage.engine.types import finite, now
 
 
@@ -97,6 +98,24 @@ def look_up_exact(
         for parameter_set_id, run, evaluation, failure, score, rating in connection.execute(query).all():
             donors[parameter_set_id] = Donor(evaluation, run, score, rating, failure)
     return donors
+
+
+def rated(
+    connection: Connection, setup_id: int, evaluator: str, watermark: int, limit: int
+) -> list[tuple[ParameterSet, int, float]]:
+    """Returns parameter sets, scores and ratings of a setup's last `limit` runs up to `watermark`, in the order of references."""
+    place = runs.c.campaign_sequence, runs.c.stage, runs.c.iteration, runs.c.individual, runs.c.id
+    query = (
+        select(parameter_sets.c.parameter_values, ratings.c.score, ratings.c.rating)
+        .select_from(
+            runs.join(parameter_sets).join(ratings, (ratings.c.run_id == runs.c.id) & (ratings.c.evaluator == evaluator))
+        )
+        .where(runs.c.setup_id == setup_id, runs.c.id <= watermark, ratings.c.since <= watermark)
+        .order_by(*(column.desc() for column in place))
+        .limit(limit)
+    )
+    rows = connection.execute(query).all()
+    return [(ParameterSet.from_json(values), score, rating) for values, score, rating in reversed(rows)]
 
 
 def scores(connection: Connection, run_ids: Sequence[int], evaluator: str) -> dict[int, int]:

@@ -1,0 +1,268 @@
+"""Predicts the cells of a calibration batch by batch, and accepts predictions in lots.
+
+A batch is a slice of the start population or a later generation. Its predictors learn from all earlier answers that were simulated or
+certified, so lots depend on the stored rows alone, never on the workers' timing.
+"""
+
+import math
+import os
+import time
+from collections import defaultdict
+from collections.abc import Collection, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import groupby
+
+import numpy as np
+from sqlalchemy import Connection
+
+from drivecal.campaigns.cells.planning import View, ensure_setups
+from drivecal.contracts.campaign import Released
+from drivecal.contracts.specification import ReductionSpecification
+from drivecal.domain.evaluations import Outcome
+from drivecal.domain.parameters import ParameterSet, ParameterSpace, billionths
+from drivecal.reduction.lots import SamplingPlan, most_released
+from drivecal.reduction.prediction import MOST_KNOWN, ROUNDING, Floats, Lot, Predictions, ScenarioLearner, choose_lot
+from drivecal.storage import lots, results
+from drivecal.storage.evaluations import NewEvaluation
+from drivecal.storage.lots import LotVerdict, NewLot, StoredLot
+from drivecal.storage.references import runs
+from drivecal.storage.results import KnownAnswer
+
+LARGEST_SLICE, SLICES = 250, 4
+"""Most sets, and fewest slices, of a start population that is learned from slice by slice."""
+GROWTH = 1.25
+"""Growth of the known answers after which a predictor without an accepted lot is tried again."""
+LIKELY = 0.25
+"""Share of a batch that a predictor is expected to save: it is not asked if it took longer the last time than these simulations take."""
+
+
+def slice_size(population: int) -> int:
+    """Sets of the start population in one batch."""
+    return max(1, min(LARGEST_SLICE, -(-population // SLICES)))
+
+
+@dataclass(frozen=True, slots=True)
+class _Forecast:
+    """What a scenario's predictor says of every set of a batch; rows follow the batch."""
+
+    predictions: Predictions
+    error_rates: Floats
+    known: int
+    seconds: float
+
+
+class LotPlanner:
+    """The predictors of one calibration."""
+
+    def __init__(
+        self,
+        view: View,
+        space: ParameterSpace,
+        reduction: ReductionSpecification,
+        weights: Mapping[str, float],
+        population: int,
+    ) -> None:
+        from drivecal.reduction.forest import Forest  # scikit-learn loads slowly; campaigns without predictions need none
+
+        self._view = view
+        self._reduction = reduction
+        self._weights = weights
+        self._slice = slice_size(population)
+        lowest = {parameter.name: billionths(parameter.lower) for parameter in space.searched}
+        spans = {parameter.name: billionths(parameter.upper) - lowest[parameter.name] for parameter in space.searched}
+        self._lowest = np.array([lowest.get(name, 0) for name in view.names], dtype=np.float64)
+        self._spans = np.array([spans.get(name, 10**9) for name in view.names], dtype=np.float64)
+        kind = partial(Forest, reduction.tolerance)
+        self._learners = {scenario: ScenarioLearner(kind, reduction.tolerance) for scenario in weights}
+        self._seconds: dict[str, list[float]] = defaultdict(list)
+        self._newest: int | None = None
+        self._rows: dict[int, int] = {}
+        self._forecasts: dict[str, _Forecast] = {}
+
+    def learn(self, connection: Connection) -> None:
+        """Reads the answers since the last call. No cell of the campaign may wait for its answer."""
+        setups = ensure_setups(connection, self._view.bench)
+        if self._newest is None:
+            self._newest = 0
+            for scenario, learner in self._learners.items():
+                known = runs.rated(
+                    connection, setups[scenario], self._view.bench.evaluator_id, self._view.watermark, MOST_KNOWN
+                )
+                if known:
+                    sets, scores, ratings = zip(*known, strict=True)
+                    learner.learn(self._features(sets), np.array(scores, dtype=np.float64), np.array(ratings))
+        answers, self._newest = results.known(connection, self._view.campaign, list(setups.values()), self._newest)
+        by_scenario: dict[str, list[KnownAnswer]] = defaultdict(list)
+        for answer in answers:
+            by_scenario[answer.scenario].append(answer)
+        for scenario, listed in by_scenario.items():
+            for _, batch in groupby(listed, key=self._batch):
+                self._take(self._learners[scenario], list(batch))
+
+    def _batch(self, answer: KnownAnswer) -> tuple[str, int, int]:
+        return answer.stage, answer.iteration, answer.individual // self._slice if answer.iteration == 0 else 0
+
+    def _take(self, learner: ScenarioLearner, batch: Sequence[KnownAnswer]) -> None:
+        scores, ratings = (
+            np.array([getattr(answer, name) for answer in batch], dtype=np.float64) for name in ("score", "rating")
+        )
+        learner.learn(self._features([answer.parameters for answer in batch]), scores, ratings)
+        asked = [place for place, answer in enumerate(batch) if answer.predicted_score is not None]
+        if asked:
+            predicted = np.array([batch[place].predicted_score for place in asked], dtype=np.float64)
+            confidence = np.array([batch[place].confidence for place in asked], dtype=np.float64)
+            weight = np.array([batch[place].stands_for for place in asked], dtype=np.float64)
+            learner.observe(predicted, confidence, scores[asked], weight)
+
+    def _features(self, sets: Sequence[ParameterSet]) -> Floats:
+        """Positions in the searched ranges, shape (n, n_p), in the order of the driving function's parameters."""
+        names = self._view.names
+        rows = [
+            each.billionths
+            if each.names == names
+            else [dict(zip(each.names, each.billionths, strict=True))[name] for name in names]
+            for each in sets
+        ]
+        features: Floats = (np.array(rows, dtype=np.float64).reshape(len(rows), len(names)) - self._lowest) / self._spans
+        return features
+
+    def predict(
+        self, sets: Mapping[int, ParameterSet], lots_so_far: Sequence[StoredLot], mean_seconds: Mapping[str, float]
+    ) -> None:
+        """Predicts a batch, by individual; takes seconds, so call it outside of any transaction. Skips scenarios without enough known
+        answers, and those in which the predictor costs more than it saves."""
+        self._rows = {individual: row for row, individual in enumerate(sets)}
+        features = self._features(list(sets.values()))
+        asked = [
+            scenario
+            for scenario, learner in self._learners.items()
+            if pays(
+                [lot for lot in lots_so_far if lot.scenario == scenario],
+                learner.known,
+                len(sets) * mean_seconds.get(scenario, 0.0),
+            )
+        ]
+
+        def forecast(scenario: str) -> _Forecast | None:
+            began = time.thread_time()
+            learner = self._learners[scenario]
+            told = learner.predict(features)
+            return None if told is None else _Forecast(*told, learner.known, time.thread_time() - began)
+
+        with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+            forecasts = dict(zip(asked, pool.map(forecast, asked), strict=True))
+        self._forecasts = {scenario: told for scenario, told in forecasts.items() if told is not None}
+
+    def plan(
+        self, connection: Connection, cells: Sequence[NewEvaluation], best: float | None, whole: Collection[int]
+    ) -> list[NewEvaluation]:
+        """Stores the batch's lots, and returns its cells with accepted predictions in the place of simulations.
+
+        Sets in `whole` (individuals) and those believed within reach of the `best` simulated objective are simulated whole; so are audited
+        cells and those that answer others.
+        """
+        if not self._forecasts or not cells:
+            return list(cells)
+        promoted = {*whole, *self._promoted(cells, best)}
+        leading = {cell.leader for cell in cells if cell.leader is not None}
+        planned = list(cells)
+        accepted: dict[str, Lot | None] = {}
+        members: dict[str, list[int]] = {}
+        for scenario, forecast in self._forecasts.items():
+            here = [
+                place
+                for place, cell in enumerate(cells)
+                if cell.scenario == scenario
+                and cell.plan is Outcome.SIMULATED
+                and not cell.audited
+                and cell.individual in self._rows
+            ]
+            for place in here:
+                row = self._rows[cells[place].individual]
+                planned[place] = replace(
+                    cells[place],
+                    predicted_score=int(forecast.predictions.scores[row]),
+                    predicted_rating=float(forecast.predictions.ratings[row]),
+                    confidence=float(forecast.predictions.confidence[row]),
+                )
+            candidates = [place for place in here if place not in leading and cells[place].individual not in promoted]
+            rows = [self._rows[cells[place].individual] for place in candidates]
+            lot = choose_lot(forecast.error_rates[rows], self._reduction.limit) if rows else None
+            accepted[scenario] = lot
+            members[scenario] = [] if lot is None else [candidates[position] for position in lot.members]
+        stored = lots.insert(connection, self._view.campaign, [self._new(cells[0], *pair) for pair in accepted.items()])
+        for places, number in zip(members.values(), stored, strict=True):
+            for place in places:
+                planned[place] = replace(planned[place], plan=Outcome.PREDICTED, lot=number)
+        return planned
+
+    def _new(self, first: NewEvaluation, scenario: str, lot: Lot | None) -> NewLot:
+        plan = SamplingPlan(0, 0, 0) if lot is None else lot.plan
+        forecast = self._forecasts[scenario]
+        return NewLot(
+            first.iteration,
+            first.individual,
+            scenario,
+            plan.size,
+            plan.sample,
+            plan.acceptance,
+            self._reduction.tolerance,
+            self._reduction.limit,
+            forecast.known,
+            forecast.seconds,
+        )
+
+    def _promoted(self, cells: Sequence[NewEvaluation], best: float | None) -> set[int]:
+        """Individuals whose believed objective and its standard deviation add up to the best simulated one. Without a prediction, the
+        newest known scores of the scenario tell mean and deviation."""
+        if best is None:
+            return set()
+        means: dict[int, float] = defaultdict(float)
+        variances: dict[int, float] = defaultdict(float)
+        prior = {scenario: learner.newest() for scenario, learner in self._learners.items() if scenario not in self._forecasts}
+        for cell in cells:
+            if cell.donor is not None:
+                mean, variance = float(cell.donor.score), 0.0
+            elif cell.scenario in prior:
+                mean, variance = prior[cell.scenario]
+            else:
+                predictions, row = self._forecasts[cell.scenario].predictions, self._rows[cell.individual]
+                mean, variance = float(predictions.mean[row]), float(predictions.variance[row])
+            means[cell.individual] += self._weights[cell.scenario] * mean
+            variances[cell.individual] += self._weights[cell.scenario] ** 2 * variance
+        return {individual for individual, mean in means.items() if mean + math.sqrt(variances[individual]) >= best - ROUNDING}
+
+
+def pays(lots_so_far: Sequence[StoredLot], known: int, batch_seconds: float) -> bool:
+    """Whether a scenario's predictor can save more than it costs: by its `lots_so_far`, the answers that are `known` now, and the CPU time
+    that the next batch takes without it."""
+    if not lots_so_far:
+        return True
+    last = lots_so_far[-1]
+    return last.seconds <= LIKELY * batch_seconds and (last.size > 0 or known >= GROWTH * last.known)
+
+
+def released_by_scenario(stored: Sequence[StoredLot], limit: float) -> dict[str, Released]:
+    """Sums up lots with a verdict."""
+    by_scenario: dict[str, list[StoredLot]] = defaultdict(list)
+    for lot in stored:
+        by_scenario[lot.scenario].append(lot)
+    return {scenario: _released(listed, limit) for scenario, listed in sorted(by_scenario.items())}
+
+
+def _released(stored: Sequence[StoredLot], limit: float) -> Released:
+    inspected = [lot for lot in stored if lot.verdict is not None]
+    released = sum(lot.released for lot in inspected)
+    plans = [(SamplingPlan(lot.size, lot.sample, lot.acceptance), lot.errors or 0) for lot in inspected]
+    return Released(
+        lots=len(inspected),
+        rejected=sum(lot.verdict is LotVerdict.REJECTED for lot in inspected),
+        predicted=released,
+        sampled=sum(lot.sample for lot in inspected),
+        different=sum(lot.errors or 0 for lot in inspected),
+        limit=limit,
+        upper_95=most_released(plans) / released if released else None,
+        seconds=sum(lot.seconds for lot in stored),
+    )

@@ -1,0 +1,106 @@
+"""Lots of predicted answers: a batch of a scenario with its sampling plan and, once its sample is simulated, its verdict."""
+
+import secrets
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+
+from sqlalchemy import Connection, func, select, update
+
+from drivecal.storage.engine.tables import campaigns, evaluations, lots
+
+
+class LotVerdict(StrEnum):
+    """Outcome of an inspection."""
+
+    RELEASED = "released"
+    REJECTED = "rejected"
+
+
+@dataclass(frozen=True, slots=True)
+class NewLot:
+    """Predictions of a batch in a scenario; `individual` is the batch's first. `size` 0: no prediction was accepted."""
+
+    iteration: int
+    individual: int
+    scenario: str
+    size: int
+    sample: int
+    acceptance: int
+    tolerance: float
+    aoql: float
+    """The largest expected share of released errors (average outgoing quality limit)."""
+    known: int
+    """Answers that the predictor had learned from."""
+    seconds: float
+    """CPU time of the predictor."""
+
+
+@dataclass(frozen=True, slots=True)
+class StoredLot(NewLot):
+    """A lot; `verdict` and the `errors` of its sample are None before its sample is simulated."""
+
+    id: int
+    verdict: LotVerdict | None
+    errors: int | None
+
+    @property
+    def released(self) -> int:
+        """Number of predictions that became answers."""
+        return self.size - self.sample if self.verdict is LotVerdict.RELEASED else 0
+
+
+def secret(connection: Connection, campaign_sequence: int) -> bytes:
+    """Returns the key that draws a campaign's samples, and creates it at the first call."""
+    here = campaigns.c.sequence == campaign_sequence
+    stored = connection.scalar(select(campaigns.c.secret).where(here))
+    if stored is not None:
+        return bytes(stored)
+    created = secrets.token_bytes(16)
+    connection.execute(update(campaigns).where(here).values(secret=created))
+    return created
+
+
+def insert(connection: Connection, campaign_sequence: int, new: Sequence[NewLot]) -> list[int]:
+    """Stores lots and returns their ids, in order."""
+    if not new:
+        return []
+    statement = lots.insert().returning(lots.c.id, sort_by_parameter_order=True)
+    return list(connection.scalars(statement, [{"campaign_sequence": campaign_sequence} | asdict(lot) for lot in new]))
+
+
+def of_campaign(connection: Connection, campaign_sequence: int) -> list[StoredLot]:
+    """Returns all lots of a campaign, in the order of their batches."""
+    query = select(lots).where(lots.c.campaign_sequence == campaign_sequence).order_by(lots.c.id)
+    return [
+        StoredLot(
+            row.iteration,
+            row.individual,
+            row.scenario,
+            row.size,
+            row.sample,
+            row.acceptance,
+            row.tolerance,
+            row.aoql,
+            row.known,
+            row.seconds,
+            row.id,
+            None if row.verdict is None else LotVerdict(row.verdict),
+            row.errors,
+        )
+        for row in connection.execute(query)
+    ]
+
+
+def errors_so_far(connection: Connection, lot_ids: Sequence[int]) -> dict[int, int]:
+    """Returns the errors in the samples of lots, by id: differing answers, and cells without a result."""
+    cell = evaluations.c
+    wrong = (cell.sampled, cell.outcome.is_not(None), cell.agrees.is_distinct_from(True))
+    query = select(cell.lot, func.count()).where(cell.lot.in_(list(lot_ids)), *wrong).group_by(cell.lot)
+    return dict(connection.execute(query).all()) if lot_ids else {}
+
+
+def conclude(connection: Connection, verdicts: Mapping[int, tuple[LotVerdict, int]]) -> None:
+    """Stores verdicts and errors of lots, by id."""
+    for number, (verdict, errors) in verdicts.items():
+        connection.execute(update(lots).where(lots.c.id == number).values(verdict=verdict, errors=errors))
