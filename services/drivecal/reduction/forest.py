@@ -6,7 +6,7 @@ from sklearn.ensemble import ExtraTreesClassifier
 
 from drivecal.reduction.prediction import Bools, Floats, Predictions
 
-TREES = 100
+TREES = 50
 FEATURES = None
 """Features that each split considers: all of them, because few parameters matter in a scenario."""
 
