@@ -67,6 +67,7 @@ class KnownAnswer:
     """A simulated or certified answer that a predictor may learn from. `predicted_score` and `confidence`: of a cell that was predicted
     first; `stands_for`: the number of predictions that a sampled cell of a released lot represents, else 1."""
 
+    id: int
     scenario: str
     stage: StageName
     iteration: int
@@ -292,7 +293,7 @@ def known(
     )
     read = lru_cache(MOST_SETS)(ParameterSet.from_json)
     rows = connection.execute(query).all()
-    answers = [KnownAnswer(*row[1:5], read(row.parameter_values), *row[6:]) for row in rows]
+    answers = [KnownAnswer(*row[:5], read(row.parameter_values), *row[6:]) for row in rows]
     return answers, max((row.id for row in rows), default=after)
 
 
