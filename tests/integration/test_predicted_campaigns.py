@@ -14,6 +14,9 @@ from tests.integration.test_confirmation import at, live, new, rows_of, step_unt
 from tests.support.computed import ComputedBackend
 from tests.support.runs import EXPERT_SPACE, dispatcher, everything, get, influenced, run, submit
 
+from drivecal.campaigns.resolve.resolved_spec import resolved_spec
+from drivecal.campaigns.results.explanation import explain
+from drivecal.campaigns.results.prediction import prediction_of
 from drivecal.campaigns.results.verification import verify
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.dispatch.dispatcher import Dispatcher
@@ -182,3 +185,49 @@ def test_released_predictions_are_simulated_afterwards_by_a_study(predicted: tup
         assert (row["released"], row["compared"]) == (len(here), len(here))
         assert row["beyond"] == row["different"] == sum(difference != 0 for difference in differences)
     assert get(database, study).cells.requested == 0
+
+
+def test_predictions_are_explained_by_lot_and_stored_answers(predicted: tuple[Database, StoredCampaign]) -> None:
+    database, campaign = predicted
+    rows = rows_of(database, campaign)
+    by_id = {row.id: row for row in rows}
+    stored = {lot.id: lot for lot in lots_of(database, campaign)}
+    released = next(row for row in rows if row.outcome is Outcome.PREDICTED and row.iteration > 0)
+    drawn = next(row for row in rows if row.sampled and row.lot == released.lot)
+    refused = next(row for row in rows if row.confidence is not None and row.lot is None and row.outcome is Outcome.SIMULATED)
+    unasked = next(row for row in rows if row.iteration == 0 and row.individual == 0)
+    with database.read() as connection:
+        told = [explain(connection, row.id) for row in (released, drawn, refused, unasked)]
+    assert [explanation.reason for explanation in told] == ["predicted", "sampled", "not_accepted", "not_predicted"]
+    for explanation, row in zip(told[:3], (released, drawn, refused), strict=True):
+        prediction = explanation.prediction
+        assert prediction is not None
+        assert (prediction.score, prediction.confidence) == (row.predicted_score, row.confidence)
+        weights = [neighbour.weight for neighbour in prediction.neighbours]
+        assert weights == sorted(weights, reverse=True)
+        for neighbour in prediction.neighbours:
+            known = by_id[neighbour.evaluation]
+            assert (known.scenario, known.score) == (row.scenario, neighbour.score)
+            assert (known.iteration, known.outcome) <= (row.iteration, Outcome.SIMULATED)
+            assert known.parameters.floats == neighbour.parameters
+    lot, shown = stored[released.lot or 0], told[0].prediction
+    assert shown is not None
+    assert shown.lot is not None
+    assert (shown.lot.size, shown.lot.sample, shown.lot.errors, shown.lot.verdict) == (
+        lot.size,
+        lot.sample,
+        lot.errors,
+        "released",
+    )
+    assert told[3].prediction is None
+
+
+def test_the_predictor_that_explains_is_the_predictor_that_predicted(predicted: tuple[Database, StoredCampaign]) -> None:
+    """Weights of the stored answers with the predicted score add up to the confidence."""
+    database, campaign = predicted
+    row = max((row for row in rows_of(database, campaign) if row.outcome is Outcome.PREDICTED), key=lambda row: row.id)
+    with database.read() as connection:
+        shown = prediction_of(connection, campaign, row, resolved_spec(campaign), neighbours=10_000)
+    assert shown is not None
+    alike = sum(neighbour.weight for neighbour in shown.neighbours if neighbour.score == row.predicted_score)
+    assert alike == pytest.approx(row.confidence)

@@ -108,7 +108,7 @@ def most_released(lots: Iterable[tuple[SamplingPlan, int]], confidence: float = 
     inspected = list(lots)
     offsets: list[tuple[float, float]] = []
     for growth in GROWTH:
-        costs = [_cost_of_an_error(plan, growth) for plan, _ in inspected]
+        costs = [cost_of_an_error(plan, growth) for plan, _ in inspected]
         if all(math.isfinite(cost) for cost in costs):
             paid = sum(cost * errors for cost, (_, errors) in zip(costs, inspected, strict=True))
             offsets.append((growth, -paid))
@@ -125,7 +125,7 @@ def most_released(lots: Iterable[tuple[SamplingPlan, int]], confidence: float = 
 
 
 @lru_cache(maxsize=4096)
-def _cost_of_an_error(plan: SamplingPlan, growth: float) -> float:
+def cost_of_an_error(plan: SamplingPlan, growth: float) -> float:
     """Returns the smallest h for `most_released`: the evidence against released errors that an error in the sample takes back; infinite if
     none suffices."""
     wrong = np.arange(plan.size + 1)[None, :]

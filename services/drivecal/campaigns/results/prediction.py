@@ -22,9 +22,13 @@ NEIGHBOURS = 5
 
 
 def prediction_of(
-    connection: Connection, campaign: StoredCampaign, cell: StoredEvaluation, resolved: ResolvedSpec
+    connection: Connection,
+    campaign: StoredCampaign,
+    cell: StoredEvaluation,
+    resolved: ResolvedSpec,
+    neighbours: int = NEIGHBOURS,
 ) -> Prediction | None:
-    """Returns the prediction of a calibration's cell; None if no predictor was asked."""
+    """Returns the prediction of a calibration's cell with the `neighbours` of most weight; None if no predictor was asked."""
     if cell.predicted_score is None or cell.confidence is None:
         return None
     return Prediction(
@@ -33,7 +37,7 @@ def prediction_of(
         sampled=cell.sampled,
         agrees=cell.agrees if cell.sampled else None,
         lot=None if cell.lot is None else _lot(connection, campaign.sequence, cell.lot),
-        neighbours=_neighbours(connection, campaign, cell, resolved),
+        neighbours=_neighbours(connection, campaign, cell, resolved, neighbours),
     )
 
 
@@ -53,7 +57,7 @@ def _lot(connection: Connection, campaign_sequence: int, number: int) -> Inspect
 
 
 def _neighbours(
-    connection: Connection, campaign: StoredCampaign, cell: StoredEvaluation, resolved: ResolvedSpec
+    connection: Connection, campaign: StoredCampaign, cell: StoredEvaluation, resolved: ResolvedSpec, most: int
 ) -> list[Neighbour]:
     from drivecal.reduction.forest import Forest  # scikit-learn loads slowly
 
@@ -83,7 +87,7 @@ def _neighbours(
         return []
     weights = predictor.weights(features([cell.parameters]))
     newest = evaluations[-len(weights) :]
-    heaviest = np.argsort(-weights, kind="stable")[:NEIGHBOURS].tolist()
+    heaviest = np.argsort(-weights, kind="stable")[:most].tolist()
     known: Mapping[int, StoredEvaluation] = {place: results.by_id(connection, newest[place]) for place in heaviest}
     first = len(scores) - len(weights)
     return [
