@@ -14,6 +14,7 @@ from drivecal.domain.parameters import ParameterSet
 from drivecal.storage.engine import cursors
 from drivecal.storage.engine.tables import evaluations, parameter_sets
 from drivecal.storage.engine.types import ORDER, STAGES
+from drivecal.storage.evaluations import DONORS, of_iteration
 
 BATCH = 1_000
 """Rows that an export holds in memory at a time."""
@@ -119,16 +120,9 @@ def answers(
 ) -> Iterator[CellScore]:
     """The answered cells of one iteration, or of all, in the order of `page`; the connection must stay open meanwhile."""
     table = evaluations.c
+    result = (table.parameter_set_id, table.scenario, table.score, table.rating, table.outcome != Outcome.REUSED)
     query = (
-        select(
-            table.parameter_set_id,
-            table.scenario,
-            table.score,
-            table.rating,
-            table.outcome != Outcome.REUSED,
-            table.iteration,
-            table.individual,
-        )
+        select(*result, table.iteration, table.individual)
         .where(table.campaign_sequence == campaign_sequence, table.stage == stage, table.outcome.is_not(None))
         .order_by(*_PLACE)
         .execution_options(yield_per=BATCH)
@@ -197,22 +191,13 @@ def reference_of(connection: Connection, campaign_sequence: int, scenario: str, 
 
 def has_iteration(connection: Connection, campaign_sequence: int, stage: StageName, iteration: int) -> bool:
     """Whether the cells of an iteration have been asked for."""
-    query = select(evaluations.c.id).where(
-        evaluations.c.campaign_sequence == campaign_sequence,
-        evaluations.c.stage == stage,
-        evaluations.c.iteration == iteration,
-    )
+    query = select(evaluations.c.id).where(*of_iteration(campaign_sequence, stage, iteration))
     return connection.execute(query.limit(1)).first() is not None
 
 
 def is_pending(connection: Connection, campaign_sequence: int, stage: StageName, iteration: int) -> bool:
     """Whether a cell of an iteration waits for its answer."""
-    query = select(evaluations.c.id).where(
-        evaluations.c.campaign_sequence == campaign_sequence,
-        evaluations.c.outcome.is_(None),
-        evaluations.c.stage == stage,
-        evaluations.c.iteration == iteration,
-    )
+    query = select(evaluations.c.id).where(*of_iteration(campaign_sequence, stage, iteration), evaluations.c.outcome.is_(None))
     return connection.execute(query.limit(1)).first() is not None
 
 
@@ -224,7 +209,7 @@ def donors(connection: Connection, campaign_sequence: int, stage: StageName) -> 
         .where(
             evaluations.c.campaign_sequence == campaign_sequence,
             evaluations.c.stage == stage,
-            evaluations.c.outcome.in_((Outcome.SIMULATED, Outcome.CERTIFIED)),
+            evaluations.c.outcome.in_(DONORS),
         )
         .order_by(evaluations.c.id)
         .execution_options(yield_per=BATCH)
