@@ -20,6 +20,7 @@ from typing import Any
 from fastapi.sse import KEEPALIVE_COMMENT, format_sse_event
 
 from drivecal.api.live.dispatcher_health import degraded, silence
+from drivecal.api.responses import seconds_of, state_of
 from drivecal.contracts.campaign import CellCounts, CellsByStage
 from drivecal.contracts.events import PROGRESS
 from drivecal.domain.errors import DrivecalError
@@ -262,19 +263,17 @@ def encoded(event: StoredEvent, campaign: str) -> bytes:
 
 def progress_document(snapshot: ProgressSnapshot, said: str | None, moment: datetime) -> dict[str, Any]:
     """`CampaignProgress` of a running campaign, of which `said` is wrong."""
-    asked = snapshot.requested_action
     cells = CellsByStage(stages={stage: CellCounts(**counts) for stage, counts in snapshot.stages.items()})
-    wall = 0.0 if snapshot.started_at is None else ((snapshot.ended_at or moment) - snapshot.started_at).total_seconds()
     return {
-        "state": "cancelling" if asked == "cancel" and not snapshot.state.ended else snapshot.state,
-        "requested_action": asked,
+        "state": state_of(snapshot),
+        "requested_action": snapshot.requested_action,
         "degraded": said,
         "stage": snapshot.stage,
         "iteration": snapshot.iteration,
         "progress": snapshot.progress,
         **cells.model_dump(),
         "best_objective": None if snapshot.best is None else snapshot.best["objective"],
-        "seconds": {"wall": max(0.0, wall), "simulating": snapshot.simulating_seconds},
+        "seconds": seconds_of(snapshot, moment).model_dump(),
     }
 
 

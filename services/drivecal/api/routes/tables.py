@@ -9,10 +9,10 @@ from pydantic import BaseModel
 from drivecal.api.dependencies import Accept, DatabaseDependency
 from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.http.queries import SolutionsQuery, TableQuery
-from drivecal.api.responses import evaluation_row, refuse_comparison
+from drivecal.api.responses import calibration, evaluation_row, refuse_comparison
 from drivecal.api.tables import influence
 from drivecal.api.tables.files import Row
-from drivecal.api.tables.paging import Pages, page_or_file, slices, table_answer
+from drivecal.api.tables.paging import Pages, listed, page_or_file, slices, table_answer
 from drivecal.api.tables.ranking import ranking
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec
 from drivecal.campaigns.results.optima import alternatives
@@ -28,7 +28,6 @@ from drivecal.contracts.tables import (
     columns_of,
 )
 from drivecal.domain.campaigns import StageName
-from drivecal.domain.errors import ConflictError
 from drivecal.storage import campaigns, generations, results, studies
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -57,8 +56,8 @@ def list_evaluations(campaign_id: str, query: TableQuery, database: DatabaseDepe
 
     def pages(limit: int, cursor: str | None) -> tuple[list[Row], str | None]:
         with database.read() as connection:
-            found, following = results.page(connection, campaign.sequence, limit=limit, cursor=cursor)
-        return [evaluation_row(evaluation) for evaluation in found], following
+            page, following = results.page(connection, campaign.sequence, limit=limit, cursor=cursor)
+        return [evaluation_row(evaluation) for evaluation in page], following
 
     def columns() -> list[Column]:
         return EvaluationRow.file_columns(list(_parameter_names(database, campaign)))
@@ -102,9 +101,7 @@ def list_optima(campaign_id: str, query: TableQuery, database: DatabaseDependenc
 def list_influence(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
     """The influence map that the campaign uses: one row per scenario and searched parameter, none if it has no map (yet)."""
     campaign = _campaign(database, campaign_id)
-    rows = _influence_rows(database, campaign)
-    pages = slices(lambda start, stop: rows[start:stop], len(rows))
-    return table_answer(f"influence-{campaign.id}", query, accept, lambda: columns_of(InfluenceRow), pages)
+    return listed(f"influence-{campaign.id}", query, accept, InfluenceRow, _influence_rows(database, campaign))
 
 
 @router.get("/robustness", responses=page_or_file(RobustnessRow))
@@ -117,9 +114,8 @@ def list_robustness(campaign_id: str, query: TableQuery, database: DatabaseDepen
     def columns() -> list[Column]:
         return columns_of(RobustnessRow, _keys(begun_with.weights, begun_with))
 
-    return table_answer(
-        f"robustness-{campaign.id}", query, accept, columns, _study(database, campaign, StageName.ROBUSTNESS, RobustnessRow)
-    )
+    pages = _study(database, campaign, StageName.ROBUSTNESS, RobustnessRow)
+    return table_answer(f"robustness-{campaign.id}", query, accept, columns, pages)
 
 
 @router.get("/validation", responses=page_or_file(ValidationRow))
@@ -151,9 +147,7 @@ def _campaign(database: Database, campaign_id: str) -> StoredCampaign:
 
 
 def _pinned(campaign: StoredCampaign) -> ResolvedSpec:
-    if campaign.kind != "calibration":
-        raise ConflictError(f"{campaign.id} is a single evaluation, which ranks nothing; GET /api/v1/evaluations/{campaign.id}")
-    return resolved_spec(campaign)
+    return resolved_spec(calibration(campaign, ", which ranks nothing"))
 
 
 def _parameter_names(database: Database, campaign: StoredCampaign) -> Iterable[str]:

@@ -9,7 +9,7 @@ from pydantic import BaseModel
 
 from drivecal.api.http.queries import TableOf, form_of
 from drivecal.api.tables.files import Row, download
-from drivecal.contracts.tables import Column, Page, file_row
+from drivecal.contracts.tables import Column, Page, columns_of, file_row
 from drivecal.storage.engine import cursors
 
 ROWS_AT_A_TIME = 2000
@@ -48,6 +48,12 @@ def table_answer(name: str, query: TableOf, accept: str, columns: Callable[[], S
         items = [row.model_dump(mode="json") if isinstance(row, BaseModel) else row for row in rows]
         return JSONResponse({"items": items, "next_cursor": following}, headers={"Vary": "Accept"})
     return download(name, form, columns(), _all(pages))
+
+
+def listed(name: str, query: TableOf, accept: str, model: type[BaseModel], rows: Sequence[BaseModel]) -> Response:
+    """Returns `table_answer` of rows in memory."""
+    pages = slices(lambda start, stop: rows[start:stop], len(rows))
+    return table_answer(name, query, accept, lambda: columns_of(model), pages)
 
 
 def _all(pages: Pages) -> Iterator[Sequence[Row]]:
