@@ -2,7 +2,7 @@
 
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from enum import IntEnum
 from typing import Annotated, Any
 
@@ -35,24 +35,11 @@ class ExitCode(IntEnum):
 
 
 ORDER = (
-    *(
-        "demo",
-        "serve",
-        "submit",
-        "list",
-        "show",
-        "watch",
-        "pause",
-        "resume",
-        "cancel",
-        "rerun",
-        "solutions",
-        "report",
-        "export",
-    ),
-    *("explain", "influence", "influence-maps", "robustness", "validate", "compare-optimizers", "evaluate", "workers", "db"),
+    *("demo", "serve", "submit", "list", "show", "watch", "pause", "resume", "cancel", "rerun"),
+    *("solutions", "report", "export", "explain", "influence", "influence-maps", "robustness", "validate"),
+    *("compare-optimizers", "evaluate", "workers", "db"),
 )
-"""In which the help lists the commands."""
+"""Order of the commands in the help."""
 
 
 _COMMANDS = (
@@ -70,9 +57,7 @@ class Commands(TyperGroup):
 
     def list_commands(self, ctx: Any) -> list[str]:
         """The commands as a newcomer wants to read them."""
-        return sorted(
-            super().list_commands(ctx), key=lambda name: (name not in ORDER, ORDER.index(name) if name in ORDER else 0)
-        )
+        return sorted(super().list_commands(ctx), key=lambda name: ORDER.index(name) if name in ORDER else len(ORDER))
 
     def invoke(self, ctx: Any) -> Any:
         """Runs the command."""
@@ -151,16 +136,12 @@ def connect(url: str | None) -> Client:
 
 def full_id(client: Client, identifier: str) -> str:
     """The id that `identifier` abbreviates, looked for among the newest campaigns. An unknown one is left as it is."""
-    if len(identifier) >= 32 or not identifier:
-        return identifier
-    return _beginning("campaign", [campaign.id for campaign in client.campaigns(limit=200).items], identifier)
+    return _completed("campaign", identifier, lambda: [campaign.id for campaign in client.campaigns(limit=200).items])
 
 
 def full_map_id(client: Client, identifier: str) -> str:
     """Like `full_id`, for an influence map."""
-    if len(identifier) >= 32 or not identifier:
-        return identifier
-    return _beginning("influence map", [item.id for item in client.influence_maps(limit=200).items], identifier)
+    return _completed("influence map", identifier, lambda: [item.id for item in client.influence_maps(limit=200).items])
 
 
 def with_full_ids(client: Client, specification: dict[str, Any]) -> dict[str, Any]:
@@ -173,8 +154,10 @@ def with_full_ids(client: Client, specification: dict[str, Any]) -> dict[str, An
     return completed
 
 
-def _beginning(kind: str, ids: Sequence[str], identifier: str) -> str:
-    matching = [full for full in ids if full.startswith(identifier)]
+def _completed(kind: str, identifier: str, newest: Callable[[], Sequence[str]]) -> str:
+    if len(identifier) >= 32 or not identifier:
+        return identifier
+    matching = [full for full in newest() if full.startswith(identifier)]
     if len(matching) > 1:
         raise NotFoundError(f"single {kind}", identifier, f"{len(matching)} begin so, give more characters")
     return matching[0] if matching else identifier

@@ -7,10 +7,10 @@ import typer
 
 from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, connect, full_id
 from drivecal.cli.commands.studies import known, make, wanted_of
-from drivecal.cli.views.output import print_columns, print_json
+from drivecal.cli.views.output import dumped, print_columns, print_json
 from drivecal.contracts.tables import ValidationRow
 from drivecal.domain.errors import ConflictError
-from drivecal.report.sections.errors import errors_text
+from drivecal.report.rows import errors_text, percent, totals
 
 
 @app.command()
@@ -36,7 +36,7 @@ def validate(
             maker = make(client, campaign, "validation", {"sensitivity": sensitivity, "validation": dict(wanted.settings)})
         rows = client.validation(maker.id)
     if as_json:
-        print_json([row.model_dump(mode="json") for row in rows])
+        print_json(dumped(rows))
     else:
         print_validation(rows)
 
@@ -47,21 +47,15 @@ def print_validation(rows: Sequence[ValidationRow]) -> None:
         ["scenario", "n", "n*_LHS", "n_ref", "compared", "different", "wrong", "R_err", "95 % interval", "effects covered"],
         [
             [
-                row.scenario,
-                row.reducible,
-                row.bases,
-                row.references,
-                row.compared,
-                row.different,
-                row.wrong,
-                None if row.error_rate is None else f"{row.error_rate:.3%}",
+                *(row.scenario, row.reducible, row.bases, row.references, row.compared, row.different, row.wrong),
+                percent(row.error_rate, 3),
                 None if row.lower_95 is None or row.upper_95 is None else f"{row.lower_95:.3%} to {row.upper_95:.3%}",
                 f"{row.covered} of {row.effects}",
             ]
             for row in rows
         ],
     )
-    compared, different, wrong = (sum(getattr(row, name) for row in rows) for name in ("compared", "different", "wrong"))
+    compared, different, wrong = totals(rows, "compared", "different", "wrong")
     if compared:
         typer.echo(errors_text("variants", compared, different, wrong))
     nothing = [row.scenario for row in rows if not row.compared]

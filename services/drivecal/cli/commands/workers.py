@@ -5,6 +5,7 @@ from datetime import UTC, datetime, timedelta
 from drivecal.cli.application import JsonOption, UrlOption, app, connect, tell
 from drivecal.cli.views.output import duration, print_columns, print_json
 from drivecal.contracts.inventory import WorkerAnswer, WorkerPage
+from drivecal.report.rows import fixed
 
 
 @app.command()
@@ -18,15 +19,7 @@ def workers(url: UrlOption = None, as_json: JsonOption = False) -> None:
     now = datetime.now(UTC)
     header = ["worker", "node", "state", "cells", "cells/s", "remembers", "simulates"]
     rows = [
-        [
-            item.id,
-            item.node,
-            item.state,
-            item.cells,
-            None if item.cells_per_second is None else f"{item.cells_per_second:.1f}",
-            remembering(item),
-            doing(item, now),
-        ]
+        [item.id, item.node, item.state, item.cells, fixed(item.cells_per_second, 1), remembering(item), doing(item, now)]
         for item in page.items
     ]
     print_columns(header, rows)

@@ -8,13 +8,16 @@ from typing import Any
 import typer
 from pydantic import BaseModel
 
-from drivecal.contracts.campaign import Campaign, CellCounts, StageCellCounts
+from drivecal.contracts.campaign import Baseline, Best, Campaign, CellCounts, StageCellCounts
 from drivecal.contracts.tables import Solution
 from drivecal.domain.events import ASKED
+from drivecal.report.rows import OUTCOMES, totals
 from drivecal.report.sections.commands import evaluation
 
-OUTCOMES = ("failed", "certified", "reused", "repeated", "simulated")
-"""Outcomes of requested cells, frequent ones last."""
+
+def dumped(rows: Iterable[BaseModel]) -> list[dict[str, Any]]:
+    """Returns rows of a table, JSON-ready."""
+    return [row.model_dump(mode="json") for row in rows]
 
 
 def print_json(answer: BaseModel | Mapping[str, Any] | Sequence[Any]) -> None:
@@ -47,12 +50,10 @@ def print_campaign(campaign: Campaign) -> None:
     if campaign.cells.requested:
         lines.append(("cells", cells_text(campaign.cells)))
     if campaign.baseline:
-        lines.append(
-            ("baseline", f"{_objective(campaign.baseline.objective)}  {parameters_text(campaign.baseline.parameters)}")
-        )
+        lines.append(("baseline", _set_text(campaign.baseline)))
     if campaign.best:
         best = campaign.best
-        lines.append(("best", f"{_objective(best.objective)}  {parameters_text(best.parameters)}"))
+        lines.append(("best", _set_text(best)))
         lines.append(("scores", "  ".join(f"{name} {score}" for name, score in best.scores.items())))
         share = "1 parameter set has" if best.alternatives == 1 else f"{best.alternatives:,} parameter sets share"
         lines.append(("alternatives", f"{share} the best objective"))
@@ -113,21 +114,9 @@ def cells_text(cells: CellCounts) -> str:
 
 def print_cells(runs: Sequence[tuple[str, CellCounts]]) -> None:
     """Prints how the cells of campaigns were answered, one line each."""
-    header = ["", "proposed", "carried over", "requested", *reversed(OUTCOMES), "audited", "saved"]
-    print_columns(
-        header,
-        [
-            [
-                name,
-                *(
-                    f"{getattr(cells, name):,}"
-                    for name in ("proposed", "carried_over", "requested", *reversed(OUTCOMES), "audited")
-                ),
-                f"{saved(cells):.1%}",
-            ]
-            for name, cells in runs
-        ],
-    )
+    fields = ("proposed", "carried_over", "requested", *OUTCOMES, "audited")
+    rows = [[name, *(f"{getattr(cells, field):,}" for field in fields), f"{saved(cells):.1%}"] for name, cells in runs]
+    print_columns(["", *(field.replace("_", " ") for field in fields), "saved"], rows)
 
 
 def _sum(cells: CellCounts | StageCellCounts) -> str:
@@ -137,15 +126,13 @@ def _sum(cells: CellCounts | StageCellCounts) -> str:
 
 def by_outcome(cells: CellCounts | StageCellCounts) -> dict[str, int]:
     """The requested cells by outcome, the frequent ones first; those that a stage does not know are 0."""
-    return {name: getattr(cells, name, 0) for name in reversed(OUTCOMES)}
+    return {name: getattr(cells, name, 0) for name in OUTCOMES}
 
 
 def self_check_text(campaign: Campaign) -> str:
     """Returns the audits' results on a line; empty before the first audit."""
     rates = campaign.error_rate
-    audited, different, wrong = (
-        sum(getattr(rate, name) for rate in rates.values()) for name in ("audited", "different", "wrong")
-    )
+    audited, different, wrong = totals(rates.values(), "audited", "different", "wrong")
     if not audited:
         return ""
     cells = "1 reusable cell was" if audited == 1 else f"{audited:,} reusable cells were"
@@ -180,8 +167,9 @@ def when(moment: datetime | None) -> str:
     return "" if moment is None else moment.astimezone().strftime("%Y-%m-%d %H:%M:%S")
 
 
-def _objective(value: float | None) -> str:
-    return "no result yet" if value is None else f"{value:.4f}"
+def _set_text(found: Best | Baseline) -> str:
+    objective = "no result yet" if found.objective is None else f"{found.objective:.4f}"
+    return f"{objective}  {parameters_text(found.parameters)}"
 
 
 def _text(value: object) -> str:

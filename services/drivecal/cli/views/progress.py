@@ -2,10 +2,9 @@
 
 import sys
 import time
-from collections.abc import Callable
-from contextlib import AbstractContextManager
-from types import TracebackType
-from typing import Protocol, Self
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Protocol
 
 import typer
 from rich.console import Console
@@ -24,7 +23,7 @@ SHOWN = frozenset({"queued", "running", "generation", "succeeded", "failed", "ca
 _DEGRADED = "degraded: "
 
 
-class Reporter(AbstractContextManager["Reporter"], Protocol):
+class Reporter(Protocol):
     """Shows how a campaign is getting on."""
 
     def show(self, campaign: Campaign) -> None:
@@ -37,23 +36,9 @@ class Reporter(AbstractContextManager["Reporter"], Protocol):
 class Bar:
     """A progress bar on a terminal."""
 
-    def __init__(self, console: Console) -> None:
-        self._progress = Progress(
-            TextColumn("{task.description}"),
-            BarColumn(bar_width=24),
-            MofNCompleteColumn(),
-            TextColumn("{task.fields[detail]}"),
-            console=console,
-            transient=True,
-        )
+    def __init__(self, progress: Progress) -> None:
+        self._progress = progress
         self._task = self._progress.add_task("waiting", total=None, detail="")
-
-    def __enter__(self) -> Self:
-        self._progress.start()
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self._progress.stop()
 
     def show(self, campaign: Campaign) -> None:
         """Moves the bar."""
@@ -80,12 +65,6 @@ class Lines:
         self._degraded: str | None = None
         """The degraded state that the line before told of."""
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        return None
-
     def show(self, campaign: Campaign) -> None:
         """Writes a line where one is due."""
         now, kind = self._clock(), (campaign.state, campaign.stage)
@@ -107,9 +86,16 @@ class Lines:
         self._degraded = reason
 
 
-def reporter() -> Reporter:
-    """Returns the reporter for stderr."""
-    return Bar(Console(stderr=True)) if sys.stderr.isatty() else Lines()
+@contextmanager
+def reporter() -> Iterator[Reporter]:
+    """Yields the reporter for stderr."""
+    if not sys.stderr.isatty():
+        yield Lines()
+        return
+    columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), MofNCompleteColumn())
+    detail = TextColumn("{task.fields[detail]}")
+    with Progress(*columns, detail, console=Console(stderr=True), transient=True) as progress:
+        yield Bar(progress)
 
 
 def follow(client: Client, identifier: str, timeout: float | None = None, *, from_beginning: bool = True) -> Campaign:

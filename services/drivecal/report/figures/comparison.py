@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 
 from drivecal.contracts.comparison import ComparedPair, ComparedRun, ReductionEffect
 from drivecal.contracts.tables import Generation
-from drivecal.report.figures.drawing import BLUE, INK, KINDS, RULE, Dashes, Drawn, style, whole_numbers
+from drivecal.report.figures.drawing import BLUE, INK, KINDS, RULE, Dashes, Drawn, plotted, style, whole_numbers
 
 PAPER = {"swarm": "Figure 7. ", "genetic": "Figure 8. "}
 MARKERS = "osv^DPX*"
@@ -64,12 +64,12 @@ def _draw_runs(
         colour, dashes = _look(kinds, (run.population, run.reduction))
         look: dict[str, Any] = {"color": colour, "linestyle": dashes, "linewidth": 1.0}
         offset = spread * ((place + 0.5) / len(runs) - 0.5)
-        heights = [float("nan") if generation.best is None else generation.best + offset for generation in listed]
+        heights = [plotted(generation.best) + offset for generation in listed]
         left.plot([generation.iteration + 1 for generation in listed], heights, drawstyle="steps-mid", **look)
         if run.converged_at is not None:
             left.plot(run.converged_at, heights[run.converged_at - 1], marker="o", markersize=3, color=colour)
         taken = list(accumulate(generation.requested - generation.repeated - generation.reused for generation in listed))
-        ratings = [float("nan") if generation.rating is None else generation.rating for generation in listed]
+        ratings = [plotted(generation.rating) for generation in listed]
         right.plot(taken, ratings if by_rating else heights, drawstyle="steps-post", **look)
 
 
@@ -117,10 +117,7 @@ def optima_figure(runs: Sequence[ComparedRun]) -> Drawn:
             label = ", ".join(kind) if several else kind[0]
             colour = KINDS[number % len(KINDS)][0]
             for axes, field in zip(panels, ("simulated_best", "rating", "simulations"), strict=True):
-                values = [getattr(run, field) for run in mine]
-                axes.plot(
-                    across, [float("nan") if value is None else value for value in values], color=colour, label=label, **look
-                )
+                axes.plot(across, [plotted(getattr(run, field)) for run in mine], color=colour, label=label, **look)
         for axes, what in zip(panels, ("best objective", "rating of the best set", "simulations"), strict=True):
             axes.set_xticks(range(len(populations)), [f"{population:,}" for population in populations])
             axes.set(xlabel="individuals per iteration", ylabel=what, xlim=(-0.6, len(populations) - 0.4))
@@ -139,11 +136,8 @@ def effects_figure(pairs: Sequence[ComparedPair], effects: Sequence[ReductionEff
         figure = Figure(figsize=(7.4, 1.4 + 0.5 * len(named)), layout="constrained")
         left, right = figure.subplots(1, 2, sharey=True)
         for row, effect in enumerate(named):
-            mine = [
-                pair
-                for pair in pairs
-                if (pair.optimizer, pair.population, pair.reduction) == (effect.optimizer, effect.population, effect.reduction)
-            ]
+            kind = (effect.optimizer, effect.population, effect.reduction)
+            mine = [pair for pair in pairs if (pair.optimizer, pair.population, pair.reduction) == kind]
             heights = [row + 0.5 * ((place + 0.5) / len(mine) - 0.5) for place in range(len(mine))]
             left.plot([run.difference for run in mine], heights, linestyle="none", marker="o", markersize=3, color=BLUE)
             if effect.lower_95 is not None and effect.upper_95 is not None:

@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 DOTS_PER_INCH = 200
 BLUE, SKY, GREEN, VERMILION, ORANGE, PURPLE = "#0072B2", "#56B4E9", "#009E73", "#D55E00", "#E69F00", "#CC79A7"
@@ -108,8 +109,11 @@ def inlined(document: str, name: str, title: str) -> str:
     return re.sub(r'(<svg[^>]*?) width="[^"]*"', lambda match: match[1] + attributes, body, count=1)
 
 
-def whole_numbers(axes: Axes) -> None:
-    """Ticks of the horizontal axis at whole numbers only."""
-    from matplotlib.ticker import MaxNLocator
+def plotted(value: float | None) -> float:
+    """Returns a value for a line, in which an unknown value is a gap."""
+    return float("nan") if value is None else value
 
+
+def whole_numbers(axes: Axes) -> None:
+    """Puts ticks of the horizontal axis at whole numbers only."""
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))

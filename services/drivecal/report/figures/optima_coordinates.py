@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -23,11 +24,12 @@ WORSE = "#D0D0D0"
 
 def positions(sets: Sequence[Solution], parameters: Sequence[SearchedParameter]) -> Floats:
     """Returns the values as shares of the parameters' ranges, shape (n_sets, n_parameters)."""
-    rows = [
-        [(parameter_set.parameters[each.name] - each.lower) / (each.upper - each.lower) for each in parameters]
-        for parameter_set in sets
-    ]
+    rows = [_shares(parameter_set.parameters, parameters) for parameter_set in sets]
     return np.array(rows, dtype=np.float64).reshape(len(sets), len(parameters))
+
+
+def _shares(values: Mapping[str, float], parameters: Sequence[SearchedParameter]) -> list[float]:
+    return [(values[each.name] - each.lower) / (each.upper - each.lower) for each in parameters]
 
 
 def drawn(
@@ -77,15 +79,8 @@ def optima_figure(
         _lines(axes, positions(worse, parameters), WORSE, "-", 0.5, "optima.worse", 2)
         handles = _regions(axes, best, parameters)
         if recommended is not None:
-            heights = [
-                (recommended[parameter.name] - parameter.lower) / (parameter.upper - parameter.lower)
-                for parameter in parameters
-            ]
-            (line,) = axes.plot(
-                places, heights, color=INK, linewidth=1.0, marker="o", markersize=3.5, zorder=5.5, gid="recommended"
-            )
-            line.set_label("recommended")
-            handles.append(line)
+            look: dict[str, Any] = {"color": INK, "linewidth": 1.0, "marker": "o", "markersize": 3.5, "zorder": 5.5}
+            handles += axes.plot(places, _shares(recommended, parameters), label="recommended", gid="recommended", **look)
         if worse:
             handles.append(Line2D([], [], color=WORSE, linewidth=1.2, label="ranked next"))
         for place, parameter in enumerate(parameters):

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from matplotlib.figure import Figure
 
 from drivecal.contracts.tables import Generation
-from drivecal.report.figures.drawing import BLUE, INK, ORANGE, VERMILION, Drawn, style, whole_numbers
+from drivecal.report.figures.drawing import BLUE, INK, ORANGE, VERMILION, Drawn, plotted, style, whole_numbers
 
 LARGEST_WITH_MARKERS = 60
 """Iterations up to which each gets a marker."""
@@ -40,15 +40,14 @@ def population_figure(generations: Sequence[Generation], baseline: float | None 
         figure = Figure(figsize=(7.4, 3.0), layout="constrained")
         left, right = figure.subplots(1, 2)
         for field, label, colour, dashes, marker in LINES:
-            values = [_number(getattr(generation, field)) for generation in generations]
+            values = [plotted(getattr(generation, field)) for generation in generations]
             (line,) = left.plot(numbers, values, linestyle=dashes, color=colour, label=label, linewidth=1.4)
             line.set_gid(f"population.{field}")
             if marked:
                 line.set(marker=marker, markersize=3.5)
         if baseline is not None:
-            left.axhline(baseline, color=INK, linewidth=0.8, linestyle=(0, (6, 3)), label="baseline").set_gid(
-                "population.baseline"
-            )
+            line = left.axhline(baseline, color=INK, linewidth=0.8, linestyle=(0, (6, 3)), label="baseline")
+            line.set_gid("population.baseline")
         left.set(xlabel="iteration", ylabel="objective F(ps)", title="Population")
         left.margins(y=0.08)
         figure.legend(*left.get_legend_handles_labels(), loc="outside lower left", ncols=4)
@@ -71,7 +70,3 @@ def population_figure(generations: Sequence[Generation], baseline: float | None 
 
 def _text(value: float | None) -> str:
     return "nothing" if value is None else f"{value:.3f}"
-
-
-def _number(value: float | None) -> float:
-    return float("nan") if value is None else value

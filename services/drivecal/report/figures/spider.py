@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from itertools import groupby
 from textwrap import fill
 
 from matplotlib.axes import Axes
@@ -11,29 +10,13 @@ from matplotlib.patches import Circle, Patch, Polygon
 
 from drivecal.contracts.tables import InfluenceRow
 from drivecal.report.figures.drawing import INFLUENTIAL, INK, RULE, style
+from drivecal.report.rows import by_scenario, segment
 
 HUB = 0.2
 """Radius at which the axes begin, of the rim's: at 0 they would cover each other."""
 PANELS_PER_SHEET = 12
 UNKNOWN = "//////"
 """Hatching of what counts as influential because nothing is known of it."""
-
-
-def by_scenario(rows: Sequence[InfluenceRow]) -> dict[str, list[InfluenceRow]]:
-    """The rows of each scenario, in order."""
-    return {scenario: list(members) for scenario, members in groupby(rows, key=lambda row: row.scenario)}
-
-
-def segment(row: InfluenceRow) -> tuple[float, float] | None:
-    """The influential part of a parameter's range, from 0 (its lower bound) to 1 (its upper bound); None if nothing is."""
-    if not row.influential:
-        return None
-    if row.space_lower is None or row.space_upper is None:
-        return 0.0, 1.0
-    size = row.space_upper - row.space_lower
-    lower = 0.0 if row.lower is None else (row.lower - row.space_lower) / size
-    upper = 1.0 if row.upper is None else (row.upper - row.space_lower) / size
-    return lower, upper
 
 
 def scenario_figure(rows: Sequence[InfluenceRow], title: str = "") -> Figure:

@@ -5,8 +5,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from drivecal.contracts.tables import InfluenceRow
-from drivecal.report.figures.spider import by_scenario
-from drivecal.report.markup import Emphasized, paragraph, table
+from drivecal.report.markup import paragraph, table
+from drivecal.report.rows import Emphasized, by_scenario
 
 
 def parts(rows: Sequence[InfluenceRow], basis: Mapping[str, Any] | None, drawings: Sequence[str]) -> list[str]:

@@ -1,12 +1,12 @@
 """The sets that share the best objective: how many, what they have in common, and the regions in which they lie (Section IV-C)."""
 
 from collections.abc import Iterable, Sequence
-from itertools import groupby
 
 from drivecal.analysis.optima import NEIGHBOURS
 from drivecal.contracts.setup import SearchedParameter
 from drivecal.contracts.tables import OptimumRow, Solution
-from drivecal.report.markup import Number, paragraph, table
+from drivecal.report.markup import paragraph, table
+from drivecal.report.rows import Number, fixed
 
 MOST_REGIONS = 12
 """Regions that are listed."""
@@ -55,10 +55,11 @@ def parts(
 
 def regions_table(optima: Sequence[OptimumRow]) -> str:
     """The regions, by their best-ranked set."""
-    groups = [
-        (region, list(members)) for region, members in groupby(sorted(optima, key=lambda optimum: optimum.region), key=_region)
-    ]
-    rows = [[region, len(members), members[0].rank, *_to_worse(members)] for region, members in groups[:MOST_REGIONS]]
+    groups: dict[int, list[OptimumRow]] = {}
+    for optimum in optima:
+        groups.setdefault(optimum.region, []).append(optimum)
+    first = sorted(groups.items())[:MOST_REGIONS]
+    rows = [[region, len(members), members[0].rank, *_to_worse(members)] for region, members in first]
     caption = (
         f"Regions: chains of sets that are at most {NEIGHBOURS:g} apart (root mean square, in shares of the searched ranges). A set that "
         "lies far from every worse one bears small changes of its parameters"
@@ -69,10 +70,6 @@ def regions_table(optima: Sequence[OptimumRow]) -> str:
     return table(header, rows, caption, wrap_header=True)
 
 
-def _region(row: OptimumRow) -> int:
-    return row.region
-
-
 def _to_worse(members: Iterable[OptimumRow]) -> list[Number | None]:
     known = [member.to_worse for member in members if member.to_worse is not None]
-    return [Number(f"{min(known):.3f}"), Number(f"{max(known):.3f}")] if known else [None, None]
+    return [fixed(min(known), 3), fixed(max(known), 3)] if known else [None, None]

@@ -6,7 +6,8 @@ from typing import Any
 
 from drivecal.contracts.setup import CampaignSetup
 from drivecal.report.data import ReportData
-from drivecal.report.markup import Number, paragraph, subheading, table, verbatim
+from drivecal.report.markup import paragraph, subheading, table, verbatim
+from drivecal.report.rows import Number
 from drivecal.report.sections.commands import evaluation
 
 SETTINGS = ("optimizer", "reduction", "sensitivity", "robustness", "validation")

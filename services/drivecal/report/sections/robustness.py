@@ -5,7 +5,8 @@ from typing import Any
 
 from drivecal.contracts.tables import OptimumRow, RobustnessRow
 from drivecal.report.data import Studied
-from drivecal.report.markup import Number, paragraph, table
+from drivecal.report.markup import paragraph, table
+from drivecal.report.rows import Number, fixed
 
 Robust = Studied[RobustnessRow]
 
@@ -58,13 +59,8 @@ def boxes(studied: Robust) -> Iterator[Sequence[object]]:
     yield "rank", "box", "radius", "holds", *(f"deviation_{name}" for name in scenarios)
     for row in studied.rows:
         for trial in row.trials:
-            yield (
-                row.rank,
-                trial.box,
-                trial.radius,
-                str(trial.holds).lower(),
-                *(trial.deviations.get(name) for name in scenarios),
-            )
+            deviations = [trial.deviations.get(name) for name in scenarios]
+            yield row.rank, trial.box, trial.radius, str(trial.holds).lower(), *deviations
 
 
 def parts(studies: Sequence[Robust], optima: Sequence[OptimumRow], campaign: str, drawings: Sequence[str]) -> list[str]:
@@ -95,9 +91,7 @@ def _quality(main: Robust, others: Sequence[Robust]) -> str:
     rows = [
         [
             Number(f"{row.rank}{' *' if row.recommended else ''}"),
-            nominal[row.rank],
-            None if row.objective is None else Number(f"{row.objective:.4f}"),
-            None if row.rating is None else Number(f"{row.rating:.3f}"),
+            *(nominal[row.rank], fixed(row.objective, 4), fixed(row.rating, 3)),
             *row.scores.values(),
             Number(degree(row)),
             *(vehicle.get(_key(row.parameters)) for vehicle in elsewhere),
@@ -120,13 +114,7 @@ def _quality(main: Robust, others: Sequence[Robust]) -> str:
 def _values(studied: Robust, optima: Sequence[OptimumRow]) -> str:
     regions = {_key(optimum.parameters): optimum.region for optimum in optima}
     rows = [
-        [
-            row.rank,
-            *row.parameters.values(),
-            Number(degree(row)),
-            regions.get(_key(row.parameters)),
-            None if row.to_worse is None else Number(f"{row.to_worse:.3f}"),
-        ]
+        [row.rank, *row.parameters.values(), Number(degree(row)), regions.get(_key(row.parameters)), fixed(row.to_worse, 3)]
         for row in studied.rows
     ]
     caption = "Table 9, the sets: parameter values in their units, regions as above, distance to the nearest worse set"

@@ -5,7 +5,8 @@ from collections.abc import Sequence
 from drivecal.analysis.convergence import UNCHANGED_ALTERNATIVES, UNCHANGED_BEST, alternatives_at, best_at
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.tables import Generation
-from drivecal.report.markup import Number, table
+from drivecal.report.markup import table
+from drivecal.report.rows import fixed
 
 MOST_LINES = 13
 """Iterations that a table in the page shows; all of them are in the file."""
@@ -82,12 +83,8 @@ def population_table(generations: Sequence[Generation]) -> str:
     """Returns Figure 10 as a table."""
     lines = shown(generations)
     rows = [
-        [line.iteration + 1, *(_fixed(value) for value in (line.best, line.mean, line.minimum)), line.alternatives]
+        [line.iteration + 1, *(fixed(value, 3) for value in (line.best, line.mean, line.minimum)), line.alternatives]
         for line in lines
     ]
     some = "" if len(lines) == len(generations) else f"; {len(lines)} of {len(generations)} iterations, all in generations.csv"
     return table(["iteration", "best", "mean", "minimum", "alternatives"], rows, f"Figure 10 in numbers{some}")
-
-
-def _fixed(value: float | None) -> Number | None:
-    return None if value is None else Number(f"{value:.3f}")

@@ -11,8 +11,8 @@ from matplotlib.ticker import NullFormatter, StrMethodFormatter
 from drivecal.contracts.tables import InfluenceRow, ValidationRow
 from drivecal.report.data import Studied
 from drivecal.report.figures.drawing import BLUE, INK, VERMILION, Drawn, style
-from drivecal.report.markup import Number, paragraph, table
-from drivecal.report.sections.errors import errors_text
+from drivecal.report.markup import paragraph, table
+from drivecal.report.rows import errors_text, percent, totals
 
 LARGEST_AGREEING = 1
 """Points: a difference beyond it is wrong (Eq. 8)."""
@@ -99,7 +99,7 @@ def parts(
 ) -> list[str]:
     """The section: what was compared, Tables 1 and 2, the figure."""
     rows = studied.rows
-    compared, different, wrong = (sum(getattr(row, name) for row in rows) for name in ("compared", "different", "wrong"))
+    compared, different, wrong = totals(rows, "compared", "different", "wrong")
     text = (
         "Sets were drawn from Latin hypercubes until those that lie in some non-influential region covered the main effects and "
         "interactions of the reducible parameters; each was compared with variants that differ from it inside such regions only. "
@@ -144,13 +144,8 @@ def _histograms(rows: Sequence[ValidationRow]) -> str:
 def _rates(rows: Sequence[ValidationRow]) -> str:
     lines = [
         [
-            row.scenario,
-            row.compared,
-            row.different,
-            row.wrong,
-            None if row.error_rate is None else Number(f"{row.error_rate:.2%}"),
-            None if row.lower_95 is None else Number(f"{row.lower_95:.2%}"),
-            None if row.upper_95 is None else Number(f"{row.upper_95:.2%}"),
+            *(row.scenario, row.compared, row.different, row.wrong),
+            *(percent(share) for share in (row.error_rate, row.lower_95, row.upper_95)),
         ]
         for row in rows
     ]
