@@ -1,4 +1,4 @@
-"""Parts of every command: the application, its options, its errors."""
+"""The application, its common options, and its errors."""
 
 import re
 import sys
@@ -56,7 +56,7 @@ class Commands(TyperGroup):
     """A group whose commands report drivecal's errors on stderr, one line per problem, and exit with the fitting code."""
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """The commands as a newcomer wants to read them."""
+        """Returns the commands in the order of `ORDER`."""
         return sorted(super().list_commands(ctx), key=lambda name: ORDER.index(name) if name in ORDER else len(ORDER))
 
     def invoke(self, ctx: Any) -> Any:
@@ -87,11 +87,11 @@ CampaignArgument = Annotated[str, typer.Argument(metavar="ID", help="The campaig
 
 
 class WaitTimedOutError(DrivecalError):
-    """The time that the user wanted to wait is over; the campaign goes on."""
+    """The user's waiting time is over. The campaign goes on."""
 
 
 def exit_code(error: DrivecalError) -> ExitCode:
-    """The exit status that an error means."""
+    """Returns the exit status of an error."""
     if isinstance(error, InvalidInputError):
         return ExitCode.USAGE
     if isinstance(error, NotFoundError):
@@ -104,13 +104,13 @@ def exit_code(error: DrivecalError) -> ExitCode:
 
 
 def code_of_state(state: str) -> ExitCode:
-    """The exit status of a command that waited for a campaign to end."""
+    """Returns the exit status of a command that waited for the end of a campaign."""
     codes = {CampaignState.CANCELLED: ExitCode.CANCELLED, CampaignState.FAILED: ExitCode.FAILED}
     return codes.get(CampaignState(state), ExitCode.OK)
 
 
 def complain(error: DrivecalError) -> None:
-    """Says on stderr what is wrong, one line per problem; fields with which the same is wrong share one."""
+    """Prints an error to stderr, one line per problem. Fields with the same problem share a line."""
     text = str(error)
     if isinstance(error, InvalidInputError):
         fields: dict[tuple[str, str], list[str]] = {}
@@ -130,22 +130,22 @@ def tell(message: str) -> None:
 
 
 def connect(url: str | None) -> Client:
-    """A client of the server that flags, environment and config file name."""
+    """Returns a client of the server at `url`, by default that of the environment or the config file."""
     return Client(url)
 
 
 def full_id(client: Client, identifier: str) -> str:
-    """The id that `identifier` abbreviates, looked for among the newest campaigns. An unknown one is left as it is."""
+    """Returns the id that `identifier` abbreviates among the newest campaigns, or an unknown `identifier` itself."""
     return _completed("campaign", identifier, lambda: [campaign.id for campaign in client.campaigns(limit=200).items])
 
 
 def full_map_id(client: Client, identifier: str) -> str:
-    """Like `full_id`, for an influence map."""
+    """Returns the id of an influence map, like `full_id`."""
     return _completed("influence map", identifier, lambda: [item.id for item in client.influence_maps(limit=200).items])
 
 
 def with_full_ids(client: Client, specification: dict[str, Any]) -> dict[str, Any]:
-    """A campaign's or a comparison's specification, in which the map and the campaign that it may name are not abbreviated."""
+    """Returns a specification with full ids of the influence map and the campaign that it names."""
     completed = dict(specification)
     for section, name, resolved in (("sensitivity", "map", full_map_id), ("robustness", "of", full_id)):
         settings = completed.get(section)

@@ -1,7 +1,7 @@
 """Reads the files that users write, YAML or JSON, into the plain data of a REST body.
 
-YAML is read by its 1.2 core schema: `no` and `on` are words, `1e-3` is a number, dates stay text. Keys given twice are refused, and so
-are tags, and aliases, with which a short file can expand without end.
+YAML follows its 1.2 core schema: `no` and `on` are words, `1e-3` is a number, dates stay text. Duplicate keys, tags and aliases are
+refused: with aliases, a short file can expand without end.
 """
 
 import math
@@ -26,7 +26,7 @@ LARGEST_FILE = 1_048_576
 
 
 def read_document(file: str) -> dict[str, Any]:
-    """The object in `file`; `-` is standard input. Raises InvalidInputError with file, line and column of what cannot be read."""
+    """Returns the object in `file`, `-` for standard input. Raises InvalidInputError with file, line and column of the fault."""
     content, name = _content(file)
     try:
         is_json = name.endswith(".json") or (file == "-" and content.lstrip()[:1] in {b"{", b"["})

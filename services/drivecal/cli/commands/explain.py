@@ -1,4 +1,4 @@
-"""Why a cell was reused, or why it was not."""
+"""`drivecal explain`: why a cell was reused, or why it was not."""
 
 from typing import Annotated
 
@@ -32,7 +32,7 @@ def explain(
 
 
 def print_explanation(explanation: Explanation) -> None:
-    """Prints the answer in a sentence, the stored set it speaks of, and the parameters in which the two differ."""
+    """Prints the explanation, the stored set that it names, and the parameters that differ."""
     where = (
         f"{explanation.stage}, iteration {explanation.iteration}, individual {explanation.individual}, {explanation.scenario}"
     )

@@ -16,13 +16,13 @@ from drivecal.report.rows import by_scenario, fixed, segment
 from drivecal.sensitivity.agreement import Agreement, Pair, agreement
 
 WIDTH = 20
-"""Characters of the picture of a parameter's range."""
+"""Characters in the picture of a parameter's range."""
 _NONE = "0.000"
 
 
 @dataclass(frozen=True)
 class Described:
-    """Rows, whose they are, and what they rest on (None if nothing but a user's word)."""
+    """Rows, the title of their source, and the basis of its analysis (None for a map that a user posted)."""
 
     title: str
     rows: Sequence[InfluenceRow]
@@ -52,7 +52,7 @@ def influence(
 
 
 def print_influence(rows: Sequence[InfluenceRow], basis: Mapping[str, Any] | None) -> None:
-    """Prints a table per scenario, and what the rows rest on."""
+    """Prints a table per scenario, and the analysis behind the rows."""
     if not rows:
         typer.echo("there are no rows: no influence map is in use (yet), or it lists nothing")
         return
@@ -60,7 +60,8 @@ def print_influence(rows: Sequence[InfluenceRow], basis: Mapping[str, Any] | Non
     header = ["parameter", "influential", "lower", "upper", "unit", f"{'range':{WIDTH}}"]
     header += ["mu", "sigma", "mu*", "largest s_rel"] if measured else []
     for scenario, listed in by_scenario(rows).items():
-        unknown = "  unknown: no run scored above 0, so everything counts as influential" if _tells_nothing(listed) else ""
+        nothing_known = all(row.unknown and row.s_rel_intervals is not None for row in listed)
+        unknown = "  unknown: no run scored above 0, so everything counts as influential" if nothing_known else ""
         typer.echo(f"\n{scenario}{unknown}")
         print_columns(header, [_line(row, measured) for row in listed])
     for line in decided_text(rows):
@@ -75,7 +76,7 @@ def print_influence(rows: Sequence[InfluenceRow], basis: Mapping[str, Any] | Non
 
 
 def bounds_text(row: InfluenceRow) -> str:
-    """`0.2 .. 0.8`, `nowhere`."""
+    """Returns influential bounds as `0.2 .. 0.8`, or `nowhere`."""
     if not row.influential:
         return "nowhere"
     ends = ["its bound" if bound is None else f"{bound:g}" for bound in (row.lower, row.upper)]
@@ -83,7 +84,7 @@ def bounds_text(row: InfluenceRow) -> str:
 
 
 def picture(row: InfluenceRow, width: int = WIDTH) -> str:
-    """The parameter's range from left to right: `#` where it is influential, `.` where not; empty if the range is not known."""
+    """Returns the parameter's range from left to right: `#` if influential, `.` if not; empty for an unknown range."""
     if row.space_lower is None or row.space_upper is None:
         return ""
     ends = segment(row)
@@ -123,12 +124,8 @@ def decided_text(rows: Sequence[InfluenceRow]) -> list[str]:
 
 
 def _largest(row: InfluenceRow) -> float | None:
-    """The largest s_rel of its intervals."""
+    """Returns the largest s_rel of the intervals."""
     return max((value for value in row.s_rel_intervals or [] if value is not None), default=None)
-
-
-def _tells_nothing(rows: Sequence[InfluenceRow]) -> bool:
-    return all(row.unknown and row.s_rel_intervals is not None for row in rows)
 
 
 def _rests_on(basis: Mapping[str, Any]) -> str:
@@ -143,7 +140,7 @@ def _rests_on(basis: Mapping[str, Any]) -> str:
 
 
 def _described(client: Client, identifier: str) -> Described:
-    """A campaign's map within the campaign's bounds, or a map by its own id. Raises NotFoundError for neither."""
+    """Returns a campaign's map within the campaign's bounds, or a map by its own id. Raises NotFoundError."""
     try:
         campaign = client.campaign(full_id(client, identifier))
     except NotFoundError:

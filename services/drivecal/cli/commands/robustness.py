@@ -81,12 +81,12 @@ def robustness(
 
 
 def _source(campaign: Campaign) -> str:
-    """The campaign whose best sets are examined: of a study that another campaign's sets were examined in, that one."""
+    """Returns the id of the campaign whose best sets are examined, also for a study of another campaign's sets."""
     return (campaign.spec.get("robustness") or {}).get("of") or campaign.id
 
 
 def _in_another_vehicle(client: Client, campaign: Campaign, maker: Campaign, model: str, *, again: bool) -> Campaign:
-    """The same study, with all its settings, in another vehicle model."""
+    """Returns the campaign of the same study, with all its settings, in another vehicle model."""
     settings: dict[str, Any] = {**maker.spec["robustness"], "of": _source(maker)}
     bench = {name: maker.spec.get(name) for name in BENCH} | {"vehicle": maker.spec["vehicle"] | {"model": model}}
     source = campaign if campaign.id == settings["of"] else client.campaign(settings["of"])
@@ -107,7 +107,7 @@ def _study(client: Client, maker: Campaign) -> MadeStudy:
 
 
 def few_text(study: MadeStudy) -> str:
-    """Why fewer sets were examined than asked for, and what would take more; empty if it is so many."""
+    """Returns why fewer sets were examined than wanted, and which option adds more; empty otherwise."""
     wanted = study.maker.spec.get("robustness") or {}
     count, within = len(study.rows), wanted.get("within") or 0
     if not count or wanted.get("sets") or count >= wanted.get("solutions", 0):

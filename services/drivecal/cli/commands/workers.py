@@ -1,4 +1,4 @@
-"""`drivecal workers`: who simulates, and what."""
+"""`drivecal workers`: the workers and their current batches."""
 
 from datetime import UTC, datetime, timedelta
 

@@ -13,7 +13,7 @@ from drivecal.report.rows import compared_groups, reduction_effect
 
 
 def comparison_document(client: Client, identifier: str) -> dict[str, Any]:
-    """All tables of a comparison, for programs."""
+    """Returns all tables of a comparison, JSON-ready."""
     tables: dict[str, Sequence[BaseModel]] = {
         "runs": client.compared_runs(identifier),
         "groups": client.compared_groups(identifier),
@@ -24,7 +24,7 @@ def comparison_document(client: Client, identifier: str) -> dict[str, Any]:
 
 
 def print_comparison(groups: Sequence[ComparedGroup], effects: Sequence[ReductionEffect]) -> None:
-    """Prints Table 5 of the paper for these runs, and below it what the reductions changed."""
+    """Prints Table 5 of the paper for these runs, and the effects of the reductions."""
     several = len({group.reduction for group in groups}) > 1
     header = ["optimizer", "population", *(["reduction"] if several else []), "best", "mean", "min", "rating", "sets at best"]
     header += ["simulations", "converged", "iterations", "simulations until then", "as good as any"]
@@ -47,7 +47,7 @@ def _print_effects(effects: Sequence[ReductionEffect]) -> None:
 
 
 def print_expected(expected: ExpectedComparison) -> None:
-    """Prints what a comparison would cost."""
+    """Prints the expected cost of a comparison."""
     typer.echo(f"the comparison can run: {expected.runs:,} runs propose {expected.proposed:,} cells")
     typer.echo(
         f"and simulate at most {expected.at_most:,}; what runs have in common, their start first of all, is simulated once"

@@ -8,6 +8,7 @@ from typing import Any
 import typer
 from pydantic import BaseModel
 
+from drivecal.cli.application import tell
 from drivecal.contracts.campaign import Baseline, Best, Campaign, CellCounts, StageCellCounts
 from drivecal.contracts.tables import Solution
 from drivecal.domain.events import ASKED
@@ -38,8 +39,18 @@ def print_columns(header: Sequence[str], rows: Iterable[Sequence[object]]) -> No
         typer.echo("  ".join(parts).rstrip())
 
 
+def print_page(page: BaseModel, as_json: bool, header: Sequence[str], rows: Iterable[Sequence[object]], limit: int) -> None:
+    """Prints a page of a list, and to stderr whether it continues."""
+    if as_json:
+        print_json(page)
+        return
+    print_columns(header, rows)
+    if getattr(page, "next_cursor", None):
+        tell(f"there are more than {limit}; see them with --limit")
+
+
 def print_campaign(campaign: Campaign) -> None:
-    """Prints what one wants to know of a campaign."""
+    """Prints the summary of a campaign."""
     lines = [("campaign", f"{campaign.id}  {campaign.name}"), ("state", state_text(campaign))]
     if campaign.rerun_of:
         lines.append(("rerun of", campaign.rerun_of))
@@ -91,7 +102,7 @@ def print_solutions(solutions: Sequence[Solution], spec: Mapping[str, Any]) -> N
 
 
 def state_text(campaign: Campaign) -> str:
-    """The state with what belongs to it, on one line."""
+    """Returns the state with stage, progress and requested action, on one line."""
     parts = [campaign.state]
     if campaign.stage and campaign.state == "running":
         parts.append(campaign.stage if campaign.iteration is None else f"{campaign.stage}, iteration {campaign.iteration + 1}")
@@ -107,7 +118,7 @@ def state_text(campaign: Campaign) -> str:
 
 
 def cells_text(cells: CellCounts) -> str:
-    """The cells by outcome, on one line: `requested 1,200 = 800 simulated + 300 reused + 100 repeated`."""
+    """Returns the cells by outcome, on one line: `1,200 requested = 800 simulated + 300 reused + 100 repeated`."""
     audited = f" ({cells.audited:,} of the simulated were audits)" if cells.audited else ""
     return f"{cells.requested:,} requested = {_sum(cells)}{audited}; {cells.carried_over:,} carried over"
 
@@ -125,7 +136,7 @@ def _sum(cells: CellCounts | StageCellCounts) -> str:
 
 
 def by_outcome(cells: CellCounts | StageCellCounts) -> dict[str, int]:
-    """The requested cells by outcome, the frequent ones first; those that a stage does not know are 0."""
+    """Returns the requested cells by outcome, frequent ones first; outcomes that a stage does not know are 0."""
     return {name: getattr(cells, name, 0) for name in OUTCOMES}
 
 
@@ -142,18 +153,18 @@ def self_check_text(campaign: Campaign) -> str:
 
 
 def saved(cells: CellCounts) -> float:
-    """The share of the requested cells that needed no simulation."""
+    """Returns the share of the requested cells that needed no simulation."""
     answered = cells.repeated + cells.reused + cells.certified
     return answered / cells.requested if cells.requested else 0.0
 
 
 def parameters_text(parameters: Mapping[str, float]) -> str:
-    """`P1=0.5 P2=1`."""
+    """Returns values as `P1=0.5 P2=1`."""
     return " ".join(f"{name}={value:g}" for name, value in parameters.items())
 
 
 def duration(seconds: float) -> str:
-    """`8 s`, `3 min 05 s`, `2 h 10 min`."""
+    """Returns a duration as `8 s`, `3 min 05 s` or `2 h 10 min`."""
     whole = round(seconds)
     if whole < 60:
         return f"{whole} s"
@@ -163,13 +174,13 @@ def duration(seconds: float) -> str:
 
 
 def when(moment: datetime | None) -> str:
-    """A moment in the reader's time zone."""
+    """Returns a moment in the reader's time zone."""
     return "" if moment is None else moment.astimezone().strftime("%Y-%m-%d %H:%M:%S")
 
 
-def _set_text(found: Best | Baseline) -> str:
-    objective = "no result yet" if found.objective is None else f"{found.objective:.4f}"
-    return f"{objective}  {parameters_text(found.parameters)}"
+def _set_text(shown: Best | Baseline) -> str:
+    objective = "no result yet" if shown.objective is None else f"{shown.objective:.4f}"
+    return f"{objective}  {parameters_text(shown.parameters)}"
 
 
 def _text(value: object) -> str:

@@ -4,7 +4,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Protocol
 
 import typer
 from rich.console import Console
@@ -21,16 +20,6 @@ SECONDS_BETWEEN_LINES = 5.0
 SHOWN = frozenset({"queued", "running", "generation", "succeeded", "failed", "cancelled"})
 """Kinds of events that the progress or the final state shows as well."""
 _DEGRADED = "degraded: "
-
-
-class Reporter(Protocol):
-    """Shows how a campaign is getting on."""
-
-    def show(self, campaign: Campaign) -> None:
-        """Shows it as it is now."""
-
-    def tell(self, text: str) -> None:
-        """Writes a line about something that happened."""
 
 
 class Bar:
@@ -63,10 +52,10 @@ class Lines:
         self._last: tuple[str, str | None] | None = None
         self._at = 0.0
         self._degraded: str | None = None
-        """The degraded state that the line before told of."""
+        """Degraded state of the previous line."""
 
     def show(self, campaign: Campaign) -> None:
-        """Writes a line where one is due."""
+        """Writes a line if one is due."""
         now, kind = self._clock(), (campaign.state, campaign.stage)
         if kind == self._last and now - self._at < SECONDS_BETWEEN_LINES:
             return
@@ -79,7 +68,7 @@ class Lines:
         self._degraded = shown.degraded
 
     def tell(self, text: str) -> None:
-        """Writes the line among the others, unless the one before said as much."""
+        """Writes the line, unless the previous one reported the same."""
         reason = text.removeprefix(_DEGRADED) if text.startswith(_DEGRADED) else None
         if reason is None or reason != self._degraded:
             typer.echo(text, err=True)
@@ -87,7 +76,7 @@ class Lines:
 
 
 @contextmanager
-def reporter() -> Iterator[Reporter]:
+def reporter() -> Iterator[Bar | Lines]:
     """Yields the reporter for stderr."""
     if not sys.stderr.isatty():
         yield Lines()
@@ -99,10 +88,9 @@ def reporter() -> Iterator[Reporter]:
 
 
 def follow(client: Client, identifier: str, timeout: float | None = None, *, from_beginning: bool = True) -> Campaign:
-    """Shows a campaign's progress, and what happens to it, until it ended, and returns it. Raises WaitTimedOutError after `timeout`
-    seconds.
+    """Shows a campaign's progress and events until it has ended, and returns it.
 
-    Ctrl-C ends the command, not the campaign.
+    Raises WaitTimedOutError after `timeout` seconds. Ctrl-C ends the command, not the campaign.
     """
     come_back = (
         f"the campaign goes on; come back with `drivecal watch {identifier}`, end it with `drivecal cancel {identifier}`"
@@ -120,8 +108,10 @@ def follow(client: Client, identifier: str, timeout: float | None = None, *, fro
 def show_until_ended(
     client: Client, identifier: str, deadline: float | None = None, *, from_beginning: bool = True
 ) -> Campaign:
-    """Shows a campaign's progress until it ended, and returns it; what happened to it earlier is told too where `from_beginning` is
-    True. Raises TimeoutError past `deadline`, of the monotonic clock."""
+    """Shows a campaign's progress until it has ended, and returns it. `from_beginning`: shows earlier events as well.
+
+    Raises TimeoutError when the monotonic clock passes `deadline`.
+    """
     said: str | None = None
     with reporter() as report:
 

@@ -22,7 +22,7 @@ Settings = dict[str, tuple[Any, Any]]
 
 @dataclass(frozen=True, slots=True)
 class MadeStudy:
-    """A robustness study: the campaign that made it, with what it was taken up, and what it found."""
+    """A robustness study: its campaign, the campaign's setup, and the examined sets."""
 
     maker: Campaign
     setup: CampaignSetup
@@ -30,7 +30,7 @@ class MadeStudy:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """All that its degrees depend on, by the names of the campaign file."""
+        """Settings on which the degrees depend, by their names in the campaign file."""
         spec, wanted = self.maker.spec, self.maker.spec.get("robustness") or {}
         values: dict[str, Any] = {name: wanted.get(name) for name in (*BOXES, *CHOICE)}
         values["of"] = values["of"] or self.maker.id
@@ -47,7 +47,7 @@ class MadeStudy:
 
 
 def settings_that_differ(here: Mapping[str, Any], there: Mapping[str, Any]) -> Settings:
-    """By name, as (this study's, the other one's)."""
+    """Returns differing settings by name, as (this study's, the other study's)."""
     return {name: (value, there.get(name)) for name, value in here.items() if value != there.get(name)}
 
 
@@ -82,7 +82,7 @@ def _said(value: Any) -> str:
 
 
 def print_difference(first: MadeStudy, other: MadeStudy) -> None:
-    """Prints which settings differ, both studies side by side, and what changes in words."""
+    """Prints differing settings, both studies side by side, and a summary of the changes."""
     typer.echo("\n".join([*settings_text(settings_that_differ(first.settings, other.settings)), ""]))
     rows, others = first.rows, other.rows
     header = ["rank", "degree", "objective", "scores that differ", "parameters"]

@@ -11,7 +11,7 @@ from drivecal.report.rows import error_rates, totals
 
 
 def print_error_rates(rates: Mapping[str, ErrorRate]) -> None:
-    """Prints a line per scenario that was audited or contradicts itself; nothing if there is none."""
+    """Prints a line per scenario that was audited or has contradictions."""
     rows = error_rates(rates)
     if not rows:
         return
@@ -63,7 +63,7 @@ def print_accounting(accounting: Accounting) -> None:
 
 
 def break_even_text(even: BreakEven) -> str:
-    """From when on the map pays."""
+    """Returns the number of requested cells from which the map pays."""
     if even.requested_cells is None:
         return "break-even: never at this rate, reuse saved nothing"
     text = f"break-even: the map pays from {even.requested_cells:,} requested cells on"
@@ -80,7 +80,7 @@ def pays_text(share: float) -> str:
 
 
 def print_narrowed(narrowed: list[Narrowed] | None) -> None:
-    """Prints what was cut from the search space; nothing if nothing was."""
+    """Prints the parts that were cut from the search space."""
     if not narrowed:
         return
     typer.echo("\nthe search was narrowed to where some scenario is influenced")
