@@ -43,7 +43,7 @@ _CONTROLS = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")
 _COLOURS = {"warning": "\x1b[33m", "error": "\x1b[31m", "critical": "\x1b[31m"}
 _PLAIN = "\x1b[0m"
 _TOLD_BETTER = "Exception in ASGI application"
-"""Uvicorn's message of an error that the API logged already, with the same traceback."""
+"""Uvicorn's message of an error that the API has logged with the same traceback."""
 
 _log = logging.getLogger("drivecal")
 
@@ -77,20 +77,20 @@ def configure(process: Process, settings: Settings, stream: TextIO | None = None
 
 
 def about(**known: Value) -> AbstractContextManager[None]:
-    """Everything that is logged inside the block is about this: `campaign` (its id), `campaign_name`, `stage`, `iteration`, `worker`.
+    """Adds fields to everything that is logged inside the block: `campaign` (its id), `campaign_name`, `stage`, `iteration`, `worker`.
 
-    What is None is left out.
+    Fields that are None are left out.
     """
     return structlog.contextvars.bound_contextvars(**{name: value for name, value in known.items() if value is not None})
 
 
 def note(**known: Value) -> None:
-    """Like `about`, but until the end of the request."""
+    """Adds fields, like `about`, until the end of the request."""
     structlog.contextvars.bind_contextvars(**{name: value for name, value in known.items() if value is not None})
 
 
 def begin(**known: Value) -> None:
-    """Forgets what was noted before: a new request begins."""
+    """Begins a request: forgets the fields of the previous one."""
     structlog.contextvars.clear_contextvars()
     note(**known)
 

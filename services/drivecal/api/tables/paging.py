@@ -9,7 +9,8 @@ from pydantic import BaseModel
 
 from drivecal.api.http.queries import TableOf, form_of
 from drivecal.api.tables.files import Row, download
-from drivecal.contracts.tables import Column, Page, columns_of, file_row
+from drivecal.contracts.campaign import Page
+from drivecal.contracts.tables import Column, columns_of, file_row
 from drivecal.storage.engine import cursors
 
 ROWS_AT_A_TIME = 2000
