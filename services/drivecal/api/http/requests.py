@@ -14,8 +14,8 @@ from drivecal.api.metrics import Meters
 from drivecal.api.responses import ROOT
 from drivecal.configuration import logs
 
-METHODS = {"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"}
 READING = {"GET", "HEAD", "OPTIONS"}
+METHODS = READING | {"POST", "PUT", "PATCH", "DELETE"}
 LONGEST_PATH = 200
 """Characters of a path that the log shows."""
 _SANE = re.compile(r"[\w.:/+=-]{1,100}", re.ASCII)
@@ -33,7 +33,7 @@ class RequestRecords:
         self.meters = meters
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Passes the request on and writes down what became of it."""
+        """Passes the request on and records its outcome."""
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
@@ -64,7 +64,7 @@ class RequestRecords:
             self._note(scope, status, None if streams else time.perf_counter() - begin)
 
     def _note(self, scope: Scope, status: int, seconds: float | None) -> None:
-        """`seconds` is None for an event stream, which lasts as long as its client listens."""
+        """Counts and logs a request. `seconds` is None for an event stream, which lasts as long as its client listens."""
         route = _template(scope)
         method = scope["method"] if scope["method"] in METHODS else "other"
         self.meters.requests.labels(route, method, status).inc()
@@ -83,7 +83,7 @@ class RequestRecords:
 
 
 def _template(scope: Scope) -> str:
-    """The path with its parameters' names, `none` where no route was reached. FastAPI may leave out what a router was included under."""
+    """Returns the path with its parameters' names, `none` without a route. FastAPI may omit the prefix of an included router."""
     route: str | None = getattr(scope.get("route"), "path", None)
     if route is None:
         return "none"

@@ -85,7 +85,7 @@ async def stream(
     del place  # held until the stream ends
     last = last_event_id if last_event_id is not None else query.last_event_id
     hub: EventHub = request.app.state.event_hub
-    seen, newest = await run_in_threadpool(_look, database, campaign_id)
+    seen, newest = await run_in_threadpool(newest_event, database, campaign_id)
     if last is not None and last == newest and seen.state.ended:
         return Response(status_code=204)
     if last is None or last > newest:  # an id that never was here: of a database that was replaced by an older one
@@ -93,7 +93,8 @@ async def stream(
     return EventStream(hub.stream(seen.sequence, seen.id, last))
 
 
-def _look(database: Database, campaign_id: str) -> tuple[revision_queries.CampaignRevision, int]:
+def newest_event(database: Database, campaign_id: str) -> tuple[revision_queries.CampaignRevision, int]:
+    """Returns the revision of a campaign and the id of its newest event."""
     with database.read() as connection:
         seen, _ = revision_queries.campaign_revision(connection, campaign_id)
         return seen, events.newest_id(connection, seen.sequence)

@@ -56,7 +56,7 @@ def _row(
 
 
 def _bounds(influence: Influence, parameter: Parameter | None) -> tuple[bool, Decimal | None, Decimal | None]:
-    """P_sens and PB_sens within the parameter's own bounds. Where these lie beside the influential region, nothing is influential."""
+    """Returns P_sens and PB_sens within the parameter's bounds. Nothing is influential if these lie outside the influential region."""
     lower, upper = influence.lower, influence.upper
     if parameter is not None:
         lower = parameter.lower if lower is None else max(lower, parameter.lower)

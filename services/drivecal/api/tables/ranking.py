@@ -29,7 +29,7 @@ class CampaignRanking:
         return len(self.ranked)
 
     def solutions(self, start: int, stop: int) -> list[Solution]:
-        """The solutions of ranks `start` + 1 to `stop`."""
+        """Returns the solutions of ranks `start` + 1 to `stop`."""
         shown = self.ranked[start:stop]
         with self.database.read() as connection:
             sets = parameter_sets.load(connection, [solution.parameter_set for solution in shown])
@@ -49,8 +49,10 @@ class CampaignRanking:
 
 
 def ranking(database: Database, campaign: StoredCampaign, own: Mapping[str, float], weights: str | None) -> CampaignRanking:
-    """The ranking under the campaign's `own` weights or those in `weights` (`S1=2,S2=1`). Raises InvalidInputError for weights that no
-    evaluated set could be ranked by."""
+    """Returns the ranking under the campaign's `own` weights or those in `weights` (`S1=2,S2=1`).
+
+    Raises InvalidInputError for unusable weights.
+    """
     used = own if weights is None else _weights(weights, list(own))
     standing = Ranking(used)
     with database.read() as connection:
@@ -59,7 +61,7 @@ def ranking(database: Database, campaign: StoredCampaign, own: Mapping[str, floa
 
 
 def _weights(text: str, simulated: Sequence[str]) -> Mapping[str, float]:
-    """By scenario, in the campaign's order; scenarios that are not named have weight 1, as in a campaign file."""
+    """Returns weights by scenario in the campaign's order; scenarios that are not named have weight 1, as in a campaign file."""
     given = assignments(text.split(","), "weights")
     problems: list[Problem] = []
     for name, weight in given.items():
