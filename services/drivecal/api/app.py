@@ -1,4 +1,4 @@
-"""Puts the API together. Nothing is created at import; the database is opened when the server starts."""
+"""Composition of the API. Nothing is created at import."""
 
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
@@ -39,8 +39,7 @@ from drivecal.storage.engine.database import PROMPT, Database
 
 
 def create_app(settings: Settings) -> FastAPI:
-    """The ASGI application. Raises DatabaseError if the settings name no usable database, InvalidInputError where its tokens file
-    cannot be used."""
+    """Creates the ASGI application. Raises DatabaseError if the database is unusable, InvalidInputError if the tokens file is."""
     database = Database.open(settings.database_url, PROMPT)
     meters = Meters(database)
     tokens = None if settings.tokens_file is None else TokenFile(settings.tokens_file)

@@ -1,4 +1,4 @@
-"""Makes answers of what is stored."""
+"""Answers made of stored rows."""
 
 import zlib
 from collections.abc import Mapping, Sequence
@@ -22,8 +22,10 @@ TABLES = (*get_args(CampaignTable), "accounting", "setup", "studies")
 
 
 def campaign_answer(stored: StoredCampaign, now: datetime, silent: str | None, comparison: str | None = None) -> Campaign:
-    """Returns a campaign as clients see it at the moment `now`. `silent`: what to say of the dispatcher; `comparison`: the id of the
-    comparison that it is a run of."""
+    """Returns a campaign as clients see it at the moment `now`.
+
+    `silent`: a message about a silent dispatcher. `comparison`: the id of the comparison of which it is a run.
+    """
     as_it_is = {name: getattr(stored, name) for name in Campaign.model_fields if hasattr(stored, name)}
     changing = {
         "state": state_of(stored),
@@ -48,7 +50,7 @@ def seconds_of(stored: StoredCampaign | ProgressSnapshot, now: datetime) -> Seco
 
 
 def calibration(stored: StoredCampaign, lacks: str = "") -> StoredCampaign:
-    """Returns the campaign. Raises ConflictError for a comparison and for a single evaluation; `lacks`: what the latter does not do."""
+    """Returns the campaign. Raises ConflictError for a comparison or a single evaluation. `lacks`: what the latter lacks."""
     refuse_comparison(stored)
     if stored.kind != "calibration":
         raise ConflictError(f"{stored.id} is a single evaluation{lacks}; GET {ROOT}/evaluations/{stored.id}")
@@ -56,14 +58,14 @@ def calibration(stored: StoredCampaign, lacks: str = "") -> StoredCampaign:
 
 
 def refuse_comparison(stored: StoredCampaign) -> None:
-    """Raises ConflictError for a comparison, which has nothing of its own that a campaign has."""
+    """Raises ConflictError for a comparison, whose results belong to its runs."""
     if stored.kind == "comparison":
         where = f"GET {ROOT}/campaigns/{stored.id}/comparison lists them"
         raise ConflictError(f"{stored.id} is a comparison, whose runs are campaigns of their own: {where}")
 
 
 def etag(seen: CampaignRevision, silent: str | None) -> str:
-    """Changes with everything in `campaign_answer` but the time that passes by itself, hence weak."""
+    """Returns the ETag of `campaign_answer`. It is weak, because it does not change with the elapsed time."""
     return f'W/"{seen.id}-{_version(seen, silent)}"'
 
 
@@ -78,7 +80,7 @@ def _version(seen: CampaignRevision, silent: str | None) -> str:
 
 
 def matches(if_none_match: str | None, tag: str) -> bool:
-    """Whether a client has the answer with this ETag: the weak comparison of RFC 9110, 8.8.3.2."""
+    """Returns whether a client has the answer with this ETag, by the weak comparison of RFC 9110, 8.8.3.2."""
     if if_none_match is None:
         return False
     given = {tag.strip().removeprefix("W/") for tag in if_none_match.split(",")}
@@ -113,7 +115,7 @@ def evaluated_cell(stored: StoredEvaluation, metrics: Mapping[str, float | None]
 
 
 def evaluation_answer(stored: StoredCampaign, items: list[EvaluatedCell]) -> Evaluation:
-    """A single evaluation as clients see it."""
+    """Returns a single evaluation as clients see it."""
     scenario = stored.spec["scenario"]
     scores = [item.score for item in items if item.score is not None]
     complete = bool(items) and len(scores) == len(items)

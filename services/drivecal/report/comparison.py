@@ -1,4 +1,4 @@
-"""The report of a comparison: Table 5, Figures 7 and 8 with all runs, and what a reduction changed and saved."""
+"""The report of a comparison: Table 5, Figures 7 and 8 with all runs, and the effects of a reduction."""
 
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -36,7 +36,7 @@ CONVERGED = (
 
 @dataclass(frozen=True, slots=True)
 class ComparisonData:
-    """A comparison with what its runs found; `generations` by the id of the run."""
+    """A comparison and the results of its runs; `generations` by the id of the run."""
 
     campaign: Campaign
     runs: Sequence[ComparedRun]
@@ -47,7 +47,7 @@ class ComparisonData:
 
 
 def collect_comparison(client: Client, campaign: Campaign) -> ComparisonData:
-    """Asks for it. Raises whatever the client raises."""
+    """Reads the data of a comparison. Raises the client's exceptions."""
     runs = client.compared_runs(campaign.id)
     return ComparisonData(
         campaign=campaign,
@@ -60,8 +60,10 @@ def collect_comparison(client: Client, campaign: Campaign) -> ComparisonData:
 
 
 def write_comparison(comparison: ComparisonData, tables: Mapping[str, Iterable[bytes]], folder: Path) -> list[Path]:
-    """Writes page, figures, the `tables` (CSV by name, in pieces) and the comparison as it was submitted; returns what was written, the
-    page last. Raises InvalidInputError if it cannot be written."""
+    """Writes page, figures, the `tables` (CSV by name, in pieces) and the specification. Returns the written files, the page last.
+
+    Raises InvalidInputError if a file cannot be written.
+    """
     with writable(folder) as target:
         searches = [target.draw(figure) for figure in search_figures(comparison.runs, comparison.generations)]
         searches.append(
@@ -103,7 +105,7 @@ def _page(comparison: ComparisonData, searches: Sequence[str], reduced: str, nam
 
 
 def summary(comparison: ComparisonData) -> list[str]:
-    """Sentences that summarise the comparison."""
+    """Returns sentences that summarise the comparison."""
     sentences = []
     best = max((run.simulated_best for run in comparison.runs if run.simulated_best is not None), default=None)
     if best is not None:

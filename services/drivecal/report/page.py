@@ -11,7 +11,7 @@ from drivecal.report.sections import influence, optima, problem, results, reuse,
 
 
 def page(findings: ReportData, drawn: Mapping[str, str], names: Sequence[str], version: str) -> str:
-    """The page. `drawn`: the figures as parts of it, by name; `names`: files to link to, relative to the page."""
+    """Returns the page. `drawn`: the figures as parts of it, by name. `names`: files to link to, relative to the page."""
     campaign = findings.campaign
     sections = {
         "Summary": results.summary(findings),

@@ -1,4 +1,4 @@
-"""Writes a campaign's report: its figures, tables and page."""
+"""A campaign's report: its figures, tables and page."""
 
 import json
 from collections.abc import Iterable, Iterator, Mapping
@@ -16,8 +16,10 @@ from drivecal.report.sections import robustness, savings, validation
 
 
 def write_report(findings: ReportData, tables: Mapping[str, Iterable[bytes]], folder: Path) -> list[Path]:
-    """Writes the page, the figures, the `tables` (CSV by name, in pieces) and the campaign as it was submitted; returns what was written,
-    the page last. Raises InvalidInputError if it cannot be written."""
+    """Writes page, figures, the `tables` (CSV by name, in pieces) and the specification. Returns the written files, the page last.
+
+    Raises InvalidInputError if a file cannot be written.
+    """
     with writable(folder) as target:
         drawn = {figure.name: target.draw(figure) for figure in figures(findings)}
         for name, pieces in tables.items():
@@ -34,7 +36,7 @@ def write_report(findings: ReportData, tables: Mapping[str, Iterable[bytes]], fo
 
 
 def figures(findings: ReportData) -> Iterator[Drawn]:
-    """Figures 9 to 12 and 14 of the paper for this campaign; those that there is nothing to draw for are left out."""
+    """Yields Figures 9 to 12 and 14 of the paper for this campaign, without empty ones."""
     yield from _influence(findings)
     if findings.generations:
         baseline = findings.campaign.baseline

@@ -1,4 +1,4 @@
-"""Every error as problem+json (RFC 9457): one document shape, with each field that is wrong and what would be right."""
+"""Errors as problem+json (RFC 9457): one document shape, with each faulty field and its remedy."""
 
 import json
 import logging
@@ -33,7 +33,7 @@ RETRY_SECONDS = 5
 REQUEST_ID = "X-Request-ID"
 """The header with the id under which the log speaks of a request."""
 MOST_PROBLEMS = 100
-"""Problems that one answer lists: who sends 10,000 wrong fields mends the first ones first."""
+"""Largest number of problems in an answer."""
 
 log = logging.getLogger("drivecal.api")
 
@@ -82,7 +82,7 @@ RESPONSES: dict[int | str, dict[str, Any]] = {
 def problem_response(
     request: Request, status: int, detail: str, errors: Sequence[Problem] = (), headers: Mapping[str, str] | None = None
 ) -> Response:
-    """The answer for something that went wrong."""
+    """Returns the answer for an error."""
     title = HTTPStatus(status).phrase
     if len(errors) > MOST_PROBLEMS:
         errors = [
@@ -103,7 +103,7 @@ def problem_response(
 
 
 def install(app: FastAPI) -> None:
-    """Registers the handlers, so that every error of the service has this one shape."""
+    """Registers the handlers, so that every error of the service has this shape."""
     app.add_exception_handler(DrivecalError, _drivecal_error)
     app.add_exception_handler(RequestValidationError, _validation_error)
     app.add_exception_handler(HTTPException, _http_error)

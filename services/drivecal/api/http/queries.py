@@ -70,7 +70,7 @@ SubmissionQuery = Annotated[SubmissionOf, Query()]
 
 
 def form_of(query: FormOf, accept: str) -> Form:
-    """The format that was asked for: by the query, else by the `Accept` header, else JSON."""
+    """Returns the requested format: of the query, else of the `Accept` header, else JSON."""
     if query.format is not None:
         return query.format
     wanted: list[tuple[float, Form]] = []

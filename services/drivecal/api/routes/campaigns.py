@@ -149,7 +149,7 @@ def _asked(database: Database, campaign_id: str, action: Action, response: Respo
 
 
 def accepted(response: Response, database: Database, stored: StoredCampaign) -> Campaign:
-    """The answer that says of a campaign that it was queued, or asked to do something."""
+    """Returns the answer for a campaign that was queued, or received a request."""
     response.headers["Location"] = f"{ROOT}/campaigns/{stored.id}"
     moment = now()
     with database.read() as connection:

@@ -65,7 +65,7 @@ def explain_evaluation(evaluation_id: str, database: DatabaseDependency) -> Expl
 
 
 def number_of(connection: Connection, evaluation_id: str) -> int:
-    """The number of the one cell that an id names. Raises NotFoundError, and ConflictError if it names none yet, or several."""
+    """Returns the number of the cell that an id names. Raises NotFoundError, and ConflictError for no cell yet or several."""
     if _is_number(evaluation_id):
         return int(evaluation_id)
     rows, _ = results.page(connection, _single(connection, evaluation_id).sequence, limit=MOST_SCENARIOS)
@@ -83,7 +83,7 @@ def _is_number(evaluation_id: str) -> bool:
 
 
 def _single(connection: Connection, evaluation_id: str) -> StoredCampaign:
-    """A single evaluation. Raises NotFoundError."""
+    """Returns a single evaluation. Raises NotFoundError."""
     try:
         stored = campaigns.get(connection, evaluation_id)
     except NotFoundError:

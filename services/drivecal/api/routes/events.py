@@ -22,7 +22,7 @@ from drivecal.storage.engine.database import Database
 router = APIRouter(prefix="/campaigns", tags=["campaigns"], route_class=StrictRoute)
 
 STALLED_SECONDS = 60.0
-"""A client that reads nothing for this time is disconnected; it can resume."""
+"""Time after which a client that reads nothing is disconnected; it can resume."""
 
 EventId = Annotated[int, Field(ge=0, le=2**63 - 1)]
 

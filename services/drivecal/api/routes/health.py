@@ -46,7 +46,7 @@ def _judge(database: Database) -> Judgement:
 
 
 def _locked(database: Database) -> str | None:
-    """Why nothing can be written, as far as that may be why the dispatcher is silent: another program has SQLite's lock."""
+    """Returns why nothing can be written, for example because another program has SQLite's lock; None if it can."""
     try:
         with database.transaction():
             return None

@@ -70,7 +70,7 @@ def _answer(content: bytes, if_none_match: str | None, accept_encoding: str) -> 
 
 
 def _takes_gzip(accept_encoding: str) -> bool:
-    """Whether a client named it, other than to refuse it (RFC 9110, Section 12.5.3)."""
+    """Returns whether a client accepts gzip (RFC 9110, Section 12.5.3)."""
     for part in accept_encoding.lower().split(","):
         name, *parameters = (word.strip() for word in part.split(";"))
         if name == "gzip":

@@ -16,14 +16,16 @@ from drivecal.report.figures.drawing import BLUE, INK, KINDS, RULE, Dashes, Draw
 PAPER = {"swarm": "Figure 7. ", "genetic": "Figure 8. "}
 MARKERS = "osv^DPX*"
 SPREAD = 0.06
-"""In shares of the range that is drawn: between the outermost of lines of equal value, which would hide each other."""
+"""Spread of lines of equal value, which would hide each other, in shares of the drawn range."""
 Kind = tuple[int, str]
 """Population and reduction of a run."""
 
 
 def search_figures(runs: Sequence[ComparedRun], generations: Mapping[str, Sequence[Generation]]) -> Iterator[Drawn]:
-    """One figure per optimizer, every run a line: the best objective over the iterations, and over the simulations; where all runs have the
-    same best objective all the time, the rating of the best set over the simulations."""
+    """Yields one figure per optimizer, with a line per run: the best objective over iterations and over simulations.
+
+    If all runs always have the same best objective, the latter shows the rating of the best set.
+    """
     kinds = list(dict.fromkeys((run.population, run.reduction) for run in runs))
     values = [entry.best for listed in generations.values() for entry in listed if entry.best is not None]
     if not values:
@@ -130,7 +132,7 @@ def optima_figure(runs: Sequence[ComparedRun]) -> Drawn:
 
 
 def effects_figure(pairs: Sequence[ComparedPair], effects: Sequence[ReductionEffect]) -> Drawn:
-    """Left: the difference of the final optimum of every pair, with the mean and its interval. Right: the share of simulations saved."""
+    """Draws the differences of the final optima of all pairs with their mean and interval, and the shares of saved simulations."""
     named = [effect for effect in effects if effect.optimizer is not None]
     with style():
         figure = Figure(figsize=(7.4, 1.4 + 0.5 * len(named)), layout="constrained")
@@ -163,7 +165,7 @@ def _look(kinds: Sequence[Kind], kind: Kind) -> tuple[str, Dashes]:
 
 
 def _unlike(name: str, others: Collection[str]) -> str:
-    """A name of its own: labels that differ may make equal names of files."""
+    """Returns a unique name: different labels may give equal names of files."""
     numbered = (f"{name}-{number}" for number in count(2))
     return next(candidate for candidate in chain([name], numbered) if candidate not in others)
 

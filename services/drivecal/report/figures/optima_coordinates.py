@@ -38,8 +38,10 @@ def drawn(
     parameters: Sequence[SearchedParameter],
     recommended: Mapping[str, float] | None = None,
 ) -> Drawn:
-    """Figure 12, left. `solutions`: the best of the ranking, `optima` among them; `recommended`: the values of the set that a robustness
-    study recommends."""
+    """Returns Figure 12, left.
+
+    `solutions`: the best of the ranking, with `optima`. `recommended`: the values of the set that a robustness study recommends.
+    """
     axes = searched(parameters)
     worse = [solution for solution in solutions if solution.rank > len(optima)][:MOST_OTHERS]
     same = constant(optima, axes)
@@ -67,7 +69,7 @@ def optima_figure(
     same: Mapping[str, float],
     recommended: Mapping[str, float] | None = None,
 ) -> Figure:
-    """Parallel coordinates over the searched `parameters`; `same`: the axes on which all best sets have one value."""
+    """Draws parallel coordinates over the searched `parameters`. `same`: the value that all best sets share, by parameter."""
     places = np.arange(len(parameters))
     with style():
         figure = Figure(figsize=(max(7.4, 0.55 * len(parameters)), 3.7), layout="constrained")
@@ -95,7 +97,7 @@ def optima_figure(
 
 
 def _axis(axes: Axes, place: int, parameter: SearchedParameter, same: float | None) -> None:
-    """The bounds of a parameter, and a diamond where all best sets have the `same` value."""
+    """Draws the bounds of a parameter, and a diamond if all best sets have the `same` value."""
     for height, value, side in ((1.03, parameter.upper, "bottom"), (-0.03, parameter.lower, "top")):
         axes.text(place, height, _value(value), ha="center", va=side, fontsize=6.5, color="#555555")
     if same is not None:
@@ -105,7 +107,7 @@ def _axis(axes: Axes, place: int, parameter: SearchedParameter, same: float | No
 
 
 def _regions(axes: Axes, best: Sequence[OptimumRow], parameters: Sequence[SearchedParameter]) -> list[Line2D]:
-    """Draws the best sets, the first on top; returns the legend's entries: one per region, one for all without a kind of their own."""
+    """Draws the best sets, the first on top. Returns the legend's entries: one per region, and one for all further regions."""
     counts = Counter(min(solution.region, len(KINDS)) for solution in best)
     handles = []
     for region in sorted(counts):

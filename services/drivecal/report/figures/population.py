@@ -14,7 +14,7 @@ LINES = (("best", "best", BLUE, "-", "o"), ("mean", "mean", ORANGE, "--", "s"), 
 
 
 def drawn(generations: Sequence[Generation], baseline: float | None = None) -> Drawn:
-    """Figure 10."""
+    """Returns Figure 10."""
     caption = (
         "Figure 10. Left: the objectives of the population in each iteration. Right: how many distinct parameter sets had been found "
         "by then with the best objective by then."
@@ -32,8 +32,7 @@ def drawn(generations: Sequence[Generation], baseline: float | None = None) -> D
 
 
 def population_figure(generations: Sequence[Generation], baseline: float | None = None) -> Figure:
-    """Left: best, mean and minimum of each population, and the objective of the `baseline` if there is one. Right: how many distinct
-    sets have been found by then whose objective is the best by then."""
+    """Draws best, mean and minimum of each population with the `baseline`, and the number of alternative optima so far."""
     numbers = [generation.iteration + 1 for generation in generations]
     marked = len(numbers) <= LARGEST_WITH_MARKERS
     with style():

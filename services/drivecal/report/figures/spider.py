@@ -1,4 +1,4 @@
-"""Figure 9: where each parameter is influential, one spider plot per scenario, in the notation of the paper's Figures 5 and 9."""
+"""Figure 9: influential ranges, one spider plot per scenario, in the notation of the paper's Figures 5 and 9."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -16,11 +16,11 @@ HUB = 0.2
 """Radius at which the axes begin, of the rim's: at 0 they would cover each other."""
 PANELS_PER_SHEET = 12
 UNKNOWN = "//////"
-"""Hatching of what counts as influential because nothing is known of it."""
+"""Hatching of parameters that count as influential because nothing is known about them."""
 
 
 def scenario_figure(rows: Sequence[InfluenceRow], title: str = "") -> Figure:
-    """The spider plot of one scenario with the bounds of its parameters."""
+    """Draws the spider plot of one scenario with the bounds of its parameters."""
     with style():
         figure = Figure(figsize=(6.3, 5.2))
         axes = figure.add_axes((0.0, 0.055, 1.0, 0.885))
@@ -32,7 +32,7 @@ def scenario_figure(rows: Sequence[InfluenceRow], title: str = "") -> Figure:
 
 
 def overview_figures(rows: Sequence[InfluenceRow], titles: Mapping[str, str]) -> list[Figure]:
-    """Yields sheets with a panel per scenario. `titles` by scenario; missing titles stay empty."""
+    """Returns sheets with a panel per scenario. `titles`: by scenario; missing titles stay empty."""
     scenarios = list(by_scenario(rows).items())
     starts = range(0, len(scenarios), PANELS_PER_SHEET)
     return [_sheet(scenarios[start : start + PANELS_PER_SHEET], titles) for start in starts]
@@ -105,13 +105,13 @@ def _text(value: float | None) -> str:
 
 
 def _visible(lower: float, upper: float) -> tuple[float, float]:
-    """A region of a single value is drawn so wide that it is seen."""
+    """Returns a region that is wide enough to be seen."""
     missing = max(0.0, 0.012 - (upper - lower)) / 2
     return max(0.0, lower - missing), min(1.0, upper + missing)
 
 
 def _bar(angle: float, start: float, end: float, half: float) -> list[tuple[float, float]]:
-    """The corners of a bar along an axis, from `start` to `end` of its range, 2 `half` wide."""
+    """Returns the corners of a bar along an axis, from `start` to `end` of its range, 2 `half` wide."""
     x, y = math.cos(angle), math.sin(angle)
     inner, outer = (HUB + (1 - HUB) * share for share in (start, end))
     return [(radius * x - side * y, radius * y + side * x) for radius, side in

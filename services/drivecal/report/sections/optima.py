@@ -1,4 +1,4 @@
-"""The sets that share the best objective: how many, what they have in common, and the regions in which they lie (Section IV-C)."""
+"""The sets that share the best objective: their number, common values and regions (Section IV-C)."""
 
 from collections.abc import Iterable, Sequence
 
@@ -13,12 +13,12 @@ MOST_REGIONS = 12
 
 
 def searched(parameters: Iterable[SearchedParameter]) -> list[SearchedParameter]:
-    """Parameters that are not held."""
+    """Returns the parameters that are not held."""
     return [parameter for parameter in parameters if parameter.fixed is None]
 
 
 def constant(sets: Sequence[Solution], parameters: Iterable[SearchedParameter]) -> dict[str, float]:
-    """The searched parameters that have one value in all of the sets; of a single set nothing can be said."""
+    """Returns the parameters that have one value in all of the sets; empty for a single set."""
     if len(sets) < 2:
         return {}
     values = {each.name: {parameter_set.parameters[each.name] for parameter_set in sets} for each in parameters}
@@ -26,7 +26,7 @@ def constant(sets: Sequence[Solution], parameters: Iterable[SearchedParameter]) 
 
 
 def count(number: int, what: str) -> str:
-    """`1 set`, `2 sets`."""
+    """Returns a number with a noun: `1 set`, `2 sets`."""
     return f"{number:,} {what}{'' if number == 1 else 's'}"
 
 
@@ -40,7 +40,7 @@ def summary(optima: Sequence[OptimumRow]) -> str:
 def parts(
     optima: Sequence[OptimumRow], total: int, parameters: Sequence[SearchedParameter], drawings: Sequence[str]
 ) -> list[str]:
-    """The section: how many sets and regions, the figure, the regions as a table. `found`: the sets, of which `optima` are the first."""
+    """Returns the section: sets and regions, the figure, the table of regions. `total`: number of sets; `optima` are the first."""
     same = constant(optima, searched(parameters))
     text = f"The search found {summary(optima)}"
     if total > len(optima):
@@ -54,7 +54,7 @@ def parts(
 
 
 def regions_table(optima: Sequence[OptimumRow]) -> str:
-    """The regions, by their best-ranked set."""
+    """Returns the table of regions, by their best-ranked set."""
     groups: dict[int, list[OptimumRow]] = {}
     for optimum in optima:
         groups.setdefault(optimum.region, []).append(optimum)

@@ -1,4 +1,4 @@
-"""The best sets of a campaign, and in a few sentences what came out of it."""
+"""The best sets of a campaign, and a summary of its results."""
 
 from collections.abc import Iterable, Sequence
 
@@ -11,13 +11,15 @@ from drivecal.report.sections import reuse, search
 
 SHOWN = 20
 """The best sets that the page shows; all of them are in the table."""
+_NO_RESULT = "No parameter set has a result in every scenario."
 
 
 def summary(findings: ReportData) -> list[str]:
     """Returns the summary."""
     campaign, best = findings.campaign, findings.campaign.best
     if best is None:
-        return [bullets(_studies(findings))] if findings.robustness or findings.validation else [_nothing(campaign)]
+        nothing = "This campaign searched nothing." if campaign.spec.get("optimizer", {}) is None else _NO_RESULT
+        return [bullets(_studies(findings)) if findings.robustness or findings.validation else paragraph(nothing)]
     regions = len({optimum.region for optimum in findings.optima})
     least = "at least " * (len(findings.optima) < best.alternatives)
     where = f", in {least}{regions} distinct regions" if regions > 1 else ""
@@ -34,12 +36,6 @@ def summary(findings: ReportData) -> list[str]:
         sentences.append(findings.accounting.sentence)
     sentences += [_errors(campaign), _proofs(findings), *_studies(findings)]
     return [bullets(sentence for sentence in sentences if sentence), _compared(findings, best)]
-
-
-def _nothing(campaign: Campaign) -> str:
-    if campaign.spec.get("optimizer", {}) is None:
-        return paragraph("This campaign searched nothing.")
-    return paragraph("No parameter set has a result in every scenario.")
 
 
 def _errors(campaign: Campaign) -> str:
@@ -91,7 +87,7 @@ def _row(name: str, compared: Best | Baseline | RobustnessRow, best: Best) -> li
 
 
 def solutions_table(solutions: Sequence[Solution], optima: Iterable[OptimumRow]) -> str:
-    """The best sets, with the regions of those that share the best objective."""
+    """Returns the table of the best sets, with the regions of those that share the best objective."""
     if not solutions:
         return ""
     known = {optimum.rank: optimum for optimum in optima}

@@ -10,7 +10,7 @@ PROVED = ("proved", "proved_different", "proved_wrong")
 
 
 def cells_by_stage(campaign: Campaign) -> str:
-    """The campaign's cells by outcome."""
+    """Returns the table of the campaign's cells by stage and outcome."""
     fields = ("proposed", "carried_over", "requested", *OUTCOMES, "audited", "checked")
     stages = {stage: cells for stage, cells in campaign.by_stage().items() if cells.requested}
     rows = [[stage, *(getattr(cells, field, None) for field in fields)] for stage, cells in stages.items()]
@@ -28,8 +28,7 @@ def self_check(campaign: Campaign, account: Accounting | None) -> list[str]:
 
 
 def proved(account: Accounting | None) -> tuple[int, ...]:
-    """Returns the number of reused cells of which a certificate says what a simulation would have given, and how many of their references
-    have another score, and one that is off by more than 1."""
+    """Returns the number of reused cells with a certificate of their own result, of different scores, and of scores off by more than 1."""
     return totals([] if account is None else account.scenarios, *PROVED)
 
 
@@ -68,7 +67,7 @@ def _certified(campaign: Campaign) -> list[str]:
 
 
 def accounting(account: Accounting | None) -> list[str]:
-    """Savings and costs, and when the map pays; nothing before the first answered cell."""
+    """Returns savings and costs, and when the map pays; nothing before the first answered cell."""
     if account is None:
         return []
     rows = [[item, Number(f"{round(seconds, 1) + 0.0:,.1f}")] for item, seconds in seconds_of(account)]

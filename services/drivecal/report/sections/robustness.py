@@ -1,4 +1,4 @@
-"""Robustness: Table 9 of the paper, the ranking by what the best sets bear beside that by how good they are."""
+"""Robustness: Table 9 of the paper, with the rankings by robustness and by nominal quality."""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
@@ -12,7 +12,7 @@ Robust = Studied[RobustnessRow]
 
 
 def condition(settings: Mapping[str, Any]) -> str:
-    """The condition in a few words, e.g. `max ≤ 1`."""
+    """Returns the condition in a few words, e.g. `max ≤ 1`."""
     eta = settings.get("eta", 1.0)
     bound = "eta by scenario" if isinstance(eta, list) else f"{eta:g}"
     return f"{settings['condition'].replace('_', ' ')} {'≤' if settings['condition'] == 'max' else '<'} {bound}"
@@ -31,7 +31,7 @@ def degree(row: RobustnessRow) -> str:
 
 
 def limits(row: RobustnessRow, settings: Mapping[str, Any]) -> dict[str, float | None]:
-    """The scenarios that broke the condition in the smallest box where it did not hold, with their deviations (None: no result)."""
+    """Returns the scenarios that broke the condition in the smallest failed box, with their deviations (None: no result)."""
     trial = min((trial for trial in row.trials if not trial.holds), key=lambda trial: trial.radius, default=None)
     if trial is None:
         return {}
@@ -45,7 +45,7 @@ def limits(row: RobustnessRow, settings: Mapping[str, Any]) -> dict[str, float |
 
 
 def by_nominal(rows: Sequence[RobustnessRow]) -> dict[int, int]:
-    """The rank in the nominal vehicle (objective, then rating) by the rank of robustness."""
+    """Returns the rank in the nominal vehicle (objective, then rating) by the rank of robustness."""
 
     def worth(row: RobustnessRow) -> tuple[float, float, int]:
         return -(row.objective if row.objective is not None else -1.0), -(row.rating or 0.0), row.rank
@@ -54,7 +54,7 @@ def by_nominal(rows: Sequence[RobustnessRow]) -> dict[int, int]:
 
 
 def boxes(studied: Robust) -> Iterator[Sequence[object]]:
-    """A header and a row for every set in every box."""
+    """Yields a header and a row for every set in every box."""
     scenarios = list(studied.rows[0].scores)
     yield "rank", "box", "radius", "holds", *(f"deviation_{name}" for name in scenarios)
     for row in studied.rows:
@@ -64,7 +64,7 @@ def boxes(studied: Robust) -> Iterator[Sequence[object]]:
 
 
 def parts(studies: Sequence[Robust], optima: Sequence[OptimumRow], campaign: str, drawings: Sequence[str]) -> list[str]:
-    """The section: what was examined, Table 9, the figure, the recommended set."""
+    """Returns the section: the study, Table 9, the figure, the recommended set."""
     main, *others = studies
     settings, made_by = main.study.settings, main.study.campaign
     of = f" of campaign {settings['of']}" if settings.get("of") not in {None, campaign} else ""
@@ -85,7 +85,7 @@ def parts(studies: Sequence[Robust], optima: Sequence[OptimumRow], campaign: str
 
 
 def _quality(main: Robust, others: Sequence[Robust]) -> str:
-    """The ranking by robust beside that by nominal quality."""
+    """Returns the ranking by robustness with the nominal one."""
     nominal, settings = by_nominal(main.rows), main.study.settings
     elsewhere = [{_key(row.parameters): Number(degree(row)) for row in other.rows} for other in others]
     rows = [

@@ -21,7 +21,7 @@ PANELS_PER_SHEET = 12
 
 
 def reducible(rows: Sequence[InfluenceRow]) -> list[str]:
-    """The parameters of one scenario that have a region of more than one value in which they do not matter."""
+    """Returns the parameters of one scenario with a non-influential region of more than one value."""
     parameters = []
     for row in rows:
         if row.space_lower is None or row.space_upper is None or row.n_values is None:
@@ -39,7 +39,7 @@ def reducible(rows: Sequence[InfluenceRow]) -> list[str]:
 
 
 def drawn(rows: Sequence[ValidationRow]) -> Iterator[Drawn]:
-    """Figure 14, on as many sheets as it takes; none if nothing was compared."""
+    """Yields the sheets of Figure 14; none if nothing was compared."""
     compared = [row for row in rows if row.compared]
     caption = (
         "Figure 14. How far the scores of variants, which differ from a basis only where the map says that it does not matter, are from "
@@ -55,7 +55,7 @@ def drawn(rows: Sequence[ValidationRow]) -> Iterator[Drawn]:
 
 
 def validation_figure(rows: Sequence[ValidationRow]) -> Figure:
-    """A panel per scenario: how many variants differ from their basis by how many points."""
+    """Draws a histogram per scenario of the differences between variants and their bases, in points."""
     columns = min(3, len(rows))
     lines = math.ceil(len(rows) / columns)
     top = max(max(row.histogram.values(), default=1) for row in rows)
@@ -97,7 +97,7 @@ def _panel(axes: Axes, row: ValidationRow) -> None:
 def parts(
     studied: Studied[ValidationRow], campaign: str, by_scenario: dict[str, list[InfluenceRow]], drawings: Sequence[str]
 ) -> list[str]:
-    """The section: what was compared, Tables 1 and 2, the figure."""
+    """Returns the section: the comparison, Tables 1 and 2, the figure."""
     rows = studied.rows
     compared, different, wrong = totals(rows, "compared", "different", "wrong")
     text = (
