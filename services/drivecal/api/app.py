@@ -25,7 +25,6 @@ from drivecal.api.routes import (
     health,
     influence_maps,
     inventory,
-    metrics,
     page,
     page_cells,
     page_live,
@@ -84,6 +83,5 @@ def create_app(settings: Settings) -> FastAPI:
         app.include_router(noun.router, prefix=ROOT)
     app.include_router(page.router)
     app.include_router(health.router)
-    app.include_router(metrics.router)
     document.describe(app, asks_for_tokens=tokens is not None)
     return app

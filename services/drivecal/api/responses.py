@@ -17,6 +17,8 @@ from drivecal.storage.results import StoredEvaluation
 from drivecal.storage.revision_queries import CampaignRevision, ProgressSnapshot
 
 ROOT = "/api/v1"
+SECONDS_BETWEEN_POLLS = 1
+"""`Retry-After` of what is still running."""
 TABLES = (*get_args(CampaignTable), "accounting", "setup", "studies")
 """Links of a campaign besides `events`; a comparison has its own tables instead."""
 

@@ -8,6 +8,7 @@ import math
 import re
 import sys
 from collections.abc import Hashable, Mapping
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -33,10 +34,8 @@ def read_document(file: str) -> dict[str, Any]:
         document = strict_json.loads(content) if is_json else _yaml(content)
         strict_json.check_plain(document)
     except InvalidInputError as error:
-        where = [f"{name}: {problem.field}" if problem.field else name for problem in error.problems]
-        raise InvalidInputError(
-            *(Problem(at, problem.message, problem.remedy) for at, problem in zip(where, error.problems, strict=True))
-        ) from error
+        located = (replace(problem, field=": ".join(filter(None, (name, problem.field)))) for problem in error.problems)
+        raise InvalidInputError(*located) from error
     if not isinstance(document, dict):
         raise InvalidInputError(Problem(name, f"it holds {shown(document)}, not an object", "write `field: value` lines"))
     return document

@@ -4,6 +4,7 @@ import json
 import logging
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from http import HTTPStatus
 from typing import Any
 
@@ -83,23 +84,21 @@ def problem_response(
     request: Request, status: int, detail: str, errors: Sequence[Problem] = (), headers: Mapping[str, str] | None = None
 ) -> Response:
     """Returns the answer for an error."""
-    title = HTTPStatus(status).phrase
     if len(errors) > MOST_PROBLEMS:
         errors = [
             *errors[:MOST_PROBLEMS],
             Problem("", f"{len(errors) - MOST_PROBLEMS:,} more are not listed", "mend these first"),
         ]
         detail = "\n".join(map(str, errors))
-    document = {
-        "type": "about:blank",
-        "title": title,
-        "status": status,
-        "detail": detail or title,
-        "instance": request.url.path,
-        "errors": [{"field": error.field, "message": error.message, "remedy": error.remedy} for error in errors],
-    }
-    content = json.dumps(document, ensure_ascii=True).encode()
+    content = problem_content(status, detail, request.url.path, errors)
     return Response(content, status, headers=dict(headers or {}), media_type=MEDIA_TYPE)
+
+
+def problem_content(status: int, detail: str, instance: str = "", errors: Sequence[Problem] = ()) -> bytes:
+    """Returns the body of the answer for an error."""
+    title = HTTPStatus(status).phrase
+    document = {"type": "about:blank", "title": title, "status": status, "detail": detail or title, "instance": instance}
+    return json.dumps(document | {"errors": [asdict(error) for error in errors]}, ensure_ascii=True).encode()
 
 
 def install(app: FastAPI) -> None:

@@ -1,7 +1,6 @@
 """Uvicorn's HTTP protocol with a time limit for heads, a limit of connections, and refusals as problem+json."""
 
 import asyncio
-import json
 import socket
 import sys
 from http import HTTPStatus
@@ -12,7 +11,7 @@ from fastapi import FastAPI
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from drivecal.api.http.closing import ClosingGently
-from drivecal.api.http.problems import MEDIA_TYPE
+from drivecal.api.http.problems import MEDIA_TYPE, problem_content
 
 SECONDS_FOR_A_HEAD = 15.0
 """From the connection, or from the first byte after an answer, to the end of the headers."""
@@ -97,10 +96,8 @@ class Protocol(H11Protocol):
             self._refuse(408, f"the head of the request was not complete after {SECONDS_FOR_A_HEAD:g} seconds")
 
     def _refuse(self, status: int, detail: str, headers: str = "") -> None:
-        title = HTTPStatus(status).phrase
-        document = {"type": "about:blank", "title": title, "status": status, "detail": detail, "instance": "", "errors": []}
-        content = json.dumps(document).encode()
-        head = f"HTTP/1.1 {status} {title}\r\nContent-Type: {MEDIA_TYPE}\r\nContent-Length: {len(content)}\r\n{headers}"
+        content = problem_content(status, detail)
+        head = f"HTTP/1.1 {status} {HTTPStatus(status).phrase}\r\nContent-Type: {MEDIA_TYPE}\r\nContent-Length: {len(content)}\r\n{headers}"
         self.transport.write(head.encode() + b"Connection: close\r\n\r\n" + content)
         self.transport.close()
 

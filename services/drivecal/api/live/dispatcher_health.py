@@ -31,11 +31,8 @@ def silence(heartbeat_at: datetime | None, now: datetime) -> str | None:
     if heartbeat_at is None:
         return NOT_STARTED
     silent = (now - heartbeat_at) / timedelta(seconds=1)
-    said = None
-    for seconds, words in STEPS:
-        if silent > seconds:
-            said = f"the dispatcher has been silent for more than {words}"
-    return said
+    longest = next((words for seconds, words in reversed(STEPS) if silent > seconds), None)
+    return None if longest is None else f"the dispatcher has been silent for more than {longest}"
 
 
 def degraded(campaign: CampaignRevision | StoredCampaign, silent: str | None) -> str | None:

@@ -12,7 +12,7 @@ from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.http.queries import CampaignsQuery, SubmissionQuery
 from drivecal.api.live.dispatcher_health import silence
 from drivecal.api.live.response_cache import ResponseCache
-from drivecal.api.responses import ROOT, calibration, campaign_answer, etag, list_etag, matches
+from drivecal.api.responses import ROOT, SECONDS_BETWEEN_POLLS, calibration, campaign_answer, etag, list_etag, matches
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns
@@ -27,8 +27,6 @@ from drivecal.storage.references import influence_maps
 
 router = APIRouter(prefix="/campaigns", tags=["campaigns"], route_class=StrictRoute)
 
-SECONDS_BETWEEN_POLLS = 1
-"""`Retry-After` of a running campaign."""
 NOT_MODIFIED: dict[int | str, dict[str, Any]] = {304: {"description": "Not changed since"}}
 IfNoneMatch = Annotated[str | None, Header(max_length=10_000)]
 

@@ -8,7 +8,7 @@ from sqlalchemy import Connection
 from drivecal.api import submission
 from drivecal.api.dependencies import DatabaseDependency, IdempotencyKey, LimitsDependency
 from drivecal.api.http.bodies import StrictRoute
-from drivecal.api.responses import evaluated_cell, evaluation_answer, evaluation_row
+from drivecal.api.responses import SECONDS_BETWEEN_POLLS, evaluated_cell, evaluation_answer, evaluation_row
 from drivecal.campaigns.results.explanation import explain
 from drivecal.contracts.evaluation import Evaluation
 from drivecal.contracts.explanation import Explanation
@@ -21,7 +21,6 @@ from drivecal.storage.references import runs
 router = APIRouter(prefix="/evaluations", tags=["evaluations"], route_class=StrictRoute)
 
 MOST_SCENARIOS = 1000
-SECONDS_BETWEEN_POLLS = 1
 
 
 @router.post("", status_code=202)

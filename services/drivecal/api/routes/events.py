@@ -8,11 +8,12 @@ from typing import Annotated
 from fastapi import APIRouter, Header, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import StreamingResponse
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from starlette.types import Send
 
 from drivecal.api.dependencies import DatabaseDependency, EventStreamPlace
 from drivecal.api.http.bodies import StrictRoute
+from drivecal.api.http.queries import Parameters
 from drivecal.api.live.streams import EventHub
 from drivecal.contracts.events import CampaignEvent, CampaignProgress
 from drivecal.domain.events import EventKind
@@ -31,10 +32,8 @@ STREAM = f"""Events as `text/event-stream`: {", ".join(f"`{kind}`" for kind in E
 without an id: `degraded` and `recovered`, which no process can store while the dispatcher or the database is silent."""
 
 
-class EventsOf(BaseModel):
+class EventsOf(Parameters):
     """Start of a stream."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     last_event_id: EventId | None = None
     """The last event that was received, for tools that cannot send the header `Last-Event-ID`."""

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import typer
-from pydantic import BaseModel
 
 from drivecal.cli.views.output import dumped, duration, print_columns
 from drivecal.client.client import Client
@@ -14,13 +13,12 @@ from drivecal.report.rows import compared_groups, reduction_effect
 
 def comparison_document(client: Client, identifier: str) -> dict[str, Any]:
     """Returns all tables of a comparison, JSON-ready."""
-    tables: dict[str, Sequence[BaseModel]] = {
-        "runs": client.compared_runs(identifier),
-        "groups": client.compared_groups(identifier),
-        "pairs": client.compared_pairs(identifier),
-        "effects": client.reduction_effects(identifier),
+    return {
+        "runs": dumped(client.compared_runs(identifier)),
+        "groups": dumped(client.compared_groups(identifier)),
+        "pairs": dumped(client.compared_pairs(identifier)),
+        "effects": dumped(client.reduction_effects(identifier)),
     }
-    return {name: dumped(rows) for name, rows in tables.items()}
 
 
 def print_comparison(groups: Sequence[ComparedGroup], effects: Sequence[ReductionEffect]) -> None:
