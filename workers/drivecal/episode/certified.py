@@ -26,7 +26,7 @@ class CertifiedRunner(EpisodeRunner):
         evaluator: Evaluator,
         memory: Memory,
     ) -> None:
-        """Like `EpisodeRunner`. `memory`: limits the recorded decisions."""
+        """Creates a runner like `EpisodeRunner`. `memory`: limits the recorded decisions."""
         super().__init__(scenario, driving_function, vehicle, evaluator)
         self.parameters = tuple(parameter.name for parameter in next(iter(driving_function.spaces.values())))
         self._certifiable = driving_function.certifiable

@@ -62,7 +62,7 @@ class ClosingGently(asyncio.Transport):
         return self.lingers or self._transport.is_closing()
 
     def write(self, data: bytes | bytearray | memoryview[Any]) -> None:
-        """Sends."""
+        """Sends data, unless the last answer was sent already."""
         if not self.lingers:
             self._transport.write(data)
 

@@ -68,7 +68,7 @@ def _scenario(name: str, begun_with: ResolvedSpec, documents: Mapping[str, Mappi
 
 
 def _of_the_same(made: StoredStudy, campaign: StoredCampaign) -> bool:
-    """Whether a study is about this campaign: about its own sets; or, of a map, with the same scenarios, space and evaluator."""
+    """Returns whether a study is about this campaign: about its sets, or about its map with equal scenarios, space and evaluator."""
     if made.campaign_sequence == campaign.sequence or made.stage == "robustness":
         return True
     theirs, ours = made.resolution, campaign.resolution

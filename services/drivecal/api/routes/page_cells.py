@@ -1,4 +1,4 @@
-"""From a set in the ranking to the evaluations that it was ranked by."""
+"""Evaluations behind the sets of the ranking."""
 
 from typing import Annotated
 

@@ -18,7 +18,7 @@ from drivecal.cli.application import (
     with_full_ids,
 )
 from drivecal.cli.views.comparisons import comparison_document, print_comparison
-from drivecal.cli.views.output import print_campaign, print_json, print_page, saved, when
+from drivecal.cli.views.output import print_answer, print_campaign, print_json, print_page, saved, when
 from drivecal.cli.views.progress import follow
 from drivecal.cli.views.savings import pays_text, print_accounting, print_error_rates, print_narrowed
 from drivecal.client.client import Action, Client
@@ -51,7 +51,7 @@ def submit(
     with connect(url) as client:
         specification = with_full_ids(client, specification)
         if dry_run:
-            _print_expected(client.expected_runs(specification), as_json)
+            print_answer(client.expected_runs(specification), as_json, _print_expected)
         else:
             submitted(client, client.submit(specification), wait, timeout, as_json)
 
@@ -175,10 +175,7 @@ def _print_whole(client: Client, campaign: Campaign, as_json: bool) -> None:
         print_accounting(account)
 
 
-def _print_expected(expected: ExpectedRuns, as_json: bool) -> None:
-    if as_json:
-        print_json(expected)
-        return
+def _print_expected(expected: ExpectedRuns) -> None:
     typer.echo(f"the campaign can run; it proposes {expected.calibration_proposed:,} cells and simulates at most:")
     runs_of = {"sensitivity": expected.sensitivity_at_most, "calibration": expected.calibration_at_most}
     for stage, runs in (runs_of | {study: getattr(expected, study) for study in STUDIES}).items():

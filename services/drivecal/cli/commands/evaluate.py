@@ -9,7 +9,7 @@ import typer
 
 from drivecal.cli.application import ExitCode, JsonOption, UrlOption, WaitTimedOutError, app, code_of_state, connect, tell
 from drivecal.cli.views import traces
-from drivecal.cli.views.output import parameters_text, print_columns, print_json
+from drivecal.cli.views.output import parameters_text, print_answer, print_columns
 from drivecal.client.client import Client
 from drivecal.contracts.assignments import assignments
 from drivecal.contracts.evaluation import Evaluation, TraceAnswer
@@ -56,10 +56,7 @@ def evaluate(
         if trace is not None:
             traces.save(_trace(client, evaluation, timeout), trace)
             tell(f"time series: {trace}")
-    if as_json:
-        print_json(evaluation)
-    else:
-        _print(evaluation)
+    print_answer(evaluation, as_json, _print)
     raise typer.Exit(code_of_state(evaluation.state))
 
 

@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 
 from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, connect, full_id
-from drivecal.cli.views.output import print_columns, print_json
+from drivecal.cli.views.output import print_answer, print_columns
 from drivecal.contracts.explanation import Difference, Explanation
 from drivecal.domain.errors import NotFoundError
 
@@ -25,10 +25,7 @@ def explain(
         explanation = client.explanation(evaluation)
     if explanation.campaign != campaign:
         raise NotFoundError(f"evaluation of campaign {campaign}", str(evaluation), f"it is of campaign {explanation.campaign}")
-    if as_json:
-        print_json(explanation)
-    else:
-        print_explanation(explanation)
+    print_answer(explanation, as_json, print_explanation)
 
 
 def print_explanation(explanation: Explanation) -> None:

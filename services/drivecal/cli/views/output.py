@@ -1,9 +1,9 @@
 """Results on stdout: plain columns that survive a pipe, or JSON."""
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import datetime
-from typing import Any
+from typing import Any, TypeVar
 
 import typer
 from pydantic import BaseModel
@@ -15,6 +15,8 @@ from drivecal.domain.events import ASKED
 from drivecal.report.rows import OUTCOMES, totals
 from drivecal.report.sections.commands import evaluation
 
+Shown = TypeVar("Shown", bound=BaseModel)
+
 
 def dumped(rows: Iterable[BaseModel]) -> list[dict[str, Any]]:
     """Returns rows of a table, JSON-ready."""
@@ -25,6 +27,14 @@ def print_json(answer: BaseModel | Mapping[str, Any] | Sequence[Any]) -> None:
     """Prints an answer as JSON."""
     document = answer.model_dump(mode="json") if isinstance(answer, BaseModel) else answer
     typer.echo(json.dumps(document, indent=2, ensure_ascii=False))
+
+
+def print_answer(answer: Shown, as_json: bool, show: Callable[[Shown], None]) -> None:
+    """Prints an answer as JSON, or by `show`."""
+    if as_json:
+        print_json(answer)
+    else:
+        show(answer)
 
 
 def print_columns(header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
