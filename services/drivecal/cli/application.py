@@ -92,15 +92,14 @@ class WaitTimedOutError(DrivecalError):
 
 def exit_code(error: DrivecalError) -> ExitCode:
     """Returns the exit status of an error."""
-    if isinstance(error, InvalidInputError):
-        return ExitCode.USAGE
-    if isinstance(error, NotFoundError):
-        return ExitCode.NOT_FOUND
-    if isinstance(error, (UnavailableError, NotAuthorisedError)):
-        return ExitCode.UNREACHABLE
-    if isinstance(error, WaitTimedOutError):
-        return ExitCode.TIMED_OUT
-    return ExitCode.FAILED
+    codes = {
+        InvalidInputError: ExitCode.USAGE,
+        NotFoundError: ExitCode.NOT_FOUND,
+        UnavailableError: ExitCode.UNREACHABLE,
+        NotAuthorisedError: ExitCode.UNREACHABLE,
+        WaitTimedOutError: ExitCode.TIMED_OUT,
+    }
+    return next((code for kind, code in codes.items() if isinstance(error, kind)), ExitCode.FAILED)
 
 
 def code_of_state(state: str) -> ExitCode:

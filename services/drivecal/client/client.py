@@ -363,7 +363,7 @@ def _path(*parts: str) -> str:
 
 
 def _named(place: Sequence[str]) -> tuple[str, str]:
-    """Returns the kind and the identifier of what is at a place; both empty for a list."""
+    """Returns the kind and the identifier of the object at a place; both empty for a list."""
     return (KINDS[place[0]], place[1]) if len(place) > 1 else ("", "")
 
 

@@ -115,10 +115,7 @@ class Following:
             self._empty_streams = EMPTY_STREAMS  # no place for another one, or a server that has none
         except UnavailableError:
             pass  # the question that follows says whether the server is away
-        if received:
-            self._empty_streams = 0
-        else:
-            self._empty_streams += 1
+        self._empty_streams = 0 if received else self._empty_streams + 1
 
     def _take(self, sent: Sent) -> Campaign | None:
         """Returns the campaign as changed by a message of the stream; None if it changes nothing of a campaign."""

@@ -19,6 +19,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 
 from drivecal.cluster.lineage import end_with_parent, processes
 
@@ -35,10 +36,8 @@ def end_session(session: int) -> None:
     for _ in range(100):
         left = members(session)
         for process in left:
-            try:
+            with suppress(ProcessLookupError):
                 os.kill(process, signal.SIGKILL)
-            except ProcessLookupError:
-                continue
         if not left:
             return
         time.sleep(0.01)

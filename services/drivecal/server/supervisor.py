@@ -1,4 +1,4 @@
-"""Keeps the server's processes running, restarts what dies, and leaves nothing behind."""
+"""Supervision of the server's processes: restarts dead ones and leaves none behind."""
 
 import logging
 import os

@@ -117,7 +117,7 @@ class Named(Protocol):
 
 
 class Versioned(Named, Protocol):
-    """A plug-in whose version is a part of what its results are stored under."""
+    """A plug-in whose version is part of the key of stored results."""
 
     @property
     def version(self) -> str:

@@ -1,10 +1,9 @@
-"""Authorisation in front of everything else, so that no route, known or not, is reached without it.
+"""Authorisation in front of everything else, so that no route is reached without it.
 
-With a tokens file every request needs `Authorization: Bearer TOKEN`, or the session that the page was given for one, and every one that
-changes something a token that may write; with a session, it also has to come from a page of this very origin. Without a tokens file the
-server listens on loopback only, and what is left to keep out are web pages that the user's browser has open: those that give a name of
-their own to 127.0.0.1 (DNS rebinding) by the Host header, those that post blindly, or open a WebSocket, by the Origin header.
-No answer ever carries a CORS header.
+With a tokens file every request needs `Authorization: Bearer TOKEN` or the session of a token. Requests that change something need a token
+that may write; with a session, they must also come from a page of this very origin. Without a tokens file the server listens on loopback
+only and refuses web pages in the user's browser: names that resolve to 127.0.0.1 (DNS rebinding) by the Host header, posts and WebSockets
+of other pages by the Origin header. No answer ever carries a CORS header.
 """
 
 from typing import Protocol
@@ -42,15 +41,14 @@ class Tokens(sessions.Names, Protocol):
 
 
 class Authorisation:
-    """ASGI middleware. `request.state.token` is the token that was shown, ANYBODY where none is asked for, and None on the open
-    routes where none was shown."""
+    """ASGI middleware. `request.state.token`: the presented token, ANYBODY without tokens, or None on open routes without one."""
 
     def __init__(self, app: ASGIApp, tokens: Tokens | None) -> None:
         self.app = app
         self.tokens = tokens
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Passes on what is allowed."""
+        """Passes allowed requests on."""
         if scope["type"] == "lifespan":
             await self.app(scope, receive, send)
             return

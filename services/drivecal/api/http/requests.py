@@ -24,9 +24,10 @@ log = logging.getLogger("drivecal.api")
 
 
 class RequestRecords:
-    """ASGI middleware. A request keeps the id that it comes with in `X-Request-ID`, where that is short and plain, or is given one;
-    the answer and all lines that are logged meanwhile carry it. What may change something is logged with its end at level info, the rest
-    at debug, so that clients which ask every few seconds do not flood the log."""
+    """ASGI middleware. A request keeps a short and plain `X-Request-ID` or gets a new one, which the answer and all its log lines carry.
+
+    Requests that may change something are logged at level info, others at debug, so that polling clients do not flood the log.
+    """
 
     def __init__(self, app: ASGIApp, meters: Meters) -> None:
         self.app = app

@@ -1,4 +1,4 @@
-"""Comparisons of optimizers and of reductions: submit, and what their runs say beside each other."""
+"""Comparisons of optimizers and of reductions: submission and results."""
 
 from fastapi import APIRouter, Response
 

@@ -1,4 +1,4 @@
-"""Influence maps: where a parameter can change the score of a scenario, and where not."""
+"""Influence maps: submission, list, and rows."""
 
 from fastapi import APIRouter, Response
 from fastapi.responses import JSONResponse

@@ -1,4 +1,4 @@
-"""Ranks what a campaign has evaluated so far."""
+"""Ranking of the evaluated sets of a campaign."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

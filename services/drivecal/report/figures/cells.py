@@ -1,4 +1,4 @@
-"""Figure 11: the accumulated cells by what answered them, drawn and as a table."""
+"""Figure 11: the accumulated cells by outcome, drawn and as a table."""
 
 from collections.abc import Sequence
 from itertools import accumulate

@@ -1,4 +1,4 @@
-"""The figures of a comparison: how each optimizer's runs went (Figures 7 and 8), where they ended, and what a reduction changed."""
+"""The figures of a comparison: the runs of each optimizer (Figures 7 and 8), final optima, and effects of a reduction."""
 
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence

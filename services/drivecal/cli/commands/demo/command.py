@@ -1,4 +1,4 @@
-"""The command: a campaign, its result, and what a second one with other weights still costs."""
+"""`drivecal demo`: a campaign, its result, and the cost of a rerun with other weights."""
 
 import json
 import shutil
