@@ -7,7 +7,6 @@ import pickle
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -17,6 +16,7 @@ from drivecal.domain.evaluations import Failure, Rating, RunResult
 from drivecal.plugins import registry
 from drivecal.plugins.setups import setup_of, simulator
 from drivecal.runtime import compilation
+from drivecal.runtime.runners import TimeSeries
 from drivecal.runtime.worker import LONGEST_DETAIL, MOST_RUNNERS, Worker
 
 SETUP = SetupRequest("highway", "S1", "frenet", "single_track", {}, "reference", "a fingerprint")
@@ -53,7 +53,7 @@ class ScriptedRunner:
     def prove(self, parameters: Sequence[float]) -> int | None:
         return self.known[parameters[1]][0] if parameters[1] in self.known else None
 
-    def trace(self, parameters: Sequence[float]) -> dict[str, Any]:
+    def trace(self, parameters: Sequence[float]) -> TimeSeries:
         raise NotImplementedError
 
     def run(self, parameters: Sequence[float]) -> RunResult:

@@ -13,7 +13,10 @@ from drivecal.plugins.ports import DrivingFunction, Evaluator, VehicleModel
 
 
 class CertifiedRunner(EpisodeRunner):
-    """A runner that records decisions if its driving function can be certified."""
+    """A runner that records decisions if its driving function can be certified.
+
+    `parameters`: names of the driving function's parameters in the order of `run`.
+    """
 
     def __init__(
         self,
@@ -23,8 +26,9 @@ class CertifiedRunner(EpisodeRunner):
         evaluator: Evaluator,
         memory: Memory,
     ) -> None:
-        """Like `EpisodeRunner`. `memory`: limits the recorded decisions."""
+        """Creates a runner like `EpisodeRunner`. `memory`: limits the recorded decisions."""
         super().__init__(scenario, driving_function, vehicle, evaluator)
+        self.parameters = tuple(parameter.name for parameter in next(iter(driving_function.spaces.values())))
         self._certifiable = driving_function.certifiable
         self._memory = memory
         self._trie: Trie[RunResult] | None = None

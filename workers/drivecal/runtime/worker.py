@@ -85,7 +85,7 @@ class Worker:
             runner = self._runner(setup)
             parameters = [cell.parameters[name] for name in runner.parameters]
             if cell.trace:
-                return _traced(cell, runner.trace(parameters), start)
+                return _traced(cell, runner.trace(parameters).to_json(), start)
             result = runner.answer(parameters, cell.id, check=cell.check) if cell.certify else runner.run(parameters)
             rating = _finite("the rating", result.rating.rating)
             metrics = {name: _finite(name, value) for name, value in result.metrics.items()}
@@ -152,11 +152,8 @@ def _probed(runner: Runner, probes: Sequence[Probe]) -> tuple[tuple[int, int], .
 
 
 def _key(setup: SetupRequest) -> tuple[object, ...]:
-    return (setup.run_fingerprint, setup.catalogue, setup.scenario, setup.evaluator, *_sorted(setup.vehicle_parameters))
-
-
-def _sorted(values: Mapping[str, float]) -> list[tuple[str, float]]:
-    return sorted(values.items())
+    parameters = sorted(setup.vehicle_parameters.items())
+    return (setup.run_fingerprint, setup.catalogue, setup.scenario, setup.evaluator, *parameters)
 
 
 def _milliseconds(start: int) -> float:

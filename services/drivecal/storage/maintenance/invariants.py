@@ -40,9 +40,8 @@ def check_counters(connection: Connection) -> Iterator[str]:
     checked = func.sum(case((evaluations.c.proof_agrees.is_not(None), 1), else_=0))
     sampled = func.sum(case((evaluations.c.sampled, 1), else_=0))
     columns = evaluations.c.campaign_sequence, stage, evaluations.c.outcome
-    for sequence, number, outcome, count, audits, checks, samples in connection.execute(
-        select(*columns, func.count(), audited, checked, sampled).group_by(*columns)
-    ):
+    by_outcome = select(*columns, func.count(), audited, checked, sampled).group_by(*columns)
+    for sequence, number, outcome, count, audits, checks, samples in connection.execute(by_outcome):
         cells = counted.setdefault((sequence, number), {})
         cells[outcome or "pending"] = count
         cells["checked"] = cells.get("checked", 0) + checks
@@ -50,16 +49,12 @@ def check_counters(connection: Connection) -> Iterator[str]:
             cells["sampled"] = cells.get("sampled", 0) + samples
         if outcome == Outcome.SIMULATED:
             cells["audited"] = audits
-    carried_over = func.sum(generations.c.carried_over)
-    carried = connection.execute(
-        select(generations.c.campaign_sequence, carried_over).group_by(generations.c.campaign_sequence)
-    )
-    for sequence, count in carried:
+    carried = select(generations.c.campaign_sequence, func.sum(generations.c.carried_over))
+    for sequence, count in connection.execute(carried.group_by(generations.c.campaign_sequence)):
         counted.setdefault((sequence, ORDER[StageName.CALIBRATION]), {})["carried_over"] = count
-    own = select(campaigns.c.sequence, campaigns.c.id, by_stage()).where(
-        campaigns.c.kind != "comparison"
-    )  # a sum over its runs
-    for row in connection.execute(own.order_by(campaigns.c.sequence)):
+    own = campaigns.c.kind != "comparison"  # whose counts are sums over its runs
+    query = select(campaigns.c.sequence, campaigns.c.id, by_stage()).where(own).order_by(campaigns.c.sequence)
+    for row in connection.execute(query):
         for stage_of in StageName:
             cells = counted.get((row.sequence, ORDER[stage_of]), {})
             cells["requested"] = sum(cells.get(outcome, 0) for outcome in Outcome)
@@ -155,9 +150,8 @@ def check_references(connection: Connection) -> Iterator[str]:
         if count:
             yield f"{count:,} runs {sentence}, the first of them run {first}"
     newest = largest_id(connection)
-    for name, watermark in connection.execute(
-        select(campaigns.c.id, campaigns.c.watermark).where(campaigns.c.watermark > newest).limit(5)
-    ):
+    beyond = select(campaigns.c.id, campaigns.c.watermark).where(campaigns.c.watermark > newest).limit(5)
+    for name, watermark in connection.execute(beyond):
         yield f"campaign {name} may use runs up to {watermark}, and the newest is {newest}"
 
 
