@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivecal.analysis.validation import MOST_EXACT, ReducibleSpace, _kept, coverage, design
+from drivecal.optimizers.built_in import GENETIC, GeneticSettings
 
 EVERY = np.arange(10)
 LOW = np.array([-1, -1, -1, 3, 4, 5, 6, 7, 8, 9])
@@ -115,3 +116,14 @@ def test_every_other_value_of_a_region_is_equally_likely() -> None:
     counts = np.bincount(drawn, minlength=10)
     assert counts[4] == 0
     assert counts[counts > 0] == pytest.approx(np.full(9, 1000), rel=0.15)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 2**63 - 1])
+def test_the_sets_are_others_than_those_of_a_start_population_with_the_same_seed(seed: int) -> None:
+    """A hypercube of the search's own start would find its answers there, and test nothing new."""
+    searched = [np.arange(100)] * 3 + [np.zeros(100, dtype=np.int64)]
+    drawn = design(ReducibleSpace(searched), 50, 2, seed, 50)
+    assert drawn is not None
+    settings = GeneticSettings(population=50, seed=seed)
+    start = GENETIC.create(settings, np.full(4, 100)).ask().population
+    assert not {tuple(base) for base in drawn.bases.tolist()} & {tuple(individual) for individual in start.tolist()}

@@ -14,6 +14,7 @@ from drivecal.client.client import Client
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.tables import RobustnessRow
 from drivecal.domain.errors import ConflictError
+from drivecal.report.sections.robustness import vehicles_text
 
 
 @app.command()
@@ -79,6 +80,8 @@ def robustness(
         print_robustness(here.rows)
     else:
         robustness_differences.print_difference(here, beside)
+    if here.rows:
+        typer.echo(vehicles_text(here.maker.spec["robustness"]))
     if hint := few_text(here):
         typer.echo(hint)
 

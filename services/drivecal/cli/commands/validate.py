@@ -10,7 +10,7 @@ from drivecal.cli.commands.studies import known, make, wanted_of
 from drivecal.cli.views.output import print_columns, print_json
 from drivecal.contracts.tables import ValidationRow
 from drivecal.domain.errors import ConflictError
-from drivecal.report.sections.errors import errors_text
+from drivecal.report.sections.errors import errors_text, interval_text
 
 
 @app.command()
@@ -64,6 +64,7 @@ def print_validation(rows: Sequence[ValidationRow]) -> None:
     compared, different, wrong = (sum(getattr(row, name) for row in rows) for name in ("compared", "different", "wrong"))
     if compared:
         typer.echo(errors_text("variants", compared, different, wrong))
+        typer.echo(interval_text(rows))
     nothing = [row.scenario for row in rows if not row.compared]
     if nothing:
         typer.echo(f"nothing to validate in {', '.join(nothing)}: no parameter has a region in which it does not matter")
