@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivecal.analysis.validation import MOST_EXACT, ReducibleSpace, _kept, coverage, design
+from drivecal.analysis.validation import MOST_EXACT, Differences, ReducibleSpace, _kept, coverage, design
 from drivecal.optimizers.built_in import GENETIC, GeneticSettings
 
 EVERY = np.arange(10)
@@ -108,6 +108,14 @@ def test_the_same_seed_gives_the_same_sets_and_another_one_others() -> None:
     assert other is not None
     assert np.array_equal(one.variants, same.variants)
     assert not np.array_equal(one.variants, other.variants)
+
+
+def test_differences_without_a_score_count_for_no_base() -> None:
+    missing = np.nan
+    differences = Differences(np.array([[0.0, 2.0, -1.0, -7.0], [missing, missing, 3.0, 0.0], [missing] * 4]))
+    assert differences.histogram == {-7: 1, -1: 1, 0: 2, 2: 1, 3: 1}
+    assert differences.wrong_shares(1).tolist() == [0.5, 0.5]
+    assert Differences(np.full((2, 3), missing)).wrong_shares(1).size == 0
 
 
 def test_every_other_value_of_a_region_is_equally_likely() -> None:
