@@ -54,6 +54,7 @@ def test_robustness_makes_the_study_of_an_ended_campaign_and_shows_it(run: Run, 
     lines = result.stdout.splitlines()
     assert lines[0].split()[:5] == ["rank", "degree", "delta_max", "objective", "scores"]
     assert lines[1].split()[0] == "1"
+    assert "(5): up to 45.1%" in lines[-2], "what five vehicles leave open"
     assert lines[-1].startswith("recommended: rank ")
     assert "because it has the best objective" in lines[-1]
     assert "makes the study" in result.stderr

@@ -1,6 +1,6 @@
 """`drivecal robustness`: shows a campaign's robustness study, makes a missing study, and compares it with another."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
 import typer
@@ -77,11 +77,9 @@ def robustness(
         )
         return
     if beside is None:
-        print_robustness(here.rows)
+        print_robustness(here.rows, here.maker.spec["robustness"])
     else:
         robustness_differences.print_difference(here, beside)
-    if here.rows:
-        typer.echo(vehicles_text(here.maker.spec["robustness"]))
     if hint := few_text(here):
         typer.echo(hint)
 
@@ -124,8 +122,8 @@ def few_text(study: MadeStudy) -> str:
     return f"{sets} the best objective; --within 0.5 takes those that are lower by up to 0.5, too"
 
 
-def print_robustness(rows: Sequence[RobustnessRow]) -> None:
-    """Prints the examined sets, most robust first."""
+def print_robustness(rows: Sequence[RobustnessRow], settings: Mapping[str, Any]) -> None:
+    """Prints the examined sets of a study with these `settings`, most robust first."""
     if not rows:
         typer.echo("no set was examined: the campaign found none with a result in every scenario")
         return
@@ -145,6 +143,7 @@ def print_robustness(rows: Sequence[RobustnessRow]) -> None:
             for row in rows
         ],
     )
+    typer.echo(vehicles_text(settings))
     for row in rows:
         if row.recommended:
             typer.echo(f"recommended: rank {row.rank}, because it has {row.reason}")
