@@ -253,8 +253,9 @@ class ValidationRow(Answer):
 
     `reducible` parameters have a region in which they do not matter; of their `effects` (main effects and interactions) so many were
     `covered`. `drawn`: the size of the Latin hypercube, of which `bases` that qualify were kept (n*_LHS), each compared with
-    `references` variants (n_ref). `wrong`: |dF| > 1; R_err = wrong / compared (Eq. 8) with its 95 % Clopper-Pearson interval;
-    `different`: any change. `histogram`: how many variants differ from their base by how many points.
+    `references` variants (n_ref). `wrong`: |dF| > 1; R_err = wrong / compared (Eq. 8); `different`: any change. `lower_95` and
+    `upper_95` limit the mean over base sets of the share of wrong variants, with a confidence of at least 95 %. `histogram`: how many
+    variants differ from their base by how many points.
 
     For the predictions of a campaign: `released` ones, of them `compared` with a simulation, `beyond` the tolerance; `limit` bounds the
     expected share of these. Null for a map.
@@ -278,6 +279,9 @@ class ValidationRow(Answer):
     limit: float | None = None
     histogram: Annotated[dict[int, int], FileForm("numbers", _counts_by_points)]
     """In files a list of counts for differences from -7 to 7."""
+    interval_over: str = "variants"
+    """What the limits take as independent: `bases`; in studies of earlier versions `variants`, whose limits (Clopper and Pearson) are too
+    narrow, because variants of one base are alike."""
 
 
 SolutionPage = Page[Solution]

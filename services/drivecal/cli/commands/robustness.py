@@ -1,6 +1,6 @@
 """`drivecal robustness`: shows a campaign's robustness study, makes a missing study, and compares it with another."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
 import typer
@@ -15,6 +15,7 @@ from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.tables import RobustnessRow
 from drivecal.domain.errors import ConflictError
 from drivecal.report.rows import fixed
+from drivecal.report.sections.robustness import vehicles_text
 
 
 @app.command()
@@ -73,7 +74,7 @@ def robustness(
         print_json(dumped(here.rows) if beside is None else robustness_differences.document(here, beside))
         return
     if beside is None:
-        print_robustness(here.rows)
+        print_robustness(here.rows, here.maker.spec["robustness"])
     else:
         robustness_differences.print_difference(here, beside)
     if hint := few_text(here):
@@ -118,8 +119,8 @@ def few_text(study: MadeStudy) -> str:
     return f"{sets} the best objective; --within 0.5 takes those that are lower by up to 0.5, too"
 
 
-def print_robustness(rows: Sequence[RobustnessRow]) -> None:
-    """Prints the examined sets, most robust first."""
+def print_robustness(rows: Sequence[RobustnessRow], settings: Mapping[str, Any]) -> None:
+    """Prints the examined sets of a study with these `settings`, most robust first."""
     if not rows:
         typer.echo("no set was examined: the campaign found none with a result in every scenario")
         return
@@ -134,6 +135,7 @@ def print_robustness(rows: Sequence[RobustnessRow]) -> None:
             for row in rows
         ],
     )
+    typer.echo(vehicles_text(settings))
     for row in rows:
         if row.recommended:
             typer.echo(f"recommended: rank {row.rank}, because it has {row.reason}")

@@ -12,7 +12,7 @@ from drivecal.cli.views.output import dumped, print_columns, print_json
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.tables import ValidationRow
 from drivecal.domain.errors import ConflictError
-from drivecal.report.rows import PREDICTIONS, errors_text, percent, predictions, totals
+from drivecal.report.rows import PREDICTIONS, errors_text, interval_text, percent, predictions, totals
 
 ALL = 1_000_000
 """More than a scenario's released predictions."""
@@ -85,6 +85,7 @@ def print_validation(rows: Sequence[ValidationRow]) -> None:
     compared, different, wrong = totals(rows, "compared", "different", "wrong")
     if compared:
         typer.echo(errors_text("variants", compared, different, wrong))
+        typer.echo(interval_text(rows))
     nothing = [row.scenario for row in rows if not row.compared]
     if nothing:
         typer.echo(f"nothing to validate in {', '.join(nothing)}: no parameter has a region in which it does not matter")

@@ -3,6 +3,7 @@
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
+from drivecal.analysis.robustness import undetected_share
 from drivecal.contracts.tables import OptimumRow, RobustnessRow
 from drivecal.report.data import Studied
 from drivecal.report.markup import paragraph, table
@@ -44,6 +45,20 @@ def limits(row: RobustnessRow, settings: Mapping[str, Any]) -> dict[str, float |
     return {name: away for name, away in trial.deviations.items() if breaks(name, away)}
 
 
+def vehicles_text(settings: Mapping[str, Any]) -> str:
+    """A sentence about what a box that holds says of vehicles that were not simulated."""
+    samples = settings["samples"]
+    if settings["condition"] == "mean":
+        return (
+            f"A box holds if the mean over the vehicles simulated in it ({samples:,}) holds in every scenario; "
+            "a single vehicle may change more."
+        )
+    return (
+        f"A box holds if the condition holds in every vehicle simulated in it ({samples:,}): up to {undetected_share(samples):.1%} of all "
+        "vehicles in the box may still break it (95 % confidence)."
+    )
+
+
 def by_nominal(rows: Sequence[RobustnessRow]) -> dict[int, int]:
     """Returns the rank in the nominal vehicle (objective, then rating) by the rank of robustness."""
 
@@ -72,7 +87,7 @@ def parts(studies: Sequence[Robust], optima: Sequence[OptimumRow], campaign: str
     text = (
         f"The {sets} driven in other vehicles: {settings['samples']} in each box, boxes of half width "
         f"k·{settings['delta']:g} of the vehicle parameters' ranges, k = 1 … {settings['steps']}; condition {condition(settings)}. The "
-        "degree of robustness is the number of boxes up to which the condition holds in every scenario."
+        f"degree of robustness is the number of boxes up to which the condition holds in every scenario. {vehicles_text(settings)}"
     )
     if main.study.vehicle:
         text += f" The vehicle model is {main.study.vehicle}."

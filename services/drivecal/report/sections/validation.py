@@ -12,7 +12,7 @@ from drivecal.contracts.tables import InfluenceRow, ValidationRow
 from drivecal.report.data import Studied
 from drivecal.report.figures.drawing import BLUE, INK, VERMILION, Drawn, style
 from drivecal.report.markup import paragraph, table
-from drivecal.report.rows import errors_text, percent, totals
+from drivecal.report.rows import errors_text, interval_text, percent, totals
 
 LARGEST_AGREEING = 1
 """Points: a difference beyond it is wrong (Eq. 8)."""
@@ -150,4 +150,5 @@ def _rates(rows: Sequence[ValidationRow]) -> str:
         for row in rows
     ]
     header = ["scenario", "compared", "different", "wrong", "R_err", "95 % from", "to"]
-    return table(header, lines, "Table 2. Share of wrong answers (Eq. 8) with its exact 95 % interval (Clopper-Pearson)")
+    caption = "Table 2. Share of wrong answers (Eq. 8) with its 95 % interval"
+    return table(header, lines, f"{caption}. {interval_text(rows)}" if any(row.compared for row in rows) else caption)
