@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from drivecal.certification.nodes import Nodes
 from drivecal.contracts.work import Batch, Cell, CellResult, CertificateMemory, Probe, SetupRequest
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Failure, Rating, RunResult
@@ -55,6 +56,9 @@ class ScriptedRunner:
 
     def trace(self, parameters: Sequence[float]) -> dict[str, Any]:
         raise NotImplementedError
+
+    def take_over(self, interrupted: ScriptedRunner) -> None:
+        self.known = interrupted.known
 
     def run(self, parameters: Sequence[float]) -> RunResult:
         self.runs += 1
@@ -298,6 +302,49 @@ def test_a_certified_cell_that_is_checked_is_simulated_and_says_whether_both_agr
     )
     assert [(cell.proven_by, cell.agrees) for cell in (good, bad, chaotic)] == [(1, True), (1, False), (None, False)]
     assert good.metrics["runs"] == 2
+
+
+def test_an_exception_of_a_cell_costs_no_certificate() -> None:
+    worker = Worker("w", lambda _: ScriptedRunner())
+    _, broken, again = certified(
+        worker, Cell(1, {"a": 0.0, "b": 3.0}), Cell(2, {"a": 4.0, "b": 9.0}), Cell(3, {"a": 0.5, "b": 3.0})
+    )
+    assert broken.breakdown == "error"
+    assert again.proven_by == 1
+
+
+def test_an_exception_of_the_evaluator_leaves_the_recorded_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    worker = Worker("w")
+    request = _request()
+    certified(worker, Cell(1, MIDDLE), setup=request)
+    states = worker.run(Batch(request, ())).remembered
+    evaluator = type(registry.evaluator("reference"))
+    rate = evaluator.rate
+    monkeypatch.setattr(evaluator, "rate", lambda *_: 1 / 0)
+    [broken] = certified(worker, Cell(2, MIDDLE | {"P1": -20.0}), setup=request)
+    assert broken.breakdown == "error"
+    monkeypatch.setattr(evaluator, "rate", rate)
+    [again] = certified(worker, Cell(3, MIDDLE), setup=request)
+    assert again.proven_by == 1
+    assert worker.run(Batch(request, ())).remembered == states
+
+
+def test_an_exception_in_the_trie_itself_costs_its_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    worker = Worker("w")
+    request = _request()
+    certified(worker, Cell(1, MIDDLE), setup=request)
+    extend = Nodes.extend
+
+    def interrupted(nodes: Nodes, *arguments: Any) -> Any:
+        extend(nodes, *arguments)
+        raise MemoryError
+
+    monkeypatch.setattr(Nodes, "extend", interrupted)
+    [broken] = certified(worker, Cell(2, MIDDLE | {"P1": -20.0}), setup=request)
+    assert broken.breakdown == "memory"
+    monkeypatch.setattr(Nodes, "extend", extend)
+    [again] = certified(worker, Cell(3, MIDDLE), setup=request)
+    assert again.proven_by is None
 
 
 def test_without_leave_nothing_is_certified() -> None:

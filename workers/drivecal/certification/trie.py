@@ -12,7 +12,8 @@ proves nothing: that run has to be simulated.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
@@ -53,7 +54,13 @@ class Trie(Generic[Result]):
         self._nodes = Nodes(planner.n_values, planner.n_candidates, planner.grid)
         self._results: list[Certificate[Result]] = []
         self._memory = memory
+        self.is_intact = True
+        """False if an exception interrupted a change."""
         memory.join(self)
+
+    def use(self, planner: CertifiablePlanner) -> None:
+        """Continues with another planner for the same scenario."""
+        self._planner = planner
 
     @property
     def bytes(self) -> int:
@@ -77,6 +84,10 @@ class Trie(Generic[Result]):
 
     def prove(self, parameters: Sequence[float]) -> Certificate[Result] | None:
         """Returns the stored run that these parameters would repeat; None without a proof. No run may be recording."""
+        with self._change():
+            return self._prove(parameters)
+
+    def _prove(self, parameters: Sequence[float]) -> Certificate[Result] | None:
         nodes, planner, described = self._nodes, self._planner, False
         node = planner.walk(nodes, parameters, 0)
         if node == NONE:
@@ -104,6 +115,10 @@ class Trie(Generic[Result]):
 
     def learn(self, recording: RecordingPlanner[Result], result: Result, run: int) -> None:
         """Adds a run under the number `run`. Raises NotDeterministicError if the same decisions led to another state before."""
+        with self._change():
+            self._learn(recording, result, run)
+
+    def _learn(self, recording: RecordingPlanner[Result], result: Result, run: int) -> None:
         end, deviation = self._nodes.extend(recording.decisions, np.array(recording.states))
         if deviation is not None:
             raise NotDeterministicError(
@@ -143,6 +158,12 @@ class Trie(Generic[Result]):
         leaves = np.flatnonzero(nodes.leaf != NONE)
         self._results = [self._results[leaf] for leaf in nodes.leaf[leaves].tolist()]
         nodes.leaf[leaves] = np.arange(len(leaves), dtype=np.int32)
+
+    @contextmanager
+    def _change(self) -> Iterator[None]:
+        self.is_intact = False
+        yield
+        self.is_intact = True
 
     def _visit(self, node: int) -> None:
         self._memory.clock += 1

@@ -27,7 +27,7 @@ class CertifiedRunner(EpisodeRunner):
         super().__init__(scenario, driving_function, vehicle, evaluator)
         self._certifiable = driving_function.certifiable
         self._memory = memory
-        self._trie: Trie[RunResult] | None = None
+        self.trie: Trie[RunResult] | None = None
 
     def answer(self, parameters: Sequence[float], number: int, *, check: bool) -> RunResult:
         """Returns the result for these parameter values, by a certificate if possible.
@@ -36,13 +36,12 @@ class CertifiedRunner(EpisodeRunner):
         """
         if not self._certifiable:
             return self.run(parameters)
-        if self._trie is None:
-            planner: Any = self.planner  # a `certifiable` driving function creates `CertifiablePlanner`s
-            self._trie = Trie(planner, self._memory)
-        certificate = self._trie.prove(parameters)
+        if self.trie is None:
+            self.trie = Trie(self._certifiable_planner, self._memory)
+        certificate = self.trie.prove(parameters)
         if certificate is not None and not check:
             return replace(certificate.result, proven_by=certificate.proven_by)
-        recording = self._trie.record()
+        recording = self.trie.record()
         result = self.run(parameters, recording)
         try:
             recording.finish(result, number)
@@ -55,9 +54,24 @@ class CertifiedRunner(EpisodeRunner):
 
     def prove(self, parameters: Sequence[float]) -> int | None:
         """Returns the number of the run that these parameters would provably repeat, or None. Simulates nothing."""
-        certificate = None if self._trie is None else self._trie.prove(parameters)
+        certificate = None if self.trie is None else self.trie.prove(parameters)
         return None if certificate is None else certificate.proven_by
+
+    def take_over(self, interrupted: "CertifiedRunner") -> None:
+        """Takes the recorded runs of a runner of the same setup, unless an exception interrupted the trie itself.
+
+        A run is recorded at its end, so that an exception of planner, vehicle, simulator or evaluator leaves the trie as it was.
+        """
+        trie, interrupted.trie = interrupted.trie, None
+        if trie is not None and trie.is_intact:
+            trie.use(self._certifiable_planner)
+            self.trie = trie
+
+    @property
+    def _certifiable_planner(self) -> Any:
+        """The planner: a `certifiable` driving function creates `CertifiablePlanner`s."""
+        return self.planner
 
     def forget(self) -> None:
         """Forgets all recorded runs and frees their memory."""
-        self._trie = None
+        self.trie = None

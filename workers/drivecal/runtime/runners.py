@@ -42,6 +42,9 @@ class Runner(Protocol):
     def trace(self, parameters: Sequence[float]) -> dict[str, Any]:
         """Runs the same simulation and returns its time series as plain data."""
 
+    def take_over(self, interrupted: Any) -> None:
+        """Takes the recorded runs of a runner of the same setup that an exception interrupted, unless it interrupted their recording."""
+
 
 @dataclass(frozen=True, slots=True)
 class _Installed:
@@ -57,19 +60,22 @@ class _EpisodeRunner:
 
         self.parameters = tuple(parameter.name for parameter in next(iter(installed.function.spaces.values())))
         model = installed.vehicle.create(request.vehicle_parameters)
-        self._episode = CertifiedRunner(installed.scenario, installed.function, model, installed.evaluator, memory)
+        self.episode = CertifiedRunner(installed.scenario, installed.function, model, installed.evaluator, memory)
 
     def run(self, parameters: Sequence[float]) -> RunResult:
-        return self._episode.run(parameters)
+        return self.episode.run(parameters)
 
     def answer(self, parameters: Sequence[float], number: int, *, check: bool) -> RunResult:
-        return self._episode.answer(parameters, number, check=check)
+        return self.episode.answer(parameters, number, check=check)
 
     def prove(self, parameters: Sequence[float]) -> int | None:
-        return self._episode.prove(parameters)
+        return self.episode.prove(parameters)
 
     def trace(self, parameters: Sequence[float]) -> dict[str, Any]:
-        return self._episode.trace(parameters).to_json()
+        return self.episode.trace(parameters).to_json()
+
+    def take_over(self, interrupted: "_EpisodeRunner") -> None:
+        self.episode.take_over(interrupted.episode)
 
 
 def make_runner(request: SetupRequest, memory: Memory) -> Runner:

@@ -51,6 +51,8 @@ class Worker:
         self._memory = Memory(certificates_mb)
         self._make = make or partial(make_runner, memory=self._memory)
         self._runners: OrderedDict[tuple[object, ...], Runner] = OrderedDict()
+        self._interrupted: set[tuple[object, ...]] = set()
+        """Setups whose runner an exception interrupted."""
 
     def warm(self, trial: Batch) -> WorkerFacts:
         """Simulates `trial`, which loads and compiles everything for the first batch and tests this worker.
@@ -111,15 +113,20 @@ class Worker:
 
     def _runner(self, setup: SetupRequest) -> Runner:
         key = _key(setup)
-        if key not in self._runners:
-            self._runners[key] = self._make(setup)
+        if key not in self._runners or key in self._interrupted:
+            runner = self._make(setup)
+            if key in self._interrupted:
+                runner.take_over(self._runners[key])
+                self._interrupted.remove(key)
+            self._runners[key] = runner
             if len(self._runners) > MOST_RUNNERS:
-                self._runners.popitem(last=False)
+                self._interrupted.discard(self._runners.popitem(last=False)[0])
         self._runners.move_to_end(key)
         return self._runners[key]
 
     def _broken(self, setup: SetupRequest, cell: Cell, cause: Breakdown, error: BaseException, start: int) -> CellResult:
-        self._runners.pop(_key(setup), None)  # an interrupted runner may be in any state
+        if _key(setup) in self._runners:  # an interrupted runner may be in any state: the next cell gets a new one
+            self._interrupted.add(_key(setup))
         return CellResult(cell.id, None, None, {}, None, _milliseconds(start), cause.value, describe(error))
 
 
