@@ -69,7 +69,11 @@ class WorkPool:
         Raises UnavailableError if nothing can be leased; the next call returns the results. Raises BackendLostError.
         """
         self._fill()
-        for event in self._backend.wait(timeout):
+        events = self._backend.wait(timeout)
+        for event in events:
+            if isinstance(event, Finished):
+                self._scheduler.note_refutation(event.batch_id, event.result)
+        for event in events:
             self._completed += self._take_in(event)
         self._fill()
         completed, self._completed = self._completed, []

@@ -190,6 +190,7 @@ def _own_query(
         condition,
         table.plan.in_(DONORS),
         table.outcome.in_(DONORS),
+        table.run_id.is_not(None),  # withdrawn answers have none
     )
 
 

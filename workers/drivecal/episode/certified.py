@@ -50,7 +50,10 @@ class CertifiedRunner(EpisodeRunner):
             return replace(result, agrees=False)
         if certificate is None:
             return result
-        return replace(result, proven_by=certificate.proven_by, agrees=result == certificate.result)
+        agrees = result == certificate.result
+        if not agrees:
+            self.forget()
+        return replace(result, proven_by=certificate.proven_by, agrees=agrees)
 
     def prove(self, parameters: Sequence[float]) -> int | None:
         """Returns the number of the run that these parameters would provably repeat, or None. Simulates nothing."""

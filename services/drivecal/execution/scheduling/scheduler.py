@@ -16,7 +16,7 @@ from drivecal.contracts.work import Batch, BatchResult, CellResult
 from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.scheduling.affinity import SetupAffinity
 from drivecal.execution.scheduling.batching import BatchPolicy, CellCosts, batch_size, kind_of
-from drivecal.execution.scheduling.in_flight import WITNESSES, Claim, InFlightCells, Work, key_of
+from drivecal.execution.scheduling.in_flight import WITNESSES, Claim, InFlightCells, SetupKey, Work, key_of
 from drivecal.execution.scheduling.queue import ClaimGroup, FairQueue, Line
 from drivecal.execution.scheduling.worker_health import WorkerHealth
 
@@ -90,6 +90,8 @@ class Scheduler:
         self._passed_over = 0
         """Batches sent to a worker while a suspect waited for its replacement."""
         self._sent: dict[int, _Sent] = {}
+        self._refuted: set[SetupKey] = set()
+        """Setups with a certificate that a simulation contradicted."""
         self._changed: dict[int, int] = {}
         """Breakdowns that are not reported yet."""
         self._batch_ids = itertools.count(1)
@@ -200,6 +202,8 @@ class Scheduler:
             self._costs.observe(setup, len(sent.leaders), result.seconds)
         answers = {answer.id: answer for answer in result.results}
         completed = []
+        if setup in self._refuted:
+            self._put_back_certified(sent, answers)
         for leader in sent.leaders:
             answer = answers.get(leader.cell.id) or _broken(
                 leader, Breakdown.ERROR, "the worker returned no result for this cell"
@@ -209,6 +213,13 @@ class Scheduler:
             else:
                 completed += self._broke_down(leader, answer, result.worker, alone=sent.alone)
         return completed
+
+    def note_refutation(self, batch_id: int, result: BatchResult) -> None:
+        """Certifies no cell of the batch's setup from now on if a simulation contradicted a certificate. Call it for all batches that came
+        back together before `finished`: answers by the refuted certificates are then simulated instead."""
+        sent = self._sent.get(batch_id)
+        if sent is not None and any(answer.agrees is False for answer in result.results):
+            self._refuted.add(sent.leaders[0].simulation.key)
 
     def lost(
         self, batch_id: int, worker: str, breakdown: Breakdown, detail: str, seconds: float | None = None
@@ -277,7 +288,10 @@ class Scheduler:
         cost = self._costs.seconds_per_cell(first.key)
         expected = None if cost is None else cost * len(sent.leaders)
         self._charge(sent, self._policy.target_seconds if expected is None else expected)
-        batch = Batch(first.setup, tuple(leader.cell for leader in sent.leaders))
+        cells = (leader.cell for leader in sent.leaders)
+        if first.key in self._refuted:
+            cells = (replace(cell, certify=False, check=False, probes=()) for cell in cells)
+        batch = Batch(first.setup, tuple(cells))
         breakdowns = {leader.cell.id: leader.simulation.breakdowns for leader in sent.leaders}
         return Dispatch(sent.worker, batch_id, batch, expected, sent.alone, breakdowns)
 
@@ -289,11 +303,20 @@ class Scheduler:
     def _put_back(self, sent: _Sent) -> None:
         """Returns cells to the queue as if they had not been sent."""
         self._charge(sent, 0.0)
-        for leader in sent.leaders:
+        self._to_queue(sent.leaders)
+
+    def _to_queue(self, leaders: Sequence[Claim]) -> None:
+        for leader in leaders:
             leader.simulation.leader = None
             if leader.withdrawn:
                 self._forget(leader)
-        self._queue.put_back(sent.leaders)
+        self._queue.put_back(leaders)
+
+    def _put_back_certified(self, sent: _Sent, answers: Mapping[int, CellResult]) -> None:
+        """Returns cells to the queue that a refuted certificate answered."""
+        certified = {number for number, answer in answers.items() if answer.proven_by is not None and answer.agrees is None}
+        self._to_queue([leader for leader in sent.leaders if leader.cell.id in certified])
+        sent.leaders = [leader for leader in sent.leaders if leader.cell.id not in certified]
 
     def _broke_down(self, leader: Claim, answer: CellResult, worker: str, *, alone: bool) -> list[Completed]:
         """Handles a cell without a result at a living worker."""
