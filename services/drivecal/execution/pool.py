@@ -52,13 +52,14 @@ class WorkPool:
         """Returns the reason for missing or refusing workers, or None."""
         return "; ".join(filter(None, (self._backend.trouble(), self._scheduler.trouble()))) or None
 
-    def submit(self, work: Work, *, tag: str, priority: int = 0) -> None:
-        """Queues cells of one setup and sends as many as workers have room for. Higher priorities go first. `tag` names the cells for
-        `withdraw`.
+    def submit(self, *work: Work, tag: str, priority: int = 0) -> None:
+        """Queues cells and sends as many as workers have room for. Higher priorities go first. `tag` names the cells for `withdraw`.
 
+        Submit the setups of a generation together: with one after the other, all workers would take the first.
         Raises ValueError if a cell is in flight already, and UnavailableError if no cell can be leased: the cells then wait.
         """
-        self._scheduler.add(work, tag, priority)
+        for cells in work:
+            self._scheduler.add(cells, tag, priority)
         self._fill()
 
     def poll(self, timeout: float) -> list[Completed]:

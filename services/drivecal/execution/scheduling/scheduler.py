@@ -278,7 +278,7 @@ class Scheduler:
         sent = _Sent(worker, group.line, self._queue.take(group, cells), alone=group.avoid is not None)
         for leader in sent.leaders:
             leader.simulation.leader = leader
-        self._affinity.load(worker, group.setup)
+        self._affinity.load(worker, group.setup, len(sent.leaders))
         batch_id = next(self._batch_ids)
         self._sent[batch_id] = sent
         return self._as_dispatch(batch_id, sent)
