@@ -131,8 +131,9 @@ class WorkPool:
 
     def _fill(self) -> None:
         """Fills the free slots, and replaces idle workers that nothing can be sent to."""
-        ready = [worker.id for worker in self._backend.workers() if worker.state != "starting"]
-        self._scheduler.meet(ready)
+        nodes = {worker.id: worker.node for worker in self._backend.workers() if worker.state != "starting"}
+        ready = list(nodes)
+        self._scheduler.meet(ready, nodes)
         self._refusing_since = {worker: since for worker, since in self._refusing_since.items() if worker in ready}
         while True:
             wanted = [self._scheduler.next_batch(slot.worker, idle=slot.idle) for slot in self._backend.slots()]

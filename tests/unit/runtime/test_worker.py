@@ -12,12 +12,13 @@ from typing import Any
 import pytest
 
 from drivecal.certification.nodes import Nodes
-from drivecal.contracts.work import Batch, Cell, CellResult, CertificateMemory, Probe, SetupRequest
+from drivecal.contracts.work import Batch, Cell, CellResult, CertificateMemory, Probe, RecordedRun, SetupRequest
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Failure, Rating, RunResult
 from drivecal.plugins import registry
 from drivecal.plugins.setups import setup_of, simulator
 from drivecal.runtime import compilation
+from drivecal.runtime.runners import RefusedError
 from drivecal.runtime.worker import LONGEST_DETAIL, MOST_RUNNERS, Worker
 
 SETUP = SetupRequest("highway", "S1", "frenet", "single_track", {}, "reference", "a fingerprint")
@@ -37,6 +38,7 @@ class ScriptedRunner:
     parameters: Sequence[str] = ("a", "b")
     runs: int = 0
     known: dict[float, tuple[int, RunResult]] = field(default_factory=dict)
+    recording: list[RecordedRun] | None = None
 
     def answer(self, parameters: Sequence[float], number: int, *, check: bool) -> RunResult:
         first, second = parameters
@@ -49,6 +51,8 @@ class ScriptedRunner:
         if second in self.known:
             return replace(result, proven_by=self.known[second][0], agrees=first != 7.0)
         self.known[second] = number, result
+        if self.recording is not None:
+            self.recording.append(RecordedRun(number, result, (first, second), (), b""))
         return result
 
     def prove(self, parameters: Sequence[float]) -> int | None:
@@ -59,6 +63,17 @@ class ScriptedRunner:
 
     def take_over(self, interrupted: ScriptedRunner) -> None:
         self.known = interrupted.known
+
+    def learn(self, known: Sequence[RecordedRun]) -> None:
+        self.recording = []
+        for run in known:
+            if run.parameters[0] == 4.0:
+                raise ValueError(run)
+            self.known[run.parameters[1]] = run.number, run.result
+
+    def recorded(self) -> tuple[RecordedRun, ...]:
+        recording, self.recording = self.recording, None
+        return tuple(recording or ())
 
     def run(self, parameters: Sequence[float]) -> RunResult:
         self.runs += 1
@@ -345,6 +360,31 @@ def test_an_exception_in_the_trie_itself_costs_its_runs(monkeypatch: pytest.Monk
     monkeypatch.setattr(Nodes, "extend", extend)
     [again] = certified(worker, Cell(3, MIDDLE), setup=request)
     assert again.proven_by is None
+
+
+def test_a_worker_certifies_by_the_runs_of_others_and_returns_its_own() -> None:
+    sender, reader = (Worker(name, lambda _: ScriptedRunner()) for name in ("w", "v"))
+    cells = (Cell(1, {"a": 0.0, "b": 3.0}, certify=True), Cell(2, {"a": 5.0, "b": 3.0}, certify=True))
+    sent = sender.run(Batch(SETUP, cells, share=True))
+    assert [run.number for run in sent.learned] == [1]
+    assert sender.run(Batch(SETUP, (Cell(3, {"a": 0.0, "b": 9.0}, certify=True),))).learned == ()
+    [answered] = reader.run(Batch(SETUP, (replace(cells[0], id=4),), known=sent.learned, share=True)).results
+    assert (answered.proven_by, answered.rating) == (1, sent.results[0].rating)
+
+
+def test_a_run_of_another_worker_that_raises_costs_no_cell() -> None:
+    worker = Worker("w", lambda _: ScriptedRunner())
+    bad = RecordedRun(9, RunResult(Rating(1.0, 1), {}), (4.0, 0.0), (), b"")
+    result = worker.run(Batch(SETUP, (Cell(1, {"a": 0.0, "b": 3.0}, certify=True),), known=(bad,), share=True))
+    assert [cell.breakdown for cell in result.results] == [None]
+
+
+def test_a_setup_that_is_refused_learns_nothing() -> None:
+    def refuse(_: SetupRequest) -> ScriptedRunner:
+        raise RefusedError("another version")
+
+    result = Worker("w", refuse).run(Batch(SETUP, (Cell(1, {"a": 0.0, "b": 3.0}, certify=True),), share=True))
+    assert (result.refusal, result.results, result.learned) == ("another version", (), ())
 
 
 def test_without_leave_nothing_is_certified() -> None:

@@ -5,7 +5,9 @@ from dataclasses import replace
 from typing import Any
 
 from drivecal.certification.memory import Memory
+from drivecal.certification.recording import packed, unpacked
 from drivecal.certification.trie import NotDeterministicError, Trie
+from drivecal.contracts.work import RecordedRun
 from drivecal.domain.evaluations import RunResult
 from drivecal.domain.scenarios import Scenario
 from drivecal.episode.runner import EpisodeRunner
@@ -28,6 +30,10 @@ class CertifiedRunner(EpisodeRunner):
         self._certifiable = driving_function.certifiable
         self._memory = memory
         self.trie: Trie[RunResult] | None = None
+        self.unsent: list[RecordedRun] | None = None
+        """Runs for other workers; None if no other worker wants them."""
+        self.contradicted = False
+        """A run of another worker contradicted a recorded run: it learns from no worker any more."""
 
     def answer(self, parameters: Sequence[float], number: int, *, check: bool) -> RunResult:
         """Returns the result for these parameter values, by a certificate if possible.
@@ -36,12 +42,11 @@ class CertifiedRunner(EpisodeRunner):
         """
         if not self._certifiable:
             return self.run(parameters)
-        if self.trie is None:
-            self.trie = Trie(self._certifiable_planner, self._memory)
-        certificate = self.trie.prove(parameters)
+        trie = self._trie_to_fill()
+        certificate = trie.prove(parameters)
         if certificate is not None and not check:
             return replace(certificate.result, proven_by=certificate.proven_by)
-        recording = self.trie.record()
+        recording = trie.record()
         result = self.run(parameters, recording)
         try:
             recording.finish(result, number)
@@ -49,6 +54,8 @@ class CertifiedRunner(EpisodeRunner):
             self.forget()
             return replace(result, agrees=False)
         if certificate is None:
+            if self.unsent is not None:
+                self.unsent.append(packed(recording.recording, result, number))
             return result
         agrees = result == certificate.result
         if not agrees:
@@ -60,15 +67,42 @@ class CertifiedRunner(EpisodeRunner):
         certificate = None if self.trie is None else self.trie.prove(parameters)
         return None if certificate is None else certificate.proven_by
 
+    def learn(self, known: Sequence[RecordedRun]) -> None:
+        """Records runs of other workers, and from now on keeps its own for `recorded`.
+
+        A run that contradicts a recorded run is no proof of anything: the worker forgets all runs, and learns from no worker any more.
+        """
+        if not self._certifiable or self.contradicted:
+            return
+        self.unsent = []
+        trie, n_candidates = self._trie_to_fill(), self._certifiable_planner.n_candidates
+        try:
+            for run in known:
+                trie.learn(unpacked(run, n_candidates), run.result, run.number)
+        except NotDeterministicError:
+            self.contradicted, self.unsent = True, None
+            self.forget()
+
+    def recorded(self) -> tuple[RecordedRun, ...]:
+        """Returns the runs recorded since `learn`, for other workers."""
+        recorded, self.unsent = self.unsent, None
+        return tuple(recorded or ())
+
     def take_over(self, interrupted: "CertifiedRunner") -> None:
         """Takes the recorded runs of a runner of the same setup, unless an exception interrupted the trie itself.
 
         A run is recorded at its end, so that an exception of planner, vehicle, simulator or evaluator leaves the trie as it was.
         """
+        self.unsent, self.contradicted = interrupted.unsent, interrupted.contradicted
         trie, interrupted.trie = interrupted.trie, None
         if trie is not None and trie.is_intact:
             trie.use(self._certifiable_planner)
             self.trie = trie
+
+    def _trie_to_fill(self) -> Trie[RunResult]:
+        if self.trie is None:
+            self.trie = Trie(self._certifiable_planner, self._memory)
+        return self.trie
 
     @property
     def _certifiable_planner(self) -> Any:

@@ -6,7 +6,7 @@ from importlib import import_module
 from typing import Any, Protocol
 
 from drivecal.certification.memory import Memory
-from drivecal.contracts.work import SetupRequest
+from drivecal.contracts.work import RecordedRun, SetupRequest
 from drivecal.domain.errors import ConflictError, DrivecalError, InvalidInputError, Problem, UnavailableError
 from drivecal.domain.evaluations import RunResult
 from drivecal.domain.scenarios import Scenario
@@ -42,6 +42,12 @@ class Runner(Protocol):
     def trace(self, parameters: Sequence[float]) -> dict[str, Any]:
         """Runs the same simulation and returns its time series as plain data."""
 
+    def learn(self, known: Sequence[RecordedRun]) -> None:
+        """Records runs of other workers, and from now on keeps its own for `recorded`."""
+
+    def recorded(self) -> tuple[RecordedRun, ...]:
+        """Returns the runs recorded since `learn`, for other workers."""
+
     def take_over(self, interrupted: Any) -> None:
         """Takes the recorded runs of a runner of the same setup that an exception interrupted, unless it interrupted their recording."""
 
@@ -73,6 +79,12 @@ class _EpisodeRunner:
 
     def trace(self, parameters: Sequence[float]) -> dict[str, Any]:
         return self.episode.trace(parameters).to_json()
+
+    def learn(self, known: Sequence[RecordedRun]) -> None:
+        self.episode.learn(known)
+
+    def recorded(self) -> tuple[RecordedRun, ...]:
+        return self.episode.recorded()
 
     def take_over(self, interrupted: "_EpisodeRunner") -> None:
         self.episode.take_over(interrupted.episode)

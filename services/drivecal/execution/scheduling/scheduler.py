@@ -12,12 +12,13 @@ import itertools
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from drivecal.contracts.work import Batch, BatchResult, CellResult
+from drivecal.contracts.work import Batch, BatchResult, CellResult, RecordedRun
 from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.scheduling.affinity import SetupAffinity
 from drivecal.execution.scheduling.batching import BatchPolicy, CellCosts, batch_size, kind_of
 from drivecal.execution.scheduling.in_flight import WITNESSES, Claim, InFlightCells, SetupKey, Work, key_of
 from drivecal.execution.scheduling.queue import ClaimGroup, FairQueue, Line
+from drivecal.execution.scheduling.shared_runs import SharedRuns
 from drivecal.execution.scheduling.worker_health import WorkerHealth
 
 ATTEMPTS = 3
@@ -75,6 +76,8 @@ class _Sent:
     leaders: list[Claim]
     alone: bool
     charged: float = 0.0
+    known: tuple[RecordedRun, ...] = ()
+    """Runs of other workers."""
 
 
 class Scheduler:
@@ -87,6 +90,7 @@ class Scheduler:
         self._queue = FairQueue()
         self._worker_health = WorkerHealth()
         self._affinity = SetupAffinity()
+        self._shared_runs = SharedRuns(self._affinity)
         self._passed_over = 0
         """Batches sent to a worker while a suspect waited for its replacement."""
         self._sent: dict[int, _Sent] = {}
@@ -114,10 +118,11 @@ class Scheduler:
             elif simulation.leader is None:
                 self._queue.join(claim)
 
-    def meet(self, ready: Sequence[str]) -> None:
-        """Notes which workers have started and live."""
+    def meet(self, ready: Sequence[str], nodes: Mapping[str, str] | None = None) -> None:
+        """Notes which workers have started and live. `nodes`: the node of each; workers without one share no recorded runs."""
         self._worker_health.meet(ready)
         self._affinity.meet(ready)
+        self._shared_runs.meet(nodes or {})
 
     def next_batch(self, worker: str, *, idle: bool) -> Dispatch | None:
         """Returns the batch for a free slot of a worker, or None. A suspect is sent alone and never behind a running batch; until then its
@@ -204,6 +209,8 @@ class Scheduler:
         completed = []
         if setup in self._refuted:
             self._put_back_certified(sent, answers)
+        else:
+            self._shared_runs.take(result.worker, setup, result.learned)
         for leader in sent.leaders:
             answer = answers.get(leader.cell.id) or _broken(
                 leader, Breakdown.ERROR, "the worker returned no result for this cell"
@@ -279,6 +286,7 @@ class Scheduler:
         for leader in sent.leaders:
             leader.simulation.leader = leader
         self._affinity.load(worker, group.setup, len(sent.leaders))
+        sent.known = self._shared_runs.give(worker, group.setup)
         batch_id = next(self._batch_ids)
         self._sent[batch_id] = sent
         return self._as_dispatch(batch_id, sent)
@@ -292,6 +300,8 @@ class Scheduler:
         if first.key in self._refuted:
             cells = (replace(cell, certify=False, check=False, probes=()) for cell in cells)
         batch = Batch(first.setup, tuple(cells))
+        if any(cell.certify for cell in batch.cells) and self._shared_runs.readers(sent.worker, first.key):
+            batch = replace(batch, known=sent.known, share=True)
         breakdowns = {leader.cell.id: leader.simulation.breakdowns for leader in sent.leaders}
         return Dispatch(sent.worker, batch_id, batch, expected, sent.alone, breakdowns)
 
