@@ -139,7 +139,7 @@ class PretendedBackend:
     def submit(self, worker: str, batch_id: int, batch: Batch, expected_seconds: float | None, *, alone: bool = False) -> None:
         del expected_seconds, alone
         if not self._sharing:
-            batch = replace(batch, known=(), share=False)
+            batch = replace(batch, known=(), share=0)
         place = next(place for place, pretended in enumerate(self._workers) if pretended.name == worker)
         self._workers[place].queue.append((batch_id, batch))
         if self._workers[place].running is None:

@@ -71,8 +71,8 @@ class Batch:
     cells: tuple[Cell, ...]
     known: tuple[RecordedRun, ...] = ()
     """Runs of other workers, to be learned before the first cell."""
-    share: bool = False
-    """Other workers want the runs that this batch records."""
+    share: int = 0
+    """Bytes of recorded runs that other workers want; 0 for none."""
 
 
 @dataclass(frozen=True, slots=True)

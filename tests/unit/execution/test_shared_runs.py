@@ -42,7 +42,7 @@ def test_every_other_owner_on_the_node_gets_a_run_once() -> None:
     runs.take("one", KEY, [run(1), run(2)])
     runs.take("three", KEY, [run(3)])  # no owner: it gives and does not get
     runs.take("far", KEY, [run(4)])
-    assert numbers(runs.give("two", KEY)) == [1, 2, 3]
+    assert numbers(runs.give("two", KEY)) == [3, 2, 1]
     assert numbers(runs.give("one", KEY)) == [3]
     for worker in NODES:
         assert runs.give(worker, KEY) == ()
@@ -57,7 +57,15 @@ def test_the_oldest_runs_are_dropped_above_the_limits(monkeypatch: pytest.Monkey
     assert numbers(runs.give("two", KEY)) == []
     assert numbers(runs.give("one", KEY)) == [9]
     runs.take("one", KEY, [run(number, 30) for number in range(5)])
-    assert numbers(runs.give("two", KEY)) == [2, 3, 4]
+    assert numbers(runs.give("two", KEY)) == [4, 3, 2]
+
+
+def test_a_batch_carries_the_newest_runs_that_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shared_runs, "MOST_SENT_IN_ALL", 3 * len(NODES) * 70)
+    runs = shared("one", "two")
+    assert runs.room == 70
+    runs.take("one", KEY, [run(number, 30) for number in range(5)])
+    assert [numbers(runs.give("two", KEY)) for _ in range(4)] == [[4, 3], [2, 1], [0], []]
 
 
 def test_what_is_on_its_way_to_a_worker_that_is_gone_is_dropped() -> None:
@@ -111,7 +119,7 @@ def test_the_next_batch_of_another_owner_carries_the_runs() -> None:
         "far": [],
     }
     assert first.batch.share
-    assert [batch.share for batch in batches.values()] == [True, True, False]
+    assert [bool(batch.share) for batch in batches.values()] == [True, True, False]
 
 
 def test_runs_of_a_setup_with_a_contradicted_certificate_are_not_shared() -> None:

@@ -71,9 +71,9 @@ class ScriptedRunner:
                 raise ValueError(run)
             self.known[run.parameters[1]] = run.number, run.result
 
-    def recorded(self) -> tuple[RecordedRun, ...]:
+    def recorded(self, most_bytes: int) -> tuple[RecordedRun, ...]:
         recording, self.recording = self.recording, None
-        return tuple(recording or ())
+        return tuple(recording or ())[:most_bytes]
 
     def run(self, parameters: Sequence[float]) -> RunResult:
         self.runs += 1
@@ -365,17 +365,17 @@ def test_an_exception_in_the_trie_itself_costs_its_runs(monkeypatch: pytest.Monk
 def test_a_worker_certifies_by_the_runs_of_others_and_returns_its_own() -> None:
     sender, reader = (Worker(name, lambda _: ScriptedRunner()) for name in ("w", "v"))
     cells = (Cell(1, {"a": 0.0, "b": 3.0}, certify=True), Cell(2, {"a": 5.0, "b": 3.0}, certify=True))
-    sent = sender.run(Batch(SETUP, cells, share=True))
+    sent = sender.run(Batch(SETUP, cells, share=1000))
     assert [run.number for run in sent.learned] == [1]
     assert sender.run(Batch(SETUP, (Cell(3, {"a": 0.0, "b": 9.0}, certify=True),))).learned == ()
-    [answered] = reader.run(Batch(SETUP, (replace(cells[0], id=4),), known=sent.learned, share=True)).results
+    [answered] = reader.run(Batch(SETUP, (replace(cells[0], id=4),), known=sent.learned, share=1000)).results
     assert (answered.proven_by, answered.rating) == (1, sent.results[0].rating)
 
 
 def test_a_run_of_another_worker_that_raises_costs_no_cell() -> None:
     worker = Worker("w", lambda _: ScriptedRunner())
     bad = RecordedRun(9, RunResult(Rating(1.0, 1), {}), (4.0, 0.0), (), b"")
-    result = worker.run(Batch(SETUP, (Cell(1, {"a": 0.0, "b": 3.0}, certify=True),), known=(bad,), share=True))
+    result = worker.run(Batch(SETUP, (Cell(1, {"a": 0.0, "b": 3.0}, certify=True),), known=(bad,), share=1000))
     assert [cell.breakdown for cell in result.results] == [None]
 
 
@@ -383,7 +383,7 @@ def test_a_setup_that_is_refused_learns_nothing() -> None:
     def refuse(_: SetupRequest) -> ScriptedRunner:
         raise RefusedError("another version")
 
-    result = Worker("w", refuse).run(Batch(SETUP, (Cell(1, {"a": 0.0, "b": 3.0}, certify=True),), share=True))
+    result = Worker("w", refuse).run(Batch(SETUP, (Cell(1, {"a": 0.0, "b": 3.0}, certify=True),), share=1000))
     assert (result.refusal, result.results, result.learned) == ("another version", (), ())
 
 

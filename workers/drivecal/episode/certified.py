@@ -1,5 +1,6 @@
 """A runner that answers by a certificate if it can, and simulates otherwise."""
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -83,10 +84,12 @@ class CertifiedRunner(EpisodeRunner):
             self.contradicted, self.unsent = True, None
             self.forget()
 
-    def recorded(self) -> tuple[RecordedRun, ...]:
-        """Returns the runs recorded since `learn`, for other workers."""
-        recorded, self.unsent = self.unsent, None
-        return tuple(recorded or ())
+    def recorded(self, most_bytes: int) -> tuple[RecordedRun, ...]:
+        """Returns runs recorded since `learn`, for other workers, best rating first: an optimizer asks for sets like the best."""
+        unsent, self.unsent = self.unsent or [], None
+        ranked = sorted(unsent, key=lambda run: -run.result.rating.rating)
+        total = itertools.accumulate(len(run.states) for run in ranked)
+        return tuple(run for run, size in zip(ranked, total, strict=True) if size <= most_bytes)
 
     def take_over(self, interrupted: "CertifiedRunner") -> None:
         """Takes the recorded runs of a runner of the same setup, unless an exception interrupted the trie itself.

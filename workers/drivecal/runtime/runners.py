@@ -45,8 +45,8 @@ class Runner(Protocol):
     def learn(self, known: Sequence[RecordedRun]) -> None:
         """Records runs of other workers, and from now on keeps its own for `recorded`."""
 
-    def recorded(self) -> tuple[RecordedRun, ...]:
-        """Returns the runs recorded since `learn`, for other workers."""
+    def recorded(self, most_bytes: int) -> tuple[RecordedRun, ...]:
+        """Returns runs recorded since `learn`, best rating first."""
 
     def take_over(self, interrupted: Any) -> None:
         """Takes the recorded runs of a runner of the same setup that an exception interrupted, unless it interrupted their recording."""
@@ -83,8 +83,8 @@ class _EpisodeRunner:
     def learn(self, known: Sequence[RecordedRun]) -> None:
         self.episode.learn(known)
 
-    def recorded(self) -> tuple[RecordedRun, ...]:
-        return self.episode.recorded()
+    def recorded(self, most_bytes: int) -> tuple[RecordedRun, ...]:
+        return self.episode.recorded(most_bytes)
 
     def take_over(self, interrupted: "_EpisodeRunner") -> None:
         self.episode.take_over(interrupted.episode)

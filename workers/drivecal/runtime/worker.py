@@ -81,7 +81,7 @@ class Worker:
         except RefusedError as error:
             refusal = describe(error)
         runner = self._runners.get(_key(batch.setup)) if batch.share else None
-        learned = () if runner is None else runner.recorded()
+        learned = () if runner is None else runner.recorded(batch.share)
         seconds, memory = time.perf_counter() - start, self._memory
         remembered = CertificateMemory(memory.states, memory.bytes, memory.limit)
         return BatchResult(self._name, results, seconds, refusal, remembered, learned)

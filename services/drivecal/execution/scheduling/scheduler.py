@@ -301,7 +301,7 @@ class Scheduler:
             cells = (replace(cell, certify=False, check=False, probes=()) for cell in cells)
         batch = Batch(first.setup, tuple(cells))
         if any(cell.certify for cell in batch.cells) and self._shared_runs.readers(sent.worker, first.key):
-            batch = replace(batch, known=sent.known, share=True)
+            batch = replace(batch, known=sent.known, share=self._shared_runs.room)
         breakdowns = {leader.cell.id: leader.simulation.breakdowns for leader in sent.leaders}
         return Dispatch(sent.worker, batch_id, batch, expected, sent.alone, breakdowns)
 

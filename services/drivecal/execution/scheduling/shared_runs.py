@@ -5,16 +5,20 @@ differ in its last bits. What is not delivered is lost, which costs simulations 
 """
 
 from collections import deque
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 from drivecal.contracts.work import RecordedRun
 from drivecal.execution.scheduling.affinity import SetupAffinity
 from drivecal.execution.scheduling.in_flight import SetupKey
 
-MOST_BYTES = 16 * 2**20
-"""Planning states on their way to a worker in one setup; the oldest runs are dropped."""
-MOST_BYTES_IN_ALL = 256 * 2**20
-"""Planning states on their way in all setups; those of the workers and setups that wait for longest are dropped."""
+MOST_BYTES = 8 * 2**20
+"""Planning states that wait for a worker in one setup; the oldest runs are dropped."""
+MOST_BYTES_IN_ALL = 128 * 2**20
+"""Planning states that wait in all setups; those that have waited for longest are dropped."""
+MOST_SENT = 4 * 2**20
+"""Planning states with a batch."""
+MOST_SENT_IN_ALL = 60 * 2**20
+"""Planning states at a time in Ray's object store, which has 80 MB, with two batches and a result for each worker."""
 
 
 class SharedRuns:
@@ -33,6 +37,11 @@ class SharedRuns:
         for place in [place for place in self._inboxes if place[0] in gone]:
             self._drop(place)
         self._nodes = dict(nodes)
+
+    @property
+    def room(self) -> int:
+        """Bytes of runs that go with a batch or its results."""
+        return min(MOST_SENT, MOST_SENT_IN_ALL // (3 * max(len(self._nodes), 1)))
 
     def readers(self, worker: str, setup: SetupKey) -> list[str]:
         """Returns the workers that want this worker's runs."""
@@ -54,9 +63,17 @@ class SharedRuns:
             self._drop(next(iter(self._inboxes)))
 
     def give(self, worker: str, setup: SetupKey) -> tuple[RecordedRun, ...]:
-        """Returns the runs that a worker has not got yet, once."""
-        return tuple(self._drop((worker, setup)))
+        """Returns the newest runs that a worker has not got yet, each once, at most `room` bytes."""
+        place, room, given = (worker, setup), self.room, []
+        inbox = self._inboxes.get(place, deque())
+        while inbox and len(inbox[-1].states) <= room:
+            given.append(inbox.pop())
+            room -= len(given[-1].states)
+            self._sizes[place] -= len(given[-1].states)
+        if not inbox:
+            self._drop(place)
+        return tuple(given)
 
-    def _drop(self, place: tuple[str, SetupKey]) -> Collection[RecordedRun]:
+    def _drop(self, place: tuple[str, SetupKey]) -> None:
         self._sizes.pop(place, None)
-        return self._inboxes.pop(place, ())
+        self._inboxes.pop(place, None)
