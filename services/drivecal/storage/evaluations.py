@@ -186,6 +186,7 @@ def _own(
         table.setup_id == setup_id,  # studies drive the same sets in other vehicles
         table.plan.in_(DONORS),
         table.outcome.in_(DONORS),
+        table.run_id.is_not(None),  # withdrawn answers have none
     )
     first: dict[Any, tuple[tuple[int, int, int], Donor]] = {}
     for value, stage, iteration, individual, *donor in rows_among(connection, query, column, values):

@@ -5,7 +5,7 @@ from importlib import import_module
 from typing import Any, Protocol
 
 from drivecal.certification.memory import Memory
-from drivecal.contracts.work import SetupRequest
+from drivecal.contracts.work import RecordedRun, SetupRequest
 from drivecal.domain.errors import ConflictError, DrivecalError, InvalidInputError, Problem, UnavailableError
 from drivecal.domain.evaluations import RunResult
 from drivecal.domain.scenarios import Scenario
@@ -47,6 +47,15 @@ class Runner(Protocol):
 
     def trace(self, parameters: Sequence[float]) -> TimeSeries:
         """Runs the same simulation and returns its time series."""
+
+    def learn(self, known: Sequence[RecordedRun]) -> None:
+        """Records runs of other workers, and from now on keeps its own for `recorded`."""
+
+    def recorded(self, most_bytes: int) -> tuple[RecordedRun, ...]:
+        """Returns runs recorded since `learn`, best rating first."""
+
+    def take_over(self, interrupted: Any) -> None:
+        """Takes the recorded runs of a runner of the same setup that an exception interrupted, unless it interrupted their recording."""
 
 
 def make_runner(request: SetupRequest, memory: Memory) -> Runner:

@@ -27,6 +27,7 @@ from drivecal.storage.evaluations import COPIES, DONORS
 from drivecal.storage.lots import LotVerdict
 from drivecal.storage.maintenance.consistency import Check
 from drivecal.storage.references.runs import largest_id
+from drivecal.storage.references.withdrawal import WITHDRAWN
 
 ENDED = tuple(state for state in CampaignState if state.ended)
 ROWS = 100
@@ -84,14 +85,16 @@ def check_ended(connection: Connection) -> Iterator[str]:
 
 
 def check_answers(connection: Connection) -> Iterator[str]:
-    """Every answered cell has its run, of its own setup; every copy was answered by a cell or run that may answer others."""
+    """Every answered cell has its run, of its own setup, or was withdrawn; every copy was answered by what may answer others."""
     cell, run, donor = evaluations.c, runs.alias("run"), evaluations.alias("donor")
     joined = evaluations.outerjoin(run, run.c.id == cell.run_id).outerjoin(donor, donor.c.id == cell.reference)
     same = and_(
         run.c.setup_id == cell.setup_id, or_(cell.outcome == Outcome.REUSED, run.c.parameter_set_id == cell.parameter_set_id)
     )
     answered = cell.outcome.in_([*DONORS, *COPIES])
-    yield from _cells(connection, joined, answered & (run.c.id.is_(None) | ~same), "have no run of their own cell")
+    withdrawn = cell.run_id.is_(None) & (func.coalesce(cell.detail, "") == WITHDRAWN)
+    broken = answered & ~withdrawn & (run.c.id.is_(None) | ~same)
+    yield from _cells(connection, joined, broken, "have no run of their own cell")
     scored = answered | (cell.outcome == Outcome.PREDICTED)
     yield from _cells(connection, joined, scored & (cell.score.is_(None) | cell.rating.is_(None)), "have no score")
     failed = (cell.outcome == Outcome.FAILED) & (cell.run_id.is_not(None) | cell.score.is_not(None))
