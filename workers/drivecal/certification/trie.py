@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from time import thread_time_ns
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -30,6 +31,8 @@ BYTES_PER_RESULT = 4000
 """Approximate size of a stored result, mostly metrics by name."""
 DECISIONS_UNTIL_DESCRIPTION = 2
 """Decisions of the planner in a state before it is described: a description costs as much as a few decisions."""
+TIMED = 8
+"""Every so many plans the recording is timed: reading the clock takes a good part of what recording a plan does."""
 
 
 class NotDeterministicError(DrivecalError):
@@ -160,19 +163,35 @@ class RecordingPlanner(Generic[Result]):
         self.decisions: list[int] = []
         self.infeasible: list[tuple[int, npt.NDArray[np.bool_]]] = []
         """Number of each plan with infeasible candidates, and their mask, shape (n_candidates,)."""
+        self._timed = 0
+
+    @property
+    def milliseconds(self) -> float:
+        """CPU time of recording so far, estimated from every `TIMED`-th plan."""
+        timed = -(-len(self.decisions) // TIMED)
+        return self._timed / 1e6 * len(self.decisions) / timed if timed else 0.0
 
     def reset(self, parameters: Sequence[float]) -> None:
         self._planner.reset(parameters)
         self.parameters, self.states, self.decisions, self.infeasible = parameters, [], [], []
+        self._timed = 0
 
     def plan(self, observation: Observation) -> Floats:
+        trajectory = self._planner.plan(observation)
+        if len(self.decisions) % TIMED:
+            self._record()
+        else:
+            start = thread_time_ns()
+            self._record()
+            self._timed += thread_time_ns() - start
+        return trajectory
+
+    def _record(self) -> None:
         planner = self._planner
-        trajectory = planner.plan(observation)
         if np.count_nonzero(planner.infeasible):
             self.infeasible.append((len(self.decisions), planner.infeasible.copy()))
         self.states.append(planner.state.copy())
         self.decisions.append(planner.chosen)
-        return trajectory
 
     def finish(self, result: Result, run: int) -> None:
         """Stores the finished run under the number `run`. Raises like `Trie.learn`."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from time import thread_time_ns
 from typing import Any
 
 from drivecal.certification.memory import Memory
@@ -36,22 +37,30 @@ class CertifiedRunner(EpisodeRunner):
         """
         if not self._certifiable:
             return self.run(parameters)
+        start = thread_time_ns()
         if self._trie is None:
             planner: Any = self.planner  # a `certifiable` driving function creates `CertifiablePlanner`s
             self._trie = Trie(planner, self._memory)
         certificate = self._trie.prove(parameters)
         if certificate is not None and not check:
-            return replace(certificate.result, proven_by=certificate.proven_by)
+            return replace(certificate.result, proven_by=certificate.proven_by, certifying=_milliseconds(start))
         recording = self._trie.record()
+        before = _milliseconds(start)
         result = self.run(parameters, recording)
+        start = thread_time_ns()
+        deterministic = True
         try:
             recording.finish(result, number)
         except NotDeterministicError:
             self.forget()
-            return replace(result, agrees=False)
+            deterministic = False
+        certifying = before + recording.milliseconds + _milliseconds(start)
+        if not deterministic:
+            return replace(result, agrees=False, certifying=certifying)
         if certificate is None:
-            return result
-        return replace(result, proven_by=certificate.proven_by, agrees=result == certificate.result)
+            return replace(result, certifying=certifying)
+        agrees = result == certificate.result
+        return replace(result, proven_by=certificate.proven_by, agrees=agrees, certifying=certifying)
 
     def prove(self, parameters: Sequence[float]) -> int | None:
         """Returns the number of the run that these parameters would provably repeat, or None. Simulates nothing."""
@@ -61,3 +70,8 @@ class CertifiedRunner(EpisodeRunner):
     def forget(self) -> None:
         """Forgets all recorded runs and frees their memory."""
         self._trie = None
+
+
+def _milliseconds(start: int) -> float:
+    """Returns the CPU time of this thread since `start` (of `time.thread_time_ns`)."""
+    return (thread_time_ns() - start) / 1e6
