@@ -57,11 +57,11 @@ def main() -> int:
     """Measures, prints, writes; 1 if the printed saving of certificates is too far from the true one."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--reuse", choices=[name for name in REDUCTIONS if name != "off"], default="certificates")
-    parser.add_argument("--population", type=int, default=300)
+    parser.add_argument("--population", type=int, default=600)
     parser.add_argument("--iterations", type=int, default=12)
     parser.add_argument("--samples", type=int, default=8, help="of the analysis that makes the map")
     parser.add_argument("--seed", type=int, default=1, help="of the first round; each further one has the next")
-    parser.add_argument("--rounds", type=int, default=2)
+    parser.add_argument("--rounds", type=int, default=1)
     chosen = parser.parse_args()
     os.environ["DRIVECAL_WORKERS"] = "1"
     print(f"{chosen.population} individuals, {chosen.iterations} iterations; CPU seconds of the workers")
