@@ -165,7 +165,7 @@ class RecordingPlanner(Generic[Result]):
         self.period = planner.period
         self.parameters: Sequence[float] = ()
         self.states: list[bytes] = []
-        """State of each plan, as bytes: an array would take three times as long to copy and slow the run itself."""
+        """State of each plan, as bytes: copying an array takes five times as long, and slows the run itself."""
         self.decisions: list[int] = []
         self.infeasible: list[tuple[int, npt.NDArray[np.bool_]]] = []
         """Number of each plan with infeasible candidates, and their mask, shape (n_candidates,)."""
