@@ -22,10 +22,11 @@ def _costs(
     stage: StageName = StageName.CALIBRATION,
     runs: int | None = None,
     run_seconds: float | None = None,
+    certifying: float = 0.0,
 ) -> OutcomeCosts:
     answered = (0 if outcome is Outcome.FAILED else cells) if runs is None else runs
     return OutcomeCosts(
-        stage, scenario, outcome, audited, cells, seconds, answered, seconds if run_seconds is None else run_seconds
+        stage, scenario, outcome, audited, cells, seconds, answered, seconds if run_seconds is None else run_seconds, certifying
     )
 
 
@@ -90,6 +91,28 @@ def test_what_certificates_say_of_reused_cells_stands_in_the_account_of_its_scen
     found = account("c", "running", ["S1", "S2"], CALIBRATION, None, [AuditCount("S2", 9, 3, 1)])
     counts = [(one.proved, one.proved_different, one.proved_wrong) for one in found.scenarios]
     assert counts == [(0, 0, 0), (9, 3, 1)]
+
+
+def test_a_saved_cell_is_worth_a_run_without_certificates_and_what_they_took_is_deducted() -> None:
+    rows = [
+        _costs("S1", Outcome.SIMULATED, 100, 1.2, run_seconds=1.0, certifying=0.2),
+        _costs("S1", Outcome.CERTIFIED, 50, 0.1, runs=0, run_seconds=0.0, certifying=0.1),
+    ]
+    balance = account("c", "succeeded", ["S1"], rows, None)
+    assert balance.scenarios[0].mean_seconds == pytest.approx(0.01)
+    assert balance.saved_seconds == pytest.approx(0.5)
+    assert balance.scenarios[0].certifying_seconds == balance.certifying_seconds == pytest.approx(0.3)
+    assert balance.net_seconds == pytest.approx(150 * 0.01 - (1.2 + 0.1)), "without reuse less with reuse"
+    assert "net saving of 0.2 s" in balance.sentence
+
+
+def test_the_net_is_what_all_outcomes_saved_less_all_that_saving_took() -> None:
+    rows = [*ANALYSIS, *CALIBRATION, _costs("S2", Outcome.CERTIFIED, 10, 0.02, runs=0, run_seconds=0.0, certifying=0.02)]
+    balance = account("c", "succeeded", ["S1", "S2"], rows, MapOrigin("m", "c", ANALYSIS))
+    assert balance.savings == pytest.approx({"repeated": 0.4, "reused": 4.5, "certified": 0.2})
+    assert balance.deductions == pytest.approx({"sensitivity": 10.0, "certificates": 0.02})
+    assert balance.saved_seconds == pytest.approx(sum(balance.savings.values()))
+    assert balance.net_seconds == pytest.approx(balance.saved_seconds - sum(balance.deductions.values()))
 
 
 def test_a_rerun_pays_nothing_for_the_map_and_counts_what_answered_it() -> None:

@@ -30,7 +30,7 @@ from drivecal.storage import audits, campaigns, evaluations, events, generations
 from drivecal.storage.campaigns import Snapshot, StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.evaluations import NewEvaluation
-from drivecal.storage.generations import Figures
+from drivecal.storage.generations import Figures, StoredGeneration
 from drivecal.storage.references import parameter_sets
 
 _COUNTED = (
@@ -111,38 +111,50 @@ class Calibration(CampaignStage):
             )
 
     def _resume(self) -> list[Work]:
-        """Resumes the last generation, or starts with the first."""
-        problem = self._problem
+        """Resumes the last generation, or starts with the first.
+
+        The optimizer is restored between two transactions, because a replay may take long and nothing else could be written meanwhile. What
+        was read before stays true: only the dispatcher changes it, and every transaction first checks that this process is still the one.
+        """
         sync_reference_keys(self._database, self._view)
-        with self._database.transaction() as connection:
+        with self._database.read() as connection:
             last = generations.last(connection, self._campaign.sequence)
-            if last is None or last.optimizer_state is None:
-                start = self._area.contract(problem.start_indices) if problem.start_sets else None
-                self._optimizer = self._optimization.plugin.create(self._optimization.settings, self._area.n_values, start)
-                if problem.specification.reduction.narrow:
+            if last is not None:
+                finished = last.iteration + last.finished
+                self._before = self._counts_of_finished(connection, finished)
+                self._take_in(connection, iterations=range(finished))
+        self._optimizer = self._restored(last)
+        with self._database.transaction() as connection:
+            if last is None:
+                if self._problem.specification.reduction.narrow:
                     campaigns.set_narrowed(connection, self._campaign.sequence, self._area.narrowed())
                 self._remember_baseline(connection)
                 return []
-            self._optimizer = self._optimization.plugin.restore(
-                self._optimization.settings, self._area.n_values, last.optimizer_state
-            )
-            self._iteration = last.iteration
-            finished = last.iteration + last.finished
-            self._before = self._counts_of_finished(connection, finished)
-            self._take_in(connection, iterations=range(finished))
-            if last.finished:
-                self._optimizer.tell(self._weighted(self._scores), self._weighted(self._ratings))
-            else:
-                self._proposal = Proposal(np.array(last.population, dtype=np.int64), np.array(last.changed, dtype=np.bool_))
-                self._batches = [
-                    batch
-                    for batch in self._split(last.iteration, self._proposal)
-                    if not results.is_requested(connection, self._campaign.sequence, self.name, last.iteration, batch[0])
-                ]
-                self._round = Round(last.iteration, (), self._policy())
+            self._batches = [batch for batch in self._batches if not self._is_requested(connection, last.iteration, batch)]
             work = self._tracker.load(connection, share_runs=self._policy().mode != "off")
             self._save(connection)
         return work
+
+    def _restored(self, last: StoredGeneration | None) -> Optimizer:
+        """The optimizer as it was after the last generation, or a new one. Takes as long as the optimizer's computations."""
+        plugin, settings, n_values = self._optimization.plugin, self._optimization.settings, self._area.n_values
+        if last is None:
+            start = self._area.contract(self._problem.start_indices) if self._problem.start_sets else None
+            return plugin.create(settings, n_values, start)
+        if last.optimizer_state is None:
+            raise RuntimeError(f"generation {last.iteration} has no optimizer state")
+        optimizer = plugin.restore(settings, n_values, last.optimizer_state)
+        self._iteration = last.iteration
+        if last.finished:
+            optimizer.tell(self._weighted(self._scores), self._weighted(self._ratings))
+        else:
+            self._proposal = Proposal(np.array(last.population, dtype=np.int64), np.array(last.changed, dtype=np.bool_))
+            self._batches = self._split(last.iteration, self._proposal)
+            self._round = Round(last.iteration, (), self._policy())
+        return optimizer
+
+    def _is_requested(self, connection: Connection, iteration: int, batch: list[int]) -> bool:
+        return results.is_requested(connection, self._campaign.sequence, self.name, iteration, batch[0] if batch else None)
 
     def _propose(self) -> Round:
         if self._optimizer is None:
