@@ -1,4 +1,5 @@
-"""The sensitivity analysis of a campaign as ask/tell in phases: intervals, confirmation of what is cut, global analysis in what is left.
+"""The sensitivity analysis of a campaign as ask/tell in phases: intervals, confirmation of what is cut, global analysis in what is left,
+confirmation over the whole range of the parameters that only the global analysis found without influence.
 
 Nothing is saved: an analysis recreated from the same arguments that receives the scores of all finished phases again continues
 exactly as this one would.
@@ -23,8 +24,9 @@ from drivecal.sensitivity.settings import SensitivitySettings
 
 PhaseName = Literal["intervals", "confirmation", "global"]
 
-_INTERVALS, _GLOBAL, _FIRST_CONFIRMATION = 0, 1, 2
-"""Sobol' sequences of the phases; each round of confirmation has its own."""
+_INTERVALS, _GLOBAL, _WHOLE_RANGE, _FIRST_CONFIRMATION = 0, 1, 2, 3
+"""Sobol' sequences of the phases; each round of confirmation has its own. The round after the global analysis has its own as well, for
+the number of the earlier ones depends on the other scenarios."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +60,7 @@ class SensitivityAnalysis:
         self._edges = [interval_edges(n, settings.intervals) for n in space.n_values.tolist()]
         self._states = {scenario: ScenarioState(space, self._edges, settings.threshold) for scenario in scenarios}
         self._number = 0
+        self._confirmed = 0
         self._name: PhaseName | None = "intervals"
         self._designs: dict[str, Design] | None = None
 
@@ -98,6 +101,7 @@ class SensitivityAnalysis:
                 state.take_confirmations(effects, design.steps)
             else:
                 state.take_overall(answers, effects, design.steps)
+        self._confirmed += self._name == "confirmation"
         self._designs = None
         self._number += 1
         self._name = self._next()
@@ -121,9 +125,7 @@ class SensitivityAnalysis:
     def _next(self) -> PhaseName | None:
         if any(state.waiting for state in self._states.values()):
             return "confirmation"
-        if self._name == "global" or all(state.unknown for state in self._states.values()):
-            return None
-        return "global"
+        return "global" if any(state.awaits_overall for state in self._states.values()) else None
 
     def _drawn(self) -> dict[str, Design]:
         n_values, samples, seed = self._space.n_values, self._settings.samples, self._settings.seed
@@ -132,7 +134,8 @@ class SensitivityAnalysis:
             shared = make(n_values, self._edges, samples, seed, _INTERVALS)
             return dict.fromkeys(self._states, shared)
         if self._name == "confirmation":
-            tag = _FIRST_CONFIRMATION + self._number
+            is_last = not any(state.awaits_overall for state in self._states.values())
+            tag = _WHOLE_RANGE if is_last else _FIRST_CONFIRMATION + self._confirmed
             regions = {
                 scenario: [(box.column, *state.bounds(box)) for box in state.waiting]
                 for scenario, state in self._states.items()

@@ -252,10 +252,42 @@ def test_a_parameter_without_influential_intervals_must_be_without_influence_glo
         assert influence_after_global(state, effects) == influence
 
 
-def test_a_parameter_below_the_threshold_in_the_influential_box_has_no_influence() -> None:
-    state = state_after_intervals("..####..")
-    confirm(state, {"below": QUIET, "above": QUIET})
-    assert influence_after_global(state, QUIET) == Influence(influential=False)
+def test_a_parameter_below_the_threshold_in_the_influential_box_awaits_an_analysis_of_its_whole_range() -> None:
+    for whole, influence in ((QUIET, Influence(influential=False)), (LOUD, Influence(True, Decimal(2), Decimal(6)))):
+        state = state_after_intervals("..####..")
+        confirm(state, {"below": QUIET, "above": QUIET})
+        influence_after_global(state, QUIET)
+        assert confirm(state, {"whole": whole}) == [("whole", 0, 80)]
+        assert not state.waiting
+        parameter = state.result().parameters["P1"]
+        assert parameter.influence == influence
+        assert parameter.confirmations[-1].verdict.influential == (whole is LOUD)
+
+
+def test_a_whole_range_that_turned_out_influential_stays_so_whatever_the_global_analysis_finds() -> None:
+    state = state_after_intervals("........")
+    confirm(state, {"whole": LOUD})
+    assert influence_after_global(state, QUIET) == EVERYWHERE
+    assert not state.waiting
+
+
+@both
+@pytest.mark.parametrize("seed", range(6))
+def test_no_parameter_is_without_influence_unless_an_analysis_of_its_whole_range_says_so(
+    design: Literal["lines", "paper"], seed: int
+) -> None:
+    space = space_of(*[31] * 6)
+
+    def rare(points: Indices) -> Floats:  # each parameter changes the score if the one beside it is near its end
+        return 1 + sum((points[:, column] > 10) * (points[:, column - 1] > 25) for column in range(6)).astype(np.float64)
+
+    found = finished({"S1": rare}, replace(SETTINGS, design=design, seed=seed), space)["S1"].parameters.values()
+    without = [parameter for parameter in found if not parameter.influence.influential]
+    overruled = [parameter for parameter in without if any(interval.influential for interval in parameter.intervals)]
+    for parameter in without:
+        last = parameter.confirmations[-1]
+        assert (last.lower, last.upper, last.verdict.influential) == (0, 30, False)
+    assert len(overruled) <= 1
 
 
 def test_a_global_analysis_without_any_score_changes_nothing() -> None:
