@@ -1,11 +1,12 @@
 """Settings of a sensitivity analysis."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isfinite
-from typing import Literal
+from typing import Any, Literal
 
 from drivecal.domain.errors import InvalidInputError, Problem
-from drivecal.sensitivity.thresholds import MuSigmaThresholds, Threshold
+from drivecal.sensitivity.thresholds import MuSigmaThresholds, Threshold, tolerance_text
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +44,11 @@ class SensitivitySettings:
                 problems.append(_problem(name, f"{limit} is no usable threshold", remedy))
         if problems:
             raise InvalidInputError(*problems)
+
+
+def caveats(stored: Mapping[str, Any]) -> list[str]:
+    """Returns what a map cannot show because of the settings that are stored with it, for readers: a line each, none for most settings."""
+    return [tolerance_text(stored["samples"])] if stored["threshold"] == "auto" else []
 
 
 def _problem(name: str, message: str, remedy: str) -> Problem:

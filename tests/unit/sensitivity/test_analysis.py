@@ -279,7 +279,8 @@ def test_no_parameter_is_without_influence_unless_an_analysis_of_its_whole_range
     space = space_of(*[31] * 6)
 
     def rare(points: Indices) -> Floats:  # each parameter changes the score if the one beside it is near its end
-        return 1 + sum((points[:, column] > 10) * (points[:, column - 1] > 25) for column in range(6)).astype(np.float64)
+        near = (points > 10) & (np.roll(points, 1, axis=1) > 25)
+        return np.asarray(1 + near.sum(axis=1), dtype=np.float64)
 
     found = finished({"S1": rare}, replace(SETTINGS, design=design, seed=seed), space)["S1"].parameters.values()
     without = [parameter for parameter in found if not parameter.influence.influential]
