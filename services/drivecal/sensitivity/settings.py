@@ -13,6 +13,8 @@ from drivecal.sensitivity.thresholds import MuSigmaThresholds, Threshold, tolera
 class SensitivitySettings:
     """`design`: how the intervals are analysed; `intervals`: n_Int per parameter; `samples`: r effects per analysis; `seed`: of all points.
 
+    `sequential`: the design `lines` makes only the runs that its bounds take. `paper` makes all of Equation 3 in any case.
+
     Raises InvalidInputError naming every setting that cannot be used, under `sensitivity`.
     """
 
@@ -21,6 +23,7 @@ class SensitivitySettings:
     samples: int
     threshold: Threshold
     seed: int
+    sequential: bool = True
 
     def __post_init__(self) -> None:
         problems: list[Problem] = []
@@ -48,7 +51,12 @@ class SensitivitySettings:
 
 def caveats(stored: Mapping[str, Any]) -> list[str]:
     """Returns what a map cannot show because of the settings that are stored with it, for readers: a line each, none for most settings."""
-    return [tolerance_text(stored["samples"])] if stored["threshold"] == "auto" else []
+    lines = [tolerance_text(stored["samples"])] if stored["threshold"] == "auto" else []
+    if stored.get("sequential") and stored["design"] == "lines":
+        lines.append(
+            "sequential analysis: intervals between influential ones took no runs, so a larger s_rel may be hidden there"
+        )
+    return lines
 
 
 def _problem(name: str, message: str, remedy: str) -> Problem:

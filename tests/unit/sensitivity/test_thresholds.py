@@ -119,6 +119,12 @@ def test_readers_of_a_map_hear_of_the_misses_of_auto_alone() -> None:
     assert caveats(settings | {"threshold": "auto"}) == [tolerance_text(20)]
 
 
+def test_readers_of_a_map_hear_of_intervals_that_took_no_runs_if_there_may_be_any() -> None:
+    settings = {"design": "lines", "intervals": 10, "samples": 20, "threshold": 0.02, "seed": 1, "sequential": True}
+    assert len(caveats(settings)) == 1
+    assert caveats(settings | {"design": "paper"}) == caveats(settings | {"sequential": False}) == []
+
+
 @given(st.integers(2, 400), st.floats(0.001, 1))
 def test_with_equal_steps_auto_tolerates_exactly_so_many_changes_of_one_point(n: int, step: float) -> None:
     tolerated = tolerated_changes(n)

@@ -186,6 +186,7 @@ def plan_analysis(wanted: SensitivitySpecification, space: ParameterSpace, scena
         if isinstance(threshold, SeparateThresholds)
         else threshold,
         seed=wanted.seed,
+        sequential=wanted.sequential,
     )
     return SensitivityAnalysis(space, scenarios, settings)
 
