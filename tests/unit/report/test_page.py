@@ -239,6 +239,7 @@ def test_the_page_says_where_the_map_comes_from(tmp_path: Path) -> None:
     text = "".join(written(findings(basis=basis, influence=[*ROWS, row("S3", "P1", unknown=True)]), tmp_path)[0].text)
     assert "design lines, 5 intervals, 3 samples" in text
     assert "2,484 runs asked for, 2,329 simulated" in text
+    assert "probability of about 73%" in text, "three samples miss nine in ten changes of a tenth of the steps"
     assert "unknown" in text
 
 

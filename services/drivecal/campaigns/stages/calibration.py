@@ -14,7 +14,7 @@ from sqlalchemy import Connection
 from drivecal.analysis.confirmation import Confirmation, verdict_in
 from drivecal.analysis.solutions import EQUAL, EvaluatedSet, Ranking
 from drivecal.campaigns.cells.planning import View, sync_reference_keys
-from drivecal.campaigns.cells.predicting import LotPlanner, released_by_scenario, slice_size
+from drivecal.campaigns.cells.predicting import LotPlanner, slice_size
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.stages.stage import CampaignStage, Round
 from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, Released
@@ -26,7 +26,7 @@ from drivecal.execution.scheduling.in_flight import Work
 from drivecal.plugins.ports import Optimizer, Proposal
 from drivecal.reduction.assignment import Policy, RequestedCell
 from drivecal.reduction.audit import error_rates
-from drivecal.storage import audits, campaigns, evaluations, events, generations, lots, results
+from drivecal.storage import audits, campaigns, events, generations, results
 from drivecal.storage.campaigns import Snapshot, StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.evaluations import NewEvaluation
@@ -121,7 +121,7 @@ class Calibration(CampaignStage):
             last = generations.last(connection, self._campaign.sequence)
             if last is not None:
                 finished = last.iteration + last.finished
-                self._before = self._counts_of_finished(connection, finished)
+                self._before = CellCounts(**generations.sums(connection, self._campaign.sequence, _COUNTED, finished))
                 self._take_in(connection, iterations=range(finished))
         self._optimizer = self._restored(last)
         with self._database.transaction() as connection:
@@ -184,10 +184,8 @@ class Calibration(CampaignStage):
         if self._planner is not None:
             with self._database.transaction() as connection:
                 self._planner.learn(connection)
-                stored = lots.of_campaign(connection, self._campaign.sequence)
-                costs = evaluations.mean_seconds(connection, self._campaign.sequence)
                 self._take_in(connection, [self._iteration])
-            self._planner.predict(dict(zip(batch, sets, strict=True)), stored, costs)
+            self._planner.predict(dict(zip(batch, sets, strict=True)))
         return Round(self._iteration, [(problem.bench, wanted)], self._policy())
 
     def _predict(self, connection: Connection, asked: Round, planned: list[NewEvaluation]) -> list[NewEvaluation]:
@@ -268,8 +266,7 @@ class Calibration(CampaignStage):
             objectives, ratings = self._weighted(self._scores), self._weighted(self._ratings)
             self._check_reuse(connection, self._iteration)
             if self._planner is not None:
-                limit = self._problem.specification.reduction.limit
-                self._released = released_by_scenario(lots.of_campaign(connection, self._campaign.sequence), limit)
+                self._released = self._planner.released(connection)
             self._describe_best(connection)
             figures = self._figures(objectives)
             generations.finish(connection, self._campaign.sequence, self._iteration, figures, objectives.tolist())
@@ -331,15 +328,6 @@ class Calibration(CampaignStage):
             minimum=float(known.min()) if known.size else None,
             alternatives=0 if best is None else best[1],
         )
-
-    def _counts_of_finished(self, connection: Connection, iterations: int) -> CellCounts:
-        """The sum over the iterations before this one."""
-        total = dict.fromkeys(_COUNTED, 0)
-        finished, _ = generations.page(connection, self._campaign.sequence, limit=max(iterations, 1))
-        for iteration, figures in finished:
-            for name in _COUNTED:
-                total[name] += asdict(figures)[name] if iteration < iterations else 0
-        return CellCounts(**total)
 
     def _describe_best(self, connection: Connection) -> None:
         best = self._ranking.best()
