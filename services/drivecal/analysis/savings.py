@@ -1,8 +1,8 @@
 """Savings and costs of reuse: the sensitivity stage beside the simulations that its map saved. Pure.
 
 A saved cell is worth the mean CPU time of the scenario's simulated cells. Audited cells are simulated like any other: they are a saving
-forgone, already missing among the reused, and not a cost on top. Reused cells that were simulated after the search to confirm its best
-set save nothing either.
+forgone, already missing among the reused, and not a cost on top; so are the samples of predicted lots. Reused cells that were simulated
+after the search to confirm its best set save nothing either. The predictor's CPU time is a cost.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -35,9 +35,11 @@ def account(
     origin: MapOrigin | None,
     proofs: Iterable[AuditCount] = (),
     confirmed: Mapping[str, int] | None = None,
+    predictors: Mapping[str, float] | None = None,
 ) -> Accounting:
     """The account of a campaign from its `costs`; `scenarios` in the order in which they are to be listed; `proofs`: what certificates say
-    of reused cells; `confirmed`: how many of those were simulated after the search, by scenario."""
+    of reused cells; `confirmed`: how many of those were simulated after the search, by scenario; `predictors`: CPU time of the predictor,
+    by scenario."""
     proved = {proof.scenario: proof for proof in proofs}
     rows = [
         _scenario(
@@ -45,15 +47,16 @@ def account(
             [cost for cost in costs if cost.stage is StageName.CALIBRATION and cost.scenario == name],
             proved.get(name, _NOTHING),
             (confirmed or {}).get(name, 0),
+            (predictors or {}).get(name, 0.0),
         )
         for name in scenarios
     ]
     sensitivity = sensitivity_cost(costs)
     used = None if origin is None else _map_cost(origin, campaign)
     requested, reused = sum(row.requested for row in rows), sum(row.reused for row in rows)
-    answered = sum(row.repeated + row.reused + row.certified for row in rows)
+    answered = sum(row.repeated + row.reused + row.predicted + row.certified for row in rows)
     totals = {name: sum(getattr(row, name) for row in rows) for name in _SECONDS}
-    saved = totals["repeated_saved_seconds"] + totals["reused_saved_seconds"] + totals["certified_saved_seconds"]
+    saved = sum(totals[name] for name in _SAVED)
     accounting = Accounting(
         campaign=campaign,
         state=state,
@@ -68,7 +71,7 @@ def account(
         share_reused=reused / requested if requested else None,
         **totals,
         saved_seconds=saved,
-        net_seconds=saved - sensitivity.seconds,
+        net_seconds=saved - sensitivity.seconds - totals["predictor_seconds"],
         map_net_seconds=None if used is None else totals["reused_saved_seconds"] - used.seconds,
         break_even=None if used is None else break_even(used.seconds, totals["reused_saved_seconds"], requested),
         sentence="",
@@ -77,7 +80,8 @@ def account(
 
 
 _NOTHING = AuditCount("", 0, 0, 0)
-_SECONDS = ("simulated_seconds", "audited_seconds", "repeated_saved_seconds", "reused_saved_seconds", "certified_saved_seconds")
+_SAVED = ("repeated_saved_seconds", "reused_saved_seconds", "predicted_saved_seconds", "certified_saved_seconds")
+_SECONDS = ("simulated_seconds", "audited_seconds", "predictor_seconds", *_SAVED)
 
 
 def sensitivity_cost(costs: Iterable[OutcomeCosts]) -> SensitivityCost:
@@ -106,7 +110,9 @@ def break_even(map_seconds: float, reused_saved_seconds: float, requested: int) 
     return BreakEven(requested_cells=ceil(campaigns * requested - ROUNDING), campaigns=whole, reruns=whole - 1)
 
 
-def _scenario(name: str, costs: Sequence[OutcomeCosts], proved: AuditCount, confirmed: int) -> ScenarioAccount:
+def _scenario(
+    name: str, costs: Sequence[OutcomeCosts], proved: AuditCount, confirmed: int, predictor_seconds: float
+) -> ScenarioAccount:
     cells = _cells(costs)
     simulated = [cost for cost in costs if cost.outcome is Outcome.SIMULATED]
     mean = _mean_seconds(simulated)
@@ -114,11 +120,13 @@ def _scenario(name: str, costs: Sequence[OutcomeCosts], proved: AuditCount, conf
         mean = _mean_seconds(costs)
     audited = [cell for cell in simulated if cell.audited]
     worth = mean or 0.0
+    of_reused = min(confirmed, cells[Outcome.REUSED])
     return ScenarioAccount(
         scenario=name,
         requested=sum(cells.values()),
         repeated=cells[Outcome.REPEATED],
         reused=cells[Outcome.REUSED],
+        predicted=cells[Outcome.PREDICTED],
         certified=cells[Outcome.CERTIFIED],
         simulated=cells[Outcome.SIMULATED],
         failed=cells[Outcome.FAILED],
@@ -128,8 +136,10 @@ def _scenario(name: str, costs: Sequence[OutcomeCosts], proved: AuditCount, conf
         simulated_seconds=sum(cell.seconds for cell in simulated),
         audited_seconds=sum(cost.seconds for cost in audited),
         repeated_saved_seconds=cells[Outcome.REPEATED] * worth,
-        reused_saved_seconds=(cells[Outcome.REUSED] - confirmed) * worth,
+        reused_saved_seconds=(cells[Outcome.REUSED] - of_reused) * worth,
+        predicted_saved_seconds=max(0, cells[Outcome.PREDICTED] - (confirmed - of_reused)) * worth,
         certified_saved_seconds=cells[Outcome.CERTIFIED] * worth,
+        predictor_seconds=predictor_seconds,
         proved=proved.audited,
         proved_different=proved.different,
         proved_wrong=proved.wrong,
@@ -164,8 +174,14 @@ def _sentence(accounting: Accounting) -> str:
         return f"No cell of the calibration stage has its answer yet; the sensitivity stage took {accounting.sensitivity.seconds:,.1f} s."
     share = f"{accounting.share_without_simulation:.1%} of {accounting.requested:,} requested cells were answered without a simulation"
     balance = f"that saved {accounting.saved_seconds:,.1f} s of CPU time"
+    costs = []
     if accounting.sensitivity.requested:
+        costs.append(
+            f"the sensitivity stage cost {accounting.sensitivity.seconds:,.1f} s ({accounting.sensitivity.simulated:,} runs)"
+        )
+    if accounting.predictor_seconds:
+        costs.append(f"the predictor took {accounting.predictor_seconds:,.1f} s")
+    if costs:
         verb = "net saving" if accounting.net_seconds >= 0 else "net loss"
-        cost = f"the sensitivity stage cost {accounting.sensitivity.seconds:,.1f} s ({accounting.sensitivity.simulated:,} runs)"
-        balance = f"{balance}, {cost}: a {verb} of {abs(accounting.net_seconds):,.1f} s"
+        balance = f"{balance}, {', '.join(costs)}: a {verb} of {abs(accounting.net_seconds):,.1f} s"
     return f"{share}; {balance}."

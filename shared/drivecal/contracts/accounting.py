@@ -28,14 +28,15 @@ class MapCost(Answer):
 class ScenarioAccount(Answer):
     """The calibration stage in one scenario. `mean_seconds`: CPU time per simulated cell; where none was simulated, per stored run that
     answered cells; null if there is neither. Savings are numbers of cells times it. `confirmed`: of the reused cells, those that were
-    simulated after the search to confirm its best set, and so save nothing. `proved`: of the reused cells, those of which a
-    worker happened to know by a certificate what a simulation would have given; `proved_different`: their score is another one,
-    `proved_wrong`: by more than 1 (Eq. 8). Two equal campaigns need not know the same."""
+    simulated after the search to confirm its best set, and so save nothing. `predictor_seconds`: CPU time of the predictor. `proved`: of
+    the reused cells, those of which a worker happened to know by a certificate what a simulation would have given; `proved_different`:
+    their score is another one, `proved_wrong`: by more than 1 (Eq. 8). Two equal campaigns need not know the same."""
 
     scenario: str
     requested: int
     repeated: int
     reused: int
+    predicted: int = 0
     certified: int
     simulated: int
     failed: int
@@ -46,7 +47,9 @@ class ScenarioAccount(Answer):
     audited_seconds: float
     repeated_saved_seconds: float
     reused_saved_seconds: float
+    predicted_saved_seconds: float = 0.0
     certified_saved_seconds: float
+    predictor_seconds: float = 0.0
     proved: int = 0
     proved_different: int = 0
     proved_wrong: int = 0
@@ -67,11 +70,11 @@ class BreakEven(Answer):
 class Accounting(Answer):
     """Savings and costs of a campaign, in cells and in CPU seconds of the workers.
 
-    `saved_seconds`: by repeated, reused and certified cells, without reused ones that were `confirmed`. `audited_seconds` is the price of
-    the self-check: audited cells could have been reused but were simulated, so they are not among the saved, and are not taken off once
-    more. `net_seconds` = `saved_seconds` - `sensitivity.seconds`. `map_net_seconds` = saved by reuse alone - cost of the map, in any
-    campaign; null without a map. `share_without_simulation`: (repeated + reused + certified) / requested; `share_reused`: reused /
-    requested; null before the first.
+    `saved_seconds`: by repeated, reused, predicted and certified cells, without those that were `confirmed`. `audited_seconds` is the
+    price of the self-check: audited cells could have been reused but were simulated, so they are not among the saved, and are not taken
+    off once more. `net_seconds` = `saved_seconds` - `sensitivity.seconds` - `predictor_seconds`. `map_net_seconds` = saved by reuse alone
+    - cost of the map, in any campaign; null without a map. `share_without_simulation`: (repeated + reused + predicted + certified) /
+    requested; `share_reused`: reused / requested; null before the first.
     """
 
     campaign: str
@@ -89,7 +92,9 @@ class Accounting(Answer):
     audited_seconds: float
     repeated_saved_seconds: float
     reused_saved_seconds: float
+    predicted_saved_seconds: float = 0.0
     certified_saved_seconds: float
+    predictor_seconds: float = 0.0
     saved_seconds: float
     net_seconds: float
     map_net_seconds: float | None

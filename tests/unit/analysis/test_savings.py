@@ -92,6 +92,33 @@ def test_what_certificates_say_of_reused_cells_stands_in_the_account_of_its_scen
     assert counts == [(0, 0, 0), (9, 3, 1)]
 
 
+def test_predictions_save_and_their_predictor_costs() -> None:
+    costs = [
+        _costs("S1", Outcome.SIMULATED, 60, 1.2),
+        _costs("S1", Outcome.PREDICTED, 40, 0.0, runs=0, run_seconds=0.0),
+        _costs("S2", Outcome.SIMULATED, 100, 1.0),
+    ]
+    found = account("c", "running", ["S1", "S2"], costs, None, predictors={"S1": 0.5, "S2": 0.25})
+    first, second = found.scenarios
+    assert (first.predicted, first.predictor_seconds, second.predicted, second.predictor_seconds) == (40, 0.5, 0, 0.25)
+    assert first.predicted_saved_seconds == pytest.approx(0.8)
+    assert (found.answered_without_simulation, found.share_without_simulation, found.share_reused) == (40, 0.2, 0.0)
+    assert found.predictor_seconds == 0.75
+    assert found.saved_seconds == found.predicted_saved_seconds == pytest.approx(0.8)
+    assert found.net_seconds == pytest.approx(0.05)
+
+
+def test_confirmed_answers_are_taken_off_the_predicted_only_after_the_reused() -> None:
+    costs = [
+        _costs("S1", Outcome.SIMULATED, 10, 1.0),
+        _costs("S1", Outcome.REUSED, 2, 0.0),
+        _costs("S1", Outcome.PREDICTED, 8, 0.0),
+    ]
+    (only,) = account("c", "running", ["S1"], costs, None, confirmed={"S1": 3}).scenarios
+    assert only.reused_saved_seconds == 0
+    assert only.predicted_saved_seconds == pytest.approx(0.7)
+
+
 def test_a_rerun_pays_nothing_for_the_map_and_counts_what_answered_it() -> None:
     rows = [_costs("S1", Outcome.REPEATED, 300, 0.0, run_seconds=6.0), _costs("S1", Outcome.REUSED, 100, 0.0, run_seconds=2.0)]
     found = account("rerun", "succeeded", ["S1"], rows, MapOrigin("m", "first", ANALYSIS))

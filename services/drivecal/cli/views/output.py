@@ -13,7 +13,7 @@ from drivecal.contracts.tables import Solution
 from drivecal.domain.events import ASKED
 from drivecal.report.sections.commands import evaluation
 
-OUTCOMES = ("failed", "certified", "reused", "repeated", "simulated")
+OUTCOMES = ("failed", "certified", "predicted", "reused", "repeated", "simulated")
 """Outcomes of requested cells, frequent ones last."""
 
 
@@ -58,6 +58,8 @@ def print_campaign(campaign: Campaign) -> None:
         lines.append(("alternatives", f"{share} the best objective"))
     if self_check := self_check_text(campaign):
         lines.append(("self-check", self_check))
+    if lots := lots_text(campaign):
+        lines.append(("predictions", lots))
     lines += [("note", note) for note in campaign.notes]
     seconds = campaign.seconds
     if seconds.wall:
@@ -107,8 +109,12 @@ def state_text(campaign: Campaign) -> str:
 
 def cells_text(cells: CellCounts) -> str:
     """The cells by outcome, on one line: `requested 1,200 = 800 simulated + 300 reused + 100 repeated`."""
-    audited = f" ({cells.audited:,} of the simulated were audits)" if cells.audited else ""
-    return f"{cells.requested:,} requested = {_sum(cells)}{audited}; {cells.carried_over:,} carried over"
+    checks = [
+        *([f"{cells.audited:,} of the simulated were audits"] if cells.audited else []),
+        *([f"{cells.sampled:,} predictions were simulated as samples"] if cells.sampled else []),
+    ]
+    listed = f" ({'; '.join(checks)})" if checks else ""
+    return f"{cells.requested:,} requested = {_sum(cells)}{listed}; {cells.carried_over:,} carried over"
 
 
 def print_cells(runs: Sequence[tuple[str, CellCounts]]) -> None:
@@ -154,9 +160,21 @@ def self_check_text(campaign: Campaign) -> str:
     return f"{text}; reuse was stopped in {', '.join(stopped)}" if stopped else text
 
 
+def lots_text(campaign: Campaign) -> str:
+    """Returns the inspections of predicted answers on a line; empty before the first."""
+    lots, rejected, predicted, sampled, different = (
+        sum(getattr(scenario, name) for scenario in campaign.released.values())
+        for name in ("lots", "rejected", "predicted", "sampled", "different")
+    )
+    if not lots:
+        return ""
+    inspected = "1 lot was" if lots == 1 else f"{lots:,} lots were"
+    return f"{inspected} inspected, {rejected:,} rejected; {predicted:,} answers released; {different:,} of {sampled:,} samples differed"
+
+
 def saved(cells: CellCounts) -> float:
     """The share of the requested cells that needed no simulation."""
-    answered = cells.repeated + cells.reused + cells.certified
+    answered = cells.repeated + cells.reused + cells.predicted + cells.certified
     return answered / cells.requested if cells.requested else 0.0
 
 

@@ -6,7 +6,7 @@ import typer
 
 from drivecal.cli.views.output import duration, print_columns
 from drivecal.contracts.accounting import Accounting, BreakEven
-from drivecal.contracts.campaign import ErrorRate, Narrowed
+from drivecal.contracts.campaign import ErrorRate, Narrowed, Released
 
 
 def print_error_rates(rates: Mapping[str, ErrorRate]) -> None:
@@ -34,13 +34,34 @@ def print_error_rates(rates: Mapping[str, ErrorRate]) -> None:
     )
 
 
+def print_lots(released: Mapping[str, Released]) -> None:
+    """Prints a line per scenario with inspected lots of predicted answers; nothing without lots."""
+    inspected = {name: lots for name, lots in released.items() if lots.lots}
+    if not inspected:
+        return
+    typer.echo("\npredicted answers, released in lots after the simulation of a sample (different: by more than the tolerance)")
+    header = ["scenario", "lots", "rejected", "released", "sampled", "different", "limit", "at most (95 %)"]
+    print_columns(
+        header,
+        [
+            [
+                *(name, lots.lots, lots.rejected, lots.predicted, lots.sampled, lots.different, f"{lots.limit:.1%}"),
+                None if lots.upper_95 is None else f"{lots.upper_95:.2%}",
+            ]
+            for name, lots in inspected.items()
+        ],
+    )
+
+
 def print_accounting(accounting: Accounting) -> None:
     """Prints the balance of a campaign in seconds of its workers."""
     typer.echo("\nwhat was saved, in CPU time of the workers")
     lines = [
         ("answered by equal sets", accounting.repeated_saved_seconds),
         ("answered by references", accounting.reused_saved_seconds),
+        ("answered by predictions", accounting.predicted_saved_seconds),
         ("answered by certificates", accounting.certified_saved_seconds),
+        ("predictor", -accounting.predictor_seconds),
         ("sensitivity stage", -accounting.sensitivity.seconds),
     ]
     for name, seconds in lines:
