@@ -1,11 +1,12 @@
 """Answers of the cells: outcomes, errors, savings."""
 
 from drivecal.contracts.accounting import Accounting
-from drivecal.contracts.campaign import Campaign, CellCounts, StageCellCounts
+from drivecal.contracts.campaign import Campaign, CellCounts, Released, StageCellCounts
 from drivecal.report.markup import Emphasized, Number, paragraph, table
 from drivecal.report.sections.savings import seconds_of
 
-OUTCOMES = ("simulated", "repeated", "reused", "certified", "failed")
+OUTCOMES = ("simulated", "repeated", "reused", "predicted", "certified", "failed")
+CHECKS = {"audited": "of simulated: audits", "sampled": "samples of predictions", "checked": "checks of certificates"}
 
 
 def cells_by_stage(campaign: Campaign) -> str:
@@ -14,19 +15,16 @@ def cells_by_stage(campaign: Campaign) -> str:
     def row(name: str, cells: CellCounts | StageCellCounts) -> list[object]:
         return [
             name,
-            *(
-                getattr(cells, name, None)
-                for name in ("proposed", "carried_over", "requested", *OUTCOMES, "audited", "checked")
-            ),
+            *(getattr(cells, name, None) for name in ("proposed", "carried_over", "requested", *OUTCOMES, *CHECKS)),
         ]
 
     rows = [row(name, cells) for name, cells in campaign.by_stage().items() if cells.requested]
-    header = ["stage", "proposed", "carried over", "requested", *OUTCOMES, "of simulated: audits", "checks of certificates"]
+    header = ["stage", "proposed", "carried over", "requested", *OUTCOMES, *CHECKS.values()]
     return table(header, rows, "Cells by stage and outcome", wrap_header=True) if rows else ""
 
 
 def self_check(campaign: Campaign, account: Accounting | None) -> list[str]:
-    """Returns the results of audits, of checked certificates, and of certificates of reused cells."""
+    """Returns the results of audits, of inspected lots, of checked certificates, and of certificates of reused cells."""
     content = []
     rates = {name: rate for name, rate in campaign.error_rate.items() if rate.audited or rate.stopped or rate.contradictions}
     if rates:
@@ -46,9 +44,34 @@ def self_check(campaign: Campaign, account: Accounting | None) -> list[str]:
         header = ["scenario", "audited", "different", "wrong", "R_err", "95 % bound", "contradictions", "reuse"]
         caption = "Self-check: reusable cells that were simulated all the same; wrong: the scores differ by more than 1"
         content.append(table(header, rows, caption))
-    else:
+    elif not lots(campaign) or campaign.cells.reused:
         content.append(paragraph("No cell was audited, so nothing is known about errors of reuse in this campaign."))
-    return [*content, *_proved(account), *_certified(campaign)]
+    return [*content, *lots_table(campaign), *_proved(account), *_certified(campaign)]
+
+
+def lots(campaign: Campaign) -> dict[str, Released]:
+    """Inspected lots of predicted answers, by scenario."""
+    return {name: released for name, released in campaign.released.items() if released.lots}
+
+
+def lots_table(campaign: Campaign) -> list[str]:
+    """Returns the inspected lots by scenario; nothing without lots."""
+    rows = [
+        [
+            *(name, released.lots, released.rejected, released.predicted, released.sampled, released.different),
+            Number(f"{released.limit:.1%}"),
+            None if released.upper_95 is None else Number(f"{released.upper_95:.2%}"),
+        ]
+        for name, released in lots(campaign).items()
+    ]
+    if not rows:
+        return []
+    header = ["scenario", "lots", "rejected", "released answers", "sampled", "different", "limit", "95 % bound"]
+    caption = (
+        "Predicted answers: a sample of each lot was simulated, and the lot released or simulated whole. Different: by more than the "
+        "tolerance; limit: of the expected share of errors among the released answers. A set with a predicted score is not ranked"
+    )
+    return [table(header, rows, caption)]
 
 
 def proved(account: Accounting | None) -> tuple[int, int, int]:

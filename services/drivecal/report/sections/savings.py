@@ -34,8 +34,10 @@ def seconds_of(account: Accounting) -> list[tuple[str, float]]:
     items = [
         ("saved by repeated cells", account.repeated_saved_seconds),
         ("saved by reused cells", account.reused_saved_seconds),
+        ("saved by predicted cells", account.predicted_saved_seconds),
         ("saved by certified cells", account.certified_saved_seconds),
         ("cost of the sensitivity stage", 0.0 - account.sensitivity.seconds),
+        ("cost of the predictor", 0.0 - account.predictor_seconds),
         ("net", account.net_seconds),
         ("simulated", account.simulated_seconds),
         ("of these for audits", account.audited_seconds),
