@@ -129,7 +129,7 @@ def run(database: Database, campaign: StoredCampaign, backend: ComputedBackend |
     for _ in range(MOST_STEPS):
         found = get(database, campaign)
         if found.state.ended:
-            assert found.error is None
+            assert found.error is None, found.error
             return found
         one.step()
     raise AssertionError("the campaign did not end")

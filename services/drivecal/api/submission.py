@@ -10,6 +10,7 @@ from drivecal.api.dependencies import Limits
 from drivecal.api.responses import refuse_comparison
 from drivecal.campaigns.resolve.maps import check_basis
 from drivecal.campaigns.resolve.problem import CalibrationProblem, evaluator_id, resolve, resolve_evaluation
+from drivecal.campaigns.stages.prediction_validation import check_predictions
 from drivecal.campaigns.stages.robustness import check_source
 from drivecal.contracts.campaign import ExpectedRuns
 from drivecal.contracts.input_errors import validated
@@ -41,6 +42,7 @@ def expected(database: Database, limits: Limits, specification: CampaignSpecific
     with database.read() as connection:
         named_map(connection, problem)
         check_source(connection, problem)
+        check_predictions(connection, problem)
     return problem.expected_runs()
 
 
@@ -107,6 +109,7 @@ def _queue(
 ) -> StoredCampaign:
     specification = problem.specification
     check_source(connection, problem)
+    check_predictions(connection, problem)
     admission.admit(connection, limits.queued_campaigns, key)
     return campaigns.insert(
         connection,

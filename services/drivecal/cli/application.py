@@ -166,7 +166,11 @@ def full_map_id(client: Client, identifier: str) -> str:
 def with_full_ids(client: Client, specification: dict[str, Any]) -> dict[str, Any]:
     """A campaign's or a comparison's specification, in which the map and the campaign that it may name are not abbreviated."""
     completed = dict(specification)
-    for section, name, resolved in (("sensitivity", "map", full_map_id), ("robustness", "of", full_id)):
+    for section, name, resolved in (
+        ("sensitivity", "map", full_map_id),
+        ("robustness", "of", full_id),
+        ("validation", "of", full_id),
+    ):
         settings = completed.get(section)
         if isinstance(settings, dict) and isinstance(settings.get(name), str):
             completed[section] = {**settings, name: resolved(client, settings[name])}

@@ -6,7 +6,7 @@ from sklearn.ensemble import ExtraTreesClassifier
 
 from drivecal.reduction.prediction import Bools, Floats, Predictions
 
-TREES = 100
+TREES = 50
 FEATURES = None
 """Features that each split considers: all of them, because few parameters matter in a scenario."""
 
@@ -51,10 +51,13 @@ class Forest:
         return confidence, np.abs(self._classes[chosen] - self._scores[seen]) > self._tolerance + 1e-9
 
     def weights(self, features: Floats) -> Floats:
-        """Returns the weight of each training cell in the prediction of one set, shape (n_known,): the share of leaves that they share."""
+        """Returns the weight of each training cell in the prediction of one set, shape (n_known,), sum 1: its mean share, over the trees, of
+        the bootstrap sample in the set's leaf."""
         forest = self._fitted()
         shared = forest.apply(self._features) == forest.apply(features.reshape(1, -1))
-        return np.asarray((shared / np.maximum(shared.sum(axis=0), 1)).mean(axis=1), dtype=np.float64)
+        drawn = np.stack([np.bincount(sample, minlength=len(shared)) for sample in forest.estimators_samples_], axis=1)
+        weights: Floats = shared * drawn
+        return np.asarray((weights / weights.sum(axis=0)).mean(axis=1), dtype=np.float64)
 
     def _fitted(self) -> ExtraTreesClassifier:
         if self._forest is None:

@@ -101,16 +101,16 @@ def most_released(lots: Iterable[tuple[SamplingPlan, int]], confidence: float = 
     """Returns an upper limit of the number of errors released by inspected lots, each with the errors in its sample.
 
     Time-uniform: with probability `confidence` it holds after every lot at once, for every number of errors in each of them, which may
-    depend on all earlier samples. Per lot, exp(g E - h(g) k) of E released errors and k sampled ones has an expectation of at most 1 over
-    the draw without replacement, and a rejected lot counts as 1; the product over lots is a supermartingale, a mixture over growth rates g
+    depend on all earlier samples. Per lot, exp(g E - h(g) k) of E released errors (none if it is rejected) and k sampled ones has an
+    expectation of at most 1 over the draw without replacement. The product over lots is a supermartingale, a mixture over growth rates g
     as well (Waudby-Smith and Ramdas 2020 build theirs in this way), and Ville's inequality bounds it.
     """
     inspected = list(lots)
     offsets: list[tuple[float, float]] = []
     for growth in GROWTH:
-        costs = [_cost_of_an_error(plan, growth) for plan, _ in inspected]
+        costs = [cost_of_an_error(plan, growth) for plan, _ in inspected]
         if all(math.isfinite(cost) for cost in costs):
-            paid = sum(cost * errors for cost, (plan, errors) in zip(costs, inspected, strict=True) if plan.releases(errors))
+            paid = sum(cost * errors for cost, (_, errors) in zip(costs, inspected, strict=True))
             offsets.append((growth, -paid))
     unknown = sum(plan.size - plan.sample for plan, errors in inspected if plan.releases(errors))
     evidence = math.log(len(GROWTH) / (1.0 - confidence))
@@ -125,17 +125,17 @@ def most_released(lots: Iterable[tuple[SamplingPlan, int]], confidence: float = 
 
 
 @lru_cache(maxsize=4096)
-def _cost_of_an_error(plan: SamplingPlan, growth: float) -> float:
+def cost_of_an_error(plan: SamplingPlan, growth: float) -> float:
     """Returns the smallest h for `most_released`: the evidence against released errors that an error in the sample takes back; infinite if
     none suffices."""
-    wrong = np.arange(plan.size + 1)
-    drawn = np.arange(min(plan.acceptance, plan.sample) + 1)[:, None]
-    chance: Floats = np.asarray(hypergeom.pmf(drawn, plan.size, wrong[None, :], plan.sample), dtype=np.float64)
-    gain = np.exp(np.minimum(growth * np.maximum(wrong[None, :] - drawn, 0), 700.0))
-    rejected = np.maximum(1.0 - chance.sum(axis=0), 0.0)
+    wrong = np.arange(plan.size + 1)[None, :]
+    drawn = np.arange(plan.sample + 1)[:, None]
+    chance: Floats = np.asarray(hypergeom.pmf(drawn, plan.size, wrong, plan.sample), dtype=np.float64)
+    released = np.where(drawn <= plan.acceptance, np.maximum(wrong - drawn, 0), 0)
+    gain = chance * np.exp(np.minimum(growth * released, 700.0))
 
     def expected(cost: float) -> float:
-        return float((rejected + (chance * gain * np.exp(-cost * drawn)).sum(axis=0)).max()) - 1.0
+        return float((gain * np.exp(-cost * drawn)).sum(axis=0).max()) - 1.0
 
     if expected(MOST_PER_ERROR) > 1e-9:
         return math.inf

@@ -5,7 +5,7 @@ more, because fewer lots are rejected and fewer right predictions are left out.
 """
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import isotonic_regression
 
+from drivecal.domain.parameters import ParameterSet, ParameterSpace, billionths
 from drivecal.reduction.lots import SamplingPlan, best_plan
 
 Floats = npt.NDArray[np.float64]
@@ -58,6 +59,30 @@ class Predictor(Protocol):
 
     def known_errors(self) -> tuple[Floats, Bools]:
         """Returns raw confidences and whether the prediction was wrong, of training data left out of the fit, each of shape (n,)."""
+
+
+class FeatureSpace:
+    """Positions of parameter sets in the searched ranges; fixed parameters keep their values."""
+
+    def __init__(self, space: ParameterSpace, names: Sequence[str]) -> None:
+        """`names`: the columns."""
+        self._names = tuple(names)
+        lowest = {parameter.name: billionths(parameter.lower) for parameter in space.searched}
+        spans = {parameter.name: billionths(parameter.upper) - lowest[parameter.name] for parameter in space.searched}
+        self._lowest = np.array([lowest.get(name, 0) for name in names], dtype=np.float64)
+        self._spans = np.array([spans.get(name, 10**9) for name in names], dtype=np.float64)
+
+    def __call__(self, sets: Sequence[ParameterSet]) -> Floats:
+        """Returns features of n sets, shape (n, n_p)."""
+        rows = [
+            each.billionths
+            if each.names == self._names
+            else [dict(zip(each.names, each.billionths, strict=True))[name] for name in self._names]
+            for each in sets
+        ]
+        values = np.array(rows, dtype=np.float64).reshape(len(rows), len(self._names))
+        features: Floats = (values - self._lowest) / self._spans
+        return features
 
 
 @dataclass(slots=True)

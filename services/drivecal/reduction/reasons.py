@@ -55,8 +55,32 @@ def _reason(explanation: Explanation, stop: tuple[int, AuditCount] | None) -> st
             return f"{beginning}: reuse is off in this campaign (reduction.mode: off)."
         case "study":
             return f"{beginning}: the study is about what simulations give, so {_SAME}."
+        case "predicted":
+            return f"{_copied('Predicted', explanation)}: {_predicted(explanation)}"
+        case "sampled":
+            return f"{beginning} as part of the sample that inspects its lot: {_predicted(explanation)}"
+        case "lot_rejected":
+            return f"{beginning} because its lot was rejected: {_predicted(explanation)}"
+        case "not_accepted":
+            confidence = 0.0 if explanation.prediction is None else explanation.prediction.confidence
+            doubt = f"its prediction (confidence {confidence:.0%}) was too uncertain for a lot"
+            return f"{beginning}: {doubt}, or its set was believed within reach of the best one, or it answers equal sets."
+        case "not_predicted":
+            return f"{beginning}: the predictor was not asked, because too little was known or asking would have cost more than it saves."
         case "analysis":
             return f"{beginning}: the sensitivity analysis makes the map that reuse rests on, so {_SAME}."
+
+
+def _predicted(explanation: Explanation) -> str:
+    prediction = explanation.prediction
+    if prediction is None or prediction.lot is None:
+        return "its prediction is in no lot."
+    lot = prediction.lot
+    said = f"{lot.known:,} known answers said {prediction.score} with a confidence of {prediction.confidence:.0%}"
+    if lot.errors is None:
+        return f"{said}; the sample of its lot ({lot.sample} of {lot.size}) is awaited."
+    sample = f"of its lot of {lot.size}, {lot.sample} were simulated and {lot.errors} differed, at most {lot.acceptance} may"
+    return f"{said}; {sample}: {lot.verdict}."
 
 
 def _proven(proof: Proof, explanation: Explanation) -> str:

@@ -44,6 +44,9 @@ class ReportData:
     accounting: Accounting | None
     robustness: Sequence[Studied[RobustnessRow]] = ()
     validation: Sequence[Studied[ValidationRow]] = ()
+    """Of the influence map."""
+    predictions: Sequence[Studied[ValidationRow]] = ()
+    """Validations of released predictions."""
 
     @property
     def recommended(self) -> RobustnessRow | None:
@@ -69,7 +72,8 @@ def collect(client: Client, identifier: str) -> ReportData:
         titles={scenario.id: scenario.title for scenario in client.scenarios().items},
         accounting=client.accounting(identifier) if answered else None,
         robustness=_studied(studies, "robustness", client.robustness),
-        validation=_studied(studies, "validation", client.validation),
+        validation=_studied([study for study in studies if not study.settings.get("of")], "validation", client.validation),
+        predictions=_studied([study for study in studies if study.settings.get("of")], "validation", client.validation),
     )
 
 

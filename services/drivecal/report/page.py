@@ -7,7 +7,7 @@ from drivecal.report.data import ReportData
 from drivecal.report.figures import cells
 from drivecal.report.figures.spider import by_scenario
 from drivecal.report.markup import bullets, contents, document, files, heading, paragraph, section, verbatim
-from drivecal.report.sections import influence, optima, problem, results, reuse, robustness, search, validation
+from drivecal.report.sections import influence, optima, predictions, problem, results, reuse, robustness, search, validation
 
 
 def page(findings: ReportData, drawn: Mapping[str, str], names: Sequence[str], version: str) -> str:
@@ -108,12 +108,14 @@ def _reuse(findings: ReportData, drawn: Mapping[str, str]) -> list[str]:
 
 def _validation(findings: ReportData, drawn: Mapping[str, str]) -> list[str]:
     identifier = findings.campaign.id
+    content = [part for studied in findings.predictions[:1] for part in predictions.validated(studied)]
     if findings.validation:
         drawings = _figures(drawn, "figure-14-")
-        return validation.parts(findings.validation[0], identifier, by_scenario(findings.influence), drawings)
+        return [*content, *validation.parts(findings.validation[0], identifier, by_scenario(findings.influence), drawings)]
     if not findings.influence:
-        return []
+        return content
     return [
+        *content,
         paragraph("Not studied. This compares, by simulation, what the map calls equal:"),
         verbatim(f"drivecal validate {identifier}"),
     ]

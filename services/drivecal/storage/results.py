@@ -67,6 +67,7 @@ class KnownAnswer:
     """A simulated or certified answer that a predictor may learn from. `predicted_score` and `confidence`: of a cell that was predicted
     first; `stands_for`: the number of predictions that a sampled cell of a released lot represents, else 1."""
 
+    id: int
     scenario: str
     stage: StageName
     iteration: int
@@ -207,6 +208,31 @@ def counted_since(connection: Connection, campaign_sequence: int, stage: StageNa
     return dict(connection.execute(query).all())
 
 
+@dataclass(frozen=True, slots=True)
+class ReleasedCell:
+    """A predicted cell that was answered without a simulation."""
+
+    id: int
+    scenario: str
+    parameters: ParameterSet
+    score: int
+
+
+def released(connection: Connection, campaign_sequence: int) -> list[ReleasedCell]:
+    """Returns the released predictions of a campaign, in the order of their request."""
+    cell = evaluations.c
+    query = (
+        select(cell.id, cell.scenario, parameter_sets.c.parameter_values, cell.score)
+        .join(parameter_sets)
+        .where(cell.campaign_sequence == campaign_sequence, cell.outcome == Outcome.PREDICTED)
+        .order_by(*_PLACE)
+    )
+    return [
+        ReleasedCell(row.id, row.scenario, ParameterSet.from_json(row.parameter_values), row.score)
+        for row in connection.execute(query)
+    ]
+
+
 def reference_of(connection: Connection, campaign_sequence: int, scenario: str, parameter_set_id: int) -> int | None:
     """The evaluation by which a calibration answered a parameter set's cell first, where it was another set's; else None."""
     table = evaluations.c
@@ -267,7 +293,7 @@ def known(
     )
     read = lru_cache(MOST_SETS)(ParameterSet.from_json)
     rows = connection.execute(query).all()
-    answers = [KnownAnswer(*row[1:5], read(row.parameter_values), *row[6:]) for row in rows]
+    answers = [KnownAnswer(*row[:5], read(row.parameter_values), *row[6:]) for row in rows]
     return answers, max((row.id for row in rows), default=after)
 
 

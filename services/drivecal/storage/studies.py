@@ -41,14 +41,18 @@ class StoredStudy:
 
 
 def about(connection: Connection, campaign_id: str, campaign_sequence: int, influence_map_id: str | None) -> list[StoredStudy]:
-    """The studies of a campaign's best sets and of the map that it uses, by any campaign, the newest first."""
+    """The studies of a campaign's best sets, its predictions and the map that it uses, by any campaign, the newest first."""
     own = campaigns.c.sequence == campaign_sequence
     of_its_sets = and_(studies.c.stage == StageName.ROBUSTNESS, campaigns.c.spec["robustness", "of"].as_string() == campaign_id)
+    of_its_predictions = and_(
+        studies.c.stage == StageName.VALIDATION, campaigns.c.spec["validation", "of"].as_string() == campaign_id
+    )
     of_its_map = and_(studies.c.stage == StageName.VALIDATION, campaigns.c.influence_map_id == influence_map_id)
+    about_it = own, of_its_sets, of_its_predictions
     query = (
         select(campaigns, studies.c.stage.label("made"))
         .select_from(studies.join(campaigns, studies.c.campaign_sequence == campaigns.c.sequence))
-        .where(or_(own, of_its_sets, of_its_map) if influence_map_id is not None else or_(own, of_its_sets))
+        .where(or_(*about_it, of_its_map) if influence_map_id is not None else or_(*about_it))
         .order_by(campaigns.c.sequence.desc(), studies.c.stage)
     )
     return [

@@ -25,11 +25,18 @@ Reason = Literal[
     "off",
     "analysis",
     "study",
+    "predicted",
+    "sampled",
+    "lot_rejected",
+    "not_accepted",
+    "not_predicted",
 ]
 """`confirmation`: simulated after the search, for the best set owed its score there to a reference. `blocked`: something is stored, but
 every set differs where it matters. `unanswered`: the cell that was to answer it has no result. `stopped`: the self-check stopped reuse in
 this scenario. `no_map`, `exact_only`, `off`: the campaign allows no reuse. `analysis`: a cell of the sensitivity stage, which only
-repeats."""
+repeats. `predicted`: released with its lot. `sampled`, `lot_rejected`: simulated to inspect its lot, or because of the lot's verdict.
+`not_accepted`: predicted, but simulated, for the prediction was too uncertain or the set too good. `not_predicted`: the predictor was not
+asked."""
 
 
 class Difference(Answer):
@@ -81,6 +88,48 @@ class Proof(Answer):
     wrong: bool | None
 
 
+class InspectedLot(Answer):
+    """A lot of predictions: `sample` of `size` were simulated; with more than `acceptance` errors beyond the `tolerance` it is rejected.
+
+    `limit` bounds the expected share of released errors, `known` counts the answers that the predictor had learned from. `errors` and
+    `verdict` (released or rejected) are null before the sample is simulated.
+    """
+
+    id: int
+    size: int
+    sample: int
+    acceptance: int
+    tolerance: float
+    limit: float
+    known: int
+    errors: int | None
+    verdict: str | None
+
+
+class Neighbour(Answer):
+    """A stored answer with its weight in a prediction: the mean share of the leaves that it has in common with the cell, 0 to 1."""
+
+    evaluation: int
+    stage: str
+    iteration: int
+    individual: int
+    score: int
+    weight: float
+    parameters: dict[str, float]
+
+
+class Prediction(Answer):
+    """What the predictor said: `confidence` is its share of votes for scores within the tolerance, 0 to 1. `agrees`: whether the simulation
+    of a sampled cell confirmed it. `neighbours`: the stored answers with most weight, heaviest first."""
+
+    score: int
+    confidence: float
+    sampled: bool
+    agrees: bool | None
+    lot: InspectedLot | None
+    neighbours: list[Neighbour]
+
+
 class Explanation(Answer):
     """Why a cell was answered as it was.
 
@@ -105,5 +154,6 @@ class Explanation(Answer):
     differences: list[Difference] = Field(default_factory=list)
     audit: Audit | None = None
     proof: Proof | None = None
+    prediction: Prediction | None = None
     distance: float | None = None
     stored: int | None = None

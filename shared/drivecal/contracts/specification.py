@@ -133,15 +133,17 @@ class RobustnessSpecification(Model):
 
 
 class ValidationSpecification(Model):
-    """Whether reuse is right where the influence map allows it (Section V).
+    """Whether reuse is right where the influence map allows it (Section V), or released predictions `of` an ended campaign are right.
 
     Latin hypercubes of `samples`, twice as many, ... at most `largest` sets are drawn until those that qualify for a reduction cover all
-    effects of the reducible parameters; each is compared with `references` variants.
+    effects of the reducible parameters; each is compared with `references` variants. Of a campaign's predictions `samples` are simulated
+    in each scenario.
     """
 
     samples: Annotated[int, Field(ge=1, le=1_000_000)] = 200
     references: Annotated[int, Field(ge=1, le=1000)] = 30
     largest: Annotated[int, Field(ge=1, le=1_000_000)] = 20_000
+    of: str | None = None
     seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 1
 
 

@@ -263,6 +263,9 @@ class ValidationRow(Answer):
     `covered`. `drawn`: the size of the Latin hypercube, of which `bases` that qualify were kept (n*_LHS), each compared with
     `references` variants (n_ref). `wrong`: |dF| > 1; R_err = wrong / compared (Eq. 8) with its 95 % Clopper-Pearson interval;
     `different`: any change. `histogram`: how many variants differ from their base by how many points.
+
+    For the predictions of a campaign: `released` ones, of them `compared` with a simulation, `beyond` the tolerance; `limit` bounds the
+    expected share of these. Null for a map.
     """
 
     scenario: str
@@ -278,6 +281,9 @@ class ValidationRow(Answer):
     error_rate: float | None
     lower_95: float | None
     upper_95: float | None
+    released: int | None = None
+    beyond: int | None = None
+    limit: float | None = None
     histogram: Annotated[dict[int, int], FileForm("numbers", _counts_by_points)]
     """In files a list of counts for differences from -7 to 7."""
 

@@ -4,8 +4,17 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.stats import hypergeom
 
-from drivecal.reduction.lots import SamplingPlan, best_plan, draw, outgoing_errors, smallest_plan
+from drivecal.reduction.lots import (
+    SamplingPlan,
+    best_plan,
+    cost_of_an_error,
+    draw,
+    most_released,
+    outgoing_errors,
+    smallest_plan,
+)
 
 
 @pytest.mark.parametrize(
@@ -87,3 +96,48 @@ def test_a_lot_with_a_member_twice_and_a_limit_beyond_one_are_refused() -> None:
         draw([b"a", b"a"], 1, b"")
     with pytest.raises(ValueError, match=r"1\.5"):
         smallest_plan(10, 1.5, 1)
+
+
+@pytest.mark.parametrize(("wrong_share", "limit"), [(0.0, 0.05), (0.01, 0.05), (0.04, 0.05), (0.15, 0.05), (0.02, 0.01)])
+def test_the_upper_limit_of_released_errors_holds_after_every_lot_at_once(wrong_share: float, limit: float) -> None:
+    """In 400 series of 15 lots, at most 5 % of the series break it anywhere; the errors answer to earlier verdicts."""
+    generator = np.random.default_rng(7)
+    broken = 0
+    for _ in range(400):
+        inspected: list[tuple[SamplingPlan, int]] = []
+        released, share = 0, wrong_share
+        for size in (40, 60, 80, 100, 120) * 3:
+            plan = best_plan(size, limit, wrong_share)
+            wrong = int(generator.binomial(size, share))
+            drawn = int(generator.hypergeometric(wrong, size - wrong, plan.sample)) if plan.sample else 0
+            inspected.append((plan, drawn))
+            if plan.releases(drawn):
+                released += wrong - drawn
+            share = wrong_share * (2.0 if plan.releases(drawn) else 0.5)
+        # Errors only grow and the limit hardly falls, so a series that keeps it at the end and halfway kept it nearly everywhere.
+        half = len(inspected) // 2
+        broken += released > most_released(inspected) + 1e-6
+        assert most_released(inspected[:half]) <= sum(plan.size - plan.sample for plan, _ in inspected[:half])
+    assert broken <= 400 * 0.05 + 13  # three standard errors
+
+
+def test_the_upper_limit_falls_with_the_evidence() -> None:
+    plan = smallest_plan(250, 0.05, acceptance=1)
+    spare = plan.size - plan.sample
+    shares = [most_released([(plan, 0)] * count) / (count * spare) for count in (1, 5, 25, 100)]
+    assert shares == sorted(shares, reverse=True)
+    assert shares[-1] < 0.01
+    assert most_released([(plan, 1)] * 25) > most_released([(plan, 0)] * 25)
+    assert most_released([]) == 0.0
+
+
+def test_the_evidence_of_a_lot_is_a_supermartingale_for_every_number_of_errors() -> None:
+    """The factor of a lot has an expectation of at most 1, summed over every possible sample."""
+    for plan in (smallest_plan(60, 0.05, 0), smallest_plan(200, 0.05, 1), smallest_plan(120, 0.02, 2)):
+        for growth in (0.05, 0.01):
+            cost = cost_of_an_error(plan, growth)
+            for wrong in range(plan.size + 1):
+                drawn = np.arange(plan.sample + 1)
+                released = np.where(drawn <= plan.acceptance, np.maximum(wrong - drawn, 0), 0)
+                chance = hypergeom.pmf(drawn, plan.size, wrong, plan.sample)
+                assert float((chance * np.exp(growth * released - cost * drawn)).sum()) <= 1.0 + 1e-6

@@ -2,15 +2,17 @@
 
 import subprocess
 import sys
+from decimal import Decimal
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from drivecal.domain.parameters import Parameter, ParameterSpace
 from drivecal.reduction.forest import Forest
 from drivecal.reduction.lots import outgoing_errors
-from drivecal.reduction.prediction import ConfidenceRecord, Floats, choose_lot
+from drivecal.reduction.prediction import ConfidenceRecord, FeatureSpace, Floats, choose_lot
 
 GENERATOR = np.random.default_rng(3)
 SETS = GENERATOR.random((600, 4))
@@ -120,3 +122,30 @@ def test_predictions_have_the_same_bits_in_another_process() -> None:
     here = bits()
     there = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)  # this test itself
     assert there.stdout.strip() == here
+
+
+def test_weights_are_those_of_the_leaves_and_add_up_to_one() -> None:
+    forest = learned()
+    weights = forest.weights(SETS[500])
+    assert weights.shape == (400,)
+    assert weights.sum() == pytest.approx(1.0)
+    votes = {score: float(weights[SCORES[:400] == score].sum()) for score in np.unique(SCORES[:400])}
+    told = forest.predict(SETS[500:501])
+    assert max(votes, key=votes.__getitem__) == told.scores[0]
+
+
+def test_mean_and_variance_are_those_of_the_votes() -> None:
+    told = learned().predict(SETS[400:])
+    certain = told.confidence > 1.0 - 1e-9
+    assert certain.any()
+    assert told.mean[certain] == pytest.approx(told.scores[certain])
+    assert told.variance[certain] == pytest.approx(0.0, abs=1e-9)
+    assert (told.variance[~certain] > 0.0).all()
+
+
+def test_features_are_positions_in_the_searched_ranges_in_the_order_of_the_columns() -> None:
+    searched = [Parameter("P1", Decimal(0), Decimal(10), 11), Parameter("P2", Decimal(-1), Decimal(1), 3)]
+    space = ParameterSpace(tuple(searched))
+    sets = space.parameter_sets(np.array([[5, 0], [10, 2]]))
+    assert FeatureSpace(space, ("P1", "P2"))(sets).tolist() == [[0.5, 0.0], [1.0, 1.0]]
+    assert FeatureSpace(space, ("P2", "P1"))(sets).tolist() == [[0.0, 0.5], [1.0, 1.0]]

@@ -20,11 +20,22 @@ from sqlalchemy import Connection
 from drivecal.campaigns.cells.planning import View, ensure_setups
 from drivecal.contracts.campaign import Released
 from drivecal.contracts.specification import ReductionSpecification
+from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome
-from drivecal.domain.parameters import ParameterSet, ParameterSpace, billionths
+from drivecal.domain.parameters import ParameterSet, ParameterSpace
 from drivecal.reduction.lots import SamplingPlan, most_released
-from drivecal.reduction.prediction import MOST_KNOWN, ROUNDING, Floats, Lot, Predictions, ScenarioLearner, choose_lot
+from drivecal.reduction.prediction import (
+    MOST_KNOWN,
+    ROUNDING,
+    FeatureSpace,
+    Floats,
+    Lot,
+    Predictions,
+    ScenarioLearner,
+    choose_lot,
+)
 from drivecal.storage import lots, results
+from drivecal.storage.engine.types import ORDER
 from drivecal.storage.evaluations import NewEvaluation
 from drivecal.storage.lots import LotVerdict, NewLot, StoredLot
 from drivecal.storage.references import runs
@@ -35,12 +46,22 @@ LARGEST_SLICE, SLICES = 250, 4
 GROWTH = 1.25
 """Growth of the known answers after which a predictor without an accepted lot is tried again."""
 LIKELY = 0.25
-"""Share of a batch that a predictor is expected to save: it is not asked if it took longer the last time than these simulations take."""
+"""Share of a batch that a predictor is expected to save if it has saved nothing yet."""
+REACH = 0.5
+"""Standard deviations above its believed objective at which a set is within reach of the best one."""
 
 
 def slice_size(population: int) -> int:
     """Sets of the start population in one batch."""
     return max(1, min(LARGEST_SLICE, -(-population // SLICES)))
+
+
+Batch = tuple[int, int, int]
+
+
+def batch_of(stage: StageName, iteration: int, individual: int, size: int) -> Batch:
+    """Returns the batch of a cell, comparable with others: stage, iteration, slice of `size` sets in the start population."""
+    return ORDER[stage], iteration, individual // size if iteration == 0 else 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,10 +91,7 @@ class LotPlanner:
         self._reduction = reduction
         self._weights = weights
         self._slice = slice_size(population)
-        lowest = {parameter.name: billionths(parameter.lower) for parameter in space.searched}
-        spans = {parameter.name: billionths(parameter.upper) - lowest[parameter.name] for parameter in space.searched}
-        self._lowest = np.array([lowest.get(name, 0) for name in view.names], dtype=np.float64)
-        self._spans = np.array([spans.get(name, 10**9) for name in view.names], dtype=np.float64)
+        self._features = FeatureSpace(space, view.names)
         kind = partial(Forest, reduction.tolerance)
         self._learners = {scenario: ScenarioLearner(kind, reduction.tolerance) for scenario in weights}
         self._seconds: dict[str, list[float]] = defaultdict(list)
@@ -91,8 +109,10 @@ class LotPlanner:
                     connection, setups[scenario], self._view.bench.evaluator_id, self._view.watermark, MOST_KNOWN
                 )
                 if known:
-                    sets, scores, ratings = zip(*known, strict=True)
-                    learner.learn(self._features(sets), np.array(scores, dtype=np.float64), np.array(ratings))
+                    scores, ratings = (
+                        np.array([getattr(run, name) for run in known], dtype=np.float64) for name in ("score", "rating")
+                    )
+                    learner.learn(self._features([run.parameters for run in known]), scores, ratings)
         answers, self._newest = results.known(connection, self._view.campaign, list(setups.values()), self._newest)
         by_scenario: dict[str, list[KnownAnswer]] = defaultdict(list)
         for answer in answers:
@@ -101,8 +121,8 @@ class LotPlanner:
             for _, batch in groupby(listed, key=self._batch):
                 self._take(self._learners[scenario], list(batch))
 
-    def _batch(self, answer: KnownAnswer) -> tuple[str, int, int]:
-        return answer.stage, answer.iteration, answer.individual // self._slice if answer.iteration == 0 else 0
+    def _batch(self, answer: KnownAnswer) -> Batch:
+        return batch_of(answer.stage, answer.iteration, answer.individual, self._slice)
 
     def _take(self, learner: ScenarioLearner, batch: Sequence[KnownAnswer]) -> None:
         scores, ratings = (
@@ -115,18 +135,6 @@ class LotPlanner:
             confidence = np.array([batch[place].confidence for place in asked], dtype=np.float64)
             weight = np.array([batch[place].stands_for for place in asked], dtype=np.float64)
             learner.observe(predicted, confidence, scores[asked], weight)
-
-    def _features(self, sets: Sequence[ParameterSet]) -> Floats:
-        """Positions in the searched ranges, shape (n, n_p), in the order of the driving function's parameters."""
-        names = self._view.names
-        rows = [
-            each.billionths
-            if each.names == names
-            else [dict(zip(each.names, each.billionths, strict=True))[name] for name in names]
-            for each in sets
-        ]
-        features: Floats = (np.array(rows, dtype=np.float64).reshape(len(rows), len(names)) - self._lowest) / self._spans
-        return features
 
     def predict(
         self, sets: Mapping[int, ParameterSet], lots_so_far: Sequence[StoredLot], mean_seconds: Mapping[str, float]
@@ -141,7 +149,8 @@ class LotPlanner:
             if pays(
                 [lot for lot in lots_so_far if lot.scenario == scenario],
                 learner.known,
-                len(sets) * mean_seconds.get(scenario, 0.0),
+                len(sets),
+                mean_seconds.get(scenario, 0.0),
             )
         ]
 
@@ -215,8 +224,8 @@ class LotPlanner:
         )
 
     def _promoted(self, cells: Sequence[NewEvaluation], best: float | None) -> set[int]:
-        """Individuals whose believed objective and its standard deviation add up to the best simulated one. Without a prediction, the
-        newest known scores of the scenario tell mean and deviation."""
+        """Individuals whose believed objective is less than `REACH` standard deviations below the best simulated one. Without a prediction,
+        the newest known scores of the scenario tell mean and deviation."""
         if best is None:
             return set()
         means: dict[int, float] = defaultdict(float)
@@ -232,16 +241,22 @@ class LotPlanner:
                 mean, variance = float(predictions.mean[row]), float(predictions.variance[row])
             means[cell.individual] += self._weights[cell.scenario] * mean
             variances[cell.individual] += self._weights[cell.scenario] ** 2 * variance
-        return {individual for individual, mean in means.items() if mean + math.sqrt(variances[individual]) >= best - ROUNDING}
+        return {
+            individual
+            for individual, mean in means.items()
+            if mean + REACH * math.sqrt(variances[individual]) >= best - ROUNDING
+        }
 
 
-def pays(lots_so_far: Sequence[StoredLot], known: int, batch_seconds: float) -> bool:
-    """Whether a scenario's predictor can save more than it costs: by its `lots_so_far`, the answers that are `known` now, and the CPU time
-    that the next batch takes without it."""
+def pays(lots_so_far: Sequence[StoredLot], known: int, cells: int, cell_seconds: float) -> bool:
+    """Whether a scenario's predictor can save more than it costs in a batch of so many cells: as the last lot of `lots_so_far` did, or,
+    if it accepted nothing, once clearly more answers are `known`."""
     if not lots_so_far:
         return True
     last = lots_so_far[-1]
-    return last.seconds <= LIKELY * batch_seconds and (last.size > 0 or known >= GROWTH * last.known)
+    if last.size:
+        return last.seconds <= (last.size - last.sample) * cell_seconds
+    return last.seconds <= LIKELY * cells * cell_seconds and known >= GROWTH * last.known
 
 
 def released_by_scenario(stored: Sequence[StoredLot], limit: float) -> dict[str, Released]:

@@ -162,7 +162,7 @@ class CalibrationProblem:
 
     def _validation_runs(self) -> int:
         wanted = self.specification.validation
-        return 0 if wanted is None else wanted.samples * (1 + wanted.references) * len(self.scenarios)
+        return 0 if wanted is None or wanted.of is not None else wanted.samples * (1 + wanted.references) * len(self.scenarios)
 
     def resolution(self) -> dict[str, Any]:
         """Returns what must not change before the campaign ends: setups, evaluator, space; JSON-ready.

@@ -160,9 +160,9 @@ def check_validation(specification: CampaignSpecification, diagnostics: Diagnost
     wanted = specification.validation
     if wanted is None:
         return
-    if specification.sensitivity is None:
+    if specification.sensitivity is None and wanted.of is None:
         diagnostics.add("validation", "there is no influence map to validate", "ask for a sensitivity analysis, or name a map")
-    if wanted.largest < wanted.samples:
+    if wanted.of is None and wanted.largest < wanted.samples:
         message = f"{wanted.largest:,} is less than the first {wanted.samples:,} samples"
         diagnostics.add("validation.largest", message, "give at least as many")
 

@@ -9,7 +9,8 @@ from sqlalchemy import Connection
 
 from drivecal.campaigns.resolve.maps import stored_map
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec
-from drivecal.contracts.explanation import Audit, Difference, Explanation, Proof, Reason, Reference
+from drivecal.campaigns.results.prediction import prediction_of
+from drivecal.contracts.explanation import Audit, Difference, Explanation, Prediction, Proof, Reason, Reference
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import AuditCount, Outcome
@@ -64,6 +65,10 @@ class _Case:
         )
 
     @cached_property
+    def prediction(self) -> Prediction | None:
+        return prediction_of(self.connection, self.campaign, self.cell, self._pinned)
+
+    @cached_property
     def evaluator(self) -> str:
         """Name and version of the campaign's evaluator."""
         return self._pinned.evaluator
@@ -77,6 +82,9 @@ def explain(connection: Connection, evaluation_id: int) -> Explanation:
     """Explains an evaluation's answer. Raises NotFoundError."""
     cell = results.by_id(connection, evaluation_id)
     case = _Case(connection, cell, campaigns.by_sequence(connection, cell.campaign_sequence))
+    if cell.lot is not None and cell.outcome is not Outcome.CERTIFIED:
+        released = cell.plan is Outcome.PREDICTED
+        return _explanation(case, "predicted" if released else "sampled" if cell.sampled else "lot_rejected")
     if cell.plan is Outcome.SIMULATED and not cell.audited and cell.outcome is not Outcome.CERTIFIED:
         return _not_reused(case)
     answered_as = Outcome.CERTIFIED if cell.outcome is Outcome.CERTIFIED else cell.plan
@@ -141,6 +149,8 @@ def _forbidden(case: _Case) -> tuple[Reason | None, tuple[int, AuditCount] | Non
         return "study", None
     if specification.reduction.mode == "exact":
         return "exact_only", None
+    if specification.reduction.mode == "predicted" or (case.influence_map is None and specification.reduction.mode == "both"):
+        return "not_predicted" if cell.confidence is None else "not_accepted", None
     if case.influence_map is None:
         return "no_map", None
     rate = case.campaign.error_rate.get(cell.scenario)
@@ -267,6 +277,7 @@ def _explanation(
         differences=list(differences),
         audit=audit,
         proof=_proof(case),
+        prediction=case.prediction,
         distance=distance,
         stored=stored,
     )

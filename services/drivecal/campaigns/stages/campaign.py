@@ -9,6 +9,7 @@ from drivecal.campaigns.job import Job
 from drivecal.campaigns.resolve.maps import check_basis, stored_map
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.stages.calibration import Calibration
+from drivecal.campaigns.stages.prediction_validation import PredictionValidation
 from drivecal.campaigns.stages.robustness import RobustnessStage
 from drivecal.campaigns.stages.sensitivity import Sensitivity
 from drivecal.campaigns.stages.stage import CampaignStage, Stage
@@ -20,8 +21,8 @@ from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import influence_maps
 
-STAGES: tuple[type[CampaignStage], ...] = (Sensitivity, Calibration, RobustnessStage, ValidationStage)
-"""In running order."""
+STAGES: tuple[type[CampaignStage], ...] = (Sensitivity, Calibration, RobustnessStage, ValidationStage, PredictionValidation)
+"""In running order. A campaign wants at most one of several stages with the same name."""
 
 
 class StagedCampaign(Job):

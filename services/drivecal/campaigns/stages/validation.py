@@ -68,7 +68,8 @@ class ValidationStage(StudyStage):
     @staticmethod
     def is_wanted(campaign: StoredCampaign, problem: CalibrationProblem) -> bool:
         del campaign
-        return problem.specification.validation is not None
+        wanted = problem.specification.validation
+        return wanted is not None and wanted.of is None
 
     @property
     def _at_most(self) -> int:

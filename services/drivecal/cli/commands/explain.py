@@ -6,7 +6,7 @@ import typer
 
 from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, connect, full_id
 from drivecal.cli.views.output import print_columns, print_json
-from drivecal.contracts.explanation import Difference, Explanation
+from drivecal.contracts.explanation import Difference, Explanation, Prediction
 from drivecal.domain.errors import NotFoundError
 
 
@@ -47,6 +47,8 @@ def print_explanation(explanation: Explanation) -> None:
         score = "no score yet" if reference.score is None else f"score {reference.score}"
         at = f"{reference.stage}, iteration {reference.iteration}, individual {reference.individual}"
         typer.echo(f"\nstored set: evaluation {reference.evaluation} of campaign {reference.campaign} ({at}), {score}")
+    if explanation.prediction is not None:
+        _print_prediction(explanation.prediction)
     if explanation.differences:
         typer.echo("")
         header = ["parameter", "this cell", "stored set", "influential", "this lies", "that lies", "in the way"]
@@ -58,6 +60,19 @@ def print_explanation(explanation: Explanation) -> None:
         typer.echo(f"\ndistance {explanation.distance:.4f} of the parameters' ranges")
     if explanation.stored is not None:
         typer.echo(f"searched {explanation.stored:,} stored results of the same setup")
+
+
+def _print_prediction(prediction: Prediction) -> None:
+    typer.echo(
+        f"\nprediction: score {prediction.score}, confidence {prediction.confidence:.1%}; stored answers with most weight:"
+    )
+    print_columns(
+        ["evaluation", "stage", "iteration", "individual", "score", "weight"],
+        [
+            [known.evaluation, known.stage, known.iteration, known.individual, known.score, f"{known.weight:.1%}"]
+            for known in prediction.neighbours
+        ],
+    )
 
 
 def _line(difference: Difference) -> list[object]:

@@ -1,6 +1,7 @@
 """`drivecal validate`: shows a campaign's validation study, and makes a missing study."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Annotated
 
 import typer
@@ -8,37 +9,91 @@ import typer
 from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, connect, full_id
 from drivecal.cli.commands.studies import known, make, wanted_of
 from drivecal.cli.views.output import print_columns, print_json
+from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.tables import ValidationRow
 from drivecal.domain.errors import ConflictError
 from drivecal.report.sections.errors import errors_text
+
+ALL = 1_000_000
+"""More than a scenario's released predictions."""
 
 
 @app.command()
 def validate(
     identifier: CampaignArgument,
-    samples: Annotated[int | None, typer.Option(min=1, help="Sets of the first Latin hypercube; else 200.")] = None,
+    predicted: Annotated[bool, typer.Option("--predicted", help="Simulate released predictions instead.")] = False,
+    samples: Annotated[
+        int | None, typer.Option(min=1, help="Sets of the first Latin hypercube, else 200; predictions by scenario, else all.")
+    ] = None,
     references: Annotated[int | None, typer.Option(min=1, max=1000, help="Variants of each set; else 30.")] = None,
     largest: Annotated[int | None, typer.Option(min=1, help="Sets of the largest Latin hypercube; else 20000.")] = None,
     again: Annotated[bool, typer.Option("--again", help="Make the study anew, even where there is one.")] = False,
     url: UrlOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Check by simulation whether a campaign's influence map is right where it says that a parameter does not matter."""
+    """Check by simulation whether a campaign's influence map is right where it says that a parameter does not matter.
+
+    With `--predicted`: whether the predictions that the campaign released are right.
+    """
     with connect(url) as client:
         campaign = client.campaign(full_id(client, identifier))
-        wanted = wanted_of(campaign, "validation", {"samples": samples, "references": references, "largest": largest})
+        given = {"samples": samples or ALL} if predicted else {"samples": samples, "references": references, "largest": largest}
+        wanted = wanted_of(campaign, "validation", given)
+        wanted = replace(wanted, settings={**wanted.settings, "of": campaign.id if predicted else None})
         maker = None if again else known(client, campaign, wanted)
         if maker is None:
-            link = campaign.links.get("influence_map")
-            if link is None:
-                raise ConflictError(f"campaign {campaign.id} has no influence map to validate; name one that used a map")
-            sensitivity = {"map": link.rpartition("/")[2]}
-            maker = make(client, campaign, "validation", {"sensitivity": sensitivity, "validation": dict(wanted.settings)})
+            stages = {"sensitivity": None if predicted else _map_of(campaign), "validation": dict(wanted.settings)}
+            maker = make(client, campaign, "validation", stages)
         rows = client.validation(maker.id)
     if as_json:
         print_json([row.model_dump(mode="json") for row in rows])
+    elif predicted:
+        print_released(rows)
     else:
         print_validation(rows)
+
+
+def _map_of(campaign: Campaign) -> dict[str, str]:
+    link = campaign.links.get("influence_map")
+    if link is None:
+        raise ConflictError(f"campaign {campaign.id} has no influence map to validate; name one that used a map")
+    return {"map": link.rpartition("/")[2]}
+
+
+def print_released(rows: Sequence[ValidationRow]) -> None:
+    """Prints how many released predictions are right."""
+    print_columns(
+        [
+            "scenario",
+            "released",
+            "simulated",
+            "different",
+            "beyond tolerance",
+            "share",
+            "limit",
+            "wrong",
+            "R_err",
+            "95 % interval",
+        ],
+        [
+            [
+                row.scenario,
+                row.released,
+                row.compared,
+                row.different,
+                row.beyond,
+                f"{(row.beyond or 0) / row.compared:.2%}" if row.compared else None,
+                None if row.limit is None else f"{row.limit:.1%}",
+                row.wrong,
+                None if row.error_rate is None else f"{row.error_rate:.3%}",
+                None if row.lower_95 is None or row.upper_95 is None else f"{row.lower_95:.3%} to {row.upper_95:.3%}",
+            ]
+            for row in rows
+        ],
+    )
+    compared, different, wrong = (sum(getattr(row, name) for row in rows) for name in ("compared", "different", "wrong"))
+    if compared:
+        typer.echo(errors_text("predictions", compared, different, wrong))
 
 
 def print_validation(rows: Sequence[ValidationRow]) -> None:

@@ -16,6 +16,7 @@ from drivecal.storage.engine.tables import (
     evaluations,
     generations,
     leases,
+    lots,
     ratings,
     reference_indexes,
     reference_keys,
@@ -23,6 +24,7 @@ from drivecal.storage.engine.tables import (
 )
 from drivecal.storage.engine.types import ORDER
 from drivecal.storage.evaluations import COPIES, DONORS
+from drivecal.storage.lots import LotVerdict
 from drivecal.storage.maintenance.consistency import Check
 from drivecal.storage.references.runs import largest_id
 
@@ -36,13 +38,16 @@ def check_counters(connection: Connection) -> Iterator[str]:
     counted: dict[tuple[int, int], dict[str, int]] = {}
     stage, audited = type_coerce(evaluations.c.stage, SmallInteger), func.sum(case((evaluations.c.audited, 1), else_=0))
     checked = func.sum(case((evaluations.c.proof_agrees.is_not(None), 1), else_=0))
+    sampled = func.sum(case((evaluations.c.sampled, 1), else_=0))
     columns = evaluations.c.campaign_sequence, stage, evaluations.c.outcome
-    for sequence, number, outcome, count, audits, checks in connection.execute(
-        select(*columns, func.count(), audited, checked).group_by(*columns)
+    for sequence, number, outcome, count, audits, checks, samples in connection.execute(
+        select(*columns, func.count(), audited, checked, sampled).group_by(*columns)
     ):
         cells = counted.setdefault((sequence, number), {})
         cells[outcome or "pending"] = count
         cells["checked"] = cells.get("checked", 0) + checks
+        if outcome in DONORS:
+            cells["sampled"] = cells.get("sampled", 0) + samples
         if outcome == Outcome.SIMULATED:
             cells["audited"] = audits
     carried_over = func.sum(generations.c.carried_over)
@@ -92,11 +97,38 @@ def check_answers(connection: Connection) -> Iterator[str]:
     )
     answered = cell.outcome.in_([*DONORS, *COPIES])
     yield from _cells(connection, joined, answered & (run.c.id.is_(None) | ~same), "have no run of their own cell")
-    yield from _cells(connection, joined, answered & (cell.score.is_(None) | cell.rating.is_(None)), "have no score")
+    scored = answered | (cell.outcome == Outcome.PREDICTED)
+    yield from _cells(connection, joined, scored & (cell.score.is_(None) | cell.rating.is_(None)), "have no score")
     failed = (cell.outcome == Outcome.FAILED) & (cell.run_id.is_not(None) | cell.score.is_not(None))
     yield from _cells(connection, joined, failed, "failed and have a result all the same")
     orphaned = cell.outcome.in_(COPIES) & (donor.c.id.is_(None) | donor.c.outcome.not_in(DONORS) | donor.c.outcome.is_(None))
     yield from _cells(connection, joined, orphaned, "are copies of cells that may not answer others")
+
+
+def check_lots(connection: Connection) -> Iterator[str]:
+    """Checks that predictions are released by inspected lots alone, and that lots with a verdict have their sample and no open cell."""
+    cell = evaluations.c
+    joined = evaluations.outerjoin(lots, lots.c.id == cell.lot)
+    released = lots.c.verdict.is_not_distinct_from(LotVerdict.RELEASED)
+    unchecked = (cell.outcome == Outcome.PREDICTED) & (cell.sampled | cell.run_id.is_not(None) | ~released)
+    yield from _cells(connection, joined, unchecked, "are predictions that no inspected lot released")
+    members = (
+        func.count(cell.id),
+        func.sum(case((cell.sampled, 1), else_=0)),
+        func.sum(case((cell.outcome.is_(None), 1), else_=0)),
+    )
+    query = (
+        select(lots.c.id, lots.c.size, lots.c.sample, lots.c.verdict, *members)
+        .select_from(lots.outerjoin(evaluations, lots.c.id == cell.lot))
+        .group_by(lots.c.id, lots.c.size, lots.c.sample, lots.c.verdict)
+    )
+    for identifier, size, sample, verdict, count, drawn, waiting in connection.execute(query):
+        if count != size:
+            yield f"lot {identifier} of {size} predictions has {count} cells"
+        if verdict is not None and (drawn or 0) != sample:
+            yield f"lot {identifier} was {verdict} by a sample of {drawn} cells, not {sample}"
+        if verdict == LotVerdict.RELEASED and waiting:
+            yield f"lot {identifier} was released, and {waiting} of its cells have no answer"
 
 
 def _cells(connection: Connection, joined: FromClause, broken: ColumnElement[bool], sentence: str) -> Iterator[str]:
@@ -202,6 +234,7 @@ INVARIANTS: dict[str, Check] = {
     "counters": check_counters,
     "ended campaigns": check_ended,
     "answered cells": check_answers,
+    "lots": check_lots,
     "references": check_references,
     "copies in reference keys": check_key_copies,
     "comparisons": check_comparisons,

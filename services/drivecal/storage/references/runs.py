@@ -100,13 +100,21 @@ def look_up_exact(
     return donors
 
 
-def rated(
-    connection: Connection, setup_id: int, evaluator: str, watermark: int, limit: int
-) -> list[tuple[ParameterSet, int, float]]:
-    """Returns parameter sets, scores and ratings of a setup's last `limit` runs up to `watermark`, in the order of references."""
+@dataclass(frozen=True, slots=True)
+class RatedRun:
+    """A stored run with the `evaluation` that simulated it."""
+
+    evaluation: int
+    parameters: ParameterSet
+    score: int
+    rating: float
+
+
+def rated(connection: Connection, setup_id: int, evaluator: str, watermark: int, limit: int) -> list[RatedRun]:
+    """Returns a setup's last `limit` runs up to `watermark`, in the order of references."""
     place = runs.c.campaign_sequence, runs.c.stage, runs.c.iteration, runs.c.individual, runs.c.id
     query = (
-        select(parameter_sets.c.parameter_values, ratings.c.score, ratings.c.rating)
+        select(runs.c.evaluation_id, parameter_sets.c.parameter_values, ratings.c.score, ratings.c.rating)
         .select_from(
             runs.join(parameter_sets).join(ratings, (ratings.c.run_id == runs.c.id) & (ratings.c.evaluator == evaluator))
         )
@@ -115,7 +123,7 @@ def rated(
         .limit(limit)
     )
     rows = connection.execute(query).all()
-    return [(ParameterSet.from_json(values), score, rating) for values, score, rating in reversed(rows)]
+    return [RatedRun(number, ParameterSet.from_json(values), score, rating) for number, values, score, rating in reversed(rows)]
 
 
 def scores(connection: Connection, run_ids: Sequence[int], evaluator: str) -> dict[int, int]:

@@ -1,0 +1,132 @@
+"""The validation of released predictions: simulates them after all, and compares scores."""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from sqlalchemy import Connection
+
+from drivecal.campaigns.cells.planning import View
+from drivecal.campaigns.resolve.problem import CalibrationProblem
+from drivecal.campaigns.resolve.resolved_spec import resolved_spec
+from drivecal.campaigns.stages.stage import Round
+from drivecal.campaigns.stages.study import StudyStage
+from drivecal.contracts.specification import ReductionSpecification
+from drivecal.domain.campaigns import StageName
+from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
+from drivecal.domain.evaluations import CellScore
+from drivecal.reduction.assignment import RequestedCell
+from drivecal.reduction.audit import clopper_pearson
+from drivecal.reduction.lots import draw
+from drivecal.reduction.prediction import ROUNDING
+from drivecal.storage import campaigns, results
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.engine.database import Database
+from drivecal.storage.results import ReleasedCell
+
+LARGEST_AGREEING = 1
+"""Points: a difference beyond it is wrong (Eq. 8)."""
+FIELD = "validation.of"
+
+
+def check_predictions(connection: Connection, problem: CalibrationProblem) -> None:
+    """Raises InvalidInputError if `validation.of` names no ended campaign with released predictions, or one of another bench."""
+    wanted = problem.specification.validation
+    if wanted is None or wanted.of is None:
+        return
+    try:
+        source = campaigns.get(connection, wanted.of)
+    except NotFoundError as error:
+        raise InvalidInputError(Problem(FIELD, str(error), "GET /api/v1/campaigns lists what there is")) from error
+    if source.kind != "calibration" or not source.state.ended:
+        message = f"{wanted.of} is a {source.kind} that is {source.state}"
+        raise InvalidInputError(Problem(FIELD, message, "name a campaign that has ended"))
+    if source.cells.predicted == 0:
+        raise InvalidInputError(
+            Problem(FIELD, f"campaign {wanted.of} released no predictions", "name one with predicted cells")
+        )
+    theirs = resolved_spec(source)
+    own = {name: setup.fingerprint for name, setup in problem.bench.setups.items()}
+    if theirs.evaluator != problem.bench.evaluator_id or any(theirs.setups.get(name) != own[name] for name in own):
+        message = "its catalogue, driving function, vehicle or evaluator is another one, or has another version"
+        raise InvalidInputError(Problem(FIELD, message, "give the same, as `drivecal validate ID --predicted` does"))
+
+
+class PredictionValidation(StudyStage):
+    """One round: the released predictions of a campaign, or `samples` of them in each scenario, drawn by `seed`."""
+
+    name = StageName.VALIDATION
+
+    def __init__(self, database: Database, campaign: StoredCampaign, problem: CalibrationProblem, view: View) -> None:
+        super().__init__(database, campaign, problem, view)
+        wanted = problem.specification.validation
+        if wanted is None or wanted.of is None:
+            raise ValueError("the campaign has no predictions to validate")
+        with database.read() as connection:
+            source = campaigns.get(connection, wanted.of)
+            stored = results.released(connection, source.sequence)
+        self._reduction = ReductionSpecification.model_validate(source.spec["reduction"])
+        self._released = {name: [cell for cell in stored if cell.scenario == name] for name in problem.scenarios}
+        self._drawn = {name: _drawn(cells, wanted.samples, wanted.seed) for name, cells in self._released.items()}
+        self._differences: Mapping[str, Sequence[float]] | None = None
+
+    @staticmethod
+    def is_wanted(campaign: StoredCampaign, problem: CalibrationProblem) -> bool:
+        del campaign
+        wanted = problem.specification.validation
+        return wanted is not None and wanted.of is not None
+
+    @property
+    def _at_most(self) -> int:
+        return sum(map(len, self._drawn.values()))
+
+    def _ask(self) -> Round | None:
+        if self._differences is not None:
+            return None
+        cells = [
+            RequestedCell(number, scenario, cell.parameters)
+            for scenario, drawn in self._drawn.items()
+            for number, cell in enumerate(drawn)
+        ]
+        return Round(0, [(self._problem.bench, cells)], self._exact) if cells else None
+
+    def _take(self, number: int, answers: Sequence[CellScore]) -> None:
+        del number
+        differences: dict[str, list[float]] = {scenario: [] for scenario in self._drawn}
+        for answer in answers:
+            if answer.score is not None:
+                differences[answer.scenario].append(self._drawn[answer.scenario][answer.individual].score - answer.score)
+        self._differences = differences
+
+    def _outcome(self) -> dict[str, Any]:
+        return {"items": [self._row(scenario) for scenario in self._drawn], "notes": []}
+
+    def _row(self, scenario: str) -> dict[str, Any]:
+        differences = [] if self._differences is None else self._differences[scenario]
+        compared, histogram = len(differences), Counter(int(difference) for difference in differences)
+        wrong = sum(abs(difference) > LARGEST_AGREEING for difference in differences)
+        lower, upper = clopper_pearson(wrong, compared) if compared else (None, None)
+        return {
+            "scenario": scenario,
+            "reducible": 0,
+            "effects": 0,
+            "covered": 0,
+            "drawn": len(self._drawn[scenario]),
+            "bases": len(self._drawn[scenario]),
+            "references": 1,
+            "released": len(self._released[scenario]),
+            "beyond": sum(abs(difference) > self._reduction.tolerance + ROUNDING for difference in differences),
+            "limit": self._reduction.limit,
+            "compared": compared,
+            "wrong": wrong,
+            "different": compared - histogram.get(0, 0),
+            "error_rate": wrong / compared if compared else None,
+            "lower_95": lower,
+            "upper_95": upper,
+            "histogram": {str(points): count for points, count in sorted(histogram.items())},
+        }
+
+
+def _drawn(cells: Sequence[ReleasedCell], samples: int, seed: int) -> list[ReleasedCell]:
+    identities = [str(cell.id).encode() for cell in cells]
+    return [cells[place] for place in draw(identities, min(samples, len(cells)), str(seed).encode())]

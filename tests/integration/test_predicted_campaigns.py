@@ -1,0 +1,233 @@
+"""Predicted answers in whole campaigns: lots, samples and verdicts are stored as they happen, whoever dies meanwhile."""
+
+from __future__ import annotations
+
+import shutil
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.integration.test_confirmation import at, live, new, rows_of, step_until
+from tests.support.computed import ComputedBackend
+from tests.support.runs import EXPERT_SPACE, dispatcher, everything, get, influenced, run, submit
+
+from drivecal.campaigns.resolve.resolved_spec import resolved_spec
+from drivecal.campaigns.results.explanation import explain
+from drivecal.campaigns.results.prediction import prediction_of
+from drivecal.campaigns.results.verification import verify
+from drivecal.contracts.work import Cell, CellResult
+from drivecal.dispatch.dispatcher import Dispatcher
+from drivecal.dispatch.leadership import Leadership
+from drivecal.domain.campaigns import StageName
+from drivecal.domain.evaluations import Outcome
+from drivecal.execution.leasing import StoredLeases
+from drivecal.execution.pool import WorkPool
+from drivecal.storage import lots, results
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.engine.database import Database
+from drivecal.storage.lots import LotVerdict, StoredLot
+
+ITERATIONS = 4
+STRIDE = 9
+"""Of moments to die at."""
+SPACE = [{**parameter, "step": 0.05} for parameter in EXPERT_SPACE]
+
+
+def slowly(scenario: str, cell: Cell) -> CellResult:
+    """Runs so expensive that the predictor always pays."""
+    return replace(influenced(scenario, cell), milliseconds=500.0)
+
+
+def ask(database: Database, *, population: int = 160, seed: int = 3, **changes: Any) -> StoredCampaign:
+    return submit(
+        database,
+        parameters=SPACE,
+        catalogue=["S1", "S2"],
+        optimizer={"kind": "genetic", "population": population, "iterations": ITERATIONS, "seed": seed},
+        reduction={"mode": "predicted", "certified": False, "confirm": 0} | changes,
+    )
+
+
+def lots_of(database: Database, campaign: StoredCampaign) -> list[StoredLot]:
+    with database.read() as connection:
+        return lots.of_campaign(connection, campaign.sequence)
+
+
+@pytest.fixture(scope="module")
+def predicted(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Database, StoredCampaign]]:
+    database = new(tmp_path_factory.mktemp("predicted") / "1.db")
+    yield database, run(database, ask(database, population=400), ComputedBackend(answer=slowly))
+    database.dispose()
+
+
+def test_counts_of_lots_cells_and_campaign_agree(predicted: tuple[Database, StoredCampaign]) -> None:
+    database, campaign = predicted
+    rows, stored = rows_of(database, campaign), lots_of(database, campaign)
+    outcomes = Counter(row.outcome for row in rows)
+    assert campaign.cells.predicted == outcomes[Outcome.PREDICTED] > 0
+    assert campaign.cells.sampled == sum(row.sampled for row in rows) == sum(lot.sample for lot in stored)
+    assert campaign.cells.predicted == sum(lot.released for lot in stored)
+    assert {row.iteration for row in rows if row.outcome is Outcome.PREDICTED} >= {ITERATIONS - 1}
+    for scenario, released in campaign.released.items():
+        here = [lot for lot in stored if lot.scenario == scenario and lot.verdict is not None]
+        assert released.predicted == sum(lot.released for lot in here)
+        assert released.different == sum(lot.errors or 0 for lot in here)
+        assert released.upper_95 is None or 0.0 <= released.upper_95 <= 1.0
+    assert [check for check in verify(database, full=True) if check.problems] == []
+
+
+def test_a_sample_is_compared_and_its_lot_released_or_simulated_whole(predicted: tuple[Database, StoredCampaign]) -> None:
+    database, campaign = predicted
+    rows = rows_of(database, campaign)
+    for lot in (lot for lot in lots_of(database, campaign) if lot.size):
+        members = [row for row in rows if row.lot == lot.id]
+        sample = [row for row in members if row.sampled]
+        assert (len(members), len(sample)) == (lot.size, lot.sample)
+        assert lot.errors == sum(row.agrees is False for row in sample)
+        assert all(row.agrees == (row.score == row.predicted_score) for row in sample)
+        rest = {row.outcome for row in members if not row.sampled}
+        assert lot.verdict is (LotVerdict.RELEASED if lot.errors <= lot.acceptance else LotVerdict.REJECTED)
+        assert rest <= ({Outcome.PREDICTED} if lot.verdict is LotVerdict.RELEASED else {Outcome.SIMULATED, Outcome.FAILED})
+
+
+def test_the_best_set_has_no_predicted_score(predicted: tuple[Database, StoredCampaign]) -> None:
+    database, campaign = predicted
+    assert campaign.best is not None
+    best = Cell(1, campaign.best.parameters)
+    assert campaign.best.scores == {name: slowly(name, best).score for name in ("S1", "S2")}
+    predicted_sets = {row.parameter_set_id for row in rows_of(database, campaign) if row.outcome is Outcome.PREDICTED}
+    with database.read() as connection:
+        answers = [row for row in rows_of(database, campaign) if row.parameters.floats == campaign.best.parameters]
+        known, _ = results.known(connection, campaign.sequence, {row.setup_id for row in answers}, 0)
+    assert not {row.parameter_set_id for row in answers} & predicted_sets
+    own = {(row.iteration, row.individual, row.scenario): row.outcome for row in rows_of(database, campaign)}
+    learned = {own[answer.iteration, answer.individual, answer.scenario] for answer in known}
+    assert learned <= {Outcome.SIMULATED, Outcome.CERTIFIED}
+
+
+def test_a_predictor_that_errs_has_its_lots_rejected(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The sabotaged predictor claims to be certain, and is wrong by a point."""
+    from drivecal.reduction.forest import Forest
+
+    predict = Forest.predict
+
+    def sabotaged(self: Forest, features: Any) -> Any:
+        right = predict(self, features)
+        return replace(right, scores=right.scores + 1.0, confidence=right.confidence * 0.0 + 1.0)
+
+    monkeypatch.setattr(Forest, "predict", sabotaged)
+    monkeypatch.setattr(Forest, "known_errors", lambda self: (self._scores * 0.0 + 1.0, self._scores < 0.0))
+    campaign = run(database, ask(database, population=400), ComputedBackend(answer=slowly))
+    inspected = [lot for lot in lots_of(database, campaign) if lot.size]
+    assert inspected
+    assert all(lot.verdict is LotVerdict.REJECTED for lot in inspected)
+    assert campaign.cells.predicted == 0
+    honest = run(database, ask(database, population=400, mode="off"), ComputedBackend(answer=slowly))
+    assert campaign.best == honest.best
+
+
+def mortal(database: Database, moment: int) -> Dispatcher:
+    from tests.integration.test_confirmation import DyingDatabase
+
+    own: Any = DyingDatabase(database.fenced(Leadership.begin(database).fence), at(moment))
+    ticks = iter(range(10**9))
+    pool = WorkPool(ComputedBackend(moment, answer=slowly), StoredLeases(own))
+    return Dispatcher(own, pool, clock=lambda: float(next(ticks)))
+
+
+def test_a_dispatcher_killed_at_any_moment_draws_the_same_samples(tmp_path: Path) -> None:
+    used, kept = tmp_path / "used.db", tmp_path / "kept.db"
+    database = new(used)
+    campaign = ask(database)
+    working = dispatcher(database, ComputedBackend(answer=slowly))
+    step_until(database, campaign, 1, working)
+    while not any(lot.size for lot in lots_of(database, campaign)):
+        working.step()
+    with database.transaction() as connection:
+        lots.secret(connection, campaign.sequence)
+    database.dispose()
+    shutil.copy(used, kept)
+    ends: list[tuple[Any, ...]] = []
+    killed = True
+    while killed:
+        shutil.copy(kept, used)
+        database = new(used)
+        moment = STRIDE * len(ends)  # at 0 it lives
+        killed = live(database, campaign, mortal(database, moment))
+        if killed:
+            run(database, campaign, ComputedBackend(answer=slowly))
+        bare = [replace(lot, seconds=0.0) for lot in lots_of(database, campaign)]
+        ends.append((everything(database, campaign), bare))
+        killed = killed or len(ends) == 1
+        database.dispose()
+    assert len(ends) > 5
+    assert all(end == ends[0] for end in ends)
+    assert any(lot.verdict is LotVerdict.RELEASED for lot in ends[0][1])
+
+
+def test_released_predictions_are_simulated_afterwards_by_a_study(predicted: tuple[Database, StoredCampaign]) -> None:
+    database, campaign = predicted
+    validation = {"of": campaign.id, "samples": 1_000_000}
+    study = submit(database, parameters=SPACE, catalogue=["S1", "S2"], optimizer=None, validation=validation)
+    ended = run(database, study, ComputedBackend(answer=slowly))
+    with database.read() as connection:
+        from drivecal.storage import studies
+
+        document = studies.get(connection, ended.sequence, StageName.VALIDATION)
+    assert document is not None
+    released = [row for row in rows_of(database, campaign) if row.outcome is Outcome.PREDICTED]
+    for row in document["items"]:
+        here = [cell for cell in released if cell.scenario == row["scenario"]]
+        differences = [(cell.score or 0) - (slowly(cell.scenario, Cell(1, cell.parameters.floats)).score or 0) for cell in here]
+        assert (row["released"], row["compared"]) == (len(here), len(here))
+        assert row["beyond"] == row["different"] == sum(difference != 0 for difference in differences)
+    assert get(database, study).cells.requested == 0
+
+
+def test_predictions_are_explained_by_lot_and_stored_answers(predicted: tuple[Database, StoredCampaign]) -> None:
+    database, campaign = predicted
+    rows = rows_of(database, campaign)
+    by_id = {row.id: row for row in rows}
+    stored = {lot.id: lot for lot in lots_of(database, campaign)}
+    released = next(row for row in rows if row.outcome is Outcome.PREDICTED and row.iteration > 0)
+    drawn = next(row for row in rows if row.sampled and row.lot == released.lot)
+    refused = next(row for row in rows if row.confidence is not None and row.lot is None and row.outcome is Outcome.SIMULATED)
+    unasked = next(row for row in rows if row.iteration == 0 and row.individual == 0)
+    with database.read() as connection:
+        told = [explain(connection, row.id) for row in (released, drawn, refused, unasked)]
+    assert [explanation.reason for explanation in told] == ["predicted", "sampled", "not_accepted", "not_predicted"]
+    for explanation, row in zip(told[:3], (released, drawn, refused), strict=True):
+        prediction = explanation.prediction
+        assert prediction is not None
+        assert (prediction.score, prediction.confidence) == (row.predicted_score, row.confidence)
+        weights = [neighbour.weight for neighbour in prediction.neighbours]
+        assert weights == sorted(weights, reverse=True)
+        for neighbour in prediction.neighbours:
+            known = by_id[neighbour.evaluation]
+            assert (known.scenario, known.score) == (row.scenario, neighbour.score)
+            assert (known.iteration, known.outcome) <= (row.iteration, Outcome.SIMULATED)
+            assert known.parameters.floats == neighbour.parameters
+    lot, shown = stored[released.lot or 0], told[0].prediction
+    assert shown is not None
+    assert shown.lot is not None
+    assert (shown.lot.size, shown.lot.sample, shown.lot.errors, shown.lot.verdict) == (
+        lot.size,
+        lot.sample,
+        lot.errors,
+        "released",
+    )
+    assert told[3].prediction is None
+
+
+def test_the_predictor_that_explains_is_the_predictor_that_predicted(predicted: tuple[Database, StoredCampaign]) -> None:
+    """Weights of the stored answers with the predicted score add up to the confidence."""
+    database, campaign = predicted
+    row = max((row for row in rows_of(database, campaign) if row.outcome is Outcome.PREDICTED), key=lambda row: row.id)
+    with database.read() as connection:
+        shown = prediction_of(connection, campaign, row, resolved_spec(campaign), neighbours=10_000)
+    assert shown is not None
+    alike = sum(neighbour.weight for neighbour in shown.neighbours if neighbour.score == row.predicted_score)
+    assert alike == pytest.approx(row.confidence)

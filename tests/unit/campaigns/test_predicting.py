@@ -1,0 +1,51 @@
+"""When a predictor is asked, and in which batches."""
+
+import pytest
+
+from drivecal.campaigns.cells.predicting import batch_of, pays, released_by_scenario, slice_size
+from drivecal.domain.campaigns import StageName
+from drivecal.storage.lots import LotVerdict, StoredLot
+
+
+def lot(size: int, sample: int = 16, *, seconds: float = 1.0, known: int = 1000, errors: int | None = 0) -> StoredLot:
+    verdict = None if errors is None else LotVerdict.RELEASED if errors <= 1 else LotVerdict.REJECTED
+    return StoredLot(1, 0, "S1", size, sample, 1, 0.0, 0.05, known, seconds, 1, verdict, errors)
+
+
+@pytest.mark.parametrize(
+    ("lots_so_far", "known", "cell_seconds", "expected"),
+    [
+        ([], 100, 0.0, True),
+        ([lot(116)], 1001, 0.01, True),
+        ([lot(115)], 1001, 0.01, False),
+        ([lot(0, 0), lot(200)], 1001, 0.01, True),
+        ([lot(200), lot(0, 0)], 1249, 1.0, False),
+        ([lot(200), lot(0, 0)], 1250, 1.0, True),
+        ([lot(0, 0, seconds=26.0)], 2000, 1.0, False),
+    ],
+)
+def test_a_predictor_is_asked_if_it_saves_more_than_it_costs(
+    lots_so_far: list[StoredLot], known: int, cell_seconds: float, expected: bool
+) -> None:
+    assert pays(lots_so_far, known, 100, cell_seconds) is expected
+
+
+def test_batches_are_slices_of_the_start_population_then_generations() -> None:
+    size = slice_size(1000)
+    assert size == slice_size(100_000) == 250
+    assert slice_size(3) == 1
+    places = [
+        (StageName.SENSITIVITY, 3, 7), (StageName.CALIBRATION, 0, 249), (StageName.CALIBRATION, 0, 250),
+        (StageName.CALIBRATION, 1, 0), (StageName.CALIBRATION, 2, 0),
+    ]  # fmt: skip
+    batches = [batch_of(*place, size) for place in places]
+    assert batches == sorted(set(batches))
+    assert batch_of(StageName.CALIBRATION, 1, 999, size) == batches[3]
+
+
+def test_rejected_lots_and_lots_without_a_verdict_release_nothing() -> None:
+    released = released_by_scenario([lot(116), lot(216, errors=3), lot(316, errors=None), lot(0, 0, errors=None)], 0.05)["S1"]
+    assert (released.lots, released.rejected, released.predicted, released.sampled, released.different) == (2, 1, 100, 32, 3)
+    assert released.seconds == 4.0
+    assert released.upper_95 is not None
+    assert 0.0 < released.upper_95 <= 1.0
