@@ -1,21 +1,14 @@
 /** Where everything is at a moment of a replay. Metres, seconds, radians. */
 
+import type { TraceAnswer } from "../server/types";
+
 export interface Pose {
   x: number;
   y: number;
   heading: number;
 }
 
-export interface Trace {
-  scenario: string;
-  score: number;
-  rating: number;
-  failure: string | null;
-  time_s: number[];
-  ego: Record<string, number[]>;
-  neighbours: Record<string, Record<string, number[]>>;
-  plans: { made_at_s: number; x_m: number[]; y_m: number[] }[];
-}
+export type Trace = Omit<TraceAnswer, "metrics" | "plans"> & { plans: { made_at_s: number; x_m: number[]; y_m: number[] }[] };
 
 /** The index of the last of ascending `times` that is not after `moment`; -1 before the first. */
 export function lastBefore(times: readonly number[], moment: number): number {
@@ -48,14 +41,8 @@ export function poseAt(times: readonly number[], series: Record<string, number[]
 
 /** The plan that is followed at a moment: the newest that was made by then. */
 export function planAt<T extends { made_at_s: number }>(plans: readonly T[], moment: number): T | null {
-  return (
-    plans[
-      lastBefore(
-        plans.map((plan) => plan.made_at_s),
-        moment,
-      )
-    ] ?? null
-  );
+  const before = lastBefore(plans.map((plan) => plan.made_at_s), moment);
+  return plans[before] ?? null;
 }
 
 /** From the world to a view that looks along the ego's way: `ego` lies at `centre`, ahead is to the right, left is up. */

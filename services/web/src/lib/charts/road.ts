@@ -29,18 +29,7 @@ export interface Label {
 
 export type Shape = Path | Label;
 
-export interface Colours {
-  ground: string;
-  road: string;
-  line: string;
-  mark: string;
-  ego: string;
-  plan: string;
-  other: string;
-  glass: string;
-  way: string;
-  name: string;
-}
+export type Colours = ReturnType<typeof colours>;
 
 export const HEIGHT = 240;
 /** Metres of road that are seen; narrow views see less of it, not smaller cars. */
@@ -52,7 +41,7 @@ const BEYOND = 1200;
 /** A car of which nothing but its place is known. */
 const USUAL = { length_m: 4.6, width_m: 1.9 };
 
-export function colours(dark: boolean): Colours {
+export function colours(dark: boolean) {
   return dark
     ? { ground: "#14181d", road: "#2b323b", line: "#dfe5ec", mark: "#8b96a3", ego: "#4db5f5", plan: "#ffa96b", other: "#b9c2cc", glass: "#10151a", way: "#4db5f5", name: "#e8ebef" }
     : { ground: "#e9edf1", road: "#c9d0d8", line: "#ffffff", mark: "#ffffff", ego: "#0072b2", plan: "#d55e00", other: "#5d6874", glass: "#ffffff", way: "#0072b2", name: "#1b2129" };

@@ -1,6 +1,6 @@
 /** What the page asks the server. Every path is relative to `/api/v1`. */
 
-import type { FieldProblem } from "./problems";
+import type { FieldProblem, ProblemDocument } from "./types";
 
 export const ROOT = "/api/v1";
 
@@ -13,6 +13,11 @@ export class Refusal extends Error {
   ) {
     super(detail);
   }
+}
+
+/** What went wrong, for people. */
+export function messageOf(error: unknown): string {
+  return error instanceof Error ? error.message : String(error);
 }
 
 let refused: () => void = () => undefined;
@@ -38,7 +43,7 @@ export async function ask(path: string, options: RequestInit = {}, root = ROOT):
 
 async function refusal(answer: Response): Promise<Refusal> {
   try {
-    const body = (await answer.json()) as { detail?: string; title?: string; errors?: FieldProblem[] };
+    const body = (await answer.json()) as Partial<ProblemDocument>;
     return new Refusal(answer.status, body.detail ?? body.title ?? `The server answered ${answer.status}.`, body.errors ?? []);
   } catch {
     return new Refusal(answer.status, `The server answered ${answer.status}.`);
@@ -50,28 +55,23 @@ export async function get<T>(path: string, signal?: AbortSignal): Promise<T> {
 }
 
 export async function send<T>(method: "POST" | "DELETE", path: string, body?: unknown, headers: Record<string, string> = {}): Promise<T> {
-  const options: RequestInit = { method, headers: { ...headers } };
-  if (body !== undefined) {
-    options.body = JSON.stringify(body);
-    options.headers = { ...headers, "Content-Type": "application/json" };
-  }
-  const answer = await ask(path, options);
+  const content = body === undefined ? {} : { body: JSON.stringify(body), headers: { ...headers, "Content-Type": "application/json" } };
+  const answer = await ask(path, { method, headers, ...content });
   return (answer.status === 204 ? undefined : await answer.json()) as T;
 }
 
+const MOST_ITEMS = 20_000;
+
 /** All items of a list that comes in pages. */
-export async function all<T>(path: string, signal?: AbortSignal, most = 20_000): Promise<T[]> {
+export async function all<T>(path: string): Promise<T[]> {
   const items: T[] = [];
   let cursor: string | null = null;
   do {
-    const joint = path.includes("?") ? "&" : "?";
-    const page: { items: T[]; next_cursor: string | null } = await get(
-      `${path}${joint}limit=1000${cursor === null ? "" : `&cursor=${encodeURIComponent(cursor)}`}`,
-      signal,
-    );
+    const query = new URLSearchParams({ limit: "1000", ...(cursor === null ? {} : { cursor }) });
+    const page: { items: T[]; next_cursor: string | null } = await get(`${path}?${query}`);
     items.push(...page.items);
     cursor = page.next_cursor;
-  } while (cursor !== null && items.length < most);
+  } while (cursor !== null && items.length < MOST_ITEMS);
   return items;
 }
 
@@ -80,10 +80,8 @@ export class Tagged<T> {
   private tag: string | null = null;
   constructor(private readonly path: string) {}
 
-  async next(signal?: AbortSignal): Promise<T | undefined> {
-    const options: RequestInit = { cache: "no-store", headers: this.tag === null ? {} : { "If-None-Match": this.tag } };
-    if (signal) options.signal = signal;
-    const answer = await ask(this.path, options);
+  async next(): Promise<T | undefined> {
+    const answer = await ask(this.path, { cache: "no-store", headers: this.tag === null ? {} : { "If-None-Match": this.tag } });
     if (answer.status === 304) return undefined;
     this.tag = answer.headers.get("ETag");
     return (await answer.json()) as T;

@@ -42,19 +42,21 @@ export class CsvReader {
   }
 
   push(piece: string): void {
-    const content = this.rest + piece;
-    // A line break inside quotes does not end a row: wait until all quotes are closed.
-    const end = content.includes('"') ? endOfRows(content) : content.lastIndexOf("\n") + 1;
-    this.rest = content.slice(end);
-    this.read(content.slice(0, end));
+    const lines = (this.rest + piece).split("\n");
+    this.rest = lines.pop() ?? "";
+    let begun = "";
+    for (const line of lines) {
+      const row = begun + line;
+      // A line break inside quotes does not end a row.
+      begun = row.includes('"') && row.split('"').length % 2 === 0 ? `${row}\n` : "";
+      if (begun === "") this.read(row.endsWith("\r") ? row.slice(0, -1) : row);
+    }
+    this.rest = begun + this.rest;
   }
 
   /** All of it. */
   finish(): Table {
-    if (this.rest !== "") {
-      this.read(this.rest.endsWith("\n") ? this.rest : `${this.rest}\n`);
-      this.rest = "";
-    }
+    if (this.rest !== "") this.push("\n");
     return this.soFar();
   }
 
@@ -68,12 +70,11 @@ export class CsvReader {
     return { length: this.rows, names: this.names ?? [], columns };
   }
 
-  private read(lines: string): void {
-    const rows = lines.includes('"') ? quotedRows(lines) : plainRows(lines);
-    for (const fields of rows) {
-      if (this.names === null) this.begin(fields);
-      else this.add(fields);
-    }
+  private read(row: string): void {
+    if (row === "") return;
+    const fields = row.includes('"') ? quotedFields(row) : row.split(",");
+    if (this.names === null) this.begin(fields);
+    else this.add(fields);
   }
 
   private begin(names: string[]): void {
@@ -116,48 +117,9 @@ function grown<T extends Float64Array | Int32Array>(old: T, roomy: T): T {
   return roomy;
 }
 
-function* plainRows(lines: string): Generator<string[]> {
-  for (const line of lines.split("\n")) {
-    const kept = line.endsWith("\r") ? line.slice(0, -1) : line;
-    if (kept !== "") yield kept.split(",");
-  }
-}
-
-/** Where the last complete row ends: after a line break that is not quoted. */
-function endOfRows(content: string): number {
-  let quoted = false;
-  let end = 0;
-  for (let at = 0; at < content.length; at++) {
-    const sign = content[at];
-    if (sign === '"') quoted = !quoted;
-    else if (sign === "\n" && !quoted) end = at + 1;
-  }
-  return end;
-}
-
-function* quotedRows(lines: string): Generator<string[]> {
-  let fields: string[] = [];
-  let field = "";
-  let quoted = false;
-  for (let at = 0; at < lines.length; at++) {
-    const sign = lines[at];
-    if (quoted) {
-      if (sign !== '"') field += sign;
-      else if (lines[at + 1] === '"') {
-        field += '"';
-        at += 1;
-      } else quoted = false;
-    } else if (sign === '"') quoted = true;
-    else if (sign === ",") {
-      fields.push(field);
-      field = "";
-    } else if (sign === "\n") {
-      fields.push(field.endsWith("\r") ? field.slice(0, -1) : field);
-      if (fields.length > 1 || fields[0] !== "") yield fields;
-      fields = [];
-      field = "";
-    } else field += sign;
-  }
+function quotedFields(row: string): string[] {
+  const fields = `,${row}`.matchAll(/,(?:"((?:[^"]|"")*)"|([^,]*))/g);
+  return Array.from(fields, ([, quoted, plain]) => quoted?.replaceAll('""', '"') ?? plain ?? "");
 }
 
 /** Value of a cell for people and for comparisons; null where there is none. */

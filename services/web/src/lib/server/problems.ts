@@ -1,11 +1,6 @@
 /** What is wrong with a form: what the API says of its fields, and JSON that is none. */
 
-export interface FieldProblem {
-  /** `optimizer.population`, `parameters[0].lower`; empty where it is about all of it. */
-  field: string;
-  message: string;
-  remedy: string;
-}
+import type { FieldProblem } from "./types";
 
 /** What stands in a field that ought to be JSON and cannot be read; it is never sent. */
 export class Broken {

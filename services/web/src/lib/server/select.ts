@@ -22,18 +22,11 @@ export function select(table: Table, wanted: Wanted): Uint32Array {
   for (const [name, [low, high]] of Object.entries(wanted.ranges)) {
     const column = table.columns[name];
     if (column?.kind !== "number") continue;
-    const { values } = column;
-    for (let row = 0; row < values.length; row++) {
-      const value = values[row] as number;
+    column.values.forEach((value, row) => {
       if (!(value >= low && value <= high)) kept[row] = 0;
-    }
+    });
   }
-  let count = 0;
-  for (const flag of kept) count += flag;
-  const rows = new Uint32Array(count);
-  let at = 0;
-  for (let row = 0; row < kept.length; row++) if (kept[row] === 1) rows[at++] = row;
-  return rows;
+  return numbered(table.length).filter((row) => kept[row] === 1);
 }
 
 /** The rows ordered by a column; those without a value come last, equal ones stay in their order. */
@@ -71,28 +64,17 @@ export function tally(table: Table, name: string): [string, number][] {
 
 /** The numbers from 0 on. */
 export function numbered(length: number): Uint32Array {
-  const rows = new Uint32Array(length);
-  for (let row = 0; row < length; row++) rows[row] = row;
-  return rows;
+  return new Uint32Array(length).map((_, row) => row);
 }
 
 /** Rows by the size of a value: first those without one, then `count` equal parts from `lower` to `upper`, each in the order of the rows. */
 export function binned(rows: Uint32Array, values: Float64Array | null, lower: number, upper: number, count: number): Uint32Array[] {
-  const bin = new Uint8Array(rows.length);
-  const sizes = new Uint32Array(count + 1);
   const scale = count / (upper - lower || 1);
-  for (let at = 0; at < rows.length; at++) {
-    const value = values === null ? Number.NaN : (values[rows[at] as number] as number);
+  const bins = Array.from({ length: count + 1 }, (): number[] => []);
+  for (const row of rows) {
+    const value = values?.[row] ?? Number.NaN;
     const part = Number.isNaN(value) ? 0 : 1 + Math.min(count - 1, Math.max(0, Math.floor((value - lower) * scale)));
-    bin[at] = part;
-    sizes[part] = (sizes[part] as number) + 1;
+    bins[part]?.push(row);
   }
-  const bins = Array.from(sizes, (size) => new Uint32Array(size));
-  const filled = new Uint32Array(count + 1);
-  for (let at = 0; at < rows.length; at++) {
-    const part = bin[at] as number;
-    (bins[part] as Uint32Array)[filled[part] as number] = rows[at] as number;
-    filled[part] = (filled[part] as number) + 1;
-  }
-  return bins;
+  return bins.map((bin) => new Uint32Array(bin));
 }
