@@ -212,3 +212,51 @@ def test_the_setup_tells_versions_and_the_fingerprints_of_the_reference_table(ap
     assert [one["name"] for one in found["parameters"]] == list(
         api.http.get(f"/api/v1/campaigns/{ended}").json()["best"]["parameters"]
     )
+
+
+@pytest.fixture(scope="module")
+def predicted(api: RunningApi) -> str:
+    """A calibration with released predictions."""
+    document: dict[str, Any] = SMALL | {
+        "catalogue": ["S1", "S2"],
+        "name": "predicted",
+        "parameters": [{"name": f"P{i}", "lower": 0, "upper": 1, "step": 0.05} for i in range(1, 12)],
+        "optimizer": {"kind": "genetic", "population": 400, "iterations": 4, "seed": 3},
+        "reduction": {"mode": "predicted", "certified": False},
+    }
+    with Client(api.url) as client:
+        campaign = client.submit(document)
+        for state in client.watch(campaign.id):
+            assert state.error is None
+        assert client.campaign(campaign.id).cells.predicted
+    return campaign.id
+
+
+def test_released_predictions_are_validated_apart_from_maps(run: Run, api: RunningApi, predicted: str) -> None:
+    result = run("validate", predicted[:12], "--predicted")
+    assert result.exit_code == 0, result.output
+    assert "makes the study" in result.stderr
+    campaign = api.http.get(f"/api/v1/campaigns/{predicted}").json()
+    lines = [line.split() for line in result.stdout.splitlines()]
+    assert lines[0][:3] == ["scenario", "released", "simulated"]
+    shown = {line[0]: (line[1], line[2]) for line in lines[1:] if line[0] in campaign["released"]}
+    assert shown == {name: (str(entry["predicted"]),) * 2 for name, entry in campaign["released"].items()}
+    again = run("validate", predicted, "--predicted", "--json")
+    assert "makes the study" not in again.stderr
+    rows = json.loads(again.stdout)
+    assert [row["limit"] for row in rows] == [0.05, 0.05]
+    assert all(row["beyond"] == row["different"] <= row["compared"] == row["released"] for row in rows)
+    few = json.loads(run("validate", predicted, "--predicted", "--samples", "7", "--json").stdout)
+    assert {row["compared"] for row in few} == {7}
+    with Client(api.url) as client:
+        report = collect(client, predicted)
+    assert (len(report.validation), len(report.predictions)) == (0, 2)
+    assert run("validate", predicted).exit_code != 0, "it has no influence map"
+
+
+@pytest.mark.parametrize("source", ["nobody", "searched"])
+def test_a_campaign_without_predictions_cannot_have_them_validated(api: RunningApi, ended: str, source: str) -> None:
+    named = ended if source == "searched" else source
+    answer = api.http.post("/api/v1/campaigns", json=SMALL | {"optimizer": None, "validation": {"of": named}})
+    assert answer.status_code == 422
+    assert answer.json()["errors"][0]["field"] == "validation.of"

@@ -8,7 +8,7 @@ from sqlalchemy import Connection
 
 from drivecal.api.dependencies import Limits
 from drivecal.api.responses import refuse_comparison
-from drivecal.campaigns.resolve.maps import check_basis
+from drivecal.campaigns.resolve.maps import check_basis, doubts
 from drivecal.campaigns.resolve.problem import CalibrationProblem, evaluator_id, resolve, resolve_evaluation
 from drivecal.campaigns.stages.prediction_validation import check_predictions
 from drivecal.campaigns.stages.robustness import check_source
@@ -22,6 +22,7 @@ from drivecal.plugins import registry
 from drivecal.storage import admission, campaigns
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
+from drivecal.storage.engine.types import now
 from drivecal.storage.references import influence_maps
 from drivecal.storage.references.influence_maps import StoredInfluenceMap
 
@@ -40,10 +41,14 @@ def expected(database: Database, limits: Limits, specification: CampaignSpecific
     problem = resolve(specification)
     check_size(problem, limits.largest_campaign)
     with database.read() as connection:
-        named_map(connection, problem)
+        used = named_map(connection, problem)
         check_source(connection, problem)
         check_predictions(connection, problem)
-    return problem.expected_runs()
+        reduction = specification.reduction
+        reused = used is not None and reduction.mode in {"influence", "both"}
+        warnings = doubts(connection, used, reduction.max_error, now()) if used is not None and reused else []
+    runs = problem.expected_runs()
+    return runs.model_copy(update={"notes": [*warnings, *runs.notes]})
 
 
 def check_size(problem: CalibrationProblem, largest: int) -> None:

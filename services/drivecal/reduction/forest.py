@@ -51,8 +51,8 @@ class Forest:
         return confidence, np.abs(self._classes[chosen] - self._scores[seen]) > self._tolerance + 1e-9
 
     def weights(self, features: Floats) -> Floats:
-        """Returns the weight of each training cell in the prediction of one set, shape (n_known,), sum 1: its mean share, over the trees, of
-        the bootstrap sample in the set's leaf."""
+        """Returns the weight of each training cell in the prediction of one set, shape (n_known,), sum 1: its mean share of the bootstrap
+        sample in the set's leaf, over the trees."""
         forest = self._fitted()
         shared = forest.apply(self._features) == forest.apply(features.reshape(1, -1))
         drawn = np.stack([np.bincount(sample, minlength=len(shared)) for sample in forest.estimators_samples_], axis=1)

@@ -5,14 +5,27 @@ from dataclasses import dataclass, fields
 from functools import lru_cache
 from typing import Any
 
-from sqlalchemy import Connection, Row, Select, case, func, literal, select, tuple_
+from sqlalchemy import (
+    Boolean,
+    ColumnElement,
+    Connection,
+    FromClause,
+    Row,
+    Select,
+    case,
+    func,
+    literal,
+    select,
+    tuple_,
+    type_coerce,
+)
 
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import NotFoundError
 from drivecal.domain.evaluations import CellScore, Outcome
 from drivecal.domain.parameters import ParameterSet
 from drivecal.storage.engine import cursors
-from drivecal.storage.engine.tables import evaluations, lots, parameter_sets
+from drivecal.storage.engine.tables import evaluations, lots, parameter_sets, ratings, runs
 from drivecal.storage.engine.types import ORDER, STAGES
 from drivecal.storage.lots import LotVerdict
 
@@ -140,21 +153,43 @@ def pending(connection: Connection, campaign_sequence: int) -> list[StoredEvalua
 
 
 def answers(
-    connection: Connection, campaign_sequence: int, stage: StageName, iteration: int | None = None
+    connection: Connection,
+    campaign_sequence: int,
+    stage: StageName,
+    iteration: int | None = None,
+    *,
+    corrected_by: str | None = None,
 ) -> Iterator[CellScore]:
-    """The answered cells of one iteration, or of all, in the order of `page`; the connection must stay open meanwhile."""
+    """The answered cells of one iteration, or of all, in the order of `page`; the connection must stay open meanwhile.
+
+    With `corrected_by`, an evaluator, a copied or predicted score gives way to that of a run of the very cell, by any campaign. A search
+    must not read its answers in this way: they would change after it has gone on from them.
+    """
     table = evaluations.c
+    source: FromClause = evaluations
+    copied: ColumnElement[bool] = table.outcome.in_((Outcome.REUSED, Outcome.PREDICTED))
+    score: ColumnElement[Any] = table.score
+    rating: ColumnElement[Any] = table.rating
+    believed = copied
+    if corrected_by is not None:
+        own_run, own_rating = runs.alias("own_run"), ratings.alias("own_rating")
+        same_cell = (own_run.c.setup_id == table.setup_id) & (own_run.c.parameter_set_id == table.parameter_set_id)
+        rated = (own_rating.c.run_id == own_run.c.id) & (own_rating.c.evaluator == corrected_by)
+        source = evaluations.outerjoin(own_run, copied & same_cell).outerjoin(own_rating, rated)
+        score, rating = func.coalesce(own_rating.c.score, score), func.coalesce(own_rating.c.rating, rating)
+        believed = copied & own_rating.c.run_id.is_(None)
     query = (
         select(
             table.parameter_set_id,
             table.scenario,
-            table.score,
-            table.rating,
-            table.outcome.not_in((Outcome.REUSED, Outcome.PREDICTED)),
+            score,
+            rating,
+            type_coerce(~believed, Boolean),
             table.iteration,
             table.individual,
-            table.outcome == Outcome.PREDICTED,
+            type_coerce(believed & (table.outcome == Outcome.PREDICTED), Boolean),
         )
+        .select_from(source)
         .where(table.campaign_sequence == campaign_sequence, table.stage == stage, table.outcome.is_not(None))
         .order_by(*_PLACE)
         .execution_options(yield_per=BATCH)

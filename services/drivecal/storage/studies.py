@@ -59,3 +59,36 @@ def about(connection: Connection, campaign_id: str, campaign_sequence: int, infl
         StoredStudy(row.sequence, row.id, row.name, row.made, row.state, row.spec, row.resolution, row.ended_at)
         for row in connection.execute(query)
     ]
+
+
+@dataclass(frozen=True, slots=True)
+class MapError:
+    """Wrong answers of an influence map in a scenario, of so many that were compared by a campaign's validation or audits."""
+
+    campaign: str
+    scenario: str
+    wrong: int
+    compared: int
+    audited: bool
+
+
+def errors_of_map(connection: Connection, influence_map_id: str, before: datetime) -> list[MapError]:
+    """Returns what validations of a map measured and which audits stopped its reuse, in campaigns that ended `before`, oldest first."""
+    ended = campaigns.c.influence_map_id == influence_map_id, campaigns.c.ended_at < before
+    stopped = select(campaigns.c.id, campaigns.c.error_rate).where(*ended).order_by(campaigns.c.sequence)
+    errors = [
+        MapError(row.id, scenario, rate["wrong"], rate["audited"], audited=True)
+        for row in connection.execute(stopped)
+        for scenario, rate in row.error_rate.items()
+        if rate["stopped"]
+    ]
+    validated = (
+        select(campaigns.c.id, studies.c.document)
+        .select_from(studies.join(campaigns, studies.c.campaign_sequence == campaigns.c.sequence))
+        .where(*ended, studies.c.stage == StageName.VALIDATION)
+        .order_by(campaigns.c.sequence)
+    )
+    for row in connection.execute(validated):
+        rows = [item for item in row.document.get("items", ()) if item["compared"] and item.get("released") is None]
+        errors += [MapError(row.id, item["scenario"], item["wrong"], item["compared"], audited=False) for item in rows]
+    return errors

@@ -3,7 +3,7 @@ from __future__ import annotations
 from itertools import product
 
 import pytest
-from tests.support.storage import campaign, sample_set_ids, sample_sets, setup_id, simulate
+from tests.support.storage import EVALUATOR, campaign, sample_set_ids, sample_sets, setup_id, simulate
 
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError, NotFoundError
@@ -142,3 +142,38 @@ def test_the_best_simulated_set_has_a_score_of_its_own_in_every_scenario(databas
         reused = evaluations.insert(connection, sequence, [cell(1, "S2", second)])
         evaluations.answer(connection, [AnsweredCell(reused[0], Outcome.REUSED, 7, 7.0, 1)])
         assert results.best_simulated(connection, sequence, weights) == pytest.approx(0.25 * 4 + 0.75 * 6)
+
+
+def test_a_copied_score_gives_way_to_the_run_of_the_very_cell(database: Database) -> None:
+    """By any campaign, under the same evaluator, if it is wanted."""
+    with database.transaction() as connection:
+        sequence, setup = campaign(connection).sequence, setup_id(connection)
+        sets = sample_set_ids(connection, 3)
+        simulate(connection, sequence, [NewEvaluation(CALIBRATION, 0, 0, "S1", setup, sets[0], Outcome.SIMULATED)], score=5)
+        donor = evaluations.own_exact(connection, sequence, "S1", setup, sets)[sets[0]]
+        reused = NewEvaluation(CALIBRATION, 0, 1, "S1", setup, sets[1], Outcome.REUSED, donor=donor)
+        predicted = NewEvaluation(CALIBRATION, 0, 2, "S1", setup, sets[2], Outcome.PREDICTED)
+        evaluations.insert(connection, sequence, [reused, predicted])
+        answers = [
+            AnsweredCell(cell.id, cell.plan, 5, 5.0, run_id=donor.run if cell.plan is Outcome.REUSED else None)
+            for cell in results.pending(connection, sequence)
+        ]
+        evaluations.answer(connection, answers)
+        before = list(results.answers(connection, sequence, CALIBRATION, corrected_by=EVALUATOR))
+        study = campaign(connection).sequence
+        places = enumerate(sets[1:])
+        own = [NewEvaluation(StageName.ROBUSTNESS, 0, number, "S1", setup, each, Outcome.SIMULATED) for number, each in places]
+        simulate(connection, study, own, score=4)
+        assert list(results.answers(connection, sequence, CALIBRATION)) == before
+        after = list(results.answers(connection, sequence, CALIBRATION, corrected_by=EVALUATOR))
+        assert list(results.answers(connection, sequence, CALIBRATION, corrected_by="another 1")) == before
+    assert [(answer.score, answer.own, answer.predicted) for answer in before] == [
+        (5, True, False),
+        (5, False, False),
+        (5, False, True),
+    ]
+    assert [(answer.score, answer.own, answer.predicted) for answer in after] == [
+        (5, True, False),
+        (4, True, False),
+        (4, True, False),
+    ]

@@ -71,7 +71,7 @@ def list_solutions(campaign_id: str, query: SolutionsQuery, database: DatabaseDe
     """The evaluated parameter sets, best first, under the campaign's weights or others. Nothing is simulated for it."""
     campaign = _campaign(database, campaign_id)
     begun_with = _pinned(campaign)
-    ranked = ranking(database, campaign, begun_with.weights, query.weights)
+    ranked = ranking(database, campaign, begun_with, query.weights)
 
     def columns() -> list[Column]:
         return columns_of(Solution, _keys(ranked.scenarios, begun_with))
@@ -85,7 +85,7 @@ def list_optima(campaign_id: str, query: TableQuery, database: DatabaseDependenc
     most the first 10,000 of them."""
     campaign = _campaign(database, campaign_id)
     begun_with = _pinned(campaign)
-    ranked = ranking(database, campaign, begun_with.weights, None)
+    ranked = ranking(database, campaign, begun_with, None)
     known = alternatives(database, ranked.ranked, begun_with.space)
 
     def rows(start: int, stop: int) -> list[OptimumRow]:

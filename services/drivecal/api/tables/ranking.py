@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from drivecal.analysis.solutions import EvaluatedSet as Ranked
 from drivecal.analysis.solutions import Ranking
+from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec
 from drivecal.contracts.assignments import assignments
 from drivecal.contracts.tables import Solution
 from drivecal.domain.campaigns import StageName
@@ -48,13 +49,14 @@ class CampaignRanking:
         ]
 
 
-def ranking(database: Database, campaign: StoredCampaign, own: Mapping[str, float], weights: str | None) -> CampaignRanking:
-    """The ranking under the campaign's `own` weights or those in `weights` (`S1=2,S2=1`). Raises InvalidInputError for weights that no
-    evaluated set could be ranked by."""
-    used = own if weights is None else _weights(weights, list(own))
+def ranking(database: Database, campaign: StoredCampaign, resolved: ResolvedSpec, weights: str | None) -> CampaignRanking:
+    """The ranking under the campaign's own weights or those in `weights` (`S1=2,S2=1`). A copied score gives way to a later simulation of
+    the very cell. Raises InvalidInputError for weights that no evaluated set could be ranked by."""
+    used = resolved.weights if weights is None else _weights(weights, list(resolved.weights))
     standing = Ranking(used)
     with database.read() as connection:
-        standing.add(results.answers(connection, campaign.sequence, StageName.CALIBRATION))
+        answers = results.answers(connection, campaign.sequence, StageName.CALIBRATION, corrected_by=resolved.evaluator)
+        standing.add(answers)
     return CampaignRanking(database, standing.ranking(), [name for name, weight in used.items() if weight > 0])
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from datetime import datetime
 from decimal import Decimal
 from typing import Any
 
@@ -18,6 +19,7 @@ from drivecal.sensitivity.scenario import ScenarioInfluence
 from drivecal.storage.engine.types import finite
 from drivecal.storage.references import influence_maps
 from drivecal.storage.references.influence_maps import StoredInfluenceMap
+from drivecal.storage.studies import MapError, errors_of_map
 
 EXPERT = "expert"
 """The source of the maps that users post."""
@@ -123,6 +125,27 @@ def check_basis(stored: StoredInfluenceMap, problem: CalibrationProblem) -> None
         raise InvalidInputError(
             *(Problem("sensitivity.map", f"the map does not hold here: {reason}", remedy) for reason in reasons)
         )
+
+
+def doubts(connection: Connection, influence_map_id: str, largest_error: float, before: datetime) -> list[str]:
+    """Returns a warning for every scenario in which the map is known to be wrong: more than `largest_error` of what a validation compared
+    was off by more than a point, or audits stopped reuse. Campaigns that ended `before` then count."""
+    worst: dict[str, MapError] = {}
+    for error in errors_of_map(connection, influence_map_id, before):
+        if error.audited or error.wrong > largest_error * error.compared:
+            known = worst.get(error.scenario)
+            if known is None or error.wrong * known.compared > known.wrong * error.compared:
+                worst[error.scenario] = error
+    return [_doubt(error) for _, error in sorted(worst.items())]
+
+
+def _doubt(error: MapError) -> str:
+    measured = "audits stopped its reuse" if error.audited else "its validation compared"
+    return (
+        f"the influence map is known to be wrong in {error.scenario}: {error.wrong:,} of {error.compared:,} answers were off by more than "
+        f"one point ({measured}, campaign {error.campaign}). Analyse again with more samples, or use reduction.mode predicted; and confirm "
+        "the best sets (reduction.confirm)"
+    )
 
 
 def map_to_document(influence_map: InfluenceMap) -> dict[str, Any]:

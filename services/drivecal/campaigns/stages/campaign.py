@@ -6,7 +6,7 @@ from dataclasses import replace
 from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.cells.rerating import note_of, rate_stored_runs
 from drivecal.campaigns.job import Job
-from drivecal.campaigns.resolve.maps import check_basis, stored_map
+from drivecal.campaigns.resolve.maps import check_basis, doubts, stored_map
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.stages.calibration import Calibration
 from drivecal.campaigns.stages.prediction_validation import PredictionValidation
@@ -14,6 +14,7 @@ from drivecal.campaigns.stages.robustness import RobustnessStage
 from drivecal.campaigns.stages.sensitivity import Sensitivity
 from drivecal.campaigns.stages.stage import CampaignStage, Stage
 from drivecal.campaigns.stages.validation import ValidationStage
+from drivecal.contracts.specification import MapReference
 from drivecal.execution.scheduling.in_flight import Work
 from drivecal.execution.scheduling.scheduler import Completed
 from drivecal.storage import campaigns
@@ -57,10 +58,21 @@ class StagedCampaign(Job):
     def _begin(self) -> None:
         rate_stored_runs(self._database, self._view)
         note = note_of(self._database, self._view)
-        if note is not None:
-            self._problem = replace(self._problem, notes=(*self._problem.notes, note))
-        self._stage = self._next(self._campaign())
+        campaign = self._campaign()
+        notes = [*self._doubts(campaign), *([] if note is None else [note])]
+        if notes:
+            self._problem = replace(self._problem, notes=(*self._problem.notes, *notes))
+        self._stage = self._next(campaign)
         self._begun = True
+
+    def _doubts(self, campaign: StoredCampaign) -> list[str]:
+        """What was known about a given map when the campaign was submitted; its own analysis is new."""
+        reduction = self._problem.specification.reduction
+        given = isinstance(self._problem.specification.sensitivity, MapReference)
+        if campaign.influence_map_id is None or not given or reduction.mode not in {"influence", "both"}:
+            return []
+        with self._database.read() as connection:
+            return doubts(connection, campaign.influence_map_id, reduction.max_error, campaign.created_at)
 
     def _campaign(self) -> StoredCampaign:
         with self._database.read() as connection:

@@ -1,0 +1,103 @@
+"""Lots of predictions: stored with their batch, sampled after their commit, and concluded once."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from tests.support.storage import campaign, sample_set_ids, setup_id, simulate
+
+from drivecal.domain.campaigns import StageName
+from drivecal.domain.evaluations import Outcome
+from drivecal.storage import evaluations, lots, results
+from drivecal.storage.engine.database import Database
+from drivecal.storage.evaluations import AnsweredCell, NewEvaluation
+from drivecal.storage.lots import LotVerdict, NewLot
+
+CALIBRATION = StageName.CALIBRATION
+LOT = NewLot(2, 0, "S1", 3, 1, 0, 0.0, 0.05, 400, 0.25)
+
+
+def test_a_secret_is_made_once_for_each_campaign(database: Database) -> None:
+    with database.transaction() as connection:
+        first, other = campaign(connection).sequence, campaign(connection).sequence
+        secret = lots.secret(connection, first)
+        assert lots.secret(connection, other) != secret
+    with database.transaction() as connection:
+        assert lots.secret(connection, first) == secret
+    assert len(secret) == 16
+
+
+def test_lots_keep_their_order_and_wait_for_their_verdict(database: Database) -> None:
+    with database.transaction() as connection:
+        sequence, other = campaign(connection).sequence, campaign(connection).sequence
+        assert lots.insert(connection, sequence, []) == []
+        numbers = lots.insert(connection, sequence, [LOT, replace(LOT, scenario="S2", size=0, sample=0)])
+        lots.insert(connection, other, [LOT])
+    with database.transaction() as connection:
+        lots.conclude(connection, {numbers[0]: (LotVerdict.RELEASED, 0)})
+        first, second = lots.of_campaign(connection, sequence)
+    assert (first.id, second.id) == tuple(numbers)
+    assert (first.verdict, first.errors, first.released) == (LotVerdict.RELEASED, 0, 2)
+    assert (second.verdict, second.errors, second.released) == (None, None, 0)
+    assert (first.aoql, first.known, first.seconds) == (0.05, 400, 0.25)
+
+
+def test_a_rejected_lot_releases_nothing(database: Database) -> None:
+    with database.transaction() as connection:
+        sequence = campaign(connection).sequence
+        (number,) = lots.insert(connection, sequence, [LOT])
+        lots.conclude(connection, {number: (LotVerdict.REJECTED, 1)})
+        (lot,) = lots.of_campaign(connection, sequence)
+    assert lot.released == 0
+
+
+def test_samples_are_simulated_compared_and_known_with_their_weight(database: Database) -> None:
+    with database.transaction() as connection:
+        sequence, setup = campaign(connection).sequence, setup_id(connection)
+        sets = sample_set_ids(connection, 4)
+        (number,) = lots.insert(connection, sequence, [LOT])
+        bare = NewEvaluation(CALIBRATION, 2, 0, "S1", setup, sets[0], Outcome.PREDICTED)
+        predicted = [
+            replace(bare, individual=place, parameter_set_id=sets[place], lot=number, confidence=0.9, predicted_score=4)
+            for place in range(3)
+        ]
+        simulate(connection, sequence, [replace(bare, individual=3, parameter_set_id=sets[3], plan=Outcome.SIMULATED)], score=5)
+        evaluations.insert(connection, sequence, [replace(cell, predicted_rating=4.2) for cell in predicted])
+        waiting = results.pending(connection, sequence)
+        drawn = waiting[1]
+        evaluations.draw_sample(connection, [drawn.id])
+        assert lots.errors_so_far(connection, [number]) == {}
+    with database.transaction() as connection:
+        cells = {cell.id: cell for cell in results.pending(connection, sequence)}
+        assert (cells[drawn.id].plan, cells[drawn.id].sampled) == (Outcome.SIMULATED, True)
+        answers = [AnsweredCell(drawn.id, Outcome.SIMULATED, 3, 3.1, run_id=None, milliseconds=8.0, agrees=False)]
+        rest = [number for number in cells if number != drawn.id]
+        answers += [AnsweredCell(cell, Outcome.PREDICTED, 4, 4.2, run_id=None) for cell in rest]
+        evaluations.answer(connection, answers)
+        assert lots.errors_so_far(connection, [number]) == {number: 1}
+        assert lots.errors_so_far(connection, []) == {}
+        lots.conclude(connection, {number: (LotVerdict.RELEASED, 1)})
+    with database.read() as connection:
+        known, newest = results.known(connection, sequence, [setup], after=0)
+        assert results.known(connection, sequence, [setup], after=newest) == ([], newest)
+        released = results.released(connection, sequence)
+        seconds = evaluations.mean_seconds(connection, sequence)
+    assert [(answer.individual, answer.score, answer.stands_for) for answer in known] == [(1, 3, 3.0), (3, 5, 1.0)]
+    assert [(answer.predicted_score, answer.confidence) for answer in known] == [(4, 0.9), (None, None)]
+    assert [(cell.id, cell.score) for cell in released] == [(cell, 4) for cell in sorted(rest)]
+    assert 0.0 < seconds["S1"] <= 0.008
+
+
+@pytest.mark.parametrize("outcome", [Outcome.PREDICTED, Outcome.REUSED])
+def test_predicted_answers_are_not_the_sets_own(database: Database, outcome: Outcome) -> None:
+    with database.transaction() as connection:
+        sequence, setup = campaign(connection).sequence, setup_id(connection)
+        (own,) = sample_set_ids(connection, 1)
+        cell = NewEvaluation(CALIBRATION, 0, 0, "S1", setup, own, outcome)
+        evaluations.insert(connection, sequence, [cell])
+        (waiting,) = results.pending(connection, sequence)
+        evaluations.answer(connection, [AnsweredCell(waiting.id, outcome, 4, 4.2, run_id=None)])
+        assert evaluations.own_exact(connection, sequence, "S1", setup, [own]) == {}
+        (answer,) = results.answers(connection, sequence, CALIBRATION)
+    assert (answer.own, answer.predicted) == (False, outcome is Outcome.PREDICTED)
