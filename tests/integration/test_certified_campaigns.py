@@ -20,6 +20,7 @@ from drivecal.storage import audits, generations, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import runs
+from drivecal.storage.references.withdrawal import WITHDRAWN
 
 
 def alike(scenario: str, cell: Cell) -> object:
@@ -146,6 +147,47 @@ def test_one_certificate_that_a_simulation_contradicts_ends_the_campaign(databas
     assert ended.state is CampaignState.FAILED
     assert "was to repeat evaluation" in (ended.error or "")
     assert "bit for bit" in (ended.error or "")
+
+
+def failed(database: Database, backend: ComputedBackend, **changes: Any) -> StoredCampaign:
+    """Runs a campaign that a contradicted certificate ends."""
+    campaign = submit(database, **simple(reduction={"mode": "exact", "audit": 0.05}, **changes))
+    working = dispatching(database, backend)
+    for _ in range(200):
+        working.step()
+        if get(database, campaign).state.ended:
+            break
+    ended = get(database, campaign)
+    assert ended.state is CampaignState.FAILED
+    return ended
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_refuted_certificate_leaves_no_certified_answer_of_its_setup_among_the_references(
+    database: Database, seed: int
+) -> None:
+    ended = failed(database, ComputedBackend(answer=influenced, class_of=lambda scenario, _: scenario, seed=seed))
+    with database.read() as connection:
+        rows = list(results.stream(connection, ended.sequence))
+    refuted = {row.scenario for row in rows if row.proof_agrees is False}
+    certified = [row for row in rows if row.outcome is Outcome.CERTIFIED and row.scenario in refuted]
+    assert refuted
+    assert all(row.run_id is None for row in certified)
+    assert {row.detail for row in certified} <= {WITHDRAWN}
+    assert [check for check in verify(database, full=True) if check.problems] == []
+
+
+def test_a_campaign_after_a_refuted_certificate_finds_what_it_finds_on_a_new_database(
+    database: Database, tmp_path: Path
+) -> None:
+    failed(database, ComputedBackend(answer=influenced, class_of=lambda scenario, _: scenario), catalogue=["S2"])
+    changes = simple(catalogue=["S2"], reduction={"mode": "exact", "audit": 0.0, "certified": False})
+    after = run(database, submit(database, **changes), ComputedBackend(answer=influenced))
+    new = Database.open(f"sqlite:///{tmp_path / 'new.db'}")
+    new.upgrade()
+    truth = run(new, submit(new, **changes), ComputedBackend(answer=influenced))
+    assert found(database, after) == found(new, truth)
+    new.dispose()
 
 
 def test_who_does_not_want_certificates_gets_none(database: Database) -> None:

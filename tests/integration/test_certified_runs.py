@@ -87,3 +87,41 @@ def test_a_small_memory_forgets_in_all_scenarios_and_stays_right() -> None:
             forgot += memory.bytes < before
             before = memory.bytes
     assert forgot
+
+
+def test_a_run_of_another_worker_certifies_what_it_certifies_there() -> None:
+    families = sets(seed=4, families=3, members=12)
+    sender, reader, judge = runner("S5"), runner("S5"), runner("S5")
+    proved = 0
+    for number, parameters in enumerate(families):
+        truth = judge.run(parameters)
+        sender.learn(())
+        sender.answer(parameters, number, check=False)
+        reader.learn(sender.recorded(2**20))
+        answered = reader.answer(parameters, 1000 + number, check=False)
+        assert answered.proven_by is not None
+        assert answered.proven_by < 1000
+        assert replace(answered, proven_by=None) == truth
+        proved += sender.prove(parameters) != number
+    assert proved >= 5
+    assert reader.recorded(2**20) == ()
+
+
+def test_a_run_that_contradicts_the_own_runs_ends_the_learning() -> None:
+    sender, reader = runner("S5"), runner("S5")
+    first, second, third = sets(seed=2, families=3, members=1)
+    sender.learn(())
+    for number, parameters in enumerate((first, second), 1):
+        sender.answer(parameters, number, check=False)
+    one, other = sender.recorded(2**20)
+    reader.answer(first, 10, check=False)
+    shifted = np.frombuffer(one.states).copy()
+    shifted[3] += 1e-9
+    reader.learn([other, replace(one, states=shifted.tobytes())])
+    assert reader.prove(first) is None
+    assert reader.prove(second) is None
+    reader.learn([other])
+    assert reader.prove(second) is None
+    assert reader.answer(third, 11, check=False).proven_by is None
+    assert reader.answer(third, 12, check=False).proven_by == 11
+    assert reader.recorded(2**20) == ()

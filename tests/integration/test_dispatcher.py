@@ -90,7 +90,7 @@ def test_a_campaign_that_was_killed_again_and_again_ends_like_one_that_was_not(t
         kills = 0
         while not _get(database, campaign).state.ended:
             working = dispatcher(database, ComputedBackend(draw.randrange(99)))  # the one before is gone, with all it knew
-            for _ in range(draw.randrange(1, 9) if database is killed else 3_000):
+            for _ in range(draw.randrange(1, 6) if database is killed else 3_000):
                 working.step()
                 if _get(database, campaign).state.ended:
                     break

@@ -54,6 +54,7 @@ def test_robustness_makes_the_study_of_an_ended_campaign_and_shows_it(run: Run, 
     lines = result.stdout.splitlines()
     assert lines[0].split()[:5] == ["rank", "degree", "delta_max", "objective", "scores"]
     assert lines[1].split()[0] == "1"
+    assert "(5): up to 45.1%" in lines[-2], "what five vehicles leave open"
     assert lines[-1].startswith("recommended: rank ")
     assert "because it has the best objective" in lines[-1]
     assert "makes the study" in result.stderr
@@ -133,6 +134,8 @@ def test_validate_shows_tables_1_and_2(run: Run, api: RunningApi, ended: str) ->
     assert rows[0]["compared"] == rows[0]["bases"] * 4
     table = list(csv.DictReader(io.StringIO(run("export", newest, "--table", "validation").stdout)))
     assert sum(json.loads(table[0]["histogram"])) == rows[0]["compared"]
+    assert table[0]["interval_over"] == rows[0]["interval_over"] == "bases"
+    assert 1 - 0.025 ** (1 / rows[1]["bases"]) < rows[1]["upper_95"]
 
 
 def test_where_nothing_can_be_reduced_there_is_nothing_to_validate_and_that_is_no_error(run: Run, api: RunningApi) -> None:

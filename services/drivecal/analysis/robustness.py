@@ -96,6 +96,11 @@ def holds(deviations: Floats, settings: RobustnessSettings) -> bool:
     return bool(within.all())  # a comparison with NaN is false
 
 
+def undetected_share(samples: int, confidence: float = 0.95) -> float:
+    """Returns the share of failing vehicles that `samples` independent vehicles without a failure leave possible."""
+    return float(1.0 - (1.0 - confidence) ** (1.0 / samples))
+
+
 @dataclass(frozen=True, slots=True)
 class Box:
     """The next box: `radius` and vehicles by solution. `number` counts from 1."""

@@ -10,12 +10,19 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from drivecal.analysis.streams import generator
+from drivecal.domain.errors import ConflictError
 from drivecal.domain.parameters import Indices
+from drivecal.plugins.ports import Floats
 
 ROWS = 1_000
 """Rows of the table of all pairs of combinations that are in memory at a time."""
 MOST_EXACT = 16
 """Reducible parameters up to which every one of the 2^n - 1 effects is looked at; beyond, those of up to three parameters."""
+STREAM = 2
+"""Version of the random stream. Version 1 drew the hypercube of a start population with the same seed."""
+HYPERCUBE, VARIANTS = 0, 1
+"""Purposes of the stream."""
 
 
 class ReducibleSpace:
@@ -103,30 +110,52 @@ class ValidationDesign:
     coverage: Coverage
 
 
-def design(space: ReducibleSpace, samples: int, references: int, seed: int, largest: int) -> ValidationDesign | None:
+def design(
+    space: ReducibleSpace, samples: int, references: int, seed: int, largest: int, stream: int = STREAM
+) -> ValidationDesign | None:
     """The validation of one scenario; None if nothing can be reduced.
 
     Latin hypercubes of `samples`, 2 `samples`, 4 `samples` ... points are drawn until their qualifying sets cover all effects, at most
     `largest`: the coverage reports what is left uncovered then. Of those sets as many are kept as it takes to cover the same, and in the
     order of the draw up to `samples`: a large hypercube finds the few sets in which small regions meet, and is full of others. Each variant
-    changes a random non-empty subset of what can vary.
+    changes a random non-empty subset of what can vary. A study that began with an earlier version of the random `stream` names it; raises
+    ConflictError for an unknown one.
     """
     reducible = space.reducible
     if not reducible.size:
         return None
     for size in _sizes(samples, largest):
-        points = _latin_hypercube(space.n_values, size, seed)
+        points = _latin_hypercube(space.n_values, size, _generator(stream, seed, HYPERCUBE))
         varies = space.variable(points)
         qualified, masks = points[varies.any(axis=1)], varies[varies.any(axis=1)][:, reducible]
         covered = coverage(masks)
         if covered.complete:
             break
     qualified = qualified[_kept(masks, samples)]
-    generator = np.random.Generator(np.random.PCG64([seed, 1]))
+    drawing = _generator(stream, seed, VARIANTS)
     variants = np.array(
-        [[_variant(space, base, generator) for _ in range(references)] for base in qualified], dtype=np.int64
+        [[_variant(space, base, drawing) for _ in range(references)] for base in qualified], dtype=np.int64
     ).reshape(len(qualified), references, len(space.n_values))
     return ValidationDesign(qualified, variants, size, covered)
+
+
+@dataclass(frozen=True, slots=True)
+class Differences:
+    """Differences of the variants' scores from their base's, shape (n_bases, n_ref); NaN if either has no score."""
+
+    points: Floats
+
+    @property
+    def histogram(self) -> dict[int, int]:
+        """The number of variants by their difference, ascending."""
+        points, counts = np.unique(self.points[~np.isnan(self.points)].astype(np.int64), return_counts=True)
+        return dict(zip(points.tolist(), counts.tolist(), strict=True))
+
+    def wrong_shares(self, largest_agreeing: float) -> Floats:
+        """The share of variants beyond `largest_agreeing` by base, shape (n,), of the bases with a compared variant."""
+        compared = (~np.isnan(self.points)).sum(axis=1)
+        wrong = (np.abs(self.points) > largest_agreeing).sum(axis=1)  # a comparison with NaN is false
+        return np.asarray(wrong[compared > 0] / compared[compared > 0], dtype=np.float64)
 
 
 def _kept(masks: npt.NDArray[np.bool_], samples: int) -> Indices:
@@ -152,11 +181,18 @@ def _sizes(samples: int, largest: int) -> Iterator[int]:
     yield largest
 
 
-def _latin_hypercube(n_values: Indices, size: int, seed: int) -> Indices:
+def _generator(stream: int, seed: int, purpose: int) -> np.random.Generator:
+    if stream == 1:
+        return np.random.Generator(np.random.PCG64([seed, purpose]))
+    if stream == STREAM:
+        return generator("validation", seed, purpose)
+    raise ConflictError(f"a newer version of drivecal began this validation (random stream {stream}); submit it again")
+
+
+def _latin_hypercube(n_values: Indices, size: int, drawing: np.random.Generator) -> Indices:
     from scipy.stats import qmc
 
-    generator = np.random.Generator(np.random.PCG64([seed, 0]))
-    points = qmc.LatinHypercube(len(n_values), rng=generator).random(size)
+    points = qmc.LatinHypercube(len(n_values), rng=drawing).random(size)
     indices: Indices = np.floor(points * n_values).astype(np.int64)
     return indices
 

@@ -1,1 +1,1 @@
-"""The REST API: validates, stores what is asked for, and reads back what the dispatcher found. It computes and simulates nothing."""
+"""The REST API: validates requests, stores them, and reads the dispatcher's results. It computes and simulates nothing."""

@@ -20,7 +20,7 @@ log = logging.getLogger(__name__)
 
 
 def main() -> int:
-    """Serves until SIGTERM or SIGINT."""
+    """Serves until SIGTERM or SIGINT; returns the exit code."""
     parser = argparse.ArgumentParser(
         prog="python -m drivecal.api", description="Serves the API; settings come from DRIVECAL_*."
     )
@@ -32,7 +32,11 @@ def main() -> int:
     try:
         settings = load_settings()
         logs.configure("api", settings)
-        listener = _listener(arguments)
+        if arguments.socket is not None:
+            listener = socket.socket(fileno=arguments.socket)
+        else:
+            family = socket.AF_INET6 if ":" in arguments.host else socket.AF_INET
+            listener = socket.create_server((arguments.host, arguments.port), family=family)
         check_exposure(listener.getsockname()[0], settings)
         server = Server(configuration(create_app(settings)))
     except (DrivecalError, OSError) as error:
@@ -45,13 +49,6 @@ def main() -> int:
     gc.freeze()  # what is loaded stays: looking through all of it again and again would stop the API for half a second each time
     server.run(sockets=[listener])
     return 0 if server.started else 1
-
-
-def _listener(arguments: argparse.Namespace) -> socket.socket:
-    if arguments.socket is not None:
-        return socket.socket(fileno=arguments.socket)
-    family = socket.AF_INET6 if ":" in arguments.host else socket.AF_INET
-    return socket.create_server((arguments.host, arguments.port), family=family)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Puts the API together. Nothing is created at import; the database is opened when the server starts."""
+"""Composition of the API. Nothing is created at import."""
 
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
@@ -25,7 +25,6 @@ from drivecal.api.routes import (
     health,
     influence_maps,
     inventory,
-    metrics,
     page,
     page_cells,
     page_live,
@@ -39,8 +38,7 @@ from drivecal.storage.engine.database import PROMPT, Database
 
 
 def create_app(settings: Settings) -> FastAPI:
-    """The ASGI application. Raises DatabaseError if the settings name no usable database, InvalidInputError where its tokens file
-    cannot be used."""
+    """Creates the ASGI application. Raises DatabaseError if the database is unusable, InvalidInputError if the tokens file is."""
     database = Database.open(settings.database_url, PROMPT)
     meters = Meters(database)
     tokens = None if settings.tokens_file is None else TokenFile(settings.tokens_file)
@@ -85,6 +83,5 @@ def create_app(settings: Settings) -> FastAPI:
         app.include_router(noun.router, prefix=ROOT)
     app.include_router(page.router)
     app.include_router(health.router)
-    app.include_router(metrics.router)
     document.describe(app, asks_for_tokens=tokens is not None)
     return app

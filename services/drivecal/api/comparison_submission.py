@@ -1,4 +1,4 @@
-"""Puts comparisons into the queue, and says beforehand what they would cost."""
+"""Submission of comparisons, and their expected cost."""
 
 from sqlalchemy import Connection
 
@@ -18,8 +18,10 @@ ASSUMED_MILLISECONDS = 8.0
 
 
 def submit(database: Database, limits: Limits, specification: ComparisonSpecification, key: str | None) -> StoredCampaign:
-    """Queues a comparison with its runs. Raises InvalidInputError for one that cannot run, TooLargeError for one that is too large, and
-    OverloadError where the queue is full."""
+    """Queues a comparison with its runs.
+
+    Raises InvalidInputError if it cannot run, TooLargeError, and OverloadError if the queue is full.
+    """
     problem = _checked(limits, specification)
     with database.transaction() as connection:
         admission.admit(connection, limits.queued_campaigns, key)
@@ -31,7 +33,8 @@ def expected(database: Database, limits: Limits, specification: ComparisonSpecif
     problem = _checked(limits, specification)
     with database.read() as connection:
         _map(connection, problem)
-        milliseconds = costs.recent_milliseconds(connection, _fingerprints(problem))
+        setups = problem.problems[0].bench.setups.values()  # all runs share them
+        milliseconds = costs.recent_milliseconds(connection, [setup.fingerprint for setup in setups])
         dispatcher = processes.read(connection, processes.DISPATCHER)
     workers = None
     if dispatcher is not None and not judge(dispatcher, now()).silent:
@@ -60,10 +63,5 @@ def _checked(limits: Limits, specification: ComparisonSpecification) -> Comparis
 
 
 def _map(connection: Connection, problem: ComparisonProblem) -> str | None:
-    """The id of the influence map that the comparison names. Raises InvalidInputError if it does not hold for the runs."""
+    """Returns the id of the influence map that the comparison names. Raises InvalidInputError if it does not hold for the runs."""
     return next((named_map(connection, row) for row in problem.problems if row.specification.sensitivity is not None), None)
-
-
-def _fingerprints(problem: ComparisonProblem) -> list[str]:
-    """Returns the simulated setups, which all runs share."""
-    return [setup.fingerprint for setup in problem.problems[0].bench.setups.values()]

@@ -21,9 +21,9 @@ DatabaseDependency = Annotated[Database, Depends(_database)]
 
 
 LARGE_BODIES = 1
-"""Large bodies that are worked on at the same time: each takes up to fifty times its size in memory meanwhile."""
+"""Large bodies that are read at the same time: each takes up to fifty times its size in memory."""
 WAITING_BODIES = 16
-"""Large bodies that may wait for it, those included that are worked on."""
+"""Large bodies that may wait or be read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,14 +42,8 @@ class Limits:
         """Creates the limits of the settings, with no place taken. Call it in the event loop that uses them."""
         streams = Places(settings.event_streams, "event streams are open", retry_seconds=10)
         bodies = Places(WAITING_BODIES, "large documents are being read", retry_seconds=5)
-        return cls(
-            settings.queued_campaigns,
-            settings.largest_campaign,
-            settings.posted_maps,
-            streams,
-            CapacityLimiter(LARGE_BODIES),
-            bodies,
-        )
+        given = settings.queued_campaigns, settings.largest_campaign, settings.posted_maps
+        return cls(*given, streams, CapacityLimiter(LARGE_BODIES), bodies)
 
 
 async def _limits(request: Request) -> Limits:
@@ -67,8 +61,9 @@ async def _event_stream(request: Request, limits: LimitsDependency) -> AsyncIter
 
 
 EventStreamPlace = Annotated[None, Depends(_event_stream)]
-"""For routes that stream events: a place among the open streams until the stream ends, instead of one among the requests.
-OverloadError (429) where there is none."""
+"""Place of a route that streams events: one among the open streams until the stream ends, instead of one among the requests.
+
+Raises OverloadError (429) if there is none."""
 
 IdempotencyKey = Annotated[
     str | None,

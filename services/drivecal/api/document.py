@@ -1,4 +1,4 @@
-"""The OpenAPI document: FastAPI's own, and what it leaves out."""
+"""The OpenAPI document: FastAPI's own with additions."""
 
 from typing import Any
 

@@ -1,8 +1,7 @@
 """Metrics for Prometheus at `/metrics`: requests to this process, the database, and the dispatcher through its heartbeat.
 
-Where the database does not answer, all that is known from it is left out and `drivecal_database_up` is 0. Counters taken from the
-database never go backwards, not even with a new process; those of the dispatcher's and the API's own memory begin at 0 with it, which
-Prometheus knows how to read.
+If the database does not answer, its metrics are left out and `drivecal_database_up` is 0. Counters from the database never decrease, not
+even with a new process. Counters of the dispatcher's and the API's own memory begin at 0 with their process, as Prometheus expects.
 """
 
 from collections.abc import Iterator, Mapping
@@ -66,14 +65,14 @@ class Meters:
 
 
 class ServiceCollector(Collector):
-    """Everything that is asked for at the moment of the scrape: one short transaction."""
+    """Metrics that are read at the moment of the scrape, in one short transaction."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
         self._tally = Tally()
 
     def collect(self) -> Iterator[Any]:
-        """The metrics; see the table in `deploy/README.md`."""
+        """Yields the metrics; see the table in `deploy/README.md`."""
         yield InfoMetricFamily("drivecal_build", "The version of drivecal", {"version": version("drivecal")})
         try:
             with self._database.read() as connection:

@@ -1,4 +1,4 @@
-"""Makes answers of what is stored."""
+"""Answers made of stored rows."""
 
 import zlib
 from collections.abc import Mapping, Sequence
@@ -14,55 +14,60 @@ from drivecal.domain.errors import ConflictError
 from drivecal.domain.setups import digest
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.results import StoredEvaluation
-from drivecal.storage.revision_queries import CampaignRevision
+from drivecal.storage.revision_queries import CampaignRevision, ProgressSnapshot
 
 ROOT = "/api/v1"
+SECONDS_BETWEEN_POLLS = 1
+"""`Retry-After` of what is still running."""
 TABLES = (*get_args(CampaignTable), "accounting", "setup", "studies")
 """Links of a campaign besides `events`; a comparison has its own tables instead."""
 
 
 def campaign_answer(stored: StoredCampaign, now: datetime, silent: str | None, comparison: str | None = None) -> Campaign:
-    """A campaign as clients see it at the moment `now`, when of the dispatcher `silent` is to be said. One that is asked to cancel
-    counts as cancelling already. `comparison`: the id of the one that it is a run of."""
+    """Returns a campaign as clients see it at the moment `now`.
+
+    `silent`: a message about a silent dispatcher. `comparison`: the id of the comparison of which it is a run.
+    """
+    as_it_is = {name: getattr(stored, name) for name in Campaign.model_fields if hasattr(stored, name)}
+    changing = {
+        "state": state_of(stored),
+        "degraded": degraded(stored, silent),
+        "stages": {stage: CellCounts(**cells) for stage, cells in stored.stages.items()},
+        "seconds": seconds_of(stored, now),
+        "links": _links(stored) | ({} if comparison is None else {"run_of": f"{ROOT}/campaigns/{comparison}"}),
+    }
+    return Campaign(**as_it_is | changing)
+
+
+def state_of(stored: StoredCampaign | ProgressSnapshot) -> CampaignState:
+    """Returns the state of a campaign as clients see it: one that is asked to cancel counts as cancelling already."""
     asked = stored.requested_action == "cancel" and not stored.state.ended
+    return CampaignState.CANCELLING if asked else stored.state
+
+
+def seconds_of(stored: StoredCampaign | ProgressSnapshot, now: datetime) -> Seconds:
+    """Returns the duration of a campaign at the moment `now`, and the CPU time of its simulations."""
     wall = 0.0 if stored.started_at is None else ((stored.ended_at or now) - stored.started_at).total_seconds()
-    return Campaign(
-        id=stored.id,
-        name=stored.name,
-        kind=stored.kind,
-        state=CampaignState.CANCELLING if asked else stored.state,
-        requested_action=stored.requested_action,
-        degraded=degraded(stored, silent),
-        stage=stored.stage,
-        iteration=stored.iteration,
-        progress=stored.progress,
-        stages={stage: CellCounts(**cells) for stage, cells in stored.stages.items()},
-        error_rate=dict(stored.error_rate),
-        released=dict(stored.released),
-        best=stored.best,
-        baseline=stored.baseline,
-        narrowed=None if stored.narrowed is None else list(stored.narrowed),
-        seconds=Seconds(wall=max(0.0, wall), simulating=stored.simulating_seconds),
-        error=stored.error,
-        notes=list(stored.notes),
-        rerun_of=stored.rerun_of,
-        created_at=stored.created_at,
-        started_at=stored.started_at,
-        ended_at=stored.ended_at,
-        spec=dict(stored.spec),
-        links=_links(stored) | ({} if comparison is None else {"run_of": f"{ROOT}/campaigns/{comparison}"}),
-    )
+    return Seconds(wall=max(0.0, wall), simulating=stored.simulating_seconds)
+
+
+def calibration(stored: StoredCampaign, lacks: str = "") -> StoredCampaign:
+    """Returns the campaign. Raises ConflictError for a comparison or a single evaluation. `lacks`: what the latter lacks."""
+    refuse_comparison(stored)
+    if stored.kind != "calibration":
+        raise ConflictError(f"{stored.id} is a single evaluation{lacks}; GET {ROOT}/evaluations/{stored.id}")
+    return stored
 
 
 def refuse_comparison(stored: StoredCampaign) -> None:
-    """Raises ConflictError for a comparison, which has nothing of its own that a campaign has."""
+    """Raises ConflictError for a comparison, whose results belong to its runs."""
     if stored.kind == "comparison":
         where = f"GET {ROOT}/campaigns/{stored.id}/comparison lists them"
         raise ConflictError(f"{stored.id} is a comparison, whose runs are campaigns of their own: {where}")
 
 
 def etag(seen: CampaignRevision, silent: str | None) -> str:
-    """Changes with everything in `campaign_answer` but the time that passes by itself, hence weak."""
+    """Returns the ETag of `campaign_answer`. It is weak, because it does not change with the elapsed time."""
     return f'W/"{seen.id}-{_version(seen, silent)}"'
 
 
@@ -77,7 +82,7 @@ def _version(seen: CampaignRevision, silent: str | None) -> str:
 
 
 def matches(if_none_match: str | None, tag: str) -> bool:
-    """Whether a client has the answer with this ETag: the weak comparison of RFC 9110, 8.8.3.2."""
+    """Returns whether a client has the answer with this ETag, by the weak comparison of RFC 9110, 8.8.3.2."""
     if if_none_match is None:
         return False
     given = {tag.strip().removeprefix("W/") for tag in if_none_match.split(",")}
@@ -107,23 +112,12 @@ def evaluation_row(stored: StoredEvaluation) -> dict[str, Any]:
 
 def evaluated_cell(stored: StoredEvaluation, metrics: Mapping[str, float | None] | None) -> EvaluatedCell:
     """Returns a cell of a single evaluation."""
-    return EvaluatedCell(
-        id=stored.id,
-        scenario=stored.scenario,
-        outcome=stored.outcome,
-        score=stored.score,
-        rating=stored.rating,
-        reference=stored.reference,
-        failure=stored.failure,
-        milliseconds=stored.milliseconds,
-        worker=stored.worker,
-        detail=stored.detail,
-        metrics=None if metrics is None else dict(metrics),
-    )
+    as_it_is = {name: getattr(stored, name) for name in EvaluatedCell.model_fields if name != "metrics"}
+    return EvaluatedCell(**as_it_is, metrics=None if metrics is None else dict(metrics))
 
 
 def evaluation_answer(stored: StoredCampaign, items: list[EvaluatedCell]) -> Evaluation:
-    """A single evaluation as clients see it."""
+    """Returns a single evaluation as clients see it."""
     scenario = stored.spec["scenario"]
     scores = [item.score for item in items if item.score is not None]
     complete = bool(items) and len(scores) == len(items)
@@ -135,11 +129,7 @@ def evaluation_answer(stored: StoredCampaign, items: list[EvaluatedCell]) -> Eva
         scenario=scenario,
         objective=sum(scores) / len(scores) if complete else None,
         items=items,
-        outcome=only.outcome if only else None,
-        score=only.score if only else None,
-        rating=only.rating if only else None,
-        failure=only.failure if only else None,
-        metrics=only.metrics if only else None,
+        **{name: getattr(only, name, None) for name in ("outcome", "score", "rating", "failure", "metrics")},
         error=stored.error,
         links={"self": f"{ROOT}/evaluations/{stored.id}"},
     )

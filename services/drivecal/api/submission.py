@@ -1,4 +1,4 @@
-"""Puts campaigns and evaluations into the queue: checked, once per Idempotency-Key, whole or not at all."""
+"""Submission of campaigns and evaluations: checked, once per Idempotency-Key, whole or not at all."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -28,18 +28,15 @@ from drivecal.storage.references.influence_maps import StoredInfluenceMap
 
 
 def submit(database: Database, limits: Limits, specification: CampaignSpecification, key: str | None) -> StoredCampaign:
-    """Queues a campaign. Raises InvalidInputError for one that cannot run, TooLargeError for one that is too large, and OverloadError
-    where the queue is full."""
-    problem = resolve(specification)
-    check_size(problem, limits.largest_campaign)
+    """Queues a campaign. Raises InvalidInputError if it cannot run, TooLargeError, and OverloadError if the queue is full."""
+    problem = _checked(limits, specification)
     with database.transaction() as connection:
         return _queue(connection, limits, problem, key, digest_of("campaigns", specification))
 
 
 def expected(database: Database, limits: Limits, specification: CampaignSpecification) -> ExpectedRuns:
     """Returns the expected cost of a campaign. Raises InvalidInputError and TooLargeError as `submit` does."""
-    problem = resolve(specification)
-    check_size(problem, limits.largest_campaign)
+    problem = _checked(limits, specification)
     with database.read() as connection:
         used = named_map(connection, problem)
         check_source(connection, problem)
@@ -51,8 +48,9 @@ def expected(database: Database, limits: Limits, specification: CampaignSpecific
     return runs.model_copy(update={"notes": [*warnings, *runs.notes]})
 
 
-def check_size(problem: CalibrationProblem, largest: int) -> None:
-    """Raises TooLargeError if the stages of a campaign propose more than `largest` cells."""
+def _checked(limits: Limits, specification: CampaignSpecification) -> CalibrationProblem:
+    """Returns the resolved campaign. Raises TooLargeError if its stages propose too many cells."""
+    problem, largest = resolve(specification), limits.largest_campaign
     runs = problem.expected_runs()
     stages = {
         "optimizer": runs.calibration_proposed,
@@ -60,7 +58,7 @@ def check_size(problem: CalibrationProblem, largest: int) -> None:
     } | {study: getattr(runs, study) for study in STUDIES}
     total = sum(stages.values())
     if total <= largest:
-        return
+        return problem
     stage = max(stages, key=lambda name: stages[name])
     message = f"the campaign may propose {total:,} cells, {stages[stage]:,} of them here"
     wanted = problem.optimization
@@ -73,7 +71,7 @@ def check_size(problem: CalibrationProblem, largest: int) -> None:
 
 
 def rerun(database: Database, limits: Limits, first_id: str, changes: RerunSpecification, key: str | None) -> StoredCampaign:
-    """Queues a campaign like an ended one but for `changes`. Raises ConflictError while the first is not ended, and as `submit` does."""
+    """Queues an ended campaign again with `changes`. Raises ConflictError before its end, and like `submit`."""
     with database.read() as connection:
         first = campaigns.get(connection, first_id)
         used = None if first.influence_map_id is None else influence_maps.get(connection, first.influence_map_id)
@@ -82,15 +80,13 @@ def rerun(database: Database, limits: Limits, first_id: str, changes: RerunSpeci
         raise ConflictError(f"{first_id} is a single evaluation, which has no weights; post another one to /api/v1/evaluations")
     if not first.state.ended:
         raise ConflictError(f"campaign {first_id} is {first.state}; rerun it when it has ended, or cancel it first")
-    specification = validated(CampaignSpecification, _changed(first, used, changes))
-    problem = resolve(specification)
-    check_size(problem, limits.largest_campaign)
+    problem = _checked(limits, validated(CampaignSpecification, _changed(first, used, changes)))
     with database.transaction() as connection:
         return _queue(connection, limits, problem, key, digest_of(f"campaigns/{first_id}/rerun", changes), rerun_of=first_id)
 
 
 def evaluate(database: Database, limits: Limits, specification: EvaluationSpecification, key: str | None) -> StoredCampaign:
-    """Queues a single evaluation. Raises InvalidInputError for one that cannot run, OverloadError if the queue is full."""
+    """Queues a single evaluation. Raises InvalidInputError if it cannot run, OverloadError if the queue is full."""
     resolve_evaluation(specification)
     with database.transaction() as connection:
         admission.admit(connection, limits.queued_campaigns, key)
@@ -129,7 +125,7 @@ def _queue(
 
 
 def named_map(connection: Connection, problem: CalibrationProblem) -> str | None:
-    """The id of the map that a campaign names. Raises InvalidInputError if there is none or it does not hold for the campaign."""
+    """Returns the id of the map that a campaign names. Raises InvalidInputError if it does not exist or fit the campaign."""
     specification = problem.specification
     if not isinstance(specification.sensitivity, MapReference):
         return None
@@ -146,9 +142,9 @@ def named_map(connection: Connection, problem: CalibrationProblem) -> str | None
 
 
 def _changed(first: StoredCampaign, used: StoredInfluenceMap | None, changes: RerunSpecification) -> dict[str, Any]:
-    """The first campaign's specification with the changes; the influence map that it `used`, wherever it came from, is taken over.
+    """Returns the first campaign's specification with the changes and the influence map that it `used`.
 
-    A map that was computed from the ratings of another evaluator does not hold, so its analysis is made again: mostly from stored runs.
+    A map computed from the ratings of another evaluator does not hold, so that its analysis is made again, mostly from stored runs.
     """
     document = dict(first.spec)
     document["weights"] = dict(changes.weights)
@@ -169,7 +165,7 @@ def _changed(first: StoredCampaign, used: StoredInfluenceMap | None, changes: Re
 
 
 def _merged(before: Mapping[str, Any] | None, changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Another kind of optimizer has settings of its own, so nothing of the first one's is kept for it."""
+    """Returns merged settings. For another kind of optimizer, nothing of the first settings is kept."""
     if before is None or changes.get("kind", before.get("kind")) != before.get("kind"):
         return dict(changes)
     return {**before, **changes}

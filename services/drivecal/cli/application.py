@@ -1,8 +1,8 @@
-"""Parts of every command: the application, its options, its errors."""
+"""The application, its common options, and its errors."""
 
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from enum import IntEnum
 from typing import Annotated, Any
 
@@ -35,24 +35,11 @@ class ExitCode(IntEnum):
 
 
 ORDER = (
-    *(
-        "demo",
-        "serve",
-        "submit",
-        "list",
-        "show",
-        "watch",
-        "pause",
-        "resume",
-        "cancel",
-        "rerun",
-        "solutions",
-        "report",
-        "export",
-    ),
-    *("explain", "influence", "influence-maps", "robustness", "validate", "compare-optimizers", "evaluate", "workers", "db"),
+    *("demo", "serve", "submit", "list", "show", "watch", "pause", "resume", "cancel", "rerun"),
+    *("solutions", "report", "export", "explain", "influence", "influence-maps", "robustness", "validate"),
+    *("compare-optimizers", "evaluate", "workers", "db"),
 )
-"""In which the help lists the commands."""
+"""Order of the commands in the help."""
 
 
 _COMMANDS = (
@@ -69,10 +56,8 @@ class Commands(TyperGroup):
     """A group whose commands report drivecal's errors on stderr, one line per problem, and exit with the fitting code."""
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """The commands as a newcomer wants to read them."""
-        return sorted(
-            super().list_commands(ctx), key=lambda name: (name not in ORDER, ORDER.index(name) if name in ORDER else 0)
-        )
+        """Returns the commands in the order of `ORDER`."""
+        return sorted(super().list_commands(ctx), key=lambda name: ORDER.index(name) if name in ORDER else len(ORDER))
 
     def invoke(self, ctx: Any) -> Any:
         """Runs the command."""
@@ -102,30 +87,29 @@ CampaignArgument = Annotated[str, typer.Argument(metavar="ID", help="The campaig
 
 
 class WaitTimedOutError(DrivecalError):
-    """The time that the user wanted to wait is over; the campaign goes on."""
+    """The user's waiting time is over. The campaign goes on."""
 
 
 def exit_code(error: DrivecalError) -> ExitCode:
-    """The exit status that an error means."""
-    if isinstance(error, InvalidInputError):
-        return ExitCode.USAGE
-    if isinstance(error, NotFoundError):
-        return ExitCode.NOT_FOUND
-    if isinstance(error, (UnavailableError, NotAuthorisedError)):
-        return ExitCode.UNREACHABLE
-    if isinstance(error, WaitTimedOutError):
-        return ExitCode.TIMED_OUT
-    return ExitCode.FAILED
+    """Returns the exit status of an error."""
+    codes = {
+        InvalidInputError: ExitCode.USAGE,
+        NotFoundError: ExitCode.NOT_FOUND,
+        UnavailableError: ExitCode.UNREACHABLE,
+        NotAuthorisedError: ExitCode.UNREACHABLE,
+        WaitTimedOutError: ExitCode.TIMED_OUT,
+    }
+    return next((code for kind, code in codes.items() if isinstance(error, kind)), ExitCode.FAILED)
 
 
 def code_of_state(state: str) -> ExitCode:
-    """The exit status of a command that waited for a campaign to end."""
+    """Returns the exit status of a command that waited for the end of a campaign."""
     codes = {CampaignState.CANCELLED: ExitCode.CANCELLED, CampaignState.FAILED: ExitCode.FAILED}
     return codes.get(CampaignState(state), ExitCode.OK)
 
 
 def complain(error: DrivecalError) -> None:
-    """Says on stderr what is wrong, one line per problem; fields with which the same is wrong share one."""
+    """Prints an error to stderr, one line per problem. Fields with the same problem share a line."""
     text = str(error)
     if isinstance(error, InvalidInputError):
         fields: dict[tuple[str, str], list[str]] = {}
@@ -145,26 +129,22 @@ def tell(message: str) -> None:
 
 
 def connect(url: str | None) -> Client:
-    """A client of the server that flags, environment and config file name."""
+    """Returns a client of the server at `url`, by default that of the environment or the config file."""
     return Client(url)
 
 
 def full_id(client: Client, identifier: str) -> str:
-    """The id that `identifier` abbreviates, looked for among the newest campaigns. An unknown one is left as it is."""
-    if len(identifier) >= 32 or not identifier:
-        return identifier
-    return _beginning("campaign", [campaign.id for campaign in client.campaigns(limit=200).items], identifier)
+    """Returns the id that `identifier` abbreviates among the newest campaigns, or an unknown `identifier` itself."""
+    return _completed("campaign", identifier, lambda: [campaign.id for campaign in client.campaigns(limit=200).items])
 
 
 def full_map_id(client: Client, identifier: str) -> str:
-    """Like `full_id`, for an influence map."""
-    if len(identifier) >= 32 or not identifier:
-        return identifier
-    return _beginning("influence map", [item.id for item in client.influence_maps(limit=200).items], identifier)
+    """Returns the id of an influence map, like `full_id`."""
+    return _completed("influence map", identifier, lambda: [item.id for item in client.influence_maps(limit=200).items])
 
 
 def with_full_ids(client: Client, specification: dict[str, Any]) -> dict[str, Any]:
-    """A campaign's or a comparison's specification, in which the map and the campaign that it may name are not abbreviated."""
+    """Returns a specification with full ids of the influence map and the campaign that it names."""
     completed = dict(specification)
     for section, name, resolved in (
         ("sensitivity", "map", full_map_id),
@@ -177,8 +157,10 @@ def with_full_ids(client: Client, specification: dict[str, Any]) -> dict[str, An
     return completed
 
 
-def _beginning(kind: str, ids: Sequence[str], identifier: str) -> str:
-    matching = [full for full in ids if full.startswith(identifier)]
+def _completed(kind: str, identifier: str, newest: Callable[[], Sequence[str]]) -> str:
+    if len(identifier) >= 32 or not identifier:
+        return identifier
+    matching = [full for full in newest() if full.startswith(identifier)]
     if len(matching) > 1:
         raise NotFoundError(f"single {kind}", identifier, f"{len(matching)} begin so, give more characters")
     return matching[0] if matching else identifier

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from drivecal.cli.application import app
-from drivecal.cli.commands import (
+from drivecal.cli.commands import (  # noqa: F401  # importing a module registers its commands
     campaigns,
     compare_optimizers,
     db,
@@ -21,26 +21,9 @@ from drivecal.cli.commands import (
     validate,
     workers,
 )
-from drivecal.cli.commands.demo import command as demo
+from drivecal.cli.commands.demo import command as demo  # noqa: F401  # the same
 
-__all__ = [
-    "app",
-    "campaigns",
-    "compare_optimizers",
-    "db",
-    "demo",
-    "evaluate",
-    "explain",
-    "influence",
-    "influence_maps",
-    "main",
-    "report",
-    "results",
-    "robustness",
-    "serve",
-    "validate",
-    "workers",
-]
+__all__ = ["app", "main"]
 
 
 def _print_version(wanted: bool) -> None:

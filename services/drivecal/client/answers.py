@@ -1,4 +1,4 @@
-"""Turns HTTP answers that are not what was asked for into drivecal's own errors."""
+"""Errors of HTTP answers, as drivecal's own exceptions."""
 
 from http import HTTPStatus
 
@@ -18,7 +18,7 @@ GATEWAY = {HTTPStatus.BAD_GATEWAY, HTTPStatus.SERVICE_UNAVAILABLE, HTTPStatus.GA
 
 
 def unreachable(url: str, error: Exception) -> UnavailableError:
-    """No answer at all. Names the address and how to get a server there."""
+    """Returns the error of a missing answer, with the address and how to start a server there."""
     reason = str(error) or type(error).__name__
     return UnavailableError(
         f"no drivecal server answers at {url} ({reason}); start one with `drivecal serve`, or set DRIVECAL_URL or --url"
@@ -26,9 +26,9 @@ def unreachable(url: str, error: Exception) -> UnavailableError:
 
 
 def raise_for(response: httpx.Response, kind: str, identifier: str) -> None:
-    """Returns for a good answer; raises the error that the problem document describes otherwise.
+    """Raises the error that the problem document of a bad answer describes.
 
-    `kind` and `identifier` name what was asked for, for NotFoundError.
+    `kind` and `identifier` name the requested object, for NotFoundError.
     """
     if response.is_success or response.status_code == HTTPStatus.NOT_MODIFIED:
         return

@@ -3,9 +3,8 @@
 import json
 import time
 import uuid
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from http import HTTPStatus
-from types import TracebackType
 from typing import Any, Literal, Self, TypeVar
 from urllib.parse import quote
 
@@ -40,6 +39,8 @@ from drivecal.domain.errors import OverloadError, UnavailableError
 Action = Literal["pause", "resume", "cancel"]
 Answer = TypeVar("Answer", bound=BaseModel)
 
+KINDS = {"campaigns": "campaign", "evaluations": "evaluation", "influence-maps": "influence map"}
+"""Names of what the collections hold, for messages."""
 ATTEMPTS_TO_CONNECT = 3
 BROKEN_ANSWERS = 2
 """Broken connections in a call before the server counts as unreachable; a restart breaks some."""
@@ -50,12 +51,13 @@ PATIENCE_SECONDS = 30.0
 
 
 class Client:
-    """Speaks to the server at `url`. Every method raises UnavailableError where nothing answers, InvalidInputError where the server
-    refuses what it was given, NotAuthorisedError where it does not know the `token` or wants one, and NotFoundError or ConflictError
-    where the thing asked for is not there or not in a fitting state.
+    """A client of the server at `url`.
 
-    A server that is too busy, or whose database is away, is asked again after the time that it names, for up to PATIENCE_SECONDS; but
-    never where the first attempt may have done something that a second one would do again.
+    Every method raises UnavailableError if nothing answers, InvalidInputError if the server refuses the input, and NotAuthorisedError if
+    the server does not know the `token` or requires one. NotFoundError and ConflictError are about the requested object.
+
+    If the server is busy or its database is away, the client asks again after the time that it names, for up to PATIENCE_SECONDS. It
+    never repeats a call that may already have changed something.
     """
 
     def __init__(self, url: str | None = None, token: str | None = None, *, timeout: float = 30.0) -> None:
@@ -73,41 +75,40 @@ class Client:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(self, *_: object) -> None:
         self._http.close()
 
     def submit(self, specification: Document, key: str | None = None) -> Campaign:
         """Queues a campaign. Submitting again with the same `key` gives the same campaign."""
-        return self._post("/api/v1/campaigns", Campaign, specification, key=key or uuid.uuid4().hex)
+        return self._post(Campaign, "campaigns", document=specification, key=key or uuid.uuid4().hex)
 
     def expected_runs(self, specification: Document) -> ExpectedRuns:
-        """Checks a campaign without queueing it and says what it would cost."""
-        return self._post("/api/v1/campaigns", ExpectedRuns, specification, query={"validate_only": "true"})
+        """Checks a campaign without queueing it and returns its expected cost."""
+        return self._post(ExpectedRuns, "campaigns", document=specification, validate_only="true")
 
     def compare(self, specification: Document, key: str | None = None) -> Campaign:
         """Queues a comparison of optimizers or reductions: a campaign whose runs are campaigns of their own."""
-        return self._post("/api/v1/comparisons", Campaign, specification, key=key or uuid.uuid4().hex)
+        return self._post(Campaign, "comparisons", document=specification, key=key or uuid.uuid4().hex)
 
     def expected_comparison(self, specification: Document) -> ExpectedComparison:
-        """Checks a comparison without queueing it and says what it would cost."""
-        return self._post("/api/v1/comparisons", ExpectedComparison, specification, query={"validate_only": "true"})
+        """Checks a comparison without queueing it and returns its expected cost."""
+        return self._post(ExpectedComparison, "comparisons", document=specification, validate_only="true")
 
     def campaigns(self, state: str | None = None, limit: int | None = None, cursor: str | None = None) -> CampaignPage:
-        """A page of campaigns, newest first."""
-        query = {"state": state, "limit": limit, "cursor": cursor}
-        return self._get("/api/v1/campaigns", CampaignPage, query=query)
+        """Returns a page of campaigns, newest first."""
+        return self._get(CampaignPage, "campaigns", state=state, limit=limit, cursor=cursor)
 
     def campaign(self, identifier: str) -> Campaign:
         """Returns a campaign."""
-        return self._get(_path("campaigns", identifier), Campaign, kind="campaign", identifier=identifier)
+        return self._get(Campaign, "campaigns", identifier)
 
     def watch(
         self, identifier: str, deadline: float | None = None, told: Told | None = None, *, from_beginning: bool = True
     ) -> Iterator[Campaign]:
-        """Yields the campaign now and whenever it changed, until it ended; `told` is called with each event, or, where `from_beginning`
-        is False, with those from now on. Bears a server that restarts meanwhile.
+        """Yields the campaign now and after each change until it has ended. Tolerates a restart of the server.
 
-        Raises TimeoutError when the monotonic clock passes `deadline`.
+        Calls `told` with each event, or with later events only if `from_beginning` is False. Raises TimeoutError when the monotonic clock
+        passes `deadline`.
         """
         return iter(Following(self, identifier, deadline, told, from_beginning=from_beginning))
 
@@ -118,20 +119,20 @@ class Client:
         return campaign
 
     def campaign_unless(self, identifier: str, etag: str) -> tuple[Campaign | None, str, float | None]:
-        """The campaign, None if it is still the one of `etag`; its ETag; how many seconds the server asks to wait before the next
-        question."""
-        headers = {"If-None-Match": etag} if etag else {}
-        response = self._once("GET", _path("campaigns", identifier), headers=headers)  # who follows has a patience of its own
-        raise_for(response, "campaign", identifier)
+        """Returns the campaign, None if it is still the one of `etag`; its ETag; the seconds to wait before the next request."""
+        place, headers = ("campaigns", identifier), {"If-None-Match": etag} if etag else {}
+        response = self._once("GET", place, headers=headers)  # `Following` has a patience of its own
+        raise_for(response, *_named(place))
         wait = float(response.headers["retry-after"]) if "retry-after" in response.headers else None
         if response.status_code == HTTPStatus.NOT_MODIFIED:
             return None, etag, wait
-        return self._answer(response, Campaign), response.headers.get("etag", ""), wait
+        return self._answer(response, Campaign, place), response.headers.get("etag", ""), wait
 
     def events(self, identifier: str, last_id: int | None = None) -> Iterator[Sent]:
-        """What happened to a campaign, all of it or after the event `last_id`, and what happens until the stream ends; None is a sign of
-        life. The stream ends when the campaign has ended, and also when the server stops. Raises OverloadError if it has no place for
-        another stream."""
+        """Yields the events of a campaign, all of them or those after the event `last_id`; None is a sign of life.
+
+        The stream ends when the campaign has ended or the server stops. Raises OverloadError if the server has no place for a stream.
+        """
         headers = {"Accept": "text/event-stream"} | ({} if last_id is None else {"Last-Event-ID": str(last_id)})
         timeout = httpx.Timeout(self._http.timeout.connect, read=READ_SECONDS)
         path = _path("campaigns", identifier, "events")
@@ -160,30 +161,26 @@ class Client:
 
     def act(self, identifier: str, action: Action) -> Campaign:
         """Asks for a campaign to be paused, resumed or cancelled. Asking twice is no error."""
-        path = _path("campaigns", identifier, action)
-        return self._post(path, Campaign, kind="campaign", identifier=identifier)
+        return self._post(Campaign, "campaigns", identifier, action)
 
     def rerun(self, identifier: str, changes: Document, key: str | None = None) -> Campaign:
         """Queues a new campaign on the references and the influence map of an ended one."""
-        path = _path("campaigns", identifier, "rerun")
-        return self._post(path, Campaign, changes, key=key or uuid.uuid4().hex, kind="campaign", identifier=identifier)
+        return self._post(Campaign, "campaigns", identifier, "rerun", document=changes, key=key or uuid.uuid4().hex)
 
     def solutions(self, identifier: str, weights: str | None = None, limit: int | None = None) -> SolutionPage:
-        """The best parameter sets, under the campaign's weights or others (`S1=2,S2=1`)."""
-        query = {"weights": weights, "limit": limit}
-        path = _path("campaigns", identifier, "solutions")
-        return self._get(path, SolutionPage, query=query, kind="campaign", identifier=identifier)
+        """Returns the best parameter sets, under the campaign's weights or others (`S1=2,S2=1`)."""
+        return self._get(SolutionPage, "campaigns", identifier, "solutions", weights=weights, limit=limit)
 
     def evaluations(self, identifier: str, **query: Any) -> DownloadedTable:
-        """Every requested cell of a campaign; `query` filters as in the REST API, e.g. `scenario="S1"`."""
+        """Returns every requested cell of a campaign. `query` filters as in the REST API, e.g. `scenario="S1"`."""
         return self.frame(identifier, "evaluations", **query)
 
     def frame(self, identifier: str, table: TableName, **query: Any) -> DownloadedTable:
-        """A whole table of a campaign, for pandas, polars or Arrow."""
+        """Returns a whole table of a campaign, for pandas, polars or Arrow."""
         return DownloadedTable(b"".join(self.table(identifier, table, "parquet", **query)))
 
     def table(self, identifier: str, table: TableName, form: Literal["csv", "parquet"], **query: Any) -> Iterator[bytes]:
-        """A whole table, in pieces as they come."""
+        """Yields a whole table in pieces as they arrive."""
         path = _path("campaigns", identifier, table)
         try:
             with self._http.stream("GET", path, params={**query, "format": form}) as response:
@@ -195,12 +192,12 @@ class Client:
             raise unreachable(self.url, error) from error
 
     def rows(self, identifier: str, table: TableName) -> Iterator[dict[str, Any]]:
-        """Every row of a table."""
+        """Yields every row of a table."""
         cursor: str | None = None
         while True:
-            query = {"limit": 1000, "cursor": cursor}
-            response = self._request("GET", _path("campaigns", identifier, table), query=query)
-            raise_for(response, "campaign", identifier)
+            place = ("campaigns", identifier, table)
+            response = self._request("GET", place, query={"limit": 1000, "cursor": cursor})
+            raise_for(response, *_named(place))
             page = response.json()
             yield from page["items"]
             cursor = page["next_cursor"]
@@ -208,23 +205,23 @@ class Client:
                 return
 
     def influence(self, identifier: str) -> list[InfluenceRow]:
-        """The rows of the influence map that a campaign uses; none if it has no map (yet)."""
+        """Returns the rows of the influence map that a campaign uses, empty without a map."""
         return self._rows_of(identifier, "influence", InfluenceRow)
 
     def optima(self, identifier: str) -> list[OptimumRow]:
-        """The sets that share a campaign's best objective, with their regions."""
+        """Returns the sets that share a campaign's best objective, with their regions."""
         return self._rows_of(identifier, "optima", OptimumRow)
 
     def setup(self, identifier: str) -> CampaignSetup:
         """Returns a campaign's setup: parameters, versions, fingerprints."""
-        return self._get(_path("campaigns", identifier, "setup"), CampaignSetup, kind="campaign", identifier=identifier)
+        return self._get(CampaignSetup, "campaigns", identifier, "setup")
 
     def studies(self, identifier: str) -> StudyPage:
         """Returns the robustness and validation studies of a campaign's best sets and map, made by any campaign."""
-        return self._get(_path("campaigns", identifier, "studies"), StudyPage, kind="campaign", identifier=identifier)
+        return self._get(StudyPage, "campaigns", identifier, "studies")
 
     def robustness(self, identifier: str) -> list[RobustnessRow]:
-        """The examined sets of a campaign, most robust first; none if it has no robustness stage (yet)."""
+        """Returns the examined sets of a campaign, most robust first; empty before the robustness stage."""
         return self._rows_of(identifier, "robustness", RobustnessRow)
 
     def validation(self, identifier: str) -> list[ValidationRow]:
@@ -232,15 +229,15 @@ class Client:
         return self._rows_of(identifier, "validation", ValidationRow)
 
     def compared_runs(self, identifier: str) -> list[ComparedRun]:
-        """The runs of a comparison."""
+        """Returns the runs of a comparison."""
         return self._rows_of(identifier, "comparison", ComparedRun)
 
     def compared_groups(self, identifier: str) -> list[ComparedGroup]:
-        """The runs of a comparison by optimizer, population and reduction: TableName 5."""
+        """Returns the runs of a comparison by optimizer, population and reduction: Table 5."""
         return self._rows_of(identifier, "comparison-groups", ComparedGroup)
 
     def compared_pairs(self, identifier: str) -> list[ComparedPair]:
-        """The runs of a comparison that differ in the reduction alone, side by side."""
+        """Returns the runs of a comparison that differ in the reduction alone, side by side."""
         return self._rows_of(identifier, "comparison-pairs", ComparedPair)
 
     def reduction_effects(self, identifier: str) -> list[ReductionEffect]:
@@ -255,97 +252,72 @@ class Client:
 
     def accounting(self, identifier: str) -> Accounting:
         """Returns the savings and costs of a campaign."""
-        path = _path("campaigns", identifier, "accounting")
-        return self._get(path, Accounting, kind="campaign", identifier=identifier)
+        return self._get(Accounting, "campaigns", identifier, "accounting")
 
     def explanation(self, evaluation: str) -> Explanation:
-        """Why a cell was, or was not, answered without a simulation; `evaluation` is its number in the table `evaluations`."""
-        return self._get(_path("evaluations", evaluation, "explain"), Explanation, kind="evaluation", identifier=evaluation)
+        """Returns why a cell was, or was not, answered without a simulation. `evaluation`: its number in the table `evaluations`."""
+        return self._get(Explanation, "evaluations", evaluation, "explain")
 
     def evaluate(self, specification: Document, key: str | None = None) -> Evaluation:
         """Queues the evaluation of one parameter set."""
-        return self._post("/api/v1/evaluations", Evaluation, specification, key=key or uuid.uuid4().hex)
+        return self._post(Evaluation, "evaluations", document=specification, key=key or uuid.uuid4().hex)
 
     def evaluation(self, identifier: str) -> Evaluation:
-        """A single evaluation by the id that `evaluate` gave."""
-        return self._get(_path("evaluations", identifier), Evaluation, kind="evaluation", identifier=identifier)
+        """Returns a single evaluation by the id that `evaluate` returned."""
+        return self._get(Evaluation, "evaluations", identifier)
 
     def trace(self, evaluation: str) -> TraceAnswer | None:
-        """The time series of an evaluation, by its number or by the id of a single one in one scenario; None while they are being made."""
-        response = self._request("GET", _path("evaluations", evaluation, "trace"))
-        raise_for(response, "evaluation", evaluation)
-        return None if response.status_code == 202 else self._answer(response, TraceAnswer)
+        """Returns the time series of an evaluation, None while they are being made.
+
+        `evaluation`: its number, or the id of a single evaluation in one scenario.
+        """
+        place = ("evaluations", evaluation, "trace")
+        response = self._request("GET", place)
+        return None if response.status_code == HTTPStatus.ACCEPTED else self._answer(response, TraceAnswer, place)
 
     def post_influence_map(self, specification: Document) -> InfluenceMapAnswer:
         """Stores an influence map."""
-        return self._post("/api/v1/influence-maps", InfluenceMapAnswer, specification)
+        return self._post(InfluenceMapAnswer, "influence-maps", document=specification)
 
     def influence_maps(self, limit: int | None = None, cursor: str | None = None) -> InfluenceMapPage:
-        """A page of influence maps, newest first."""
-        return self._get("/api/v1/influence-maps", InfluenceMapPage, query={"limit": limit, "cursor": cursor})
+        """Returns a page of influence maps, newest first."""
+        return self._get(InfluenceMapPage, "influence-maps", limit=limit, cursor=cursor)
 
     def influence_map(self, identifier: str) -> InfluenceMapAnswer:
         """Returns an influence map with its rows."""
-        path = _path("influence-maps", identifier)
-        return self._get(path, InfluenceMapAnswer, kind="influence map", identifier=identifier)
+        return self._get(InfluenceMapAnswer, "influence-maps", identifier)
 
     def map_of(self, campaign: Campaign) -> InfluenceMapAnswer | None:
-        """The influence map that a campaign uses, None if it has none (yet)."""
+        """Returns the influence map that a campaign uses, None without one."""
         link = campaign.links.get("influence_map")
         return None if link is None else self.influence_map(link.rpartition("/")[2])
 
     def scenarios(self) -> ScenarioPage:
-        """The scenarios of all catalogues that the server has."""
-        return self._get("/api/v1/scenarios", ScenarioPage)
+        """Returns the scenarios of all catalogues of the server."""
+        return self._get(ScenarioPage, "scenarios")
 
     def workers(self) -> WorkerPage:
-        """The workers."""
-        return self._get("/api/v1/workers", WorkerPage)
+        """Returns the workers."""
+        return self._get(WorkerPage, "workers")
 
-    def _get(
-        self,
-        path: str,
-        model: type[Answer],
-        query: Mapping[str, Any] | None = None,
-        kind: str = "",
-        identifier: str = "",
-    ) -> Answer:
-        response = self._request("GET", path, query=query)
-        raise_for(response, kind, identifier)
-        return self._answer(response, model)
+    def _get(self, model: type[Answer], *place: str, **query: Any) -> Answer:
+        return self._answer(self._request("GET", place, query=query), model, place)
 
     def _post(
-        self,
-        path: str,
-        model: type[Answer],
-        document: Document | None = None,
-        query: Mapping[str, Any] | None = None,
-        key: str | None = None,
-        kind: str = "",
-        identifier: str = "",
+        self, model: type[Answer], *place: str, document: Document | None = None, key: str | None = None, **query: Any
     ) -> Answer:
         headers = {"Idempotency-Key": key} if key else {}
         # Actions on a campaign (no document) and counting (validate_only) may be repeated as well.
         ask = self._once if document is not None and not key and not query else self._request
         content = None if document is None else plain(document)
-        response = ask("POST", path, query=query, headers=headers, document=content)
-        raise_for(response, kind, identifier)
-        return self._answer(response, model)
+        return self._answer(ask("POST", place, query=query, headers=headers, document=content), model, place)
 
-    def _request(
-        self,
-        method: str,
-        path: str,
-        query: Mapping[str, Any] | None = None,
-        headers: Mapping[str, str] | None = None,
-        document: Mapping[str, Any] | None = None,
-    ) -> httpx.Response:
-        """The answer, asked for again while the server asks for it, or breaks off, and patience lasts. To be used where repeating does
-        no harm."""
+    def _request(self, method: str, place: Sequence[str], **content: Any) -> httpx.Response:
+        """Repeats a call that is safe to repeat while the server asks for it or breaks off, for up to PATIENCE_SECONDS."""
         waited, broken = 0.0, 0
         while True:
             try:
-                response = self._once(method, path, query, headers, document)
+                response = self._once(method, place, **content)
             except UnavailableError as error:
                 broken += 1
                 if broken > BROKEN_ANSWERS or not isinstance(error.__cause__, BROKEN_OFF):
@@ -362,18 +334,19 @@ class Client:
     def _once(
         self,
         method: str,
-        path: str,
+        place: Sequence[str],
         query: Mapping[str, Any] | None = None,
         headers: Mapping[str, str] | None = None,
         document: Mapping[str, Any] | None = None,
     ) -> httpx.Response:
         params = {name: value for name, value in (query or {}).items() if value is not None}
         try:
-            return self._http.request(method, path, params=params, headers=headers, json=document)
+            return self._http.request(method, _path(*place), params=params, headers=headers, json=document)
         except (httpx.TransportError, httpx.InvalidURL) as error:
             raise unreachable(self.url, error) from error
 
-    def _answer(self, response: httpx.Response, model: type[Answer]) -> Answer:
+    def _answer(self, response: httpx.Response, model: type[Answer], place: Sequence[str]) -> Answer:
+        raise_for(response, *_named(place))
         try:
             return model.model_validate_json(response.content)
         except ValidationError as error:
@@ -389,8 +362,13 @@ def _path(*parts: str) -> str:
     return "/api/v1/" + "/".join(quote(part, safe="") for part in parts)
 
 
+def _named(place: Sequence[str]) -> tuple[str, str]:
+    """Returns the kind and the identifier of the object at a place; both empty for a list."""
+    return (KINDS[place[0]], place[1]) if len(place) > 1 else ("", "")
+
+
 def _pause(response: httpx.Response) -> float | None:
-    """Seconds after which the server wants to be asked again; None if it does not."""
+    """Returns the seconds after which the server wants to be asked again; None if it does not."""
     if response.status_code not in {HTTPStatus.TOO_MANY_REQUESTS, HTTPStatus.SERVICE_UNAVAILABLE}:
         return None
     given = response.headers.get("retry-after", "")

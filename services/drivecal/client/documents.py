@@ -1,13 +1,14 @@
 """Reads the files that users write, YAML or JSON, into the plain data of a REST body.
 
-YAML is read by its 1.2 core schema: `no` and `on` are words, `1e-3` is a number, dates stay text. Keys given twice are refused, and so
-are tags, and aliases, with which a short file can expand without end.
+YAML follows its 1.2 core schema: `no` and `on` are words, `1e-3` is a number, dates stay text. Duplicate keys, tags and aliases are
+refused: with aliases, a short file can expand without end.
 """
 
 import math
 import re
 import sys
 from collections.abc import Hashable, Mapping
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -26,17 +27,15 @@ LARGEST_FILE = 1_048_576
 
 
 def read_document(file: str) -> dict[str, Any]:
-    """The object in `file`; `-` is standard input. Raises InvalidInputError with file, line and column of what cannot be read."""
+    """Returns the object in `file`, `-` for standard input. Raises InvalidInputError with file, line and column of the fault."""
     content, name = _content(file)
     try:
         is_json = name.endswith(".json") or (file == "-" and content.lstrip()[:1] in {b"{", b"["})
         document = strict_json.loads(content) if is_json else _yaml(content)
         strict_json.check_plain(document)
     except InvalidInputError as error:
-        where = [f"{name}: {problem.field}" if problem.field else name for problem in error.problems]
-        raise InvalidInputError(
-            *(Problem(at, problem.message, problem.remedy) for at, problem in zip(where, error.problems, strict=True))
-        ) from error
+        located = (replace(problem, field=": ".join(filter(None, (name, problem.field)))) for problem in error.problems)
+        raise InvalidInputError(*located) from error
     if not isinstance(document, dict):
         raise InvalidInputError(Problem(name, f"it holds {shown(document)}, not an object", "write `field: value` lines"))
     return document

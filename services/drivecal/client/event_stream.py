@@ -13,8 +13,7 @@ class ServerSentEvent:
 
 
 class EventParser:
-    """Takes a stream as it comes in, cut anywhere. An event that is not complete when the stream ends never was one; when to come back,
-    who reads knows better than the server."""
+    """A parser of a stream that arrives in arbitrary pieces. It drops an event that is incomplete at the end, and ignores `retry`."""
 
     def __init__(self) -> None:
         self._rest = b""
@@ -24,7 +23,7 @@ class EventParser:
         self._id: str | None = None
 
     def feed(self, chunk: bytes) -> list[ServerSentEvent]:
-        """The events that are complete with this chunk."""
+        """Returns the events that this chunk completes."""
         self._rest += chunk
         if not self._begun and len(self._rest) >= 3:
             self._rest, self._begun = self._rest.removeprefix(b"\xef\xbb\xbf"), True

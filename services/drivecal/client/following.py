@@ -1,4 +1,4 @@
-"""Follows a campaign: by its event stream, which is taken up where it broke off, or by asking again and again where there is none."""
+"""Following a campaign by its event stream, which is resumed after a break, or by repeated requests without one."""
 
 import time
 from collections.abc import Callable, Generator, Iterator
@@ -13,11 +13,11 @@ from drivecal.domain.events import EventKind
 SILENCE_SECONDS = 60.0
 """Tolerated silence of a server, s; a restart takes less."""
 READ_SECONDS = 20.0
-"""A stream that gives no sign of life for so long has broken; servers give one every 15 s."""
+"""Silence after which a stream counts as broken; servers send a sign of life every 15 s."""
 WAIT_SECONDS = 1.0
-"""Before asking again, where the server does not say how long."""
+"""Default time before the next request."""
 EMPTY_STREAMS = 2
-"""After so many streams in a row with nothing in them, though the server answers, something in between does not let them through."""
+"""Number of successive empty streams after which a proxy is assumed to block streams."""
 
 Told = Callable[[CampaignEvent], None]
 Sent = CampaignEvent | CampaignProgress | None
@@ -28,22 +28,24 @@ class Source(Protocol):
     """Reads campaigns."""
 
     def campaign_unless(self, identifier: str, etag: str) -> tuple[Campaign | None, str, float | None]:
-        """The campaign, None if it is still the one of `etag`; its ETag; the seconds to wait before asking again. Raises
-        NotFoundError, and UnavailableError where nothing answers."""
+        """Returns the campaign, None if it is still the one of `etag`; its ETag; the seconds to wait before the next request.
+
+        Raises NotFoundError, and UnavailableError if nothing answers.
+        """
 
     def events(self, identifier: str, last_id: int | None = None) -> Iterator[Sent]:
         """Yields the events after an event until the stream ends.
 
-        Raises OverloadError if there is no place for another stream, UnavailableError where nothing answers or the stream breaks
-        off, NotFoundError or InvalidInputError where the server has no such stream.
+        Raises OverloadError if there is no place for another stream, UnavailableError if nothing answers or the stream breaks off, and
+        NotFoundError or InvalidInputError if the server has no such stream.
         """
 
 
 class Following:
-    """Follows a campaign until its end; calls `told` with each event.
+    """The states of a campaign until its end. Calls `told` with each event, or with later events only if `from_beginning` is False.
 
-    Where `from_beginning` is False, only with what happens from now on. Iterating raises TimeoutError when the monotonic clock passes
-    `deadline`, and UnavailableError where the server was silent for SILENCE_SECONDS, or is from the start.
+    Iterating raises TimeoutError when the monotonic clock passes `deadline`, and UnavailableError if the server is silent from the start
+    or for SILENCE_SECONDS.
     """
 
     def __init__(
@@ -63,7 +65,7 @@ class Following:
         self._tells = from_beginning
 
     def __iter__(self) -> Iterator[Campaign]:
-        """The campaign now, and whenever something changed."""
+        """Yields the campaign now and after each change."""
         while True:
             answered = yield from self._ask()
             if answered and self._has_ended:
@@ -79,12 +81,12 @@ class Following:
 
     @property
     def _streams(self) -> bool:
-        """A stream may be silent for READ_SECONDS, so the last ones before a deadline are spent asking."""
+        """Whether a stream may be opened. It may be silent for READ_SECONDS, so that none is opened shortly before the deadline."""
         in_time = self._deadline is None or self._deadline - time.monotonic() > READ_SECONDS
         return in_time and self._empty_streams < EMPTY_STREAMS
 
     def _ask(self) -> Generator[Campaign, None, bool]:
-        """Whether there was an answer."""
+        """Yields a changed campaign, and returns whether there was an answer."""
         try:
             campaign, self._etag, wait = self._source.campaign_unless(self._identifier, self._etag)
         except UnavailableError:
@@ -113,13 +115,10 @@ class Following:
             self._empty_streams = EMPTY_STREAMS  # no place for another one, or a server that has none
         except UnavailableError:
             pass  # the question that follows says whether the server is away
-        if received:
-            self._empty_streams = 0
-        else:
-            self._empty_streams += 1
+        self._empty_streams = 0 if received else self._empty_streams + 1
 
     def _take(self, sent: Sent) -> Campaign | None:
-        """The campaign as it is with what the stream sent; None if that changes nothing that a campaign holds."""
+        """Returns the campaign as changed by a message of the stream; None if it changes nothing of a campaign."""
         if self._campaign is None or sent is None:
             return None
         if isinstance(sent, CampaignEvent):

@@ -10,12 +10,12 @@ MAKE_TOKENS = "python3 -c 'import secrets; print(\"me write\", secrets.token_url
 
 
 def is_loopback(address: str) -> bool:
-    """True for an IP address that only this machine can connect to."""
+    """Returns True for an IP address that only this machine can connect to."""
     return ipaddress.ip_address(address.partition("%")[0]).is_loopback
 
 
 def check_exposure(address: str, settings: Settings) -> None:
-    """Raises InvalidInputError if others than this machine could use a server that asks for no token."""
+    """Raises InvalidInputError if other machines could use a server without tokens."""
     if settings.tokens_file is None and not is_loopback(address):
         remedy = (
             f"make a tokens file ({MAKE_TOKENS}) and name it by --tokens-file or DRIVECAL_TOKENS_FILE, or listen on 127.0.0.1"

@@ -17,9 +17,10 @@ import os
 import re
 import sys
 import threading
-from collections.abc import MutableMapping
+from collections.abc import Mapping, MutableMapping
 from contextlib import AbstractContextManager
 from datetime import UTC, datetime
+from functools import partial
 from types import TracebackType
 from typing import Any, Literal, TextIO
 
@@ -43,7 +44,7 @@ _CONTROLS = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")
 _COLOURS = {"warning": "\x1b[33m", "error": "\x1b[31m", "critical": "\x1b[31m"}
 _PLAIN = "\x1b[0m"
 _TOLD_BETTER = "Exception in ASGI application"
-"""Uvicorn's message of an error that the API logged already, with the same traceback."""
+"""Uvicorn's message of an error that the API has logged with the same traceback."""
 
 _log = logging.getLogger("drivecal")
 
@@ -55,9 +56,15 @@ def configure(process: Process, settings: Settings, stream: TextIO | None = None
     """
     target = stream or sys.stderr
     handler = logging.StreamHandler(target)
-    render = _json if settings.log_format == "json" else _Text(coloured=target.isatty() and "NO_COLOR" not in os.environ)
+    colours = _COLOURS if target.isatty() and "NO_COLOR" not in os.environ else {}
+    render: structlog.typing.Processor = _json if settings.log_format == "json" else partial(_text, colours)
     shared: list[structlog.typing.Processor] = [structlog.contextvars.merge_contextvars, ExtraAdder()]
-    formatting: list[structlog.typing.Processor] = [_Finish(process), structlog.processors.format_exc_info, _mask, render]
+    formatting: list[structlog.typing.Processor] = [
+        partial(_finish, process),
+        structlog.processors.format_exc_info,
+        _mask,
+        render,
+    ]
     handler.setFormatter(ProcessorFormatter(processors=formatting, foreign_pre_chain=shared))
     handler.addFilter(lambda record: not str(record.msg).startswith(_TOLD_BETTER))
     level = logging.getLevelNamesMapping()[settings.log_level.upper()]
@@ -77,20 +84,20 @@ def configure(process: Process, settings: Settings, stream: TextIO | None = None
 
 
 def about(**known: Value) -> AbstractContextManager[None]:
-    """Everything that is logged inside the block is about this: `campaign` (its id), `campaign_name`, `stage`, `iteration`, `worker`.
+    """Adds fields to everything that is logged inside the block: `campaign` (its id), `campaign_name`, `stage`, `iteration`, `worker`.
 
-    What is None is left out.
+    Fields that are None are left out.
     """
     return structlog.contextvars.bound_contextvars(**{name: value for name, value in known.items() if value is not None})
 
 
 def note(**known: Value) -> None:
-    """Like `about`, but until the end of the request."""
+    """Adds fields, like `about`, until the end of the request."""
     structlog.contextvars.bind_contextvars(**{name: value for name, value in known.items() if value is not None})
 
 
 def begin(**known: Value) -> None:
-    """Forgets what was noted before: a new request begins."""
+    """Begins a request: forgets the fields of the previous one."""
     structlog.contextvars.clear_contextvars()
     note(**known)
 
@@ -100,20 +107,15 @@ def noted() -> dict[str, Any]:
     return structlog.contextvars.get_contextvars()
 
 
-class _Finish:
+def _finish(process: Process, _logger: object, _method: str, line: _Line) -> _Line:
     """Orders the fields of a line: common fields first, the rest by name."""
-
-    def __init__(self, process: Process) -> None:
-        self._process = process
-
-    def __call__(self, _logger: object, _method: str, line: _Line) -> _Line:
-        record: logging.LogRecord = line["_record"]
-        moment = datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
-        always = {"time": moment, "level": record.levelname.lower(), "process": self._process, "message": str(line["event"])}
-        rest = {name: line[name] for name in sorted(line) if name not in {*_ALWAYS, *_INTERNAL}}
-        if record.name.partition(".")[0] not in _OURS:
-            rest["logger"] = record.name
-        return always | rest
+    record: logging.LogRecord = line["_record"]
+    moment = datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+    always = {"time": moment, "level": record.levelname.lower(), "process": process, "message": str(line["event"])}
+    rest = {name: line[name] for name in sorted(line) if name not in {*_ALWAYS, *_INTERNAL}}
+    if record.name.partition(".")[0] not in _OURS:
+        rest["logger"] = record.name
+    return always | rest
 
 
 def _mask(_logger: object, _method: str, line: _Line) -> _Line:
@@ -129,20 +131,15 @@ def _json(_logger: object, _method: str, line: _Line) -> str:
     return json.dumps(line, default=str)
 
 
-class _Text:
-    """`time level process message  name=value ...`, and an exception on indented lines behind it."""
-
-    def __init__(self, *, coloured: bool) -> None:
-        self._coloured = coloured
-
-    def __call__(self, _logger: object, _method: str, line: _Line) -> str:
-        moment, level, process, message = (str(line.pop(name)) for name in _ALWAYS)
-        exception = line.pop("exception", "")
-        colour, plain = (_COLOURS[level], _PLAIN) if self._coloured and level in _COLOURS else ("", "")
-        words = "\n    ".join(_escaped(part) for part in message.splitlines())
-        known = "".join(f" {name}={_value(value)}" for name, value in line.items())
-        text = f"{moment} {colour}{level:<7}{plain} {process:<10} {words}{known and ' '}{known}"
-        return text + "".join(f"\n    {_escaped(part)}" for part in exception.splitlines())
+def _text(colours: Mapping[str, str], _logger: object, _method: str, line: _Line) -> str:
+    """Returns `time level process message  name=value ...`, with an exception on indented lines behind it."""
+    moment, level, process, message = (str(line.pop(name)) for name in _ALWAYS)
+    exception = line.pop("exception", "")
+    colour, plain = (colours[level], _PLAIN) if level in colours else ("", "")
+    words = "\n    ".join(_escaped(part) for part in message.splitlines())
+    known = "".join(f" {name}={_value(value)}" for name, value in line.items())
+    text = f"{moment} {colour}{level:<7}{plain} {process:<10} {words}{known and ' '}{known}"
+    return text + "".join(f"\n    {_escaped(part)}" for part in exception.splitlines())
 
 
 def _value(value: object) -> str:

@@ -1,8 +1,8 @@
 """The settings of server and command line: flags, then `DRIVECAL_*` environment variables, then a config file, then defaults.
 
 The config file is `drivecal.toml` in the working directory or `config.toml` in the home folder; what the first one says wins.
-Environment variables beginning with `DRIVECAL_` that are no setting are left alone: container platforms invent some from the names of
-services. An unknown key in a config file is refused, for there it can only be a mistake.
+Unknown environment variables beginning with `DRIVECAL_` are ignored, because container platforms derive some from names of services. An
+unknown key in a config file is refused.
 """
 
 import re
@@ -23,7 +23,7 @@ _PASSWORD = re.compile(r":[^/@]*@")
 
 Line = Annotated[str, StringConstraints(min_length=1, max_length=4096, pattern=r"^[^\x00-\x1f\x7f]+$")]
 Secret = Annotated[str, StringConstraints(min_length=1, max_length=4096, pattern=r"^[\x21-\x7e]+$")]
-"""Goes into an HTTP header as it is: printable ASCII without blanks."""
+"""Printable ASCII without blanks, as in an HTTP header."""
 
 
 class Settings(BaseSettings):
@@ -104,17 +104,13 @@ class Settings(BaseSettings):
         home = Path(str(init_settings().get("home") or env_settings().get("home") or here.get("home") or ".drivecal"))
         at_home = _read(home.expanduser() / "config.toml")
         if "home" in at_home:
-            raise InvalidInputError(
-                Problem(
-                    "home", f"{home / 'config.toml'} lies in the home folder and cannot move it", "set DRIVECAL_HOME instead"
-                )
-            )
+            message = f"{home / 'config.toml'} lies in the home folder and cannot move it"
+            raise InvalidInputError(Problem("home", message, "set DRIVECAL_HOME instead"))
         return init_settings, env_settings, InitSettingsSource(settings_cls, at_home | here)
 
     @property
     def environment(self) -> dict[str, str]:
-        """The same settings as environment variables, for the server's processes. A client's token is none of theirs, and a password
-        that was in a file stays there."""
+        """The settings as environment variables for the server's processes, without a client's token and a password from a file."""
         values = self.model_dump(mode="json", exclude_none=True, exclude={"token"})
         if self.database_password_file is not None and not self.database_url.startswith("sqlite"):
             values["database_url"] = _PASSWORD.sub("@", self.database_url, count=1)
@@ -122,7 +118,7 @@ class Settings(BaseSettings):
 
 
 def load_settings(**flags: Any) -> Settings:
-    """The settings in force; `flags` that are None were not given. Raises InvalidInputError naming each setting that is wrong."""
+    """Returns the settings in force. `flags`: None stands for a missing one. Raises InvalidInputError naming each faulty setting."""
     try:
         return Settings(**{name: value for name, value in flags.items() if value is not None})
     except ValidationError as error:
@@ -130,7 +126,7 @@ def load_settings(**flags: Any) -> Settings:
 
 
 def _with_password(url: str, file: Path) -> str:
-    """The URL with the password that `file` holds. Raises InvalidInputError saying what is wrong with either."""
+    """Returns the URL with the password in `file`. Raises InvalidInputError if either is unusable."""
     name = "database_password_file"
     try:
         password = file.expanduser().read_text(encoding="utf-8").strip()

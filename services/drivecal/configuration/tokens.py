@@ -21,10 +21,10 @@ from pathlib import Path
 from drivecal.domain.errors import InvalidInputError, Problem
 
 SHORTEST = 16
-"""Characters of a token at least."""
+"""Fewest characters of a token."""
 LONGEST = 512
 LARGEST_FILE = 1_048_576
-"""Bytes: whatever is larger is no file of tokens."""
+"""Largest size of a tokens file in bytes."""
 FORM = "one token per line: NAME read|write TOKEN"
 _NAME = re.compile(rb"[A-Za-z0-9][A-Za-z0-9_.@-]{0,63}")
 _PRINTABLE = re.compile(rb"[\x21-\x7e]+")
@@ -34,7 +34,7 @@ log = logging.getLogger("drivecal.tokens")
 
 @dataclass(frozen=True, slots=True)
 class Token:
-    """Somebody's right to use the server; the token itself is kept as its SHA-256 only."""
+    """A client's right to use the server. Of the token itself only the SHA-256 is kept."""
 
     name: str
     may_write: bool
@@ -42,7 +42,7 @@ class Token:
 
 
 def parse(content: bytes, source: str) -> tuple[Token, ...]:
-    """The tokens in a file's content. Raises InvalidInputError naming `source` and line for everything that is wrong."""
+    """Returns the tokens in a file's content. Raises InvalidInputError naming `source` and line of each fault."""
     tokens: list[Token] = []
     problems: list[Problem] = []
     first_lines: dict[str | bytes, int] = {}
@@ -66,7 +66,7 @@ def parse(content: bytes, source: str) -> tuple[Token, ...]:
 
 
 def _lines(content: bytes) -> Iterator[tuple[int, list[bytes]]]:
-    """The lines that are no comment, as words, with their numbers from 1."""
+    """Yields the lines that are no comment, as words, with their numbers from 1."""
     for number, line in enumerate(content.removeprefix(b"\xef\xbb\xbf").split(b"\n"), start=1):
         words = line.split()
         if words and not words[0].startswith(b"#"):
@@ -97,7 +97,7 @@ class TokenFile:
     """The tokens of a file as it is now."""
 
     def __init__(self, path: Path) -> None:
-        """Reads the file. Raises InvalidInputError if it cannot be read, or holds anything that is wrong."""
+        """Reads the file. Raises InvalidInputError if it cannot be read or has a fault."""
         self._path = path
         self._version = _version(path)
         self.tokens = parse(_read(path), str(path))
@@ -113,12 +113,12 @@ class TokenFile:
         return match
 
     def named(self, name: str) -> Token | None:
-        """Returns the token of this name, None without one (any more)."""
+        """Returns the token of this name, None without one."""
         self._refresh()
         return next((token for token in self.tokens if token.name == name), None)
 
     def _refresh(self) -> None:
-        """Reads the file again if it has changed; a version that is wrong changes nothing and is said once in the log."""
+        """Reads the file again if it has changed. A faulty version is ignored and logged once."""
         version = _version(self._path)
         if version == self._version:
             return

@@ -226,8 +226,7 @@ class Dispatcher:
 
     def _submit(self, active: Active, work: Sequence[Work]) -> None:
         if active.stopping is None:
-            for batch in work:
-                self._pool.submit(batch, tag=active.tag, priority=active.priority)
+            self._pool.submit(*work, tag=active.tag, priority=active.priority)
 
     def _finish_stopping(self, active: Active) -> None:
         if self._pool.held(active.tag) or active.unwritten:

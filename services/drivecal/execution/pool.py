@@ -52,13 +52,14 @@ class WorkPool:
         """Returns the reason for missing or refusing workers, or None."""
         return "; ".join(filter(None, (self._backend.trouble(), self._scheduler.trouble()))) or None
 
-    def submit(self, work: Work, *, tag: str, priority: int = 0) -> None:
-        """Queues cells of one setup and sends as many as workers have room for. Higher priorities go first. `tag` names the cells for
-        `withdraw`.
+    def submit(self, *work: Work, tag: str, priority: int = 0) -> None:
+        """Queues cells and sends as many as workers have room for. Higher priorities go first. `tag` names the cells for `withdraw`.
 
+        Submit the setups of a generation together: with one after the other, all workers would take the first.
         Raises ValueError if a cell is in flight already, and UnavailableError if no cell can be leased: the cells then wait.
         """
-        self._scheduler.add(work, tag, priority)
+        for cells in work:
+            self._scheduler.add(cells, tag, priority)
         self._fill()
 
     def poll(self, timeout: float) -> list[Completed]:
@@ -69,7 +70,11 @@ class WorkPool:
         Raises UnavailableError if nothing can be leased; the next call returns the results. Raises BackendLostError.
         """
         self._fill()
-        for event in self._backend.wait(timeout):
+        events = self._backend.wait(timeout)
+        for event in events:
+            if isinstance(event, Finished):
+                self._scheduler.note_refutation(event.batch_id, event.result)
+        for event in events:
             self._completed += self._take_in(event)
         self._fill()
         completed, self._completed = self._completed, []
@@ -126,8 +131,9 @@ class WorkPool:
 
     def _fill(self) -> None:
         """Fills the free slots, and replaces idle workers that nothing can be sent to."""
-        ready = [worker.id for worker in self._backend.workers() if worker.state != "starting"]
-        self._scheduler.meet(ready)
+        nodes = {worker.id: worker.node for worker in self._backend.workers() if worker.state != "starting"}
+        ready = list(nodes)
+        self._scheduler.meet(ready, nodes)
         self._refusing_since = {worker: since for worker, since in self._refusing_since.items() if worker in ready}
         while True:
             wanted = [self._scheduler.next_batch(slot.worker, idle=slot.idle) for slot in self._backend.slots()]

@@ -8,7 +8,7 @@ from threading import Lock
 from drivecal.campaigns.resolve.problem import resolve_evaluation
 from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import EvaluationSpecification
-from drivecal.contracts.work import Batch, Cell, CellResult
+from drivecal.contracts.work import Batch, Cell
 from drivecal.domain.errors import UnavailableError
 from drivecal.runtime.compilation import prepare_cache
 from drivecal.runtime.worker import Worker
@@ -91,10 +91,6 @@ def _simulated(scenario: str, batch: Batch) -> SimulatedCell:
     if answer.refusal is not None:
         raise UnavailableError(answer.refusal)
     (result,) = answer.results
-    return _cell(scenario, result)
-
-
-def _cell(scenario: str, result: CellResult) -> SimulatedCell:
     error = None if result.breakdown is None else result.detail or result.breakdown
     return SimulatedCell(scenario, result.score, result.rating, result.metrics, result.failure, error, result.milliseconds)
 

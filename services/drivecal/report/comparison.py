@@ -1,4 +1,4 @@
-"""The report of a comparison: Table 5, Figures 7 and 8 with all runs, and what a reduction changed and saved."""
+"""The report of a comparison: Table 5, Figures 7 and 8 with all runs, and the effects of a reduction."""
 
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -12,7 +12,8 @@ from drivecal.contracts.comparison import ComparedGroup, ComparedPair, ComparedR
 from drivecal.contracts.tables import Generation
 from drivecal.report.figures.comparison import effects_figure, optima_figure, search_figures
 from drivecal.report.folder import writable
-from drivecal.report.markup import Number, contents, document, files, heading, paragraph, section, table, verbatim
+from drivecal.report.markup import document, files, paragraph, table, verbatim
+from drivecal.report.rows import Number, compared_groups, fixed, percent, reduction_effect
 
 SPECIFICATION = "comparison.json"
 COUNTED = (
@@ -35,7 +36,7 @@ CONVERGED = (
 
 @dataclass(frozen=True, slots=True)
 class ComparisonData:
-    """A comparison with what its runs found; `generations` by the id of the run."""
+    """A comparison and the results of its runs; `generations` by the id of the run."""
 
     campaign: Campaign
     runs: Sequence[ComparedRun]
@@ -46,7 +47,7 @@ class ComparisonData:
 
 
 def collect_comparison(client: Client, campaign: Campaign) -> ComparisonData:
-    """Asks for it. Raises whatever the client raises."""
+    """Reads the data of a comparison. Raises the client's exceptions."""
     runs = client.compared_runs(campaign.id)
     return ComparisonData(
         campaign=campaign,
@@ -59,8 +60,10 @@ def collect_comparison(client: Client, campaign: Campaign) -> ComparisonData:
 
 
 def write_comparison(comparison: ComparisonData, tables: Mapping[str, Iterable[bytes]], folder: Path) -> list[Path]:
-    """Writes page, figures, the `tables` (CSV by name, in pieces) and the comparison as it was submitted; returns what was written, the
-    page last. Raises InvalidInputError if it cannot be written."""
+    """Writes page, figures, the `tables` (CSV by name, in pieces) and the specification. Returns the written files, the page last.
+
+    Raises InvalidInputError if a file cannot be written.
+    """
     with writable(folder) as target:
         searches = [target.draw(figure) for figure in search_figures(comparison.runs, comparison.generations)]
         searches.append(
@@ -95,21 +98,14 @@ def _page(comparison: ComparisonData, searches: Sequence[str], reduced: str, nam
         "Again": [verbatim(f"drivecal compare-optimizers {SPECIFICATION} --wait")],
         "Files": [files(names)],
     }
-    kept = {title: parts for title, parts in sections.items() if parts}
     ended = "" if campaign.ended_at is None else f", ended {campaign.ended_at:%Y-%m-%d %H:%M} UTC"
     spent = f"{campaign.seconds.wall:,.0f} s, CPU time of all simulations {campaign.seconds.simulating:,.0f} s"
-    parts = [
-        heading(campaign.name),
-        paragraph(f"comparison {campaign.id}, {campaign.state}{ended} after {spent}; drivecal {version('drivecal')}", "sub"),
-        contents(kept),
-        *(paragraph(text, "warn") for text in (campaign.error, campaign.degraded, *campaign.notes) if text),
-        *(section(title, *listed) for title, listed in kept.items()),
-    ]
-    return document(campaign.name, parts)
+    subtitle = f"comparison {campaign.id}, {campaign.state}{ended} after {spent}; drivecal {version('drivecal')}"
+    return document(campaign.name, subtitle, (campaign.error, campaign.degraded, *campaign.notes), sections)
 
 
 def summary(comparison: ComparisonData) -> list[str]:
-    """Sentences that summarise the comparison."""
+    """Returns sentences that summarise the comparison."""
     sentences = []
     best = max((run.simulated_best for run in comparison.runs if run.simulated_best is not None), default=None)
     if best is not None:
@@ -161,40 +157,17 @@ def _plain(value: object) -> str:
 def _table_5(groups: Sequence[ComparedGroup], *, several: bool) -> str:
     header = ["optimizer", "size", *(["reduction"] if several else []), "best", "mean", "min", "rating", "sets at best"]
     header += ["simulations", "converged", "in iteration", "after simulations", "as good as any"]
-    rows = [
-        [
-            *(group.optimizer, group.population, *([group.reduction] if several else [])),
-            *(_number(value, 4) for value in (group.best, group.mean, group.minimum)),
-            *(_number(group.rating, 3), _number(group.alternatives, 1), _number(group.simulations, 0)),
-            *(f"{group.converged} of {group.seeds}", _number(group.iterations_to_converge, 1)),
-            *(_number(group.simulations_to_converge, 0), f"{group.successes} of {group.seeds}"),
-        ]
-        for group in groups
-    ]
-    return table(header, rows, "Table 5: final optima over the seeds, by population size, and what they took", wrap_header=True)
+    caption = "Table 5: final optima over the seeds, by population size, and what they took"
+    return table(header, compared_groups(groups, with_reduction=several), caption, wrap_header=True)
 
 
 def _effects(effects: Sequence[ReductionEffect]) -> str:
     header = ["optimizer", "size", "reduction", "pairs", "difference", "95 % interval", "better", "equal", "worse"]
+    header += ["p", "differ at most", "saved", "share"]
     rows = [
-        [
-            *(effect.optimizer or "all", effect.population or "all", f"{effect.reduction} - {effect.base}", effect.pairs),
-            Number(f"{effect.mean_difference:+.4f}"),
-            None
-            if effect.lower_95 is None or effect.upper_95 is None
-            else Number(f"{effect.lower_95:+.4f} to {effect.upper_95:+.4f}"),
-            *(
-                effect.better,
-                effect.equal,
-                effect.worse,
-                Number(f"{effect.sign_test:.3g}"),
-                Number(f"{effect.different_upper_95:.1%}"),
-            ),
-            *(effect.base_simulations - effect.simulations, Number(f"{effect.saved_share:.1%}")),
-        ]
+        [*reduction_effect(effect), effect.base_simulations - effect.simulations, percent(effect.saved_share, 1)]
         for effect in effects
     ]
-    header += ["p", "differ at most", "saved", "share"]
     caption = (
         "Final optimum with a reduction less that without it, run by run with the same seed; p: of the exact sign test; differ at most: "
         "the share of searches that end elsewhere, with 95 % confidence; saved: simulations"
@@ -203,21 +176,11 @@ def _effects(effects: Sequence[ReductionEffect]) -> str:
 
 
 def _pairs(pairs: Sequence[ComparedPair]) -> str:
-    header = [
-        "optimizer",
-        "population",
-        "seed",
-        "reduction",
-        "optimum without",
-        "with",
-        "difference",
-        "simulations without",
-        "with",
-        "saved",
-    ]
+    header = ["optimizer", "population", "seed", "reduction", "optimum without", "with", "difference"]
+    header += ["simulations without", "with", "saved"]
     rows = [
         [
-            *(pair.optimizer, pair.population, pair.seed, pair.reduction, _number(pair.base_best, 4), _number(pair.best, 4)),
+            *(pair.optimizer, pair.population, pair.seed, pair.reduction, fixed(pair.base_best, 4), fixed(pair.best, 4)),
             *(Number(f"{pair.difference:+.4f}"), pair.base_simulations, pair.simulations, pair.saved),
         ]
         for pair in pairs
@@ -227,55 +190,36 @@ def _pairs(pairs: Sequence[ComparedPair]) -> str:
 
 def _runs(runs: Sequence[ComparedRun], *, several: bool) -> str:
     """Returns columns that differ between rows, for a narrow table."""
-    believed = any(run.best != run.simulated_best for run in runs)
-    failed, analysed = any(run.state != "succeeded" for run in runs), any(run.analysis for run in runs)
-    columns: list[tuple[str, Callable[[ComparedRun], object]]] = [
-        ("optimizer", lambda row: row.optimizer),
-        ("size", lambda row: row.population),
-        ("seed", lambda row: row.seed),
-        *([("reduction", _reduction)] if several else []),
-        *([("state", _state)] if failed else []),
-        ("best", lambda row: _number(row.simulated_best, 4)),
-        *([("believed", _believed)] if believed else []),
-        ("rating", lambda row: _number(row.rating, 3)),
-        ("sets", lambda row: row.alternatives),
-        ("mean", lambda row: _number(row.mean, 3)),
-        ("simulations", lambda row: row.simulations),
-        *([("confirming", _confirming)] if any(run.confirmations for run in runs) else []),
-        *([("analysis", _analysis)] if analysed else []),
-        ("converged", lambda row: row.converged_at),
-        ("after", lambda row: row.simulations_to_converge),
-        ("run", lambda row: row.run[:8]),
-    ]
-    rows = [[tell(run) for _, tell in columns] for run in runs]
+    left_out = {
+        "reduction": not several,
+        "state": all(run.state == "succeeded" for run in runs),
+        "believed": all(run.best == run.simulated_best for run in runs),
+        "confirming": not any(run.confirmations for run in runs),
+        "analysis": not any(run.analysis for run in runs),
+    }
+    columns: dict[str, Callable[[ComparedRun], object]] = {
+        "optimizer": lambda run: run.optimizer,
+        "size": lambda run: run.population,
+        "seed": lambda run: run.seed,
+        "reduction": lambda run: run.reduction,
+        "state": lambda run: run.state,
+        "best": lambda run: fixed(run.simulated_best, 4),
+        "believed": lambda run: fixed(run.best, 4),
+        "rating": lambda run: fixed(run.rating, 3),
+        "sets": lambda run: run.alternatives,
+        "mean": lambda run: fixed(run.mean, 3),
+        "simulations": lambda run: run.simulations,
+        "confirming": lambda run: run.confirmations,
+        "analysis": lambda run: run.analysis,
+        "converged": lambda run: run.converged_at,
+        "after": lambda run: run.simulations_to_converge,
+        "run": lambda run: run.run[:8],
+    }
+    shown = {name: value_of for name, value_of in columns.items() if not left_out.get(name)}
     caption = (
         "All runs; each is a campaign of its own, by whose id all of it can be read. Rating: of the best set, and sets: with the best "
         "objective, as the search believed; mean: of the last "
         "population; confirming: simulations of the best set after the search, among all; converged: in which iteration, after how many "
         "simulations"
     )
-    return table([name for name, _ in columns], rows, caption)
-
-
-def _reduction(run: ComparedRun) -> str:
-    return run.reduction
-
-
-def _state(run: ComparedRun) -> str:
-    return run.state
-
-
-def _believed(run: ComparedRun) -> Number | None:
-    return _number(run.best, 4)
-
-
-def _confirming(run: ComparedRun) -> int:
-    return run.confirmations
-
-
-def _analysis(run: ComparedRun) -> int:
-    return run.analysis
-
-
-def _number(value: float | None, digits: int) -> Number | None:
-    return None if value is None else Number(f"{value:,.{digits}f}")
+    return table(list(shown), [[value_of(run) for value_of in shown.values()] for run in runs], caption)

@@ -1,4 +1,4 @@
-"""Everything a report is made of, asked of the server."""
+"""The data of a report, from the server."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,15 +13,15 @@ from drivecal.contracts.studies import Study, StudyName
 from drivecal.contracts.tables import Generation, InfluenceRow, OptimumRow, RobustnessRow, Solution, ValidationRow
 
 RANKED = 1000
-"""The best sets that are looked at; all of them are in the table."""
+"""Number of best sets in a report; all of them are in the table."""
 MOST_STUDIES = 5
-"""The studies of one kind that are looked at, of the campaign itself and of others."""
+"""Largest number of studies of one kind in a report."""
 Row = TypeVar("Row", RobustnessRow, ValidationRow)
 
 
 @dataclass(frozen=True, slots=True)
 class Studied(Generic[Row]):
-    """A study and what it found."""
+    """A study and its results."""
 
     study: Study
     rows: Sequence[Row]
@@ -29,9 +29,12 @@ class Studied(Generic[Row]):
 
 @dataclass(frozen=True, slots=True)
 class ReportData:
-    """A campaign with what it found. `basis`: what its influence map rests on, None if it has none or a user posted it; `accounting`:
-    None before the first answered cell; `titles`: of scenarios, by id; `optima`: the sets that share the best objective; studies are
-    those in the campaign's own vehicle first, of these the newest, whichever campaign made them."""
+    """A campaign and its results.
+
+    `basis`: the analysis behind its influence map, None without a map or for a posted one. `accounting`: None before the first answered
+    cell. `titles`: of scenarios, by id. `optima`: the sets that share the best objective. Studies, made by any campaign: those in the
+    campaign's own vehicle first, the newest first.
+    """
 
     campaign: Campaign
     setup: CampaignSetup
@@ -55,7 +58,7 @@ class ReportData:
 
 
 def collect(client: Client, identifier: str) -> ReportData:
-    """Asks for it. Raises NotFoundError for an unknown campaign, and whatever else the client raises."""
+    """Reads the data of a campaign. Raises NotFoundError for an unknown campaign, and the client's other exceptions."""
     campaign = client.campaign(identifier)
     used = client.map_of(campaign)
     answered = campaign.cells.requested or campaign.sensitivity_cells.requested

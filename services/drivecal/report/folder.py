@@ -17,7 +17,7 @@ FORMS = ("svg", "png")
 
 
 class Folder:
-    """Remembers what was `written`, in order. Files of an earlier report in the same folder are replaced."""
+    """A folder with the files `written` to it, in order. Replaces the files of an earlier report."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -29,7 +29,7 @@ class Folder:
         return [path.relative_to(self.path).as_posix() for path in self.written]
 
     def write(self, name: str, pieces: Iterable[bytes]) -> None:
-        """A file, `name` relative to the folder."""
+        """Writes a file, `name` relative to the folder."""
         path = self.path / name
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("wb") as stream:
@@ -38,13 +38,13 @@ class Folder:
         self.written.append(path)
 
     def table(self, name: str, rows: Iterable[Sequence[object]]) -> None:
-        """`tables/name.csv`; the first row is its header."""
+        """Writes `tables/name.csv`; the first row is its header."""
         stream = io.StringIO()
         csv.writer(stream).writerows(rows)
         self.write(f"tables/{name}.csv", [stream.getvalue().encode()])
 
     def draw(self, drawn: Drawn) -> str:
-        """The files of a figure; returns it as a part of a page, with links to them."""
+        """Writes the files of a figure. Returns the figure as a part of a page, with links to them."""
         document = svg(drawn.figure, drawn.name)
         files = [f"figures/{drawn.name}.{form}" for form in FORMS]
         self.write(files[0], [document.encode()])
@@ -57,7 +57,7 @@ class Folder:
 
 @contextmanager
 def writable(path: Path) -> Iterator[Folder]:
-    """A folder to write to. Raises InvalidInputError if something cannot be written."""
+    """Opens a folder to write to. Raises InvalidInputError if something cannot be written."""
     try:
         yield Folder(path)
     except OSError as error:

@@ -1,26 +1,16 @@
 """HTML that needs nothing else: no network, no scripts; to be read on a screen and on paper. The markup is in `templates`."""
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from drivecal.report.rows import Emphasized, Number
+
 SHORT = 16
 """Rows up to which a table stays on one printed page."""
-
-
-class Emphasized(str):
-    """The text of a table's cell that stands out."""
-
-    __slots__ = ()
-
-
-class Number(str):
-    """A number that is written already."""
-
-    __slots__ = ()
 
 
 def anchor(title: str) -> str:
@@ -49,15 +39,15 @@ paragraph: Callable[..., str] = _MACROS.paragraph
 figure: Callable[[Markup, str, Sequence[str]], str] = _MACROS.figure
 
 
-def document(title: str, parts: Iterable[str]) -> str:
-    """Returns a page."""
+def document(title: str, subtitle: str, warnings: Iterable[str | None], sections: Mapping[str, Sequence[str]]) -> str:
+    """Returns a page. Sections are lists of parts by title; empty ones, and empty warnings, are left out."""
+    kept = {name: section for name, section in sections.items() if section}
+    parts = [
+        *(heading(title), paragraph(subtitle, "sub"), contents(kept)),
+        *(paragraph(text, "warn") for text in warnings if text),
+        *(_MACROS.section(name, section) for name, section in kept.items()),
+    ]
     return _ENVIRONMENT.get_template("page.html.jinja").render(title=title, parts=parts)
-
-
-def section(title: str, *parts: str) -> str:
-    """Returns a part of a page under a heading that `contents` links to."""
-    html: str = _MACROS.section(title, parts)
-    return html
 
 
 def table(

@@ -5,13 +5,13 @@ from collections.abc import Mapping, Sequence
 from drivecal.contracts.campaign import Campaign
 from drivecal.report.data import ReportData
 from drivecal.report.figures import cells
-from drivecal.report.figures.spider import by_scenario
-from drivecal.report.markup import bullets, contents, document, files, heading, paragraph, section, verbatim
+from drivecal.report.markup import bullets, document, files, paragraph, verbatim
+from drivecal.report.rows import by_scenario
 from drivecal.report.sections import influence, optima, predictions, problem, results, reuse, robustness, search, validation
 
 
 def page(findings: ReportData, drawn: Mapping[str, str], names: Sequence[str], version: str) -> str:
-    """The page. `drawn`: the figures as parts of it, by name; `names`: files to link to, relative to the page."""
+    """Returns the page. `drawn`: the figures as parts of it, by name. `names`: files to link to, relative to the page."""
     campaign = findings.campaign
     sections = {
         "Summary": results.summary(findings),
@@ -26,15 +26,8 @@ def page(findings: ReportData, drawn: Mapping[str, str], names: Sequence[str], v
         "Versions and repetition": [*problem.versions(findings.setup, version), *problem.again(findings)],
         "Files": [files(names)],
     }
-    kept = {title: parts for title, parts in sections.items() if parts}
-    parts = [
-        heading(campaign.name),
-        paragraph(f"campaign {campaign.id}, {campaign.state}{_when(campaign)}; drivecal {version}", "sub"),
-        contents(kept),
-        *(paragraph(text, "warn") for text in (campaign.error, campaign.degraded, *campaign.notes) if text),
-        *(section(title, *content) for title, content in kept.items()),
-    ]
-    return document(campaign.name, parts)
+    subtitle = f"campaign {campaign.id}, {campaign.state}{_when(campaign)}; drivecal {version}"
+    return document(campaign.name, subtitle, (campaign.error, campaign.degraded, *campaign.notes), sections)
 
 
 def _when(campaign: Campaign) -> str:

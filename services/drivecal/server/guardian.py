@@ -19,43 +19,32 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
-from pathlib import Path
+from contextlib import suppress
 
-from drivecal.cluster.lineage import end_with_parent
+from drivecal.cluster.lineage import end_with_parent, processes
 
 _STOPPING = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
 
 def members(session: int) -> list[int]:
-    """The processes of a session, its leader excepted; none on systems without /proc."""
-    processes = []
-    for entry in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            # pid (name) state ppid pgrp session ...; the name may hold anything
-            fields = entry.read_text(errors="replace").rpartition(")")[2].split()
-        except OSError:
-            continue
-        if int(fields[3]) == session and fields[0] != "Z" and int(entry.parent.name) != session:
-            processes.append(int(entry.parent.name))
-    return processes
+    """Returns the processes of a session without its leader; empty on systems without /proc."""
+    return [number for number, _, fields in processes() if int(fields[3]) == session != number and fields[0] != "Z"]
 
 
 def end_session(session: int) -> None:
-    """Kills all processes of a session but its leader, those included that are being started meanwhile."""
+    """Kills all processes of a session except its leader, including processes that are being started."""
     for _ in range(100):
         left = members(session)
         for process in left:
-            try:
+            with suppress(ProcessLookupError):
                 os.kill(process, signal.SIGKILL)
-            except ProcessLookupError:
-                continue
         if not left:
             return
         time.sleep(0.01)
 
 
 def guard(command: Sequence[str], grace: float, keep: Sequence[int] = ()) -> int:
-    """Runs `command`, which inherits the file descriptors `keep`, and returns its exit code, 128 + n where signal n ended it."""
+    """Runs `command`, which inherits the file descriptors `keep`. Returns its exit code, or 128 + n after signal n."""
     woken, wake = os.pipe()
     os.set_blocking(wake, False)
     signal.set_wakeup_fd(wake, warn_on_full_buffer=False)
@@ -82,7 +71,7 @@ def guard(command: Sequence[str], grace: float, keep: Sequence[int] = ()) -> int
 
 
 def _die_with_parent() -> None:
-    """In the child, before the command: signals as usual, and an end with the guardian."""
+    """Restores the default signals in the child and ends it with the guardian."""
     for number in (*_STOPPING, signal.SIGCHLD):
         signal.signal(number, signal.SIG_DFL)
     end_with_parent(signal.SIGKILL)

@@ -1,4 +1,4 @@
-"""The server: what must hold before it starts, which processes it has, and when it is ready."""
+"""The server: its socket and database, its processes, and its readiness."""
 
 import errno
 import http.client
@@ -21,15 +21,16 @@ PROBE_SECONDS = 2.0
 
 
 def listen(host: str, port: int) -> socket.socket:
-    """A socket that listens there; port 0 takes a free one.
+    """Returns a listening socket; port 0 takes any free port.
 
-    The supervisor holds it, so that the port is known to be ours before anything starts, and connections wait while the API restarts.
-    Raises InvalidInputError for a host that is none of this machine's, ConflictError where the port cannot be had.
+    The supervisor holds it, so that the port is taken before anything starts, and connections wait while the API restarts. Raises
+    InvalidInputError if the host is not an address of this machine, and ConflictError if the port cannot be used.
     """
+    foreign = Problem("--host", f"{host!r} is no address of this machine", "give e.g. 127.0.0.1")
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
     except (OSError, UnicodeError) as error:
-        raise InvalidInputError(Problem("--host", f"{host!r} is no address of this machine", "give e.g. 127.0.0.1")) from error
+        raise InvalidInputError(foreign) from error
     listener = socket.socket(family, kind, protocol)
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -38,8 +39,7 @@ def listen(host: str, port: int) -> socket.socket:
     except OSError as error:
         listener.close()
         if error.errno == errno.EADDRNOTAVAIL:
-            remedy = "give e.g. 127.0.0.1"
-            raise InvalidInputError(Problem("--host", f"{host!r} is no address of this machine", remedy)) from error
+            raise InvalidInputError(foreign) from error
         reason = "is in use" if error.errno == errno.EADDRINUSE else f"cannot be used: {error.strerror}"
         raise ConflictError(f"port {port} of {host} {reason}; choose another one by --port (0 takes any free one)") from error
     return listener
@@ -56,9 +56,9 @@ def url_of(listener: socket.socket, host: str) -> str:
 
 
 def prepare_database(settings: Settings) -> Database:
-    """The database, made or upgraded.
+    """Creates or upgrades the database and returns it.
 
-    Raises DatabaseError if it cannot be used or another server uses it, InvalidInputError where the home folder cannot be made.
+    Raises DatabaseError if it cannot be used or another server uses it, and InvalidInputError if the home folder cannot be created.
     """
     try:
         settings.home.mkdir(parents=True, exist_ok=True)
@@ -79,7 +79,7 @@ def run_server(
     ready: Callable[[], None],
     dispatcher: Sequence[str] = DISPATCHER,
 ) -> int:
-    """Runs API and dispatcher until a signal; returns the exit code. `ready` is called once both work."""
+    """Runs API and dispatcher until a signal and returns the exit code. Calls `ready` once both work."""
     started_at = now()
 
     def missing() -> list[str]:

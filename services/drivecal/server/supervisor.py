@@ -1,4 +1,4 @@
-"""Keeps the server's processes running, restarts what dies, and leaves nothing behind."""
+"""Supervision of the server's processes: restarts dead ones and leaves none behind."""
 
 import logging
 import os
@@ -17,7 +17,7 @@ TRIES_TO_START = 3
 LOOK_SECONDS = 0.1
 PATIENCE_SECONDS = 30.0
 KEPT_BACK = {"DRIVECAL_TOKEN"}
-"""A user's own token is nothing that a server, its workers and their plug-ins need to know."""
+"""Variables that the children do not inherit: they do not need the user's own token."""
 
 log = logging.getLogger(__name__)
 
@@ -34,7 +34,7 @@ class ChildProcess:
 
 @dataclass(slots=True)
 class Pauses:
-    """Returns the pause before a restart: doubled with every death, reset after a minute of health."""
+    """Pauses before restarts: doubled with every death, reset after a minute of health."""
 
     first: float = 0.5
     longest: float = 30.0
@@ -42,7 +42,7 @@ class Pauses:
     deaths: int = 0
 
     def next(self, lived: float) -> float:
-        """Seconds to wait after a process that lived for `lived` seconds."""
+        """Returns the seconds to wait after a process that lived for `lived` seconds."""
         self.deaths = 1 if lived >= self.healthy_after else self.deaths + 1
         return min(self.longest, self.first * 2.0 ** (self.deaths - 1))
 
@@ -68,7 +68,7 @@ class _Child:
         self.started_at = time.monotonic()
 
     def ended(self) -> int | None:
-        """The exit code where the process has ended, cleaned up after; None while it runs or waits for its restart."""
+        """Cleans up after an ended process and returns its exit code; None while it runs or waits for its restart."""
         if self.process is None or self.process.poll() is None:
             return None
         process, self.process = self.process, None
@@ -81,8 +81,10 @@ class _Child:
 
 
 class Supervisor:
-    """Runs `children` until SIGTERM, SIGINT or SIGHUP. `missing` says what is not ready yet; `announce` is called when nothing is
-    missing for the first time."""
+    """The supervisor of `children` until SIGTERM, SIGINT or SIGHUP.
+
+    `missing` returns what is not ready yet. `announce` is called when nothing is missing for the first time.
+    """
 
     def __init__(
         self,
@@ -96,7 +98,7 @@ class Supervisor:
         self._ready = False
 
     def run(self) -> int:
-        """Returns the exit code: 0 after a signal, 1 where a child could not be started at all. To be called by the main thread."""
+        """Runs until a signal. Returns the exit code: 0, or 1 if a child cannot be started. Call it in the main thread."""
         before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)}
         for number, handler in before.items():
             if handler is not signal.SIG_IGN:  # nohup, or a background job
@@ -140,7 +142,7 @@ class Supervisor:
         return 0
 
     def _stop(self) -> None:
-        """Ends the children in peace, or by force when their time is up or a second signal came."""
+        """Ends the children, by force after GRACE_SECONDS or a second signal."""
         running = [child.process for child in self._children if child.process is not None]
         for process in running:
             process.terminate()

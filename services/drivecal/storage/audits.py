@@ -5,14 +5,13 @@ campaign's evaluator: the evaluation that made the run may have been rated by an
 """
 
 from collections import Counter
-from typing import Any
 
-from sqlalchemy import Connection, FromClause, case, func, select, update
+from sqlalchemy import ColumnElement, Connection, FromClause, case, func, select, update
 
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import AuditCount, Outcome
 from drivecal.storage.engine.tables import evaluations, ratings, reference_indexes, reference_keys
-from drivecal.storage.evaluations import DONORS
+from drivecal.storage.evaluations import DONORS, of_iteration
 
 _donor = evaluations.alias("donor")
 _trusted = ratings.alias("trusted")
@@ -29,45 +28,22 @@ def settle(connection: Connection, campaign_sequence: int, stage: StageName, ite
     )
     connection.execute(
         update(evaluations)
-        .where(
-            evaluations.c.campaign_sequence == campaign_sequence,
-            evaluations.c.stage == stage,
-            evaluations.c.iteration == iteration,
-            evaluations.c.audited,
-            evaluations.c.outcome == Outcome.SIMULATED,
-        )
+        .where(*of_iteration(campaign_sequence, stage, iteration), *_SETTLED)
         .values(agrees=evaluations.c.score == score)
     )
 
 
 def count(connection: Connection, campaign_sequence: int, evaluator: str) -> list[AuditCount]:
     """Returns the audit of a campaign so far, by scenario: simulated scores against the donors' scores."""
-    query = (
-        select(evaluations.c.scenario, *_CHANGES)
-        .select_from(_audited(evaluator))
-        .where(*_settled(campaign_sequence))
-        .group_by(evaluations.c.scenario)
-        .order_by(evaluations.c.scenario)
-    )
-    return [AuditCount(*row) for row in connection.execute(query)]
+    return _by_scenario(connection, _audited(evaluator), evaluations.c.campaign_sequence == campaign_sequence, *_SETTLED)
 
 
 def proofs(connection: Connection, campaign_sequence: int, evaluator: str) -> list[AuditCount]:
     """The same without a simulation: scores of reused cells against those of the runs that they would provably repeat, where a worker
     happened to know one. By scenario; no part of what a campaign repeats to the bit."""
     proving = _rated(evaluations.join(_donor, _donor.c.id == evaluations.c.proven_by), evaluator)
-    query = (
-        select(evaluations.c.scenario, *_CHANGES)
-        .select_from(proving)
-        .where(
-            evaluations.c.campaign_sequence == campaign_sequence,
-            evaluations.c.outcome == Outcome.REUSED,
-            _TRUSTED.is_not(None),
-        )
-        .group_by(evaluations.c.scenario)
-        .order_by(evaluations.c.scenario)
-    )
-    return [AuditCount(*row) for row in connection.execute(query)]
+    mine, reused = evaluations.c.campaign_sequence == campaign_sequence, evaluations.c.outcome == Outcome.REUSED
+    return _by_scenario(connection, proving, mine, reused, _TRUSTED.is_not(None))
 
 
 def by_iteration(connection: Connection, campaign_sequence: int, scenario: str, evaluator: str) -> list[tuple[int, AuditCount]]:
@@ -75,7 +51,7 @@ def by_iteration(connection: Connection, campaign_sequence: int, scenario: str, 
     query = (
         select(evaluations.c.iteration, evaluations.c.scenario, *_CHANGES)
         .select_from(_audited(evaluator))
-        .where(*_settled(campaign_sequence), evaluations.c.scenario == scenario)
+        .where(evaluations.c.campaign_sequence == campaign_sequence, *_SETTLED, evaluations.c.scenario == scenario)
         .group_by(evaluations.c.iteration, evaluations.c.scenario)
         .order_by(evaluations.c.iteration)
     )
@@ -126,6 +102,13 @@ _OWN = _donor.c.campaign_sequence == evaluations.c.campaign_sequence
 _TRUSTED = case((_OWN, _donor.c.score), else_=_trusted.c.score)
 _CHANGE = func.abs(evaluations.c.score - _TRUSTED)
 _CHANGES = func.count(), func.count(case((_CHANGE > 0, 1))), func.count(case((_CHANGE > 1, 1)))
+_SETTLED = evaluations.c.audited, evaluations.c.outcome == Outcome.SIMULATED
+
+
+def _by_scenario(connection: Connection, cells: FromClause, *conditions: ColumnElement[bool]) -> list[AuditCount]:
+    scenario = evaluations.c.scenario
+    query = select(scenario, *_CHANGES).select_from(cells).where(*conditions).group_by(scenario).order_by(scenario)
+    return [AuditCount(*row) for row in connection.execute(query)]
 
 
 def _audited(evaluator: str) -> FromClause:
@@ -134,11 +117,3 @@ def _audited(evaluator: str) -> FromClause:
 
 def _rated(donors: FromClause, evaluator: str) -> FromClause:
     return donors.outerjoin(_trusted, (_trusted.c.run_id == _donor.c.run_id) & (_trusted.c.evaluator == evaluator))
-
-
-def _settled(campaign_sequence: int) -> tuple[Any, ...]:
-    return (
-        evaluations.c.campaign_sequence == campaign_sequence,
-        evaluations.c.audited,
-        evaluations.c.outcome == Outcome.SIMULATED,
-    )

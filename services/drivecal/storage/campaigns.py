@@ -18,7 +18,7 @@ from drivecal.storage import campaign_stages, comparisons, events, leases
 from drivecal.storage.campaign_stages import Counts, CountsByStage, by_stage
 from drivecal.storage.engine import cursors
 from drivecal.storage.engine.bulk import insert as insert_into
-from drivecal.storage.engine.identifiers import is_identifier
+from drivecal.storage.engine.records import identified, record
 from drivecal.storage.engine.tables import campaigns
 from drivecal.storage.engine.types import now
 from drivecal.storage.references import runs
@@ -106,6 +106,8 @@ class Snapshot:
 
 
 _SELECT = select(campaigns, by_stage())
+_BY_ID = _SELECT.where(campaigns.c.id == bindparam("identifier"))
+_BY_SEQUENCE = _SELECT.where(campaigns.c.sequence == bindparam("number"))
 
 
 def insert(
@@ -159,15 +161,7 @@ def insert(
 
 def get(connection: Connection, campaign_id: str) -> StoredCampaign:
     """A campaign by its id. Raises NotFoundError."""
-    row = None
-    if is_identifier(campaign_id):
-        row = connection.execute(_SELECT.where(campaigns.c.id == campaign_id)).one_or_none()
-    if row is None:
-        raise NotFoundError("campaign", campaign_id)
-    return _campaign(row)
-
-
-_BY_SEQUENCE = _SELECT.where(campaigns.c.sequence == bindparam("number"))
+    return _campaign(identified(connection, _BY_ID, "campaign", campaign_id))
 
 
 def by_sequence(connection: Connection, sequence: int) -> StoredCampaign:
@@ -220,10 +214,8 @@ def active(connection: Connection) -> list[CampaignHeading]:
     columns = [campaigns.c[field.name] for field in fields(CampaignHeading)]
     query = select(*columns).where(campaigns.c.ended_at.is_(None), campaigns.c.state.in_(states))
     query = query.where(campaigns.c.parent_sequence.is_(None))
-    return [
-        CampaignHeading(row.sequence, row.id, row.kind, row.name, CampaignState(row.state), row.requested_action, row.priority)
-        for row in connection.execute(query.order_by(campaigns.c.priority.desc(), campaigns.c.sequence))
-    ]
+    rows = connection.execute(query.order_by(campaigns.c.priority.desc(), campaigns.c.sequence))
+    return [record(CampaignHeading, row, state=CampaignState(row.state)) for row in rows]
 
 
 def request_action(connection: Connection, campaign_id: str, action: Action) -> StoredCampaign:
@@ -232,13 +224,7 @@ def request_action(connection: Connection, campaign_id: str, action: Action) -> 
     Gives the campaign as it is then. Raises NotFoundError, and ConflictError for a run of a comparison and for what has ended or is about
     to be cancelled.
     """
-    row = None
-    if is_identifier(campaign_id):
-        query = _SELECT.where(campaigns.c.id == campaign_id).with_for_update(of=campaigns)
-        row = connection.execute(query).one_or_none()
-    if row is None:
-        raise NotFoundError("campaign", campaign_id)
-    campaign = _campaign(row)
+    campaign = _campaign(identified(connection, _BY_ID.with_for_update(of=campaigns), "campaign", campaign_id))
     comparisons.refuse_run(connection, campaign.id, campaign.parent_sequence, action)
     asked = campaign.requested_action
     change = change_by(campaign.id, campaign.state, asked, action, has_started=campaign.started_at is not None, now=now())
@@ -381,16 +367,14 @@ def _of(sequence: int) -> Update:
 
 
 def _campaign(row: Row[Any]) -> StoredCampaign:
-    as_it_is = {field.name: getattr(row, field.name) for field in fields(StoredCampaign)}
-    parsed = {
-        "state": CampaignState(row.state),
-        "spec": row.spec or {},
-        "notes": tuple(row.notes),
-        "progress": Progress(**row.progress),
-        "error_rate": {scenario: ErrorRate(**rate) for scenario, rate in row.error_rate.items()},
-        "released": {scenario: Released(**rate) for scenario, rate in (row.released or {}).items()},
-        "best": None if row.best is None else Best(**row.best),
-        "baseline": None if row.baseline is None else Baseline(**row.baseline),
-        "narrowed": None if row.narrowed is None else tuple(Narrowed(**parameter) for parameter in row.narrowed),
-    }
-    return StoredCampaign(**as_it_is | parsed)
+    return record(
+        StoredCampaign,
+        row,
+        state=CampaignState(row.state),
+        spec=row.spec or {},
+        notes=tuple(row.notes),
+        progress=Progress(**row.progress),
+        narrowed=None if row.narrowed is None else tuple(Narrowed(**parameter) for parameter in row.narrowed),
+        released={scenario: Released(**rate) for scenario, rate in (row.released or {}).items()},
+        **comparisons.findings(row),
+    )

@@ -2,8 +2,9 @@
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
-from sqlalchemy import Connection, func, select, update
+from sqlalchemy import Connection, Row, func, select, update
 
 from drivecal.contracts.campaign import Baseline, Best, ErrorRate
 from drivecal.domain.campaigns import CampaignState
@@ -11,6 +12,7 @@ from drivecal.domain.errors import ConflictError
 from drivecal.domain.events import EventKind
 from drivecal.storage import events, leases
 from drivecal.storage.campaign_stages import CountsByStage, by_stage
+from drivecal.storage.engine.records import record
 from drivecal.storage.engine.tables import campaigns
 from drivecal.storage.engine.types import now
 
@@ -64,16 +66,16 @@ def tallies(connection: Connection, sequence: int) -> Iterator[RunTally]:
     columns = (run.name, run.started_at, by_stage(), run.error_rate, run.best, run.baseline)
     query = select(*columns, run.simulating_seconds, run.notes).where(run.parent_sequence == sequence).order_by(run.sequence)
     for row in connection.execute(query.execution_options(yield_per=BATCH)):
-        yield RunTally(
-            name=row.name,
-            begun=row.started_at is not None,
-            stages=row.stages,
-            error_rate={scenario: ErrorRate(**rate) for scenario, rate in row.error_rate.items()},
-            best=None if row.best is None else Best(**row.best),
-            baseline=None if row.baseline is None else Baseline(**row.baseline),
-            simulating_seconds=row.simulating_seconds,
-            notes=row.notes,
-        )
+        yield record(RunTally, row, begun=row.started_at is not None, **findings(row))
+
+
+def findings(row: Row[Any]) -> dict[str, Any]:
+    """Returns what a campaign found so far, read from its columns `error_rate`, `best` and `baseline`."""
+    return {
+        "error_rate": {scenario: ErrorRate(**rate) for scenario, rate in row.error_rate.items()},
+        "best": None if row.best is None else Best(**row.best),
+        "baseline": None if row.baseline is None else Baseline(**row.baseline),
+    }
 
 
 def open_runs(connection: Connection, sequence: int) -> list[int]:

@@ -6,7 +6,7 @@ from statistics import fmean
 from sqlalchemy import Connection, func, select
 
 from drivecal.domain.evaluations import Outcome, OutcomeCosts
-from drivecal.storage.engine.bulk import among
+from drivecal.storage.engine.bulk import rows_among
 from drivecal.storage.engine.tables import evaluations, runs, setups
 
 RECENT_RUNS = 1_000
@@ -39,11 +39,10 @@ def recent_milliseconds(connection: Connection, fingerprints: Sequence[str]) -> 
     """CPU time of one simulation, over the newest ones in each of these setups, which count alike; None if there is none in one. Runs
     that were proved are not among them: they took next to nothing."""
     means = []
-    for condition in among(connection, setups.c.fingerprint, fingerprints):
-        for setup in connection.scalars(select(setups.c.id).where(condition)):
-            newest = select(runs.c.milliseconds, runs.c.evaluation_id).where(runs.c.setup_id == setup)
-            recent = newest.order_by(runs.c.id.desc()).limit(RECENT_RUNS).subquery()
-            simulated = select(recent.c.milliseconds).join(evaluations, evaluations.c.id == recent.c.evaluation_id)
-            times = connection.scalars(simulated.where(evaluations.c.proven_by.is_(None))).all()
-            means += [fmean(times)] if times else []
+    for (setup,) in rows_among(connection, select(setups.c.id), setups.c.fingerprint, fingerprints):
+        newest = select(runs.c.milliseconds, runs.c.evaluation_id).where(runs.c.setup_id == setup)
+        recent = newest.order_by(runs.c.id.desc()).limit(RECENT_RUNS).subquery()
+        simulated = select(recent.c.milliseconds).join(evaluations, evaluations.c.id == recent.c.evaluation_id)
+        times = connection.scalars(simulated.where(evaluations.c.proven_by.is_(None))).all()
+        means += [fmean(times)] if times else []
     return fmean(means) if fingerprints and len(means) == len(fingerprints) else None

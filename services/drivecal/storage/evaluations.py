@@ -1,16 +1,16 @@
 """Evaluations: the requested cells of campaigns, as they are planned, dispatched and answered."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
-from sqlalchemy import Column, ColumnElement, Connection, Select, SmallInteger, bindparam, func, select, type_coerce, update
+from sqlalchemy import Column, ColumnElement, Connection, SmallInteger, bindparam, func, select, type_coerce, update
 
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Donor, Outcome
 from drivecal.domain.parameters import ParameterSet
 from drivecal.storage import leases
-from drivecal.storage.engine.bulk import among
+from drivecal.storage.engine.bulk import rows_among
 from drivecal.storage.engine.tables import evaluations, parameter_sets
 
 COPIES = (Outcome.REPEATED, Outcome.REUSED)
@@ -65,6 +65,12 @@ class AnsweredCell:
     """Whether a simulation agreed with the certificate, if it was checked."""
 
 
+def of_iteration(campaign_sequence: int, stage: StageName, iteration: int) -> tuple[ColumnElement[bool], ...]:
+    """Returns the conditions on evaluations that select the cells of an iteration."""
+    table = evaluations.c
+    return table.campaign_sequence == campaign_sequence, table.stage == stage, table.iteration == iteration
+
+
 def insert(connection: Connection, campaign_sequence: int, cells: Sequence[NewEvaluation]) -> list[int]:
     """Stores a population's cells and gives their ids, in order."""
     if not cells:
@@ -89,13 +95,8 @@ def reused(
     query = (
         select(evaluations.c.id, evaluations.c.setup_id, parameter_sets.c.parameter_values)
         .join(parameter_sets)
-        .where(
-            evaluations.c.campaign_sequence == campaign_sequence,
-            evaluations.c.stage == stage,
-            evaluations.c.iteration == iteration,
-            evaluations.c.outcome == Outcome.REUSED,
-            evaluations.c.proven_by.is_(None),
-        )
+        .where(*of_iteration(campaign_sequence, stage, iteration))
+        .where(evaluations.c.outcome == Outcome.REUSED, evaluations.c.proven_by.is_(None))
         .order_by(evaluations.c.id)
     )
     return [(number, setup, ParameterSet.from_json(values)) for number, setup, values in connection.execute(query)]
@@ -121,9 +122,7 @@ def answer(connection: Connection, answers: Sequence[AnsweredCell]) -> int:
     )
     rows = [{"evaluation": answer.id} | {f"new_{name}": getattr(answer, name) for name in _ANSWER} for answer in answers]
     answered = connection.execute(statement, rows).rowcount
-    leases.end(
-        connection, [answer.id for answer in answers]
-    )  # of an earlier attempt too, where another cell's run is the answer
+    leases.end(connection, [answer.id for answer in answers])  # of an earlier attempt too: another cell's run may be the answer
     return answered
 
 
@@ -165,8 +164,7 @@ def own_references(
     connection: Connection, campaign_sequence: int, scenario: str, setup_id: int, keys: Sequence[bytes]
 ) -> dict[bytes, Donor]:
     """The campaign's own first answers in one setup by reference key: simulated or certified, first by stage, iteration, individual."""
-    pairs = _own(connection, campaign_sequence, scenario, setup_id, evaluations.c.reference_key, list(keys))
-    return dict(pairs)
+    return _own(connection, campaign_sequence, scenario, setup_id, evaluations.c.reference_key, keys)
 
 
 def own_exact(
@@ -174,67 +172,43 @@ def own_exact(
 ) -> dict[int, Donor]:
     """The campaign's own first answers by parameter set, as `own_references`."""
     ids = [int(identifier) for identifier in parameter_set_ids]
-    return dict(_own(connection, campaign_sequence, scenario, setup_id, evaluations.c.parameter_set_id, ids))
+    return _own(connection, campaign_sequence, scenario, setup_id, evaluations.c.parameter_set_id, ids)
 
 
 def _own(
     connection: Connection, campaign_sequence: int, scenario: str, setup_id: int, column: Column[Any], values: Sequence[Any]
-) -> Iterable[tuple[Any, Donor]]:
-    first: dict[Any, tuple[tuple[int, ...], Donor]] = {}
-    for condition in among(connection, column, values):
-        for row in connection.execute(_own_query(campaign_sequence, scenario, setup_id, column, condition)):
-            value, *place, evaluation, run, score, rating, failure = row
-            if value not in first or tuple(place) < first[value][0]:
-                first[value] = tuple(place), Donor(evaluation, run, score, rating, failure)
-    return ((value, donor) for value, (_, donor) in first.items())
-
-
-def _own_query(
-    campaign_sequence: int, scenario: str, setup_id: int, column: Column[Any], condition: ColumnElement[bool]
-) -> Select[Any]:
+) -> dict[Any, Donor]:
     table = evaluations.c
-    return select(
-        column,
-        type_coerce(table.stage, SmallInteger),  # by its number: stages are ordered as they run, not by name
-        table.iteration,
-        table.individual,
-        table.id,
-        table.run_id,
-        table.score,
-        table.rating,
-        table.failure,
-    ).where(
+    place = (type_coerce(table.stage, SmallInteger), table.iteration, table.individual)  # by number, stages sort as they run
+    query = select(column, *place, table.id, table.run_id, table.score, table.rating, table.failure).where(
         table.campaign_sequence == campaign_sequence,
         table.scenario == scenario,
         table.setup_id == setup_id,  # studies drive the same sets in other vehicles
-        condition,
         table.plan.in_(DONORS),
         table.outcome.in_(DONORS),
+        table.run_id.is_not(None),  # withdrawn answers have none
     )
+    first: dict[Any, tuple[tuple[int, int, int], Donor]] = {}
+    for value, stage, iteration, individual, *donor in rows_among(connection, query, column, values):
+        at = (stage, iteration, individual)
+        if value not in first or at < first[value][0]:
+            first[value] = at, Donor(*donor)
+    return {value: donor for value, (_, donor) in first.items()}
+
+
+_PREDICTION = ("lot", "confidence", "predicted_score", "predicted_rating")
 
 
 def _row(campaign_sequence: int, cell: NewEvaluation) -> dict[str, Any]:
     answered = cell.donor if cell.plan in COPIES or cell.plan is Outcome.CERTIFIED else None
-    return {
+    as_it_is = ("stage", "scenario", "setup_id", "parameter_set_id", "reference_key", "plan", "audited", *_PREDICTION)
+    return {name: getattr(cell, name) for name in as_it_is} | {
         "campaign_sequence": campaign_sequence,
-        "stage": cell.stage,
         "iteration": int(cell.iteration),
         "individual": int(cell.individual),
-        "scenario": cell.scenario,
-        "setup_id": cell.setup_id,
-        "parameter_set_id": cell.parameter_set_id,
-        "reference_key": cell.reference_key,
-        "plan": cell.plan,
         "outcome": None if answered is None else cell.plan,
-        "score": None if answered is None else answered.score,
-        "rating": None if answered is None else answered.rating,
+        **{name: getattr(answered, name, None) for name in ("score", "rating", "failure")},
         "run_id": None if answered is None else answered.run,
-        "failure": None if answered is None else answered.failure,
         "reference": None if cell.donor is None else cell.donor.evaluation,
-        "audited": cell.audited,
         "attempts": 0,
-        "lot": cell.lot,
-        "confidence": cell.confidence,
-        "predicted_score": cell.predicted_score,
-        "predicted_rating": cell.predicted_rating,
     }

@@ -10,9 +10,10 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import Connection, Row, delete, func, insert, select
+from sqlalchemy import Connection, delete, func, insert, select
 
 from drivecal.domain.events import EventKind
+from drivecal.storage.engine.records import record
 from drivecal.storage.engine.tables import campaigns, events
 from drivecal.storage.engine.types import now
 
@@ -40,7 +41,7 @@ def add(connection: Connection, campaign_sequence: int, kind: EventKind, data: M
 def since(connection: Connection, campaign_sequence: int, last_id: int, limit: int) -> list[StoredEvent]:
     """The first `limit` events of a campaign after the one with id `last_id`, in their order."""
     query = select(events).where(events.c.campaign_sequence == campaign_sequence, events.c.id > last_id)
-    return [_event(row) for row in connection.execute(query.order_by(events.c.id).limit(limit))]
+    return [record(StoredEvent, row) for row in connection.execute(query.order_by(events.c.id).limit(limit))]
 
 
 def newest_id(connection: Connection, campaign_sequence: int) -> int:
@@ -58,7 +59,3 @@ def prune(connection: Connection, older_than: datetime, at_most: int = 10_000) -
     followed = select(newer.c.id).where(newer.c.campaign_sequence == events.c.campaign_sequence, newer.c.id > events.c.id)
     old = select(events.c.id).where(events.c.created_at < older_than, followed.exists()).limit(at_most)
     return connection.execute(delete(events).where(events.c.id.in_(old))).rowcount
-
-
-def _event(row: Row[Any]) -> StoredEvent:
-    return StoredEvent(row.id, row.campaign_sequence, row.kind, row.data, row.created_at)

@@ -4,9 +4,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
-from sqlalchemy import Connection, Row, select, update
+from sqlalchemy import Connection, select, update
 
 from drivecal.storage.engine import cursors
+from drivecal.storage.engine.records import record
 from drivecal.storage.engine.tables import generations
 from drivecal.storage.engine.types import finite
 
@@ -31,9 +32,6 @@ class Figures:
     mean: float | None = None
     minimum: float | None = None
     alternatives: int = 0
-
-
-_FIGURES = tuple(field.name for field in fields(Figures))
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,17 +110,7 @@ def last(connection: Connection, campaign_sequence: int) -> StoredGeneration | N
         .limit(1)
     )
     row = connection.execute(query).one_or_none()
-    if row is None:
-        return None
-    return StoredGeneration(
-        iteration=row.iteration,
-        figures=_figures(row),
-        population=row.population,
-        changed=row.changed,
-        optimizer_state=row.optimizer_state,
-        objectives=row.objectives,
-        finished=row.finished,
-    )
+    return None if row is None else record(StoredGeneration, row, figures=record(Figures, row))
 
 
 def page(
@@ -133,7 +121,7 @@ def page(
     Raises InvalidInputError.
     """
     query = (
-        select(generations.c.iteration, *(generations.c[name] for name in _FIGURES))
+        select(generations.c.iteration, *(generations.c[field.name] for field in fields(Figures)))
         .where(generations.c.campaign_sequence == campaign_sequence, generations.c.finished)
         .order_by(generations.c.iteration)
         .limit(limit + 1)
@@ -141,10 +129,6 @@ def page(
     if cursor is not None:
         (after,) = cursors.decode(cursor, int)
         query = query.where(generations.c.iteration > after)
-    page = [(row.iteration, _figures(row)) for row in connection.execute(query)]
+    page = [(row.iteration, record(Figures, row)) for row in connection.execute(query)]
     following = cursors.encode(page[limit - 1][0]) if len(page) > limit else None
     return page[:limit], following
-
-
-def _figures(row: Row[Any]) -> Figures:
-    return Figures(*(getattr(row, name) for name in _FIGURES))

@@ -13,7 +13,7 @@ from datetime import timedelta
 
 from sqlalchemy import Connection, bindparam, delete, select, update
 
-from drivecal.storage.engine.bulk import among, insert
+from drivecal.storage.engine.bulk import among, insert, rows_among
 from drivecal.storage.engine.tables import evaluations, leases
 from drivecal.storage.engine.types import now
 from drivecal.storage.processes import term_in_office
@@ -26,10 +26,8 @@ def take(connection: Connection, breakdowns: Mapping[int, int], seconds: float) 
     Not granted are those that have their answer, those under a lease of this term that has neither expired nor been given back, and, on
     PostgreSQL, cells that another transaction is leasing: they are skipped without waiting.
     """
-    free: list[int] = []
-    for condition in among(connection, evaluations.c.id, list(breakdowns)):
-        query = select(evaluations.c.id).where(condition, evaluations.c.outcome.is_(None))
-        free += connection.scalars(query.with_for_update(skip_locked=True))
+    unanswered = select(evaluations.c.id).where(evaluations.c.outcome.is_(None)).with_for_update(skip_locked=True)
+    free = [row.id for row in rows_among(connection, unanswered, evaluations.c.id, list(breakdowns))]
     if not free:
         return {}
     term, moment = term_in_office(connection), now()
@@ -63,14 +61,9 @@ def give_back(connection: Connection, breakdowns: Mapping[int, int]) -> None:
 def current(connection: Connection, numbers: Mapping[int, int]) -> set[int]:
     """The evaluations whose lease of that number, by id, is the current one. The results of the others are late: another process has, or
     had, the cell."""
-    term = term_in_office(connection)
-    current: set[int] = set()
-    for condition in among(connection, leases.c.evaluation_id, list(numbers)):
-        query = select(leases.c.evaluation_id, leases.c.number).where(condition, leases.c.term == term)
-        current.update(
-            evaluation for evaluation, number in connection.execute(query.with_for_update()) if numbers[evaluation] == number
-        )
-    return current
+    query = select(leases.c.evaluation_id, leases.c.number).where(leases.c.term == term_in_office(connection)).with_for_update()
+    rows = rows_among(connection, query, leases.c.evaluation_id, list(numbers))
+    return {evaluation for evaluation, number in rows if numbers[evaluation] == number}
 
 
 def end(connection: Connection, evaluation_ids: Sequence[int]) -> None:
@@ -81,11 +74,8 @@ def end(connection: Connection, evaluation_ids: Sequence[int]) -> None:
 
 def breakdowns(connection: Connection, evaluation_ids: Sequence[int]) -> dict[int, int]:
     """Returns the breakdowns of evaluations by id, without those that never broke down."""
-    counts: dict[int, int] = {}
-    for condition in among(connection, leases.c.evaluation_id, list(evaluation_ids)):
-        query = select(leases.c.evaluation_id, leases.c.attempts).where(condition, leases.c.attempts > 0)
-        counts.update((evaluation, count) for evaluation, count in connection.execute(query))
-    return counts
+    query = select(leases.c.evaluation_id, leases.c.attempts).where(leases.c.attempts > 0)
+    return dict(rows_among(connection, query, leases.c.evaluation_id, list(evaluation_ids)))
 
 
 def forget(connection: Connection, campaign_sequence: int) -> None:

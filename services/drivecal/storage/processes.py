@@ -14,6 +14,7 @@ from sqlalchemy import Connection, Select, select
 
 from drivecal.domain.errors import SupersededError
 from drivecal.storage.engine.bulk import insert
+from drivecal.storage.engine.records import record
 from drivecal.storage.engine.tables import processes
 from drivecal.storage.engine.types import now
 
@@ -73,6 +74,4 @@ def heartbeat(connection: Connection, name: str, pid: int, started_at: datetime,
 def read(connection: Connection, name: str) -> StoredProcess | None:
     """Returns the last message of a process; None before the first."""
     row = connection.execute(select(processes).where(processes.c.name == name)).one_or_none()
-    if row is None:
-        return None
-    return StoredProcess(row.name, row.pid, row.started_at, row.heartbeat_at, row.detail, row.term)
+    return None if row is None else record(StoredProcess, row)

@@ -27,6 +27,7 @@ from drivecal.domain.parameters import ParameterSet
 from drivecal.storage.engine import cursors
 from drivecal.storage.engine.tables import evaluations, lots, parameter_sets, ratings, runs
 from drivecal.storage.engine.types import ORDER, STAGES
+from drivecal.storage.evaluations import DONORS, of_iteration
 from drivecal.storage.lots import LotVerdict
 
 BATCH = 1_000
@@ -285,11 +286,7 @@ def is_requested(
     connection: Connection, campaign_sequence: int, stage: StageName, iteration: int, individual: int | None = None
 ) -> bool:
     """Whether cells of an iteration, or of an individual in it, were requested."""
-    query = select(evaluations.c.id).where(
-        evaluations.c.campaign_sequence == campaign_sequence,
-        evaluations.c.stage == stage,
-        evaluations.c.iteration == iteration,
-    )
+    query = select(evaluations.c.id).where(*of_iteration(campaign_sequence, stage, iteration))
     if individual is not None:
         query = query.where(evaluations.c.individual == individual)
     return connection.execute(query.limit(1)).first() is not None
@@ -334,12 +331,7 @@ def known(
 
 def is_pending(connection: Connection, campaign_sequence: int, stage: StageName, iteration: int) -> bool:
     """Whether a cell of an iteration waits for its answer."""
-    query = select(evaluations.c.id).where(
-        evaluations.c.campaign_sequence == campaign_sequence,
-        evaluations.c.outcome.is_(None),
-        evaluations.c.stage == stage,
-        evaluations.c.iteration == iteration,
-    )
+    query = select(evaluations.c.id).where(*of_iteration(campaign_sequence, stage, iteration), evaluations.c.outcome.is_(None))
     return connection.execute(query.limit(1)).first() is not None
 
 
@@ -351,7 +343,7 @@ def donors(connection: Connection, campaign_sequence: int, stage: StageName) -> 
         .where(
             evaluations.c.campaign_sequence == campaign_sequence,
             evaluations.c.stage == stage,
-            evaluations.c.outcome.in_((Outcome.SIMULATED, Outcome.CERTIFIED)),
+            evaluations.c.outcome.in_(DONORS),
         )
         .order_by(evaluations.c.id)
         .execution_options(yield_per=BATCH)

@@ -9,11 +9,10 @@ from sqlalchemy import Connection, bindparam, select
 
 from drivecal.domain.actions import Action
 from drivecal.domain.campaigns import CampaignState, StageName
-from drivecal.domain.errors import NotFoundError
 from drivecal.storage.campaign_stages import CountsByStage, by_stage
 from drivecal.storage.campaigns import Listed, listed
-from drivecal.storage.engine.bulk import among
-from drivecal.storage.engine.identifiers import is_identifier
+from drivecal.storage.engine.bulk import rows_among
+from drivecal.storage.engine.records import identified, record
 from drivecal.storage.engine.tables import campaigns, processes
 from drivecal.storage.processes import DISPATCHER
 
@@ -48,7 +47,7 @@ _REVISION = [campaigns.c[field.name] for field in fields(CampaignRevision)]
 _PROGRESS = [by_stage() if field.name == "stages" else campaigns.c[field.name] for field in fields(ProgressSnapshot)]
 _HEARTBEAT = select(processes.c.heartbeat_at).where(processes.c.name == DISPATCHER)
 _CAMPAIGN = select(*_REVISION, _HEARTBEAT.scalar_subquery().label("heartbeat_at")).where(
-    campaigns.c.id == bindparam("campaign")
+    campaigns.c.id == bindparam("identifier")
 )
 """Made once: making a statement costs as much as executing it."""
 
@@ -60,11 +59,7 @@ def heartbeat(connection: Connection) -> datetime | None:
 
 def campaign_revision(connection: Connection, campaign_id: str) -> tuple[CampaignRevision, datetime | None]:
     """A campaign by its id, and the dispatcher's heartbeat, by one query. Raises NotFoundError."""
-    row: Any = None
-    if is_identifier(campaign_id):
-        row = connection.execute(_CAMPAIGN, {"campaign": campaign_id}).one_or_none()
-    if row is None:
-        raise NotFoundError("campaign", campaign_id)
+    row = identified(connection, _CAMPAIGN, "campaign", campaign_id)
     return _revision(row), row.heartbeat_at
 
 
@@ -77,21 +72,15 @@ def page(
 
 def revisions(connection: Connection, sequences: Collection[int]) -> dict[int, int]:
     """The revisions of campaigns, by number."""
-    revisions: dict[int, int] = {}
-    for condition in among(connection, campaigns.c.sequence, list(sequences)):
-        query = select(campaigns.c.sequence, campaigns.c.revision).where(condition)
-        revisions.update((row.sequence, row.revision) for row in connection.execute(query))
-    return revisions
+    query = select(campaigns.c.sequence, campaigns.c.revision)
+    return dict(rows_among(connection, query, campaigns.c.sequence, list(sequences)))
 
 
 def snapshots(connection: Connection, sequences: Collection[int]) -> list[ProgressSnapshot]:
     """Returns the progress of campaigns."""
-    snapshots: list[ProgressSnapshot] = []
-    for condition in among(connection, campaigns.c.sequence, list(sequences)):
-        rows = connection.execute(select(*_PROGRESS).where(condition)).mappings()
-        snapshots += [ProgressSnapshot(**{**row, "state": CampaignState(row["state"])}) for row in rows]
-    return snapshots
+    rows = rows_among(connection, select(*_PROGRESS), campaigns.c.sequence, list(sequences))
+    return [record(ProgressSnapshot, row, state=CampaignState(row.state)) for row in rows]
 
 
 def _revision(row: Any) -> CampaignRevision:
-    return CampaignRevision(row.sequence, row.id, CampaignState(row.state), row.requested_action, row.revision, row.degraded)
+    return record(CampaignRevision, row, state=CampaignState(row.state))

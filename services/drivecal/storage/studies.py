@@ -9,6 +9,7 @@ from sqlalchemy import Connection, and_, or_, select
 
 from drivecal.domain.campaigns import StageName
 from drivecal.storage.engine.bulk import insert
+from drivecal.storage.engine.records import record
 from drivecal.storage.engine.tables import campaigns, studies
 
 
@@ -55,10 +56,8 @@ def about(connection: Connection, campaign_id: str, campaign_sequence: int, infl
         .where(or_(*about_it, of_its_map) if influence_map_id is not None else or_(*about_it))
         .order_by(campaigns.c.sequence.desc(), studies.c.stage)
     )
-    return [
-        StoredStudy(row.sequence, row.id, row.name, row.made, row.state, row.spec, row.resolution, row.ended_at)
-        for row in connection.execute(query)
-    ]
+    rows = connection.execute(query)
+    return [record(StoredStudy, row, campaign_sequence=row.sequence, campaign=row.id, stage=row.made) for row in rows]
 
 
 @dataclass(frozen=True, slots=True)

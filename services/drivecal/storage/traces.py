@@ -5,6 +5,7 @@ from datetime import datetime
 
 from sqlalchemy import Connection, delete, exists, insert, select, update
 
+from drivecal.storage.engine.records import record
 from drivecal.storage.engine.tables import campaigns, evaluations, traces
 from drivecal.storage.engine.types import now
 
@@ -25,7 +26,7 @@ def find(connection: Connection, evaluation_id: int, *, for_update: bool = False
     if for_update:
         connection.execute(select(evaluations.c.id).where(evaluations.c.id == evaluation_id).with_for_update())
     row = connection.execute(select(traces).where(traces.c.evaluation_id == evaluation_id)).one_or_none()
-    return None if row is None else StoredTrace(row.campaign_sequence, row.content)
+    return None if row is None else record(StoredTrace, row)
 
 
 def ask(connection: Connection, evaluation_id: int, campaign_sequence: int) -> None:

@@ -12,9 +12,8 @@ import sys
 import time
 from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
 
-from drivecal.cluster.lineage import end_with_parent
+from drivecal.cluster.lineage import end_with_parent, processes
 
 VITAL = {"raylet", "gcs_server"}
 POLL_SECONDS = 1.0
@@ -25,17 +24,7 @@ log = logging.getLogger("drivecal.cluster")
 
 def vital_processes(parent: int) -> set[str]:
     """Returns the names of Ray's vital processes among the children of a process; empty on systems without /proc."""
-    names = set()
-    for entry in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            # pid (name) state ppid ...; the name may contain any character
-            head, _, rest = entry.read_text(errors="replace").rpartition(")")
-        except OSError:
-            continue
-        state, parent_id = rest.split()[:2]
-        if int(parent_id) == parent and state != "Z":
-            names.add(head.partition("(")[2])
-    return names & VITAL
+    return VITAL & {name for _, name, fields in processes() if int(fields[1]) == parent and fields[0] != "Z"}
 
 
 def guard(command: Sequence[str], poll_seconds: float = POLL_SECONDS) -> int:

@@ -1,7 +1,7 @@
 """Settings of Ray for all processes of drivecal. Set them in the environment before importing Ray, which reads them once."""
 
 OBJECT_STORE_BYTES = 80 * 2**20
-"""Shared memory of a node, Ray's minimum: batches and results travel with the calls, the object store stays empty."""
+"""Shared memory of a node, Ray's minimum: batches and results travel with the calls; only recorded runs are in the object store."""
 VERSION_LABEL = "drivecal-version"
 """Label of a node with the version of its installed drivecal."""
 PORT = 6379

@@ -8,7 +8,7 @@ from drivecal.domain.errors import InvalidInputError, Problem
 
 
 def assignments(parts: Iterable[str], field: str) -> dict[str, float]:
-    """`P1=0.5`, `P2=3` as numbers by name. Raises InvalidInputError, naming `field`, for all that cannot be read."""
+    """Returns `P1=0.5`, `P2=3` as numbers by name. Raises InvalidInputError naming `field` and each faulty part."""
     values: dict[str, float] = {}
     problems: list[Problem] = []
     for part in parts:

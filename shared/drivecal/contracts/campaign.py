@@ -1,15 +1,24 @@
 """Answers about campaigns."""
 
 from datetime import datetime
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from pydantic import BaseModel, ConfigDict, computed_field, model_validator
+
+RowModel = TypeVar("RowModel", bound=BaseModel)
 
 
 class Answer(BaseModel):
     """The base of all answers: immutable; a client of an older version ignores what it does not know."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", json_schema_serialization_defaults_required=True)
+
+
+class Page(Answer, Generic[RowModel]):
+    """Rows of a table in their order; `next_cursor` null on the last page."""
+
+    items: list[RowModel]
+    next_cursor: str | None = None
 
 
 class Progress(Answer):
@@ -69,7 +78,7 @@ class CellsByStage(Answer):
     @model_validator(mode="before")
     @classmethod
     def _by_stage(cls, data: Any) -> Any:
-        """Reads what a release without `stages` answers."""
+        """Converts answers of releases without `stages`."""
         if not isinstance(data, dict) or "stages" in data:
             return data
         return data | {"stages": {stage: data[name] for stage, name in EARLIER_NAMES.items() if data.get(name)}}
@@ -102,7 +111,7 @@ class CellsByStage(Answer):
         return StageCellCounts(**self.stages.get(stage, CellCounts()).model_dump())
 
     def by_stage(self) -> dict[str, CellCounts | StageCellCounts]:
-        """The stages that have begun, each with the counts that it can have."""
+        """Returns the counts of the stages that have begun."""
         return {stage: self.cells if stage == "calibration" else self._of(stage) for stage in self.stages}
 
 
@@ -212,11 +221,8 @@ class Campaign(CellsByStage):
     links: dict[str, str] = {}
 
 
-class CampaignPage(Answer):
+class CampaignPage(Page[Campaign]):
     """A page of campaigns, newest first; `next_cursor` null on the last."""
-
-    items: list[Campaign]
-    next_cursor: str | None = None
 
 
 class ExpectedRuns(Answer):

@@ -1,4 +1,4 @@
-"""Turns what pydantic found into drivecal's problems: the field as the user wrote it, what is wrong, what would be right."""
+"""Pydantic's errors as drivecal's problems: the field as the user wrote it, its fault and remedy."""
 
 from collections.abc import Callable, Mapping, Sequence
 from difflib import get_close_matches
@@ -14,8 +14,7 @@ Specification = TypeVar("Specification", bound=BaseModel)
 Detail = Mapping[str, Any]
 """An entry of `ValidationError.errors()`."""
 MOST_FINDINGS = 500
-"""Of a larger document, the beginning of every list and object is looked at first: what is to be told of a hostile megabyte takes a
-hundred, and minutes."""
+"""Of a larger document, the beginning of every list and object is checked first: all errors of a hostile megabyte would take minutes."""
 BEGINNING = 30
 
 _WANTED = {
@@ -55,7 +54,7 @@ _PATTERNS = {
 
 
 def validated(model: type[Specification], document: object) -> Specification:
-    """`document` as a `model`. Raises InvalidInputError with every field that does not fit, of very many with the first ones."""
+    """Returns `document` as a `model`. Raises InvalidInputError with every field that does not fit, or the first of very many."""
     if _is_large(document):
         _check_beginning(model, document)
     try:
@@ -84,7 +83,7 @@ def _check_beginning(model: type[BaseModel], document: object) -> None:
 
 
 def _is_large(document: object) -> bool:
-    """Whether there may be more findings than anybody reads."""
+    """Returns whether a document is so large that it may have more than MOST_FINDINGS errors."""
     waiting, seen = [document], 0
     while waiting and seen <= MOST_FINDINGS:
         value = waiting.pop()
@@ -95,7 +94,7 @@ def _is_large(document: object) -> bool:
 
 
 def _beginning(value: object) -> object:
-    """A document with the first entries only of each of its lists and objects."""
+    """Returns a document with only the first entries of its lists and objects."""
     if isinstance(value, dict):
         return {key: _beginning(inner) for key, inner in islice(value.items(), BEGINNING)}
     return [_beginning(inner) for inner in value[:BEGINNING]] if isinstance(value, list) else value
@@ -108,7 +107,7 @@ def problems(details: Sequence[Any], model: type[BaseModel], document: object) -
 
 
 def _path(detail: Detail, document: object) -> tuple[int | str, ...]:
-    """The location without the names of union members, which pydantic inserts and no user knows."""
+    """Returns the location without the names of union members, which pydantic inserts."""
     path: list[int | str] = []
     value = document
     for part in detail["loc"]:
@@ -126,7 +125,7 @@ def _merged(located: Sequence[tuple[tuple[int | str, ...], Detail]], model: type
     """Merges errors of a union: those of the fitting member count, else the types that any member takes."""
     merged: list[Problem] = []
     for path, detail in located:
-        if not _is_type(detail):
+        if detail["type"] not in _WANTED:
             if detail["type"] == "extra_forbidden":
                 remedy = nearest(str(path[-1]), _known(model, path[:-1]))
                 merged.append(Problem(field_name(path), "there is no such field", remedy))
@@ -134,16 +133,12 @@ def _merged(located: Sequence[tuple[tuple[int | str, ...], Detail]], model: type
                 merged.append(problem(field_name(path), detail))
             continue
         others = [(other, entry) for other, entry in located if entry is not detail and other[: len(path)] == path]
-        if any(len(other) > len(path) or not _is_type(entry) for other, entry in others):
+        if any(len(other) > len(path) or entry["type"] not in _WANTED for other, entry in others):
             continue
         wanted = [_WANTED[detail["type"]], *(_WANTED[entry["type"]] for _, entry in others)]
         remedy = f"give {' or '.join(sorted(set(wanted), reverse=True))}"
         merged.append(Problem(field_name(path), f"{shown(detail['input'])} does not fit", remedy))
     return merged
-
-
-def _is_type(detail: Detail) -> bool:
-    return detail["type"] in _WANTED
 
 
 def problem(field: str, detail: Detail) -> Problem:
@@ -162,7 +157,8 @@ def problem(field: str, detail: Detail) -> Problem:
         remedy = _PATTERNS.get(context["pattern"], f"it must match {context['pattern']}")
         return Problem(field, f"'{given}' is no valid name", remedy)
     if kind in {"literal_error", "enum"}:
-        return Problem(field, f"{given} is not one of the choices", f"give {_choices(context['expected'])}")
+        choices = context["expected"].replace("'", "").replace("False", "false").replace("True", "true")
+        return Problem(field, f"{given} is not one of the choices", f"give {choices}")
     if kind == "value_error":
         message, _, remedy = str(context["error"]).partition("; ")
         return Problem(field, message, remedy)
@@ -185,7 +181,7 @@ def _inner_model(annotation: Any) -> type[BaseModel] | None:
 
 
 def nearest(name: str, known: Sequence[str]) -> str:
-    """The remedy for a misspelt name: the known one that it resembles most, or all of them."""
+    """Returns the remedy for a misspelt name: the most similar known name, or all of them."""
     close = get_close_matches(name, known, n=1)
     return f"did you mean {close[0]}?" if close else f"known are {', '.join(known)}"
 
@@ -194,7 +190,3 @@ def _number(value: object) -> str:
     return (
         f"{value:,}" if isinstance(value, int) and value < 10**12 else f"{value:g}" if isinstance(value, float) else str(value)
     )
-
-
-def _choices(expected: str) -> str:
-    return expected.replace("'", "").replace("False", "false").replace("True", "true")

@@ -5,7 +5,7 @@ from typing import Any
 
 from pydantic import Field
 
-from drivecal.contracts.campaign import Answer
+from drivecal.contracts.campaign import Answer, Page
 from drivecal.contracts.tables import InfluenceRow
 
 
@@ -24,11 +24,8 @@ class InfluenceMapAnswer(Answer):
     links: dict[str, str] = Field(default_factory=dict)
 
 
-class InfluenceMapPage(Answer):
+class InfluenceMapPage(Page[InfluenceMapAnswer]):
     """Influence maps, newest first."""
-
-    items: list[InfluenceMapAnswer]
-    next_cursor: str | None = None
 
 
 class ScenarioAnswer(Answer):
@@ -80,11 +77,8 @@ class ScenarioDetail(ScenarioAnswer):
     speeds: list[list[float]]
 
 
-class ScenarioPage(Answer):
+class ScenarioPage(Page[ScenarioAnswer]):
     """All scenarios."""
-
-    items: list[ScenarioAnswer]
-    next_cursor: str | None = None
 
 
 class ParameterAnswer(Answer):
@@ -107,11 +101,8 @@ class ParameterSpaceAnswer(Answer):
     parameters: list[ParameterAnswer]
 
 
-class ParameterSpacePage(Answer):
+class ParameterSpacePage(Page[ParameterSpaceAnswer]):
     """All parameter spaces."""
-
-    items: list[ParameterSpaceAnswer]
-    next_cursor: str | None = None
 
 
 class ReferenceAnswer(Answer):
@@ -125,11 +116,8 @@ class ReferenceAnswer(Answer):
     runs: int
 
 
-class ReferencePage(Answer):
+class ReferencePage(Page[ReferenceAnswer]):
     """The reference table's size by setup."""
-
-    items: list[ReferenceAnswer]
-    next_cursor: str | None = None
 
 
 class WorkerAnswer(Answer):
@@ -149,12 +137,10 @@ class WorkerAnswer(Answer):
     state_mb_at_most: float | None = None
 
 
-class WorkerPage(Answer):
+class WorkerPage(Page[WorkerAnswer]):
     """The workers, and when the dispatcher that drives them was last heard of (null: never). `fresh` is false where it has been silent for
     too long to believe what it said; `degraded` says what is wrong."""
 
-    items: list[WorkerAnswer]
-    next_cursor: str | None = None
     dispatcher_seen_at: datetime | None = None
     fresh: bool = False
     degraded: str | None = None

@@ -15,6 +15,8 @@ LARGEST_CONFIRM = 1_000
 Name = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]+$")]
 Identifier = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[A-Za-z][A-Za-z0-9_.-]*$")]
 Number = Annotated[float, Field(ge=-1e6, le=1e6)]
+Values = Annotated[dict[Identifier, Number], Field(max_length=200)]
+"""A value per parameter."""
 
 
 class Model(BaseModel):
@@ -76,9 +78,7 @@ class OptimizerSpecification(BaseModel):
     iterations: Annotated[int, Field(ge=1, le=LARGEST_ITERATIONS)] = 20
     start: Literal["lhs", "halton"] = "lhs"
     seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 1
-    start_sets: Annotated[
-        list[Annotated[dict[Identifier, Number], Field(max_length=200)]], Field(max_length=LARGEST_POPULATION, fail_fast=True)
-    ] = []
+    start_sets: Annotated[list[Values], Field(max_length=LARGEST_POPULATION, fail_fast=True)] = []
     """Sets from expert knowledge: in the start population, after the baseline."""
 
 
@@ -125,7 +125,7 @@ class RobustnessSpecification(Model):
     """The most sets that are examined, of those that share the best objective: one from every region of the space first."""
     within: Annotated[float, Field(ge=0, le=7)] = 0.0
     """Sets whose objective is lower by no more than this count as the best, too."""
-    sets: Annotated[list[Annotated[dict[Identifier, Number], Field(max_length=200)]], Field(max_length=1000)] = []
+    sets: Annotated[list[Values], Field(max_length=1000)] = []
     """Sets to be examined in any case."""
     of: Annotated[str, StringConstraints(min_length=1, max_length=64)] | None = None
     """The id of an ended campaign whose best sets are examined, where this one has no optimizer."""
@@ -168,8 +168,8 @@ class ProblemSpecification(Model):
     """Cells of a higher priority go first; campaigns of the same one share the workers."""
     catalogue: Identifier | Annotated[list[Identifier], Field(min_length=1, max_length=1000)] = "highway"
     parameters: Identifier | Annotated[list[ParameterSpecification], Field(min_length=1, max_length=200)] = "highway"
-    fixed: Annotated[dict[Identifier, Number], Field(max_length=200)] = {}
-    baseline: Annotated[dict[Identifier, Number], Field(max_length=200)] | None = None
+    fixed: Values = {}
+    baseline: Values | None = None
     weights: Annotated[dict[Identifier, Annotated[float, Field(ge=0, le=1e6)]], Field(max_length=1000)] = {}
     driving_function: Identifier = "frenet"
     vehicle: VehicleSpecification = VehicleSpecification()

@@ -21,7 +21,7 @@ _TOO_DEEP = Problem("", f"the document is nested deeper than {DEEPEST} levels", 
 
 
 def loads(content: bytes) -> object:
-    """The document in `content`. Raises InvalidInputError that says if and what is wrong."""
+    """Returns the document in `content`. Raises InvalidInputError."""
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -30,8 +30,7 @@ def loads(content: bytes) -> object:
         ) from error
     values = sum(content.count(sign) for sign in (b",", b"[", b"{"))
     if values > MOST_VALUES:
-        remedy = f"send at most {MOST_VALUES:,}"
-        raise InvalidInputError(Problem("", f"the document has some {values:,} values", remedy))
+        raise InvalidInputError(Problem("", f"the document has some {values:,} values", f"send at most {MOST_VALUES:,}"))
     if not text.strip():
         raise InvalidInputError(Problem("", "the document is empty", "send a JSON object, e.g. {}"))
     try:
@@ -46,8 +45,8 @@ def loads(content: bytes) -> object:
 
 
 def check_plain(document: object) -> None:
-    """Raises InvalidInputError, naming the field, if plain data is nested too deeply or has an object with too many entries, holds a
-    number that is not finite, or text that is no Unicode text."""
+    """Raises InvalidInputError naming the field if plain data is nested too deeply, or has an object with too many entries, a number that
+    is not finite, or text that is not Unicode."""
     waiting: list[tuple[object, tuple[str | int, ...]]] = [(document, ())]
     while waiting:
         value, path = waiting.pop()
@@ -70,7 +69,7 @@ def check_plain(document: object) -> None:
 
 
 def field_name(path: Sequence[int | str]) -> str:
-    """`optimizer.population`, `parameters[0].lower`."""
+    """Returns a path as `optimizer.population` or `parameters[0].lower`."""
     name = ""
     for part in path:
         name += f"[{part}]" if isinstance(part, int) else f".{shown(part)}" if name else shown(part)
@@ -97,12 +96,12 @@ def _object(pairs: list[tuple[str, object]]) -> dict[str, object]:
 
 
 def _integer(digits: str) -> float:
-    """Integers that no field can hold become infinite, so that their field can be named."""
+    """Converts integers that no field can hold to infinity, so that their field can be named."""
     return int(digits) if len(digits) <= 100 else math.inf
 
 
 def shown(value: object, longest: int = 60) -> str:
-    """A value as an error message quotes it: JSON-like, ASCII where it must be, never longer than `longest` characters."""
+    """Returns a value for an error message: JSON-like, ASCII if not printable, at most `longest` characters."""
     if isinstance(value, str):
         text = (value if value.isprintable() else ascii(value)[1:-1]) or "''"
     elif value is None or isinstance(value, (bool, int, float)):

@@ -3,7 +3,7 @@
 from datetime import datetime
 from typing import Any, Literal, get_args
 
-from drivecal.contracts.campaign import Answer
+from drivecal.contracts.campaign import Answer, Page
 
 StudyName = Literal["robustness", "validation"]
 STUDIES: tuple[StudyName, ...] = get_args(StudyName)
@@ -22,8 +22,5 @@ class Study(Answer):
     ended_at: datetime | None
 
 
-class StudyPage(Answer):
+class StudyPage(Page[Study]):
     """The studies of a campaign's best sets and of its influence map, newest first."""
-
-    items: list[Study]
-    next_cursor: str | None = None

@@ -3,22 +3,14 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import NoneType, UnionType
-from typing import Annotated, Any, Generic, Literal, TypeVar, get_args, get_origin
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from drivecal.contracts.campaign import Answer
+from drivecal.contracts.campaign import Answer, Page
 
 Kind = Literal["integer", "number", "text", "truth", "numbers"]
-RowModel = TypeVar("RowModel", bound=BaseModel)
 _KINDS: dict[object, Kind] = {bool: "truth", int: "integer", float: "number", str: "text"}
-
-
-class Page(Answer, Generic[RowModel]):
-    """Rows of a table in their order; `next_cursor` null on the last page."""
-
-    items: list[RowModel]
-    next_cursor: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,30 +23,30 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """Marks a mapping whose keys are columns of a file; those without a prefix are parameters."""
+    """Mark of a mapping whose keys are columns of a file; without a prefix they are parameters."""
 
     prefix: str = ""
 
     def column(self, key: str) -> str:
-        """The column of a key."""
+        """Returns the column of a key."""
         return self.prefix + key if self.prefix else parameter_column(key)
 
 
 @dataclass(frozen=True, slots=True)
 class FileForm:
-    """Marks a field that looks different in a file."""
+    """Mark of a field that looks different in a file."""
 
     kind: Kind
     convert: Callable[[Any], object]
 
 
 JSON_ONLY = "JSON only"
-"""Marks a field that no file has."""
+"""Mark of a field that no file has."""
 _JOINED = FileForm("text", " ".join)
 
 
 def columns_of(model: type[BaseModel], keys: Mapping[str, Sequence[str]] | None = None) -> list[Column]:
-    """The columns of a file of such rows; `keys`: those of its mappings, by field."""
+    """Returns the columns of a file of such rows. `keys`: the keys of its mappings, by field."""
     columns: list[Column] = []
     for name, field in model.model_fields.items():
         mark = _mark(field.metadata, field.annotation)
@@ -68,7 +60,7 @@ def columns_of(model: type[BaseModel], keys: Mapping[str, Sequence[str]] | None 
 
 
 def file_row(row: BaseModel) -> dict[str, Any]:
-    """A row as a file has it, by column."""
+    """Returns the values of a row in a file, by column."""
     flat: dict[str, Any] = {}
     for name, field in type(row).model_fields.items():
         mark, value = _mark(field.metadata, field.annotation), getattr(row, name)
@@ -82,7 +74,7 @@ def file_row(row: BaseModel) -> dict[str, Any]:
 
 
 def parameter_column(name: str) -> str:
-    """The column of a parameter, distinct from the own columns of the table of evaluations."""
+    """Returns the column of a parameter, distinct from the columns of the table of evaluations itself."""
     return f"parameter_{name}" if name in EvaluationRow.model_fields else name
 
 
@@ -144,7 +136,7 @@ class EvaluationRow(Answer):
 
     @classmethod
     def file_columns(cls, parameters: Sequence[str]) -> list[Column]:
-        """The columns of a file: those of the parameters follow the place of the cell."""
+        """Returns the columns of a file, with the parameters behind the place of the cell."""
         own = columns_of(cls)
         return own[:PLACE] + [Column(parameter_column(name), "number") for name in parameters] + own[PLACE:]
 
@@ -261,8 +253,9 @@ class ValidationRow(Answer):
 
     `reducible` parameters have a region in which they do not matter; of their `effects` (main effects and interactions) so many were
     `covered`. `drawn`: the size of the Latin hypercube, of which `bases` that qualify were kept (n*_LHS), each compared with
-    `references` variants (n_ref). `wrong`: |dF| > 1; R_err = wrong / compared (Eq. 8) with its 95 % Clopper-Pearson interval;
-    `different`: any change. `histogram`: how many variants differ from their base by how many points.
+    `references` variants (n_ref). `wrong`: |dF| > 1; R_err = wrong / compared (Eq. 8); `different`: any change. `lower_95` and
+    `upper_95` limit the mean over base sets of the share of wrong variants, with a confidence of at least 95 %. `histogram`: how many
+    variants differ from their base by how many points.
 
     For the predictions of a campaign: `released` ones, of them `compared` with a simulation, `beyond` the tolerance; `limit` bounds the
     expected share of these. Null for a map.
@@ -286,6 +279,9 @@ class ValidationRow(Answer):
     limit: float | None = None
     histogram: Annotated[dict[int, int], FileForm("numbers", _counts_by_points)]
     """In files a list of counts for differences from -7 to 7."""
+    interval_over: str = "variants"
+    """What the limits take as independent: `bases`; in studies of earlier versions `variants`, whose limits (Clopper and Pearson) are too
+    narrow, because variants of one base are alike."""
 
 
 SolutionPage = Page[Solution]

@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from drivecal.domain.evaluations import RunResult
+
 
 @dataclass(frozen=True, slots=True)
 class SetupRequest:
@@ -47,11 +49,30 @@ class Cell:
 
 
 @dataclass(frozen=True, slots=True)
+class RecordedRun:
+    """A simulated run with its decisions, by which other workers of the same setup certify cells."""
+
+    number: int
+    """Id of the simulated cell."""
+    result: RunResult
+    parameters: tuple[float, ...]
+    decisions: tuple[int, ...]
+    states: bytes
+    """Planning states, 64-bit floats, a row for each decision."""
+    infeasible: tuple[tuple[int, bytes], ...] = ()
+    """Number of each plan with infeasible candidates, and their mask, a bit per candidate."""
+
+
+@dataclass(frozen=True, slots=True)
 class Batch:
     """Cells of one setup, sized so that they take 50 to 500 ms."""
 
     setup: SetupRequest
     cells: tuple[Cell, ...]
+    known: tuple[RecordedRun, ...] = ()
+    """Runs of other workers, to be learned before the first cell."""
+    share: int = 0
+    """Bytes of recorded runs that other workers want; 0 for none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,3 +119,5 @@ class BatchResult:
     refusal: str | None = None
     """Why this worker cannot run the setup at all, in words; there are no results then. Another worker may be able to."""
     remembered: CertificateMemory | None = None
+    learned: tuple[RecordedRun, ...] = ()
+    """Recorded runs, if the batch says `share`."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 
 def canonical_json(document: object) -> str:
@@ -41,18 +41,8 @@ class Setup:
     @property
     def document(self) -> dict[str, object]:
         """Content of the fingerprint as plain data."""
-        return {
-            "scenario": self.scenario,
-            "scenario_digest": self.scenario_digest,
-            "driving_function": self.driving_function,
-            "driving_function_version": self.driving_function_version,
-            "vehicle": self.vehicle,
-            "vehicle_version": self.vehicle_version,
-            "vehicle_parameters": dict(self.vehicle_parameters),
-            "simulator": self.simulator,
-            "step_seconds": self.step_seconds,
-            "seed": self.seed,
-        }
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return values | {"vehicle_parameters": dict(self.vehicle_parameters)}
 
     @property
     def fingerprint(self) -> str:

@@ -108,16 +108,24 @@ class CertifiablePlanner(Planner, Protocol):
         """
 
 
-class DrivingFunction(Protocol):
-    """A driving function whose parameters are calibrated."""
+class Named(Protocol):
+    """A plug-in that campaign files refer to by its name."""
 
     @property
     def name(self) -> str:
         """Name used in campaign files."""
 
+
+class Versioned(Named, Protocol):
+    """A plug-in whose version is part of the key of stored results."""
+
     @property
     def version(self) -> str:
-        """Changes whenever any result may change by a bit."""
+        """Changes whenever any result or rating may change by a bit."""
+
+
+class DrivingFunction(Versioned, Protocol):
+    """A driving function whose parameters are calibrated."""
 
     @property
     def spaces(self) -> Mapping[str, tuple[Parameter, ...]]:
@@ -162,16 +170,8 @@ class SelfMeasuring(Protocol):
         """Metrics of the run since `start`, stored with the run's other metrics; names carry units."""
 
 
-class Vehicle(Protocol):
+class Vehicle(Versioned, Protocol):
     """A vehicle that a campaign can choose."""
-
-    @property
-    def name(self) -> str:
-        """Name used in campaign files."""
-
-    @property
-    def version(self) -> str:
-        """Changes whenever any result may change by a bit."""
 
     @property
     def parameters(self) -> tuple[VehicleParameter, ...]:
@@ -181,16 +181,8 @@ class Vehicle(Protocol):
         """Creates the model with these values, which must cover all `parameters`."""
 
 
-class Evaluator(Protocol):
+class Evaluator(Versioned, Protocol):
     """Rates the comfort of a run from its measured metrics."""
-
-    @property
-    def name(self) -> str:
-        """Name used in campaign files."""
-
-    @property
-    def version(self) -> str:
-        """Changes whenever any rating may change by a bit."""
 
     def rate(self, manoeuvre: Manoeuvre, metrics: Mapping[str, float]) -> Rating:
         """Rates a run that did not fail."""
@@ -221,12 +213,8 @@ class SeriesEvaluator(Protocol):
         """Rates a run that did not fail. The next run overwrites the arrays of `series`."""
 
 
-class Catalogue(Protocol):
+class Catalogue(Named, Protocol):
     """A catalogue of scenarios."""
-
-    @property
-    def name(self) -> str:
-        """Name used in campaign files."""
 
     @property
     def scenarios(self) -> Mapping[str, Scenario]:
@@ -261,12 +249,8 @@ class Optimizer(Protocol):
         """Returns the complete state as JSON-ready plain data."""
 
 
-class OptimizerPlugin(Protocol):
+class OptimizerPlugin(Named, Protocol):
     """An optimizer that a campaign can choose by its `name` (`optimizer.kind`)."""
-
-    @property
-    def name(self) -> str:
-        """Value of `optimizer.kind` in campaign files."""
 
     @property
     def settings(self) -> type[BaseModel]:

@@ -14,6 +14,7 @@ from drivecal.analysis.robustness import (
     deviation,
     directions,
     holds,
+    undetected_share,
     vehicles,
 )
 from drivecal.domain.errors import InvalidInputError
@@ -158,3 +159,9 @@ def test_nothing_to_examine_is_no_study() -> None:
 def test_telling_before_asking_is_refused() -> None:
     with pytest.raises(RuntimeError, match="ask first"):
         RobustnessStudy(np.zeros((1, 6)), TABLE_8, NOMINAL, RobustnessSettings()).tell({})
+
+
+def test_vehicles_that_hold_leave_the_share_open_that_they_would_miss_once_in_twenty() -> None:
+    assert undetected_share(30) == pytest.approx(0.095, abs=1e-3)
+    for samples in (1, 30, 1000):
+        assert (1 - undetected_share(samples)) ** samples == pytest.approx(0.05)

@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivecal.analysis.validation import MOST_EXACT, ReducibleSpace, _kept, coverage, design
+from drivecal.analysis.validation import MOST_EXACT, Differences, ReducibleSpace, _kept, coverage, design
+from drivecal.optimizers.built_in import GENETIC, GeneticSettings
 
 EVERY = np.arange(10)
 LOW = np.array([-1, -1, -1, 3, 4, 5, 6, 7, 8, 9])
@@ -109,9 +110,28 @@ def test_the_same_seed_gives_the_same_sets_and_another_one_others() -> None:
     assert not np.array_equal(one.variants, other.variants)
 
 
+def test_differences_without_a_score_count_for_no_base() -> None:
+    missing = np.nan
+    differences = Differences(np.array([[0.0, 2.0, -1.0, -7.0], [missing, missing, 3.0, 0.0], [missing] * 4]))
+    assert differences.histogram == {-7: 1, -1: 1, 0: 2, 2: 1, 3: 1}
+    assert differences.wrong_shares(1).tolist() == [0.5, 0.5]
+    assert Differences(np.full((2, 3), missing)).wrong_shares(1).size == 0
+
+
 def test_every_other_value_of_a_region_is_equally_likely() -> None:
     space, generator = ReducibleSpace([FREE]), np.random.default_rng(3)
     drawn = [int(space.variant(np.array([4]), np.array([0]), generator)[0]) for _ in range(9000)]
     counts = np.bincount(drawn, minlength=10)
     assert counts[4] == 0
     assert counts[counts > 0] == pytest.approx(np.full(9, 1000), rel=0.15)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 2**63 - 1])
+def test_the_sets_are_others_than_those_of_a_start_population_with_the_same_seed(seed: int) -> None:
+    """A hypercube of the search's own start would find its answers there, and test nothing new."""
+    searched = [np.arange(100)] * 3 + [np.zeros(100, dtype=np.int64)]
+    drawn = design(ReducibleSpace(searched), 50, 2, seed, 50)
+    assert drawn is not None
+    settings = GeneticSettings(population=50, seed=seed)
+    start = GENETIC.create(settings, np.full(4, 100)).ask().population
+    assert not {tuple(base) for base in drawn.bases.tolist()} & {tuple(individual) for individual in start.tolist()}

@@ -108,15 +108,14 @@ def test_without_a_terminal_a_line_appears_now_and_then(capsys: pytest.CaptureFi
     clock = iter([0.0, 1.0, 2.0, 7.5, 8.0])
     lines = Lines(lambda: next(clock))
     running = Campaign(id="0" * 32, name="mine", state="running", stage="calibration", spec={"optimizer": {"iterations": 10}})
-    with lines:
-        lines.show(running.model_copy(update={"state": "queued", "stage": None}))
-        for iteration in range(3):
-            lines.show(
-                running.model_copy(
-                    update={"iteration": iteration, "progress": Progress(done=5, total=10), "stages": {"calibration": CELLS}}
-                )
+    lines.show(running.model_copy(update={"state": "queued", "stage": None}))
+    for iteration in range(3):
+        lines.show(
+            running.model_copy(
+                update={"iteration": iteration, "progress": Progress(done=5, total=10), "stages": {"calibration": CELLS}}
             )
-        lines.show(running.model_copy(update={"state": "succeeded"}))
+        )
+    lines.show(running.model_copy(update={"state": "succeeded"}))
     captured = capsys.readouterr()
     assert captured.out == ""
     assert captured.err.splitlines() == [

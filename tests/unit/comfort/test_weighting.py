@@ -9,7 +9,7 @@ import pytest
 from scipy import signal
 
 from drivecal.comfort import kernels
-from drivecal.comfort.weighting import WD, WF, Section, analogue_gain, digital
+from drivecal.comfort.weighting import WD, WF, Section, digital
 from drivecal.plugins.ports import Floats
 
 RATE = 100.0
@@ -27,6 +27,11 @@ TABLE_WF = {
 }  # fmt: skip
 POINTS = [(WD, f, factor) for f, factor in TABLE_WD.items()] + [(WF, f, factor) for f, factor in TABLE_WF.items()]
 Weighting = tuple[Section, ...]
+
+
+def analogue_gain(weighting: Weighting, frequency: float) -> float:
+    """Returns the magnitude at `frequency` (Hz) as defined by the standard."""
+    return math.prod(section.gain(frequency) for section in weighting)
 
 
 def digital_gain(weighting: Weighting, frequency: float) -> float:

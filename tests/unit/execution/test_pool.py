@@ -225,6 +225,20 @@ def test_workers_finish_together(workers: int) -> None:
     assert work / (backend.now * workers) >= 0.97
 
 
+def test_the_setups_of_a_generation_are_spread_over_the_workers() -> None:
+    backend = FakeBackend(3)
+    pool = WorkPool(backend)
+    for generation in range(3):
+        begun = len(backend.sizes)
+        works = [
+            Work(setup(scenario), cells([Behaviour.WELL] * 300, first=1 + 1000 * (3 * generation + index)))
+            for index, scenario in enumerate(("S1", "S2", "S3"))
+        ]
+        pool.submit(*works, tag="a")
+        assert {scenario for _, scenario, _ in backend.sizes[begun : begun + 3]} == {"S1", "S2", "S3"}
+        drain(pool)
+
+
 def test_higher_priorities_go_first() -> None:
     backend = FakeBackend()
     pool = WorkPool(backend)

@@ -23,8 +23,9 @@ PORTS: dict[str, type] = {
 
 
 def members(port: type) -> set[str]:
-    """What a port asks for: annotated attributes, properties and methods."""
-    return {name for name in {*vars(port), *inspect.get_annotations(port)} if not name.startswith("_")}
+    """Returns what a port asks for, inherited or not: annotated attributes, properties and methods."""
+    names = {name for base in port.__mro__ for name in {*vars(base), *inspect.get_annotations(base)}}
+    return {name for name in names if not name.startswith("_")}
 
 
 BUILT_IN = [

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from tests.unit.report.rows import OPTIMA, PARAMETERS, ROBUST, VALIDATED, findings, nowhere, optimum, robust, row, study, trial
 
+from drivecal.contracts.tables import ValidationRow
 from drivecal.report.data import Studied
 from drivecal.report.figures import optima_coordinates, robustness_degrees
 from drivecal.report.figures.drawing import KINDS, svg
@@ -117,6 +118,15 @@ def test_table_9_sets_robust_beside_nominal_quality_and_the_degrees_of_other_con
     assert head[6:8] == ["degree: max ≤ 1, δ = 0.1, single_track", "degree: max ≤ 1, δ = 0.1, hybrid"]
 
 
+@pytest.mark.parametrize(("samples", "share"), [(1, "95.0%"), (30, "9.5%"), (300, "1.0%")])
+def test_a_box_that_holds_says_what_its_vehicles_do_not_exclude(samples: int, share: str) -> None:
+    assert share in robustness.vehicles_text({"samples": samples, "condition": "max"})
+    assert "%" not in robustness.vehicles_text({"samples": samples, "condition": "mean"})
+    assert robustness.vehicles_text(study().settings) in "".join(
+        robustness.parts([Studied(study(), ROBUST)], OPTIMA, "0" * 32, "")
+    )
+
+
 def test_the_file_of_boxes_holds_every_deviation() -> None:
     header, *rows = robustness.boxes(Studied(study(), ROBUST))
     assert header == ("rank", "box", "radius", "holds", "deviation_S1", "deviation_S2")
@@ -137,6 +147,17 @@ def test_the_histogram_has_a_bar_for_each_deviation_and_hatches_what_is_wrong() 
     assert "90 of 100 unchanged, 6 wrong" in drawn.alt
     assert len(drawn.figure.axes) == 1, "where nothing was compared there is nothing to draw"
     assert list(validation.drawn(VALIDATED[1:])) == []
+
+
+def test_intervals_over_variants_are_called_too_narrow() -> None:
+    """Studies of earlier versions stay readable, with what their limits are worth."""
+    stored = VALIDATED[0].model_dump(mode="json")
+    del stored["interval_over"]
+    earlier = ValidationRow.model_validate(stored)
+    assert (earlier.interval_over, VALIDATED[0].interval_over) == ("variants", "bases")
+    for kept, narrow in ((earlier, True), (VALIDATED[0], False)):
+        html = "".join(validation.parts(Studied(study("validation"), [kept]), "0" * 32, {}, ""))
+        assert ("too narrow" in html) == narrow
 
 
 def test_tables_1_and_2_and_the_histogram_in_numbers() -> None:

@@ -11,12 +11,14 @@ from typing import Any
 
 import pytest
 
-from drivecal.contracts.work import Batch, Cell, CellResult, CertificateMemory, Probe, SetupRequest
+from drivecal.certification.nodes import Nodes
+from drivecal.contracts.work import Batch, Cell, CellResult, CertificateMemory, Probe, RecordedRun, SetupRequest
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Failure, Rating, RunResult
 from drivecal.plugins import registry
 from drivecal.plugins.setups import setup_of, simulator
 from drivecal.runtime import compilation
+from drivecal.runtime.runners import RefusedError, TimeSeries
 from drivecal.runtime.worker import LONGEST_DETAIL, MOST_RUNNERS, Worker
 
 SETUP = SetupRequest("highway", "S1", "frenet", "single_track", {}, "reference", "a fingerprint")
@@ -36,6 +38,7 @@ class ScriptedRunner:
     parameters: Sequence[str] = ("a", "b")
     runs: int = 0
     known: dict[float, tuple[int, RunResult]] = field(default_factory=dict)
+    recording: list[RecordedRun] | None = None
 
     def answer(self, parameters: Sequence[float], number: int, *, check: bool) -> RunResult:
         first, second = parameters
@@ -48,13 +51,29 @@ class ScriptedRunner:
         if second in self.known:
             return replace(result, proven_by=self.known[second][0], agrees=first != 7.0)
         self.known[second] = number, result
+        if self.recording is not None:
+            self.recording.append(RecordedRun(number, result, (first, second), (), b""))
         return result
 
     def prove(self, parameters: Sequence[float]) -> int | None:
         return self.known[parameters[1]][0] if parameters[1] in self.known else None
 
-    def trace(self, parameters: Sequence[float]) -> dict[str, Any]:
+    def trace(self, parameters: Sequence[float]) -> TimeSeries:
         raise NotImplementedError
+
+    def take_over(self, interrupted: ScriptedRunner) -> None:
+        self.known = interrupted.known
+
+    def learn(self, known: Sequence[RecordedRun]) -> None:
+        self.recording = []
+        for run in known:
+            if run.parameters[0] == 4.0:
+                raise ValueError(run)
+            self.known[run.parameters[1]] = run.number, run.result
+
+    def recorded(self, most_bytes: int) -> tuple[RecordedRun, ...]:
+        recording, self.recording = self.recording, None
+        return tuple(recording or ())[:most_bytes]
 
     def run(self, parameters: Sequence[float]) -> RunResult:
         self.runs += 1
@@ -298,6 +317,74 @@ def test_a_certified_cell_that_is_checked_is_simulated_and_says_whether_both_agr
     )
     assert [(cell.proven_by, cell.agrees) for cell in (good, bad, chaotic)] == [(1, True), (1, False), (None, False)]
     assert good.metrics["runs"] == 2
+
+
+def test_an_exception_of_a_cell_costs_no_certificate() -> None:
+    worker = Worker("w", lambda _: ScriptedRunner())
+    _, broken, again = certified(
+        worker, Cell(1, {"a": 0.0, "b": 3.0}), Cell(2, {"a": 4.0, "b": 9.0}), Cell(3, {"a": 0.5, "b": 3.0})
+    )
+    assert broken.breakdown == "error"
+    assert again.proven_by == 1
+
+
+def test_an_exception_of_the_evaluator_leaves_the_recorded_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    worker = Worker("w")
+    request = _request()
+    certified(worker, Cell(1, MIDDLE), setup=request)
+    states = worker.run(Batch(request, ())).remembered
+    evaluator = type(registry.evaluator("reference"))
+    rate = evaluator.rate
+    monkeypatch.setattr(evaluator, "rate", lambda *_: 1 / 0)
+    [broken] = certified(worker, Cell(2, MIDDLE | {"P1": -20.0}), setup=request)
+    assert broken.breakdown == "error"
+    monkeypatch.setattr(evaluator, "rate", rate)
+    [again] = certified(worker, Cell(3, MIDDLE), setup=request)
+    assert again.proven_by == 1
+    assert worker.run(Batch(request, ())).remembered == states
+
+
+def test_an_exception_in_the_trie_itself_costs_its_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    worker = Worker("w")
+    request = _request()
+    certified(worker, Cell(1, MIDDLE), setup=request)
+    extend = Nodes.extend
+
+    def interrupted(nodes: Nodes, *arguments: Any) -> Any:
+        extend(nodes, *arguments)
+        raise MemoryError
+
+    monkeypatch.setattr(Nodes, "extend", interrupted)
+    [broken] = certified(worker, Cell(2, MIDDLE | {"P1": -20.0}), setup=request)
+    assert broken.breakdown == "memory"
+    monkeypatch.setattr(Nodes, "extend", extend)
+    [again] = certified(worker, Cell(3, MIDDLE), setup=request)
+    assert again.proven_by is None
+
+
+def test_a_worker_certifies_by_the_runs_of_others_and_returns_its_own() -> None:
+    sender, reader = (Worker(name, lambda _: ScriptedRunner()) for name in ("w", "v"))
+    cells = (Cell(1, {"a": 0.0, "b": 3.0}, certify=True), Cell(2, {"a": 5.0, "b": 3.0}, certify=True))
+    sent = sender.run(Batch(SETUP, cells, share=1000))
+    assert [run.number for run in sent.learned] == [1]
+    assert sender.run(Batch(SETUP, (Cell(3, {"a": 0.0, "b": 9.0}, certify=True),))).learned == ()
+    [answered] = reader.run(Batch(SETUP, (replace(cells[0], id=4),), known=sent.learned, share=1000)).results
+    assert (answered.proven_by, answered.rating) == (1, sent.results[0].rating)
+
+
+def test_a_run_of_another_worker_that_raises_costs_no_cell() -> None:
+    worker = Worker("w", lambda _: ScriptedRunner())
+    bad = RecordedRun(9, RunResult(Rating(1.0, 1), {}), (4.0, 0.0), (), b"")
+    result = worker.run(Batch(SETUP, (Cell(1, {"a": 0.0, "b": 3.0}, certify=True),), known=(bad,), share=1000))
+    assert [cell.breakdown for cell in result.results] == [None]
+
+
+def test_a_setup_that_is_refused_learns_nothing() -> None:
+    def refuse(_: SetupRequest) -> ScriptedRunner:
+        raise RefusedError("another version")
+
+    result = Worker("w", refuse).run(Batch(SETUP, (Cell(1, {"a": 0.0, "b": 3.0}, certify=True),), share=1000))
+    assert (result.refusal, result.results, result.learned) == ("another version", (), ())
 
 
 def test_without_leave_nothing_is_certified() -> None:

@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.unit.vehicle.stability import critical_speed
 
 from drivecal.plugins.ports import Floats
 from drivecal.vehicle import kernels
-from drivecal.vehicle.parameters import NOMINAL, TABLE_8, SingleTrackParameters, critical_speed, understeer_gradient
+from drivecal.vehicle.parameters import NOMINAL, TABLE_8, SingleTrackParameters, understeer_gradient
 
 SPEEDS = (10.0, 20.0, 30.0, 40.0)
 CORNERS = [SingleTrackParameters(*corner) for corner in itertools.product(*((p.minimum, p.maximum) for p in TABLE_8))]

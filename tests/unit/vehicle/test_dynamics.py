@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.unit.vehicle.stability import critical_speed
 
 from drivecal.plugins.ports import Floats
 from drivecal.vehicle import kernels
-from drivecal.vehicle.parameters import NOMINAL, TABLE_8, SingleTrackParameters, critical_speed, understeer_gradient
+from drivecal.vehicle.parameters import NOMINAL, TABLE_8, SingleTrackParameters, understeer_gradient
 
 CORNERS = [SingleTrackParameters(*corner) for corner in itertools.product(*((p.minimum, p.maximum) for p in TABLE_8))]
 

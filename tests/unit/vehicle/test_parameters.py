@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.unit.vehicle.stability import critical_speed
 
 from drivecal.domain.errors import InvalidInputError
 from drivecal.plugins.ports import Floats
-from drivecal.vehicle.parameters import NOMINAL, TABLE_8, SingleTrackParameters, critical_speed, understeer_gradient
+from drivecal.vehicle.parameters import NOMINAL, TABLE_8, SingleTrackParameters, understeer_gradient
 
 NOMINAL_VALUES = {parameter.name: parameter.nominal for parameter in TABLE_8}
 

@@ -12,7 +12,8 @@ proves nothing: that run has to be simulated.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
@@ -22,6 +23,7 @@ import numpy.typing as npt
 from drivecal.certification.kernels import NONE, visit
 from drivecal.certification.memory import Memory
 from drivecal.certification.nodes import Floats, Nodes
+from drivecal.certification.recording import DecisionRecord
 from drivecal.domain.errors import DrivecalError
 from drivecal.plugins.ports import CertifiablePlanner, Observation
 
@@ -53,7 +55,13 @@ class Trie(Generic[Result]):
         self._nodes = Nodes(planner.n_values, planner.n_candidates, planner.grid)
         self._results: list[Certificate[Result]] = []
         self._memory = memory
+        self.is_intact = True
+        """False if an exception interrupted a change."""
         memory.join(self)
+
+    def use(self, planner: CertifiablePlanner) -> None:
+        """Continues with another planner for the same scenario."""
+        self._planner = planner
 
     @property
     def bytes(self) -> int:
@@ -77,6 +85,10 @@ class Trie(Generic[Result]):
 
     def prove(self, parameters: Sequence[float]) -> Certificate[Result] | None:
         """Returns the stored run that these parameters would repeat; None without a proof. No run may be recording."""
+        with self._change():
+            return self._prove(parameters)
+
+    def _prove(self, parameters: Sequence[float]) -> Certificate[Result] | None:
         nodes, planner, described = self._nodes, self._planner, False
         node = planner.walk(nodes, parameters, 0)
         if node == NONE:
@@ -102,8 +114,12 @@ class Trie(Generic[Result]):
         """Returns a planner that records its next run in this trie."""
         return RecordingPlanner(self._planner, self)
 
-    def learn(self, recording: RecordingPlanner[Result], result: Result, run: int) -> None:
+    def learn(self, recording: DecisionRecord, result: Result, run: int) -> None:
         """Adds a run under the number `run`. Raises NotDeterministicError if the same decisions led to another state before."""
+        with self._change():
+            self._learn(recording, result, run)
+
+    def _learn(self, recording: DecisionRecord, result: Result, run: int) -> None:
         end, deviation = self._nodes.extend(recording.decisions, np.array(recording.states))
         if deviation is not None:
             raise NotDeterministicError(
@@ -118,7 +134,7 @@ class Trie(Generic[Result]):
         self._visit(end)
         self._memory.evict()
 
-    def _mark_infeasible(self, recording: RecordingPlanner[Result], index: int, infeasible: npt.NDArray[np.bool_]) -> None:
+    def _mark_infeasible(self, recording: DecisionRecord, index: int, infeasible: npt.NDArray[np.bool_]) -> None:
         """Marks candidates as infeasible in the state of plan number `index`, so that they exclude no other contender.
 
         A state without description needs no marks: the planner itself checks its candidates there.
@@ -144,6 +160,12 @@ class Trie(Generic[Result]):
         self._results = [self._results[leaf] for leaf in nodes.leaf[leaves].tolist()]
         nodes.leaf[leaves] = np.arange(len(leaves), dtype=np.int32)
 
+    @contextmanager
+    def _change(self) -> Iterator[None]:
+        self.is_intact = False
+        yield
+        self.is_intact = True
+
     def _visit(self, node: int) -> None:
         self._memory.clock += 1
         visit(node, self._nodes.parent, self._nodes.visited, self._memory.clock)
@@ -155,25 +177,25 @@ class RecordingPlanner(Generic[Result]):
     def __init__(self, planner: CertifiablePlanner, trie: Trie[Result]) -> None:
         self._planner, self._trie = planner, trie
         self.period = planner.period
-        self.parameters: Sequence[float] = ()
-        self.states: list[Floats] = []
-        self.decisions: list[int] = []
-        self.infeasible: list[tuple[int, npt.NDArray[np.bool_]]] = []
-        """Number of each plan with infeasible candidates, and their mask, shape (n_candidates,)."""
+        self.recording = DecisionRecord()
+        self._states: list[Floats] = []
+        self._decisions: list[int] = []
+        self._infeasible: list[tuple[int, npt.NDArray[np.bool_]]] = []
 
     def reset(self, parameters: Sequence[float]) -> None:
         self._planner.reset(parameters)
-        self.parameters, self.states, self.decisions, self.infeasible = parameters, [], [], []
+        self._states, self._decisions, self._infeasible = [], [], []
+        self.recording = DecisionRecord(parameters, self._states, self._decisions, self._infeasible)
 
     def plan(self, observation: Observation) -> Floats:
         planner = self._planner
         trajectory = planner.plan(observation)
         if np.count_nonzero(planner.infeasible):
-            self.infeasible.append((len(self.decisions), planner.infeasible.copy()))
-        self.states.append(planner.state.copy())
-        self.decisions.append(planner.chosen)
+            self._infeasible.append((len(self._decisions), planner.infeasible.copy()))
+        self._states.append(planner.state.copy())
+        self._decisions.append(planner.chosen)
         return trajectory
 
     def finish(self, result: Result, run: int) -> None:
         """Stores the finished run under the number `run`. Raises like `Trie.learn`."""
-        self._trie.learn(self, result, run)
+        self._trie.learn(self.recording, result, run)

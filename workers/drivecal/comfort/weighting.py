@@ -62,11 +62,6 @@ WF = (high_pass(0.08), low_pass(0.63), low_pass(0.25, 0.86), upward_step(0.0625,
 """Weighting of motion sickness; its transition has no zero."""
 
 
-def analogue_gain(sections: tuple[Section, ...], frequency: float) -> float:
-    """Returns the magnitude of a weighting at `frequency` (Hz) as defined by the standard."""
-    return math.prod(section.gain(frequency) for section in sections)
-
-
 def _digital(section: Section, rate: float) -> tuple[float, ...]:
     w = 2.0 * math.pi * section.frequency / rate
     root = np.exp(w * (-0.5 / section.quality + np.emath.sqrt(0.25 / section.quality**2 - 1.0)))

@@ -1,12 +1,11 @@
 """Creation of runners from requests, with plug-ins of the registry and a check of their versions by the run fingerprint."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, Protocol
 
 from drivecal.certification.memory import Memory
-from drivecal.contracts.work import SetupRequest
+from drivecal.contracts.work import RecordedRun, SetupRequest
 from drivecal.domain.errors import ConflictError, DrivecalError, InvalidInputError, Problem, UnavailableError
 from drivecal.domain.evaluations import RunResult
 from drivecal.domain.scenarios import Scenario
@@ -18,6 +17,13 @@ from drivecal.plugins.setups import setup_of
 
 class RefusedError(DrivecalError):
     """This worker cannot run a setup with any parameters, because of its installation."""
+
+
+class TimeSeries(Protocol):
+    """Time series of a run."""
+
+    def to_json(self) -> dict[str, Any]:
+        """Returns plain data."""
 
 
 class Runner(Protocol):
@@ -39,37 +45,17 @@ class Runner(Protocol):
     def prove(self, parameters: Sequence[float]) -> int | None:
         """Returns the number of the run that these parameters would provably repeat, or None. Simulates nothing."""
 
-    def trace(self, parameters: Sequence[float]) -> dict[str, Any]:
-        """Runs the same simulation and returns its time series as plain data."""
+    def trace(self, parameters: Sequence[float]) -> TimeSeries:
+        """Runs the same simulation and returns its time series."""
 
+    def learn(self, known: Sequence[RecordedRun]) -> None:
+        """Records runs of other workers, and from now on keeps its own for `recorded`."""
 
-@dataclass(frozen=True, slots=True)
-class _Installed:
-    scenario: Scenario
-    function: DrivingFunction
-    vehicle: Vehicle
-    evaluator: Evaluator
+    def recorded(self, most_bytes: int) -> tuple[RecordedRun, ...]:
+        """Returns runs recorded since `learn`, best rating first."""
 
-
-class _EpisodeRunner:
-    def __init__(self, request: SetupRequest, installed: _Installed, memory: Memory) -> None:
-        from drivecal.episode.certified import CertifiedRunner  # libsumo and numba, in workers only
-
-        self.parameters = tuple(parameter.name for parameter in next(iter(installed.function.spaces.values())))
-        model = installed.vehicle.create(request.vehicle_parameters)
-        self._episode = CertifiedRunner(installed.scenario, installed.function, model, installed.evaluator, memory)
-
-    def run(self, parameters: Sequence[float]) -> RunResult:
-        return self._episode.run(parameters)
-
-    def answer(self, parameters: Sequence[float], number: int, *, check: bool) -> RunResult:
-        return self._episode.answer(parameters, number, check=check)
-
-    def prove(self, parameters: Sequence[float]) -> int | None:
-        return self._episode.prove(parameters)
-
-    def trace(self, parameters: Sequence[float]) -> dict[str, Any]:
-        return self._episode.trace(parameters).to_json()
+    def take_over(self, interrupted: Any) -> None:
+        """Takes the recorded runs of a runner of the same setup that an exception interrupted, unless it interrupted their recording."""
 
 
 def make_runner(request: SetupRequest, memory: Memory) -> Runner:
@@ -85,25 +71,27 @@ def make_runner(request: SetupRequest, memory: Memory) -> Runner:
     except Exception as error:  # a badly installed package may raise any exception
         raise RefusedError(f"a plug-in cannot be loaded: {type(error).__name__}: {error}") from error
     try:
-        return _EpisodeRunner(request, installed, memory)
+        from drivecal.episode.certified import CertifiedRunner  # libsumo and numba, in workers only
+
+        scenario, function, vehicle, evaluator = installed
+        return CertifiedRunner(scenario, function, vehicle.create(request.vehicle_parameters), evaluator, memory)
     except UnavailableError as error:
         raise RefusedError(str(error)) from error
 
 
-def _find(request: SetupRequest) -> _Installed:
+def _find(request: SetupRequest) -> tuple[Scenario, DrivingFunction, Vehicle, Evaluator]:
     import_module("drivecal.episode.runner")  # raises UnavailableError without a simulator
     catalogue = registry.catalogue(request.catalogue)
     if request.scenario not in catalogue.scenarios:
         remedy = f"it has {', '.join(catalogue.scenarios)}"
-        raise InvalidInputError(
-            Problem("scenario", f"the worker's catalogue {catalogue.name} has no {request.scenario!r}", remedy)
-        )
+        message = f"the worker's catalogue {catalogue.name} has no {request.scenario!r}"
+        raise InvalidInputError(Problem("scenario", message, remedy))
     scenario = catalogue.scenarios[request.scenario]
     function, vehicle = registry.driving_function(request.driving_function), registry.vehicle(request.vehicle)
     refuse_other_versions(request, setup_of(scenario, function, vehicle, request.vehicle_parameters))
     evaluator = registry.evaluator(request.evaluator)
     refuse_other_evaluators(request, evaluator)
-    return _Installed(scenario, function, vehicle, evaluator)
+    return scenario, function, vehicle, evaluator
 
 
 def refuse_other_evaluators(request: SetupRequest, installed: Evaluator) -> None:

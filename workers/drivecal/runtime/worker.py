@@ -51,6 +51,8 @@ class Worker:
         self._memory = Memory(certificates_mb)
         self._make = make or partial(make_runner, memory=self._memory)
         self._runners: OrderedDict[tuple[object, ...], Runner] = OrderedDict()
+        self._interrupted: set[tuple[object, ...]] = set()
+        """Setups whose runner an exception interrupted."""
 
     def warm(self, trial: Batch) -> WorkerFacts:
         """Simulates `trial`, which loads and compiles everything for the first batch and tests this worker.
@@ -73,11 +75,25 @@ class Worker:
         results: tuple[CellResult, ...] = ()
         refusal = None
         try:
+            if batch.share:
+                self._learn(batch)
             results = tuple(self._run_cell(batch.setup, cell) for cell in batch.cells)
         except RefusedError as error:
             refusal = describe(error)
+        runner = self._runners.get(_key(batch.setup)) if batch.share else None
+        learned = () if runner is None else runner.recorded(batch.share)
         seconds, memory = time.perf_counter() - start, self._memory
-        return BatchResult(self._name, results, seconds, refusal, CertificateMemory(memory.states, memory.bytes, memory.limit))
+        remembered = CertificateMemory(memory.states, memory.bytes, memory.limit)
+        return BatchResult(self._name, results, seconds, refusal, remembered, learned)
+
+    def _learn(self, batch: Batch) -> None:
+        """Records the runs of other workers. An exception does not propagate: the cells report it if it concerns them."""
+        try:
+            self._runner(batch.setup).learn(batch.known)
+        except RefusedError:
+            raise
+        except (Exception, SystemExit):  # noqa: BLE001  # a plug-in may raise any exception; the worker must survive
+            self._interrupt(batch.setup)
 
     def _run_cell(self, setup: SetupRequest, cell: Cell) -> CellResult:
         start = time.thread_time_ns()
@@ -85,7 +101,7 @@ class Worker:
             runner = self._runner(setup)
             parameters = [cell.parameters[name] for name in runner.parameters]
             if cell.trace:
-                return _traced(cell, runner.trace(parameters), start)
+                return _traced(cell, runner.trace(parameters).to_json(), start)
             result = runner.answer(parameters, cell.id, check=cell.check) if cell.certify else runner.run(parameters)
             rating = _finite("the rating", result.rating.rating)
             metrics = {name: _finite(name, value) for name, value in result.metrics.items()}
@@ -111,15 +127,24 @@ class Worker:
 
     def _runner(self, setup: SetupRequest) -> Runner:
         key = _key(setup)
-        if key not in self._runners:
-            self._runners[key] = self._make(setup)
+        if key not in self._runners or key in self._interrupted:
+            runner = self._make(setup)
+            if key in self._interrupted:
+                runner.take_over(self._runners[key])
+                self._interrupted.remove(key)
+            self._runners[key] = runner
             if len(self._runners) > MOST_RUNNERS:
-                self._runners.popitem(last=False)
+                self._interrupted.discard(self._runners.popitem(last=False)[0])
         self._runners.move_to_end(key)
         return self._runners[key]
 
+    def _interrupt(self, setup: SetupRequest) -> None:
+        """Notes that an exception interrupted a runner, which may be in any state: the next cell gets a new one."""
+        if _key(setup) in self._runners:
+            self._interrupted.add(_key(setup))
+
     def _broken(self, setup: SetupRequest, cell: Cell, cause: Breakdown, error: BaseException, start: int) -> CellResult:
-        self._runners.pop(_key(setup), None)  # an interrupted runner may be in any state
+        self._interrupt(setup)
         return CellResult(cell.id, None, None, {}, None, _milliseconds(start), cause.value, describe(error))
 
 
@@ -152,11 +177,8 @@ def _probed(runner: Runner, probes: Sequence[Probe]) -> tuple[tuple[int, int], .
 
 
 def _key(setup: SetupRequest) -> tuple[object, ...]:
-    return (setup.run_fingerprint, setup.catalogue, setup.scenario, setup.evaluator, *_sorted(setup.vehicle_parameters))
-
-
-def _sorted(values: Mapping[str, float]) -> list[tuple[str, float]]:
-    return sorted(values.items())
+    parameters = sorted(setup.vehicle_parameters.items())
+    return (setup.run_fingerprint, setup.catalogue, setup.scenario, setup.evaluator, *parameters)
 
 
 def _milliseconds(start: int) -> float:

@@ -4,6 +4,8 @@ Roads follow the usual design: 3.75 m lanes, clothoids between straights and arc
 that the planner's parameters affect the drive: without either, a planner drives well with any parameters.
 """
 
+from functools import partial
+
 from drivecal.domain.scenarios import CurvatureKnot, EgoStart, Manoeuvre, Road, Scenario, SpeedKnot, Task, TrafficVehicle
 
 STEP = 0.1
@@ -50,14 +52,19 @@ def truck(name: str, lane: int, s: float, speed: float, drift: tuple[tuple[float
     )
 
 
-S1 = Scenario(
+def drifting(s: float, speed: float, drift: tuple[tuple[float, float], ...]) -> TrafficVehicle:
+    """Returns a car of constant speed that drifts in the left lane."""
+    return TrafficVehicle("drifting", 2, s, speed, speed, drift=drift)
+
+
+_scenario = partial(Scenario, step=STEP, network=UNBUILT)
+
+S1 = _scenario(
     id="S1",
     title="Change lane on a straight road to overtake a slower vehicle",
     manoeuvre=Manoeuvre.LANE_CHANGE,
     duration=16.0,
-    step=STEP,
     road=straight(1100.0, (0.0, 130.0)),
-    network=UNBUILT,
     ego=EgoStart(s=150.0, d=0.0, speed=30.0),
     task=Task(start_lane=0, target_lane=1, speeds=(SpeedKnot(0.0, 30.0),), lane_change_after=0.6),
     traffic=(
@@ -70,14 +77,12 @@ S1 = Scenario(
     ),
 )
 
-S2 = Scenario(
+S2 = _scenario(
     id="S2",
     title="Change lane on a curved road to overtake a slower vehicle",
     manoeuvre=Manoeuvre.LANE_CHANGE,
     duration=18.0,
-    step=STEP,
     road=road(1100.0, bends(1100.0, (180.0, 120.0, 500.0, 1000.0)), (0.0, 120.0)),
-    network=UNBUILT,
     ego=EgoStart(s=150.0, d=0.0, speed=28.0),
     task=Task(start_lane=0, target_lane=1, speeds=(SpeedKnot(0.0, 29.0),), lane_change_after=1.5),
     traffic=(
@@ -90,26 +95,17 @@ S2 = Scenario(
     ),
 )
 
-S3 = Scenario(
+S3 = _scenario(
     id="S3",
     title="Keep the lane on a straight road between a lorry and a drifting car",
     manoeuvre=Manoeuvre.LANE_KEEPING,
     duration=16.0,
-    step=STEP,
     road=straight(1100.0, (0.0, 130.0)),
-    network=UNBUILT,
     ego=EgoStart(s=150.0, d=LANE_WIDTH + 0.45, speed=31.0, heading=0.004),
     task=Task(start_lane=1, target_lane=1, speeds=(SpeedKnot(0.0, 31.0),)),
     traffic=(
         truck("lorry", lane=0, s=196.0, speed=25.0, drift=((0.0, 0.0), (2.5, 0.0), (4.5, 1.1), (9.0, 1.1), (11.0, 0.0))),
-        TrafficVehicle(
-            "drifting",
-            lane=2,
-            s=172.0,
-            speed=30.0,
-            desired_speed=30.0,
-            drift=((0.0, 0.0), (8.5, 0.0), (10.5, -1.1), (12.5, -1.1), (14.5, 0.0)),
-        ),
+        drifting(s=172.0, speed=30.0, drift=((0.0, 0.0), (8.5, 0.0), (10.5, -1.1), (12.5, -1.1), (14.5, 0.0))),
         TrafficVehicle("leader", lane=1, s=215.0, speed=30.5, desired_speed=30.5),
         TrafficVehicle("follower", lane=1, s=110.0, speed=31.5, desired_speed=33.0),
         truck("second", lane=0, s=115.0, speed=24.5),
@@ -117,26 +113,17 @@ S3 = Scenario(
     ),
 )
 
-S4 = Scenario(
+S4 = _scenario(
     id="S4",
     title="Keep the lane on a curved road beside a drifting car",
     manoeuvre=Manoeuvre.LANE_KEEPING,
     duration=18.0,
-    step=STEP,
     road=road(1200.0, bends(1200.0, (200.0, 110.0, 120.0, 850.0), (560.0, 110.0, 120.0, -850.0)), (0.0, 120.0)),
-    network=UNBUILT,
     ego=EgoStart(s=150.0, d=LANE_WIDTH - 0.5, speed=29.0),
     task=Task(start_lane=1, target_lane=1, speeds=(SpeedKnot(0.0, 29.0),)),
     traffic=(
         truck("lorry", lane=0, s=225.0, speed=23.0, drift=((0.0, 0.0), (5.5, 0.0), (7.5, 1.1), (12.5, 1.1), (14.5, 0.0))),
-        TrafficVehicle(
-            "drifting",
-            lane=2,
-            s=100.0,
-            speed=32.0,
-            desired_speed=32.0,
-            drift=((0.0, 0.0), (11.0, 0.0), (13.0, -1.1), (15.5, -1.1), (17.5, 0.0)),
-        ),
+        drifting(s=100.0, speed=32.0, drift=((0.0, 0.0), (11.0, 0.0), (13.0, -1.1), (15.5, -1.1), (17.5, 0.0))),
         TrafficVehicle("leader", lane=1, s=200.0, speed=28.5, desired_speed=28.5),
         TrafficVehicle("follower", lane=1, s=110.0, speed=30.0, desired_speed=31.0),
         truck("second", lane=0, s=115.0, speed=22.5),
@@ -144,14 +131,12 @@ S4 = Scenario(
     ),
 )
 
-S5 = Scenario(
+S5 = _scenario(
     id="S5",
     title="Accelerate after a traffic sign behind a slower accelerating car",
     manoeuvre=Manoeuvre.SPEED_CHANGE,
     duration=20.0,
-    step=STEP,
     road=straight(1200.0, (0.0, 80.0), (230.0, 120.0)),
-    network=UNBUILT,
     ego=EgoStart(s=150.0, d=0.0, speed=kmh(80.0)),
     task=Task(start_lane=0, target_lane=0, speeds=(SpeedKnot(0.0, kmh(80.0)), SpeedKnot(230.0, 30.0)), speed_tolerance=3.0),
     traffic=(
@@ -164,14 +149,12 @@ S5 = Scenario(
     ),
 )
 
-S6 = Scenario(
+S6 = _scenario(
     id="S6",
     title="Decelerate for a curve behind a slower car",
     manoeuvre=Manoeuvre.SPEED_CHANGE,
     duration=18.0,
-    step=STEP,
     road=road(1100.0, bends(1100.0, (265.0, 80.0, 350.0, 480.0)), (0.0, 130.0), (275.0, 85.0)),
-    network=UNBUILT,
     ego=EgoStart(s=150.0, d=0.0, speed=32.0),
     task=Task(start_lane=0, target_lane=0, speeds=(SpeedKnot(0.0, 32.0), SpeedKnot(275.0, 23.5)), speed_tolerance=3.0),
     traffic=(

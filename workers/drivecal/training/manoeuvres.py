@@ -31,7 +31,7 @@ class OpenLoopManoeuvre:
     pull: Floats
 
 
-def _smooth(u: Floats) -> Floats:
+def smooth(u: Floats) -> Floats:
     """Rises from 0 to 1, with two derivatives that vanish at both ends."""
     u = np.clip(u, 0.0, 1.0)
     return u**3 * (10.0 - 15.0 * u + 6.0 * u * u)
@@ -41,21 +41,21 @@ def _shape(kind: str, time: Floats, rng: np.random.Generator) -> Floats:
     """Returns steering of magnitude 1 over the time since the quiet second, shape (n,)."""
     if kind == "lane change":
         takes = rng.uniform(2.5, 6.0)
-        window = _smooth(time / (0.15 * takes)) * _smooth((takes - time) / (0.15 * takes))
+        window = smooth(time / (0.15 * takes)) * smooth((takes - time) / (0.15 * takes))
         return np.asarray(np.sin(2.0 * np.pi * time / takes) * window)
     if kind == "curve":
         entry, lasts, leaves = rng.uniform(0.8, 3.0), rng.uniform(1.0, 4.0), rng.integers(0, 2)
-        return _smooth(time / entry) - _smooth((time - entry - lasts) / entry) * leaves
+        return smooth(time / entry) - smooth((time - entry - lasts) / entry) * leaves
     if kind == "slalom":
-        return np.sin(2.0 * np.pi * rng.uniform(0.1, 0.6) * time) * _smooth(time / 0.8)
+        return np.sin(2.0 * np.pi * rng.uniform(0.1, 0.6) * time) * smooth(time / 0.8)
     if kind == UNSEEN:
         takes = rng.uniform(1.8, 2.4)
         there = np.sin(2.0 * np.pi * time / takes) * np.where(time < takes, 1.0, 0.0)
         back = np.sin(2.0 * np.pi * (time - takes) / takes) * np.where((time >= takes) & (time < 2.0 * takes), 1.0, 0.0)
-        return (there - back) * _smooth(time / 0.3) * _smooth((2.0 * takes - time) / 0.3)
+        return (there - back) * smooth(time / 0.3) * smooth((2.0 * takes - time) / 0.3)
     frequency, phase = rng.uniform(0.05, 1.0, 5), rng.uniform(0.0, 2.0 * np.pi, 5)
     waves = np.sin(2.0 * np.pi * np.outer(time, frequency) + phase) @ (rng.normal(size=5) / np.sqrt(frequency))
-    waves = waves * _smooth(time)
+    waves = waves * smooth(time)
     return np.asarray(waves / np.abs(waves).max() * rng.uniform(0.2, 0.8))
 
 
@@ -71,4 +71,4 @@ def draw(kind: str, rng: np.random.Generator, wheelbase: float) -> OpenLoopManoe
     angle = _shape(kind, since, rng) * across * wheelbase / speed**2
     pull = rng.uniform(-3.2, 2.6) if rng.random() < 0.5 else 0.0
     begins = rng.uniform(0.0, 1.5)
-    return OpenLoopManoeuvre(kind, speed, times, CubicSpline(times, angle), pull * _smooth((since - begins) / 0.6))
+    return OpenLoopManoeuvre(kind, speed, times, CubicSpline(times, angle), pull * smooth((since - begins) / 0.6))

@@ -16,6 +16,7 @@ from drivecal.episode.runner import EpisodeRunner
 from drivecal.planner.frenet import FRENET
 from drivecal.plugins.ports import Floats, Series
 from drivecal.scenarios.highway import HIGHWAY
+from drivecal.training.manoeuvres import smooth
 from drivecal.vehicle.model import HybridModel, SingleTrackModel
 from drivecal.vehicle.parameters import NOMINAL
 from drivecal.vehicle.residual import shipped
@@ -92,16 +93,11 @@ def simulated(total: int, numbers: Sequence[int], seed: int) -> list[RatedDrive]
     return drives
 
 
-def _eased(u: Floats) -> Floats:
-    u = np.clip(u, 0.0, 1.0)
-    return u**3 * (10.0 - 15.0 * u + 6.0 * u * u)
-
-
 def _waves(time: Floats, rng: np.random.Generator, lowest: float, highest: float) -> Floats:
     """Returns the sum of four waves of random frequency (Hz) and phase, with r.m.s. 1 and a soft begin."""
     frequency, phase = rng.uniform(lowest, highest, 4), rng.uniform(0.0, 2.0 * np.pi, 4)
     waves = np.sin(2.0 * np.pi * np.outer(time, frequency) + phase).sum(axis=1)
-    return np.asarray(waves / np.sqrt((waves**2).mean()) * _eased(time / 1.5))
+    return np.asarray(waves / np.sqrt((waves**2).mean()) * smooth(time / 1.5))
 
 
 def _size(rng: np.random.Generator, mean: float) -> float:
@@ -117,12 +113,12 @@ def _profile(manoeuvre: Manoeuvre, time: Floats, rng: np.random.Generator) -> tu
     if rng.random() < 0.5:
         begin, ramp, lasts = rng.uniform(0.0, 8.0), rng.uniform(1.5, 5.0), rng.uniform(1.0, 8.0)
         across = rng.uniform(-1.0, 1.0) * (3.4 if manoeuvre is Manoeuvre.LANE_KEEPING else 1.6)
-        road = across / speed**2 * (_eased((time - begin) / ramp) - _eased((time - begin - ramp - lasts) / ramp))
+        road = across / speed**2 * (smooth((time - begin) / ramp) - smooth((time - begin - ramp - lasts) / ramp))
     if manoeuvre is Manoeuvre.LANE_CHANGE:
         begin, takes, width = rng.uniform(0.5, 4.0), rng.uniform(2.8, 8.5), rng.choice([-1.0, 1.0]) * rng.uniform(3.4, 3.8)
         width *= rng.random() > IDLE
-        beyond = _size(rng, 0.15) * np.exp(-np.maximum(time - begin - takes, 0.0)) * _eased((time - begin) / takes)
-        offset += width * (_eased((time - begin) / takes) - 1.0)
+        beyond = _size(rng, 0.15) * np.exp(-np.maximum(time - begin - takes, 0.0)) * smooth((time - begin) / takes)
+        offset += width * (smooth((time - begin) / takes) - 1.0)
         offset += width * beyond * np.sin(rng.uniform(0.6, 1.6) * (time - begin))
         speed += _size(rng, 0.4) * _waves(time, rng, 0.03, 0.15)
     elif manoeuvre is Manoeuvre.LANE_KEEPING:
@@ -135,7 +131,7 @@ def _profile(manoeuvre: Manoeuvre, time: Floats, rng: np.random.Generator) -> tu
         change, begin = rng.choice([-1.0, 1.0]) * rng.uniform(3.0, 12.0), rng.uniform(0.5, 4.0)
         takes = abs(change) * rng.uniform(0.5, 2.2)
         change *= rng.random() > IDLE
-        speed += change * _eased((time - begin) / takes) + _size(rng, 0.25) * _waves(time, rng, 0.05, 0.3)
+        speed += change * smooth((time - begin) / takes) + _size(rng, 0.25) * _waves(time, rng, 0.05, 0.3)
     return offset, speed, road
 
 

@@ -1,10 +1,9 @@
-"""Authorisation in front of everything else, so that no route, known or not, is reached without it.
+"""Authorisation in front of everything else, so that no route is reached without it.
 
-With a tokens file every request needs `Authorization: Bearer TOKEN`, or the session that the page was given for one, and every one that
-changes something a token that may write; with a session, it also has to come from a page of this very origin. Without a tokens file the
-server listens on loopback only, and what is left to keep out are web pages that the user's browser has open: those that give a name of
-their own to 127.0.0.1 (DNS rebinding) by the Host header, those that post blindly, or open a WebSocket, by the Origin header.
-No answer ever carries a CORS header.
+With a tokens file every request needs `Authorization: Bearer TOKEN` or the session of a token. Requests that change something need a token
+that may write; with a session, they must also come from a page of this very origin. Without a tokens file the server listens on loopback
+only and refuses web pages in the user's browser: names that resolve to 127.0.0.1 (DNS rebinding) by the Host header, posts and WebSockets
+of other pages by the Origin header. No answer ever carries a CORS header.
 """
 
 from typing import Protocol
@@ -21,7 +20,7 @@ from drivecal.configuration.access import is_loopback
 from drivecal.configuration.tokens import Token
 
 OPEN = {"/healthz", "/readyz"}
-"""For supervisors and load balancers, which have no token: they are told no more than whether the service works."""
+"""Paths for supervisors and load balancers, which have no token and learn only whether the service works."""
 PAGE = "/page/"
 """Path of the page's files, which hold only the program; the page itself asks for a token."""
 LIVE = f"{ROOT}/live"
@@ -34,26 +33,22 @@ ANYBODY = Token("anybody", may_write=True, digest=b"")
 CHALLENGE = 'Bearer realm="drivecal"'
 
 
-class Tokens(Protocol):
-    """Looks tokens up."""
+class Tokens(sessions.Names, Protocol):
+    """A collection of tokens."""
 
     def find(self, presented: bytes) -> Token | None:
-        """Returns the token with this secret; None without one."""
-
-    def named(self, name: str) -> Token | None:
-        """The token of this name; None without one."""
+        """Returns the token with this secret, None without one."""
 
 
 class Authorisation:
-    """ASGI middleware. `request.state.token` is the token that was shown, ANYBODY where none is asked for, and None on the open
-    routes where none was shown."""
+    """ASGI middleware. `request.state.token`: the presented token, ANYBODY without tokens, or None on open routes without one."""
 
     def __init__(self, app: ASGIApp, tokens: Tokens | None) -> None:
         self.app = app
         self.tokens = tokens
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Passes on what is allowed."""
+        """Passes allowed requests on."""
         if scope["type"] == "lifespan":
             await self.app(scope, receive, send)
             return
@@ -72,16 +67,14 @@ class Authorisation:
             await self.app(scope, receive, send)
 
     def _admits_live(self, connection: HTTPConnection) -> bool:
-        """Browsers let every page open a WebSocket to everywhere and send cookies along: the origin decides, then who asks."""
+        """Returns whether a WebSocket may be opened. Browsers let any page open one and send cookies along, so that the origin decides."""
         headers, hosts = connection.headers, connection.headers.getlist("host")
-        if self.tokens is None:
-            connection.state.token = ANYBODY
-            return len(hosts) == 1 and is_loopback_host(hosts[0]) and ("origin" not in headers or sessions.same_origin(headers))
-        connection.state.token = token = _holder(connection, self.tokens)
-        return token is not None and ("origin" not in headers or sessions.same_origin(headers))
+        connection.state.token = token = ANYBODY if self.tokens is None else _holder(connection, self.tokens)
+        admitted = token is not None if self.tokens is not None else len(hosts) == 1 and is_loopback_host(hosts[0])
+        return admitted and ("origin" not in headers or sessions.same_origin(headers))
 
     def _admit_by_token(self, request: Request, tokens: Tokens) -> tuple[int, str, dict[str, str]] | None:
-        """Status, sentence and headers of a refusal; None if the request may go on."""
+        """Returns status, sentence and headers of a refusal; None if the request may go on."""
         given = request.headers.getlist("authorization")
         request.state.token = token = _holder(request, tokens)
         logs.note(token=None if token is None else token.name)
@@ -91,11 +84,8 @@ class Authorisation:
             return 401, "this server asks for a token: send Authorization: Bearer TOKEN", {"WWW-Authenticate": CHALLENGE}
         if token is None:
             wrong = CHALLENGE + ', error="invalid_token"'
-            return (
-                401,
-                "this server does not know that token; it takes Authorization: Bearer TOKEN",
-                {"WWW-Authenticate": wrong},
-            )
+            detail = "this server does not know that token; it takes Authorization: Bearer TOKEN"
+            return 401, detail, {"WWW-Authenticate": wrong}
         if request.method in READING or _only_checks(request):
             return None
         if not given and not sessions.same_origin(request.headers):
@@ -106,17 +96,17 @@ class Authorisation:
 
     def _admit_by_origin(self, request: Request) -> tuple[int, str, dict[str, str]] | None:
         request.state.token = ANYBODY
-        hosts, origins = request.headers.getlist("host"), request.headers.getlist("origin")
+        hosts = request.headers.getlist("host")
         if len(hosts) != 1 or not is_loopback_host(hosts[0]):
             detail = "without tokens this server answers to localhost, 127.0.0.1 and [::1] only; use one of them as the address"
             return 421, detail, {}
-        if request.method not in READING and origins and origins not in ([f"http://{hosts[0]}"], [f"https://{hosts[0]}"]):
+        if request.method not in READING and "origin" in request.headers and not sessions.same_origin(request.headers):
             return 403, "without tokens this server takes no changes from web pages of other origins", {}
         return None
 
 
 def refuse_reader(request: Request) -> None:
-    """Raises HTTPException (403) where the token may only read: for what is asked for by GET and changes something all the same."""
+    """Raises HTTPException (403) if the token may only read, for GET requests that change something."""
     token: Token = request.state.token
     if not token.may_write:
         status, detail, headers = _insufficient(token)
@@ -130,7 +120,7 @@ def _insufficient(token: Token) -> tuple[int, str, dict[str, str]]:
 
 
 def _holder(connection: HTTPConnection, tokens: Tokens) -> Token | None:
-    """Whose token was shown; where none was shown at all, whose session."""
+    """Returns the presented token, or without an Authorization header that of the session."""
     given = connection.headers.getlist("authorization")
     if not given:
         session = sessions.presented(connection.headers)
@@ -145,19 +135,19 @@ def _is_open(request: Request) -> bool:
 
 
 def _bearer(header: str) -> bytes | None:
-    """The token in an Authorization header, as the bytes that were sent; None if the scheme is another one."""
+    """Returns the token in an Authorization header, as sent; None for another scheme."""
     scheme, _, token = header.encode("latin-1").partition(b" ")
     return token.strip(b" ") if scheme.lower() == b"bearer" else None
 
 
 def _only_checks(request: Request) -> bool:
-    """Whether a POST stores nothing. Compares the query to the letter, as the route reads it."""
+    """Returns whether a POST stores nothing. Compares the query to the letter, as the route reads it."""
     checked = request.scope["path"] in CHECKED and request.scope["query_string"] == b"validate_only=true"
     return request.method == "POST" and checked
 
 
 def is_loopback_host(host: str) -> bool:
-    """True for localhost and addresses of the loopback interface, with any port: what no stranger's name can stand for."""
+    """Returns True for localhost and addresses of the loopback interface, with any port."""
     name, colon, port = host.rpartition(":")
     if not colon or host.endswith("]"):
         name, port = host, ""

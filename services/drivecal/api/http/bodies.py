@@ -1,4 +1,4 @@
-"""Reads request bodies strictly before FastAPI sees them, so that nothing odd ever reaches a handler or an error message."""
+"""Strict reading of request bodies before FastAPI sees them, so that nothing odd reaches a handler or an error message."""
 
 from collections.abc import Callable, Coroutine
 from email.message import Message
@@ -18,14 +18,14 @@ from drivecal.contracts.input_errors import validated
 from drivecal.domain.errors import DrivecalError
 
 LARGE = 16_384
-"""Bytes from which on a body is read beside the event loop: a hostile megabyte takes up to a second."""
+"""Size in bytes from which a body is read beside the event loop: a hostile megabyte takes up to a second."""
 
 
 class StrictRoute(APIRoute):
     """A route whose JSON body is read by `drivecal.contracts.strict_json` and checked by `drivecal.contracts.input_errors`."""
 
     def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
-        """FastAPI's handler behind the strict reader."""
+        """Returns FastAPI's handler behind the strict reader."""
         handle = super().get_route_handler()
         if self.body_field is None:
             return handle
@@ -74,7 +74,7 @@ class _Read(Request):
 
 
 def _check_declaration(request: Request) -> None:
-    """Raises HTTPException 415, before anything of the body is read."""
+    """Raises HTTPException 415 for a body that is not declared as plain JSON."""
     encoding = request.headers.get("content-encoding", "identity").strip().lower()
     if encoding not in {"", "identity"}:
         detail = "compressed bodies are not read; send it as it is, without Content-Encoding"

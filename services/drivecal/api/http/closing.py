@@ -1,7 +1,7 @@
-"""Ends a connection so that its last answer arrives.
+"""Closing of connections so that the last answer arrives.
 
-A socket that is closed while bytes wait unread in it is reset, and with the reset the answer is lost on its way: the client that was told
-"413, and why" would see a connection that broke. So the answer is sent, then its end, and what still comes is thrown away for a moment.
+A socket that is closed with unread bytes is reset, and with the reset the answer is lost: a client that should see a 413 would see a broken
+connection. So the answer and its end are sent first, and further data are ignored for a moment.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ LINGER_BYTES = 64 * 1_048_576
 
 
 class ClosingGently(asyncio.Transport):
-    """A transport whose `close` lingers where `expects_more` says that the client is still sending."""
+    """A transport whose `close` lingers if `expects_more` returns that the client is still sending."""
 
     def __init__(self, transport: asyncio.Transport, expects_more: Callable[[], bool]) -> None:
         super().__init__()
@@ -27,17 +27,17 @@ class ClosingGently(asyncio.Transport):
         """True once another protocol has it."""
 
     def handed_on(self) -> asyncio.Transport:
-        """The connection itself, for a protocol that takes it over."""
+        """Returns the connection itself, for a protocol that takes it over."""
         self.gone = True
         return self._transport
 
     @property
     def lingers(self) -> bool:
-        """True once everything was said, while what comes is thrown away."""
+        """True after the last answer, while further data are ignored."""
         return self._end is not None
 
     def close(self) -> None:
-        """Ends the connection once everything was sent. A second time: at once."""
+        """Ends the connection once everything was sent; called again, at once."""
         if self.lingers or self._transport.is_closing() or not self._expects_more() or not self._transport.can_write_eof():
             self.stop()
             return
@@ -52,29 +52,29 @@ class ClosingGently(asyncio.Transport):
             self.stop()
 
     def stop(self) -> None:
-        """No more of it."""
+        """Ends the connection at once."""
         if self._end is not None:
             self._end.cancel()
         self._transport.close()
 
     def is_closing(self) -> bool:
-        """True as soon as nothing more is to be written."""
+        """Returns True if nothing more can be written."""
         return self.lingers or self._transport.is_closing()
 
     def write(self, data: bytes | bytearray | memoryview[Any]) -> None:
-        """Sends."""
+        """Sends data, unless the last answer was sent already."""
         if not self.lingers:
             self._transport.write(data)
 
     def pause_reading(self) -> None:
-        """Lets the client wait."""
+        """Pauses reading."""
         if not self.lingers:
             self._transport.pause_reading()
 
     def resume_reading(self) -> None:
-        """Reads on."""
+        """Resumes reading."""
         self._transport.resume_reading()
 
     def get_extra_info(self, name: str, default: Any = None) -> Any:
-        """Of the socket."""
+        """Returns information about the socket."""
         return self._transport.get_extra_info(name, default)

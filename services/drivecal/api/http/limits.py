@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import threading
 import time
-from typing import Self
+from contextlib import ExitStack
 
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
@@ -30,8 +30,10 @@ CLOSE = {"Connection": "close"}
 
 
 class Requests:
-    """ASGI middleware, the outermost: bounds the head, the body's size and its time, and ends a connection on which a body was left
-    unread, which would otherwise be read to its end, if it has one."""
+    """ASGI middleware that bounds a request's head, and its body's size and time.
+
+    It also ends connections with unread bodies, which would otherwise be read to their ends.
+    """
 
     def __init__(self, app: ASGIApp, largest: int = LARGEST_BODY, seconds: float = SECONDS_FOR_A_BODY) -> None:
         self.app = app
@@ -61,7 +63,7 @@ class Requests:
         await self.app(scope, body.receive, closing)
 
     def _too_much(self, request: Request) -> tuple[int, str] | None:
-        """Status and sentence where the head of a request alone is reason enough to refuse it."""
+        """Returns status and sentence of a refusal because of the head of a request, else None."""
         path, query = request.scope.get("raw_path") or b"", request.scope["query_string"]
         if len(path) > LONGEST_PATH or len(query) > LONGEST_QUERY:
             read = f"at most {LONGEST_PATH:,} and {LONGEST_QUERY:,} are read"
@@ -90,7 +92,7 @@ class _Body:
         """True once the status has been sent: then nothing can be refused any more, only ended."""
 
     async def receive(self) -> Message:
-        """The next part. Raises HTTPException 413 or 408."""
+        """Returns the next part. Raises HTTPException 413 or 408."""
         if not self.unread:
             return await self._receive()
         try:
@@ -129,40 +131,34 @@ class Places:
         self.taken = 0
 
     def take(self) -> Place:
-        """A place, to be given back. Raises OverloadError if there is none."""
+        """Returns a place, to be given back. Raises OverloadError if there is none."""
         with self._lock:
             if self.taken >= self._most:
                 raise OverloadError(f"{self._most:,} {self._what} already; try again later", self._retry_seconds)
             self.taken += 1
-        return Place(self)
+        place = Place()
+        place.callback(self._give_back)
+        return place
 
     def _give_back(self) -> None:
         with self._lock:
             self.taken -= 1
 
 
-class Place:
+class Place(ExitStack):
     """A place in `Places`; giving it back twice changes nothing."""
-
-    def __init__(self, places: Places) -> None:
-        self._places: Places | None = places
 
     def give_back(self) -> None:
         """Frees the place for another request."""
-        places, self._places = self._places, None
-        if places is not None:
-            places._give_back()  # noqa: SLF001  the other half of one thing
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.give_back()
+        self.close()
 
 
 class Concurrency:
-    """ASGI middleware: answers 503 where too many requests are being answered. `request.state.place` is the request's place, which an
-    event stream gives back because it waits, and works no more. Those who showed no token and should have take no place from others."""
+    """ASGI middleware that answers 503 if too many requests are being answered.
+
+    `request.state.place` is the request's place, which an event stream gives back because it only waits. Requests that lack a token have
+    their own places.
+    """
 
     def __init__(self, app: ASGIApp, most: int = MOST_REQUESTS, strangers: int = MOST_REQUESTS_OF_STRANGERS) -> None:
         self.app = app

@@ -11,14 +11,14 @@ M_ARENA_MAX = -8
 
 
 def settle() -> None:
-    """Lets all threads share two pools of memory; glibc gives each its own, and what one frees no other uses. To be called first."""
+    """Lets all threads share two pools of memory, because glibc's pools per thread do not reuse each other's memory. Call it first."""
     libc = _libc()
     if libc is not None and hasattr(libc, "mallopt"):
         libc.mallopt(M_ARENA_MAX, 2)
 
 
 def give_back() -> None:
-    """Returns freed memory to the system, where the C library (glibc) keeps it in pieces until it is asked."""
+    """Returns freed memory to the system, which glibc otherwise keeps."""
     gc.collect(1)  # what failed holds on to the frames that it failed in
     libc = _libc()
     if libc is not None and hasattr(libc, "malloc_trim"):

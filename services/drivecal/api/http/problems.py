@@ -1,9 +1,10 @@
-"""Every error as problem+json (RFC 9457): one document shape, with each field that is wrong and what would be right."""
+"""Errors as problem+json (RFC 9457): one document shape, with each faulty field and its remedy."""
 
 import json
 import logging
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from http import HTTPStatus
 from typing import Any
 
@@ -33,7 +34,7 @@ RETRY_SECONDS = 5
 REQUEST_ID = "X-Request-ID"
 """The header with the id under which the log speaks of a request."""
 MOST_PROBLEMS = 100
-"""Problems that one answer lists: who sends 10,000 wrong fields mends the first ones first."""
+"""Largest number of problems in an answer."""
 
 log = logging.getLogger("drivecal.api")
 
@@ -82,28 +83,26 @@ RESPONSES: dict[int | str, dict[str, Any]] = {
 def problem_response(
     request: Request, status: int, detail: str, errors: Sequence[Problem] = (), headers: Mapping[str, str] | None = None
 ) -> Response:
-    """The answer for something that went wrong."""
-    title = HTTPStatus(status).phrase
+    """Returns the answer for an error."""
     if len(errors) > MOST_PROBLEMS:
         errors = [
             *errors[:MOST_PROBLEMS],
             Problem("", f"{len(errors) - MOST_PROBLEMS:,} more are not listed", "mend these first"),
         ]
         detail = "\n".join(map(str, errors))
-    document = {
-        "type": "about:blank",
-        "title": title,
-        "status": status,
-        "detail": detail or title,
-        "instance": request.url.path,
-        "errors": [{"field": error.field, "message": error.message, "remedy": error.remedy} for error in errors],
-    }
-    content = json.dumps(document, ensure_ascii=True).encode()
+    content = problem_content(status, detail, request.url.path, errors)
     return Response(content, status, headers=dict(headers or {}), media_type=MEDIA_TYPE)
 
 
+def problem_content(status: int, detail: str, instance: str = "", errors: Sequence[Problem] = ()) -> bytes:
+    """Returns the body of the answer for an error."""
+    title = HTTPStatus(status).phrase
+    document = {"type": "about:blank", "title": title, "status": status, "detail": detail or title, "instance": instance}
+    return json.dumps(document | {"errors": [asdict(error) for error in errors]}, ensure_ascii=True).encode()
+
+
 def install(app: FastAPI) -> None:
-    """Registers the handlers, so that every error of the service has this one shape."""
+    """Registers the handlers, so that every error of the service has this shape."""
     app.add_exception_handler(DrivecalError, _drivecal_error)
     app.add_exception_handler(RequestValidationError, _validation_error)
     app.add_exception_handler(HTTPException, _http_error)

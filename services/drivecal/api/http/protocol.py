@@ -1,8 +1,6 @@
-"""HTTP on the wire: uvicorn's protocol, with an end to heads that never arrive and connections without number, and with refusals
-in the same form as all others."""
+"""Uvicorn's HTTP protocol with a time limit for heads, a limit of connections, and refusals as problem+json."""
 
 import asyncio
-import json
 import socket
 import sys
 from http import HTTPStatus
@@ -13,13 +11,13 @@ from fastapi import FastAPI
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from drivecal.api.http.closing import ClosingGently
-from drivecal.api.http.problems import MEDIA_TYPE
+from drivecal.api.http.problems import MEDIA_TYPE, problem_content
 
 SECONDS_FOR_A_HEAD = 15.0
 """From the connection, or from the first byte after an answer, to the end of the headers."""
 MOST_CONNECTIONS = 500
-"""Open at a time, those included that wait for their client's next request. Below the 1,024 files that a process may have open on most
-systems, of which the database takes 40 and more."""
+"""Largest number of open connections, idle ones included. Most systems allow a process 1,024 open files, of which the database takes 40 and
+more."""
 SECONDS_IDLE = 15
 """Seconds that a connection stays open for the next request."""
 SECONDS_TO_STOP = 5
@@ -33,7 +31,7 @@ class Protocol(H11Protocol):
     _impatience: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as uvicorn's own
-        """Answers 503 where there are too many already."""
+        """Answers 503 if too many connections are open."""
         connection = transport.get_extra_info("socket")
         if connection is not None and connection.family != socket.AF_UNIX:
             # asyncio does this for listeners that name their protocol, which those of `socket.create_server` do not; without it every
@@ -52,7 +50,7 @@ class Protocol(H11Protocol):
         super().handle_websocket_upgrade(event)
 
     def data_received(self, data: bytes) -> None:
-        """Hands on what came in, and watches how long a head takes."""
+        """Receives data and limits the time for a head."""
         if self._gently.lingers:
             self._gently.throw_away(data)
             return
@@ -61,7 +59,7 @@ class Protocol(H11Protocol):
             self._expect_a_head()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Nothing is expected any more."""
+        """Stops all timers."""
         self._gently.stop()
         super().connection_lost(exc)
         self._stop_waiting()
@@ -77,7 +75,7 @@ class Protocol(H11Protocol):
             self.transport.close()
 
     def _expects_more(self) -> bool:
-        """Whether the client may be in the middle of something."""
+        """Returns whether the client may still be sending."""
         done = {h11.DONE, h11.MUST_CLOSE, h11.CLOSED}
         return not (self.conn.their_state in done or (self.cycle is not None and self.conn.their_state is h11.IDLE))
 
@@ -98,19 +96,17 @@ class Protocol(H11Protocol):
             self._refuse(408, f"the head of the request was not complete after {SECONDS_FOR_A_HEAD:g} seconds")
 
     def _refuse(self, status: int, detail: str, headers: str = "") -> None:
-        title = HTTPStatus(status).phrase
-        document = {"type": "about:blank", "title": title, "status": status, "detail": detail, "instance": "", "errors": []}
-        content = json.dumps(document).encode()
-        head = f"HTTP/1.1 {status} {title}\r\nContent-Type: {MEDIA_TYPE}\r\nContent-Length: {len(content)}\r\n{headers}"
+        content = problem_content(status, detail)
+        head = f"HTTP/1.1 {status} {HTTPStatus(status).phrase}\r\nContent-Type: {MEDIA_TYPE}\r\nContent-Length: {len(content)}\r\n{headers}"
         self.transport.write(head.encode() + b"Connection: close\r\n\r\n" + content)
         self.transport.close()
 
 
 class Server(uvicorn.Server):
-    """uvicorn, which ends event streams before it waits for everything that is being answered."""
+    """Uvicorn's server, which ends event streams before it waits for running requests."""
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """Called by uvicorn."""
+        """Ends all event streams and shuts down."""
         app = self.config.app
         if isinstance(app, FastAPI):
             app.state.event_hub.close()

@@ -19,11 +19,13 @@ FORMS: dict[str, Form] = {
 }
 
 
-class _Query(BaseModel):
+class Parameters(BaseModel):
+    """The base of all query parameters."""
+
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class PageOf(_Query):
+class PageOf(Parameters):
     """A page of a list."""
 
     limit: Annotated[int, Field(ge=1, le=1000)] = 100
@@ -38,7 +40,7 @@ class CampaignsOf(PageOf):
     state: CampaignState | None = None
 
 
-class FormOf(_Query):
+class FormOf(Parameters):
     """In which form; an `Accept` header can ask for it as well."""
 
     format: Form | None = None
@@ -54,7 +56,7 @@ class SolutionsOf(TableOf):
     weights: Annotated[str, StringConstraints(max_length=20_000)] | None = None
 
 
-class SubmissionOf(_Query):
+class SubmissionOf(Parameters):
     """Options of a submission."""
 
     validate_only: bool = False
@@ -70,7 +72,7 @@ SubmissionQuery = Annotated[SubmissionOf, Query()]
 
 
 def form_of(query: FormOf, accept: str) -> Form:
-    """The format that was asked for: by the query, else by the `Accept` header, else JSON."""
+    """Returns the requested format: of the query, else of the `Accept` header, else JSON."""
     if query.format is not None:
         return query.format
     wanted: list[tuple[float, Form]] = []

@@ -14,8 +14,8 @@ from drivecal.api.metrics import Meters
 from drivecal.api.responses import ROOT
 from drivecal.configuration import logs
 
-METHODS = {"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"}
 READING = {"GET", "HEAD", "OPTIONS"}
+METHODS = READING | {"POST", "PUT", "PATCH", "DELETE"}
 LONGEST_PATH = 200
 """Characters of a path that the log shows."""
 _SANE = re.compile(r"[\w.:/+=-]{1,100}", re.ASCII)
@@ -24,16 +24,17 @@ log = logging.getLogger("drivecal.api")
 
 
 class RequestRecords:
-    """ASGI middleware. A request keeps the id that it comes with in `X-Request-ID`, where that is short and plain, or is given one;
-    the answer and all lines that are logged meanwhile carry it. What may change something is logged with its end at level info, the rest
-    at debug, so that clients which ask every few seconds do not flood the log."""
+    """ASGI middleware. A request keeps a short and plain `X-Request-ID` or gets a new one, which the answer and all its log lines carry.
+
+    Requests that may change something are logged at level info, others at debug, so that polling clients do not flood the log.
+    """
 
     def __init__(self, app: ASGIApp, meters: Meters) -> None:
         self.app = app
         self.meters = meters
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Passes the request on and writes down what became of it."""
+        """Passes the request on and records its outcome."""
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
@@ -64,7 +65,7 @@ class RequestRecords:
             self._note(scope, status, None if streams else time.perf_counter() - begin)
 
     def _note(self, scope: Scope, status: int, seconds: float | None) -> None:
-        """`seconds` is None for an event stream, which lasts as long as its client listens."""
+        """Counts and logs a request. `seconds` is None for an event stream, which lasts as long as its client listens."""
         route = _template(scope)
         method = scope["method"] if scope["method"] in METHODS else "other"
         self.meters.requests.labels(route, method, status).inc()
@@ -83,7 +84,7 @@ class RequestRecords:
 
 
 def _template(scope: Scope) -> str:
-    """The path with its parameters' names, `none` where no route was reached. FastAPI may leave out what a router was included under."""
+    """Returns the path with its parameters' names, `none` without a route. FastAPI may omit the prefix of an included router."""
     route: str | None = getattr(scope.get("route"), "path", None)
     if route is None:
         return "none"

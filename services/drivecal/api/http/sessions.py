@@ -24,20 +24,20 @@ _LONGEST = 300
 
 
 class Names(Protocol):
-    """Looks tokens up by name."""
+    """A collection of tokens by name."""
 
     def named(self, name: str) -> Token | None:
-        """The token of this name; None without one."""
+        """Returns the token of this name, None without one."""
 
 
 def cookie_name(host: str) -> str:
-    """Browsers keep cookies by host, whatever the port: two servers on one machine must not take each other's."""
+    """Returns the cookie's name with the port: browsers keep cookies by host, and two servers may share a machine."""
     port = host.rpartition(":")[2]
     return f"drivecal-session-{port}" if port.isascii() and port.isdecimal() else "drivecal-session"
 
 
 def begin(token: Token, moment: float | None = None) -> str:
-    """The cookie's value for a session that begins now; `moment`: now, in seconds since 1970."""
+    """Returns the cookie's value for a session that begins now. `moment`: now, in seconds since 1970."""
     end = int((time.time() if moment is None else moment) + SECONDS)
     return f"{end}-{_signature(token, end)}-{token.name}"
 
@@ -56,7 +56,7 @@ def holder(value: str, names: Names, moment: float | None = None) -> Token | Non
 
 
 def presented(headers: Headers) -> str | None:
-    """The value of the session's cookie; None without one."""
+    """Returns the value of the session's cookie, None without one."""
     try:
         cookie = SimpleCookie(headers.get("cookie", "")).get(cookie_name(headers.get("host", "")))
     except CookieError:
@@ -65,7 +65,7 @@ def presented(headers: Headers) -> str | None:
 
 
 def same_origin(headers: Headers) -> bool:
-    """Whether the page that asks is one that this very host and port served. False if the browser does not say."""
+    """Returns whether the asking page comes from this very host and port; False if the browser does not say."""
     hosts, origins = headers.getlist("host"), headers.getlist("origin")
     return len(hosts) == 1 and origins in ([f"http://{hosts[0]}"], [f"https://{hosts[0]}"])
 

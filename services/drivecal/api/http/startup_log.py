@@ -1,4 +1,4 @@
-"""Logs why an API that has just started cannot use its database; `/readyz` reports the same."""
+"""Log of the reasons why a new API cannot use its database; `/readyz` reports the same."""
 
 import logging
 import threading
@@ -13,8 +13,7 @@ log = logging.getLogger("drivecal.api")
 
 
 def tell_of_database(url: str) -> None:
-    """Looks, in a thread of its own, until the database at `url` can be used. Nothing waits for it: the API answers meanwhile, and says
-    the same."""
+    """Checks the database at `url` in another thread until it can be used. The API answers meanwhile."""
     database = Database.open(url, PROMPT)
 
     def run() -> None:
@@ -25,7 +24,7 @@ def tell_of_database(url: str) -> None:
 
 
 def watch(check: Callable[[], None], pause: Callable[[float], object]) -> None:
-    """Returns once `check` does not raise DatabaseError any more. Each reason is logged once; where nothing was wrong, nothing is."""
+    """Returns once `check` raises no DatabaseError any more. Logs each reason once, and the end of the trouble."""
     logged = None
     while True:
         try:

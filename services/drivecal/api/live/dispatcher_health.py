@@ -1,4 +1,4 @@
-"""Health of the dispatcher as others see it: silent or not, ready for campaigns or not, and what to do about it."""
+"""Health of the dispatcher as other processes see it: its silence, its readiness, and remedies."""
 
 from dataclasses import dataclass
 from datetime import datetime, timedelta
@@ -9,10 +9,10 @@ from drivecal.storage.processes import StoredProcess
 from drivecal.storage.revision_queries import CampaignRevision
 
 SILENT_SECONDS = 4.0
-"""A dispatcher that has not spoken for longer does not work; it speaks every second."""
+"""Silence of a dispatcher that does not work; it sends a heartbeat every second."""
 GONE_AFTER_SECONDS = 10.0
-"""A dispatcher that has been silent for longer counts as gone. Earlier (SILENT_SECONDS) it is only told of: it may have planned a large
-population meanwhile, or be starting again."""
+"""Silence after which a dispatcher counts as gone. Before (SILENT_SECONDS) it is only reported: it may be planning a large population, or
+be starting again."""
 STEPS = (
     (SILENT_SECONDS, "4 s"),
     (10, "10 s"),
@@ -22,7 +22,7 @@ STEPS = (
     (900, "15 minutes"),
     (3600, "an hour"),
 )
-"""So coarse that what is said about a silence stays the same for a while, and with it the ETag."""
+"""Coarse steps, so that the message about a silence, and with it the ETag, stays the same for a while."""
 NOT_STARTED = "no dispatcher is running"
 
 
@@ -31,15 +31,12 @@ def silence(heartbeat_at: datetime | None, now: datetime) -> str | None:
     if heartbeat_at is None:
         return NOT_STARTED
     silent = (now - heartbeat_at) / timedelta(seconds=1)
-    said = None
-    for seconds, words in STEPS:
-        if silent > seconds:
-            said = f"the dispatcher has been silent for more than {words}"
-    return said
+    longest = next((words for seconds, words in reversed(STEPS) if silent > seconds), None)
+    return None if longest is None else f"the dispatcher has been silent for more than {longest}"
 
 
 def degraded(campaign: CampaignRevision | StoredCampaign, silent: str | None) -> str | None:
-    """Why a campaign goes on more slowly, or not at all: what `silence` says, and what the dispatcher said of it last."""
+    """Returns why a campaign is slowed down or stopped: the message of `silence`, and the dispatcher's last one."""
     waits = not campaign.state.ended and (campaign.state is not CampaignState.PAUSED or campaign.requested_action is not None)
     if silent is None or not waits:
         return campaign.degraded
@@ -56,12 +53,12 @@ class Judgement:
 
 
 def silent_seconds(dispatcher: StoredProcess, now: datetime) -> float:
-    """Since when nothing was heard of the dispatcher, never negative: the clocks of two machines may differ."""
+    """Returns the time since the last heartbeat, not negative even if clocks differ."""
     return max(0.0, (now - dispatcher.heartbeat_at) / timedelta(seconds=1))
 
 
 def judge(dispatcher: StoredProcess | None, now: datetime) -> Judgement:
-    """Ready is who can have a campaign simulated: a dispatcher that speaks, with at least one worker that has started."""
+    """Judges the service, which is ready with a dispatcher that is not silent and at least one started worker."""
     if dispatcher is None:
         reason = "no dispatcher has started yet; `drivecal serve` starts one, and in a cluster its log says what keeps it"
         return Judgement(ready=False, problems=(reason,), silent=True)

@@ -20,6 +20,7 @@ from typing import Any
 from fastapi.sse import KEEPALIVE_COMMENT, format_sse_event
 
 from drivecal.api.live.dispatcher_health import degraded, silence
+from drivecal.api.responses import seconds_of, state_of
 from drivecal.contracts.campaign import CellCounts, CellsByStage
 from drivecal.contracts.events import PROGRESS
 from drivecal.domain.errors import DrivecalError
@@ -33,9 +34,9 @@ from drivecal.storage.revision_queries import ProgressSnapshot
 LOOK_SECONDS = 1.0
 """Interval of the poller, and the shortest interval between two progress messages."""
 KEEPALIVE_SECONDS = 15.0
-"""After which something is sent in any case, so that no proxy takes the connection for dead."""
+"""Time after which something is sent in any case, so that no proxy closes the connection."""
 RETRY_MILLISECONDS = 2_000
-"""After which a client whose stream broke off is asked to come back."""
+"""Time after which a client whose stream broke off is asked to come back."""
 PATIENCE_SECONDS = 3.0
 """Seconds without an answer of the database before streams report it."""
 HELD = 500
@@ -67,11 +68,11 @@ class Feed:
 
     @property
     def newest(self) -> int | None:
-        """The last event that is known of."""
+        """Id of the last known event."""
         return self.held[-1][0] if self.held else self.start
 
     def after(self, position: int) -> tuple[list[bytes], int]:
-        """The held events after a position, and the position after them."""
+        """Returns the held events after a position, and the position after them."""
         later = [event for event in self.held if event[0] > position]
         return [content for _, content in later], later[-1][0] if later else position
 
@@ -94,7 +95,7 @@ class _Look:
 
 
 class EventHub:
-    """Feeds the streams of one process. To be made and used within one event loop."""
+    """The streams of one process. Create and use it within one event loop."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
@@ -115,7 +116,7 @@ class EventHub:
                 await poller
 
     def close(self) -> None:
-        """Ends all streams; their clients come back to the next server and miss nothing."""
+        """Ends all streams. Their clients resume them at the next server."""
         self.closed = True
         self._wanted.set()
         for feed in self._feeds.values():
@@ -162,7 +163,7 @@ class EventHub:
                 del self._feeds[sequence]
 
     async def _history(self, feed: Feed, position: int) -> tuple[list[bytes], int]:
-        """A page of events after a position, from the database."""
+        """Returns a page of events after a position, from the database, and the position after them."""
 
         def read() -> tuple[list[bytes], int]:
             with self._database.read() as connection:
@@ -224,7 +225,7 @@ class EventHub:
             return _Look(revision_queries.heartbeat(connection), snapshots, new_events, newest)
 
     def _take_in(self, feed: Feed, look: _Look, silent: str | None, moment: datetime) -> bool:
-        """Whether anything of a campaign changed."""
+        """Updates a feed; returns whether anything of its campaign changed."""
         snapshot = look.snapshots.get(feed.sequence)
         if snapshot is not None:
             feed.snapshot, feed.revision = snapshot, snapshot.revision
@@ -256,25 +257,23 @@ class EventHub:
 
 
 def encoded(event: StoredEvent, campaign: str) -> bytes:
-    """An event as it goes over the wire."""
+    """Returns an event as bytes of the stream."""
     return _event(str(event.id), event.kind, campaign, event.created_at, event.data)
 
 
 def progress_document(snapshot: ProgressSnapshot, said: str | None, moment: datetime) -> dict[str, Any]:
-    """`CampaignProgress` of a running campaign, of which `said` is wrong."""
-    asked = snapshot.requested_action
+    """Returns the `CampaignProgress` of a running campaign. `said`: why it is degraded."""
     cells = CellsByStage(stages={stage: CellCounts(**counts) for stage, counts in snapshot.stages.items()})
-    wall = 0.0 if snapshot.started_at is None else ((snapshot.ended_at or moment) - snapshot.started_at).total_seconds()
     return {
-        "state": "cancelling" if asked == "cancel" and not snapshot.state.ended else snapshot.state,
-        "requested_action": asked,
+        "state": state_of(snapshot),
+        "requested_action": snapshot.requested_action,
         "degraded": said,
         "stage": snapshot.stage,
         "iteration": snapshot.iteration,
         "progress": snapshot.progress,
         **cells.model_dump(),
         "best_objective": None if snapshot.best is None else snapshot.best["objective"],
-        "seconds": {"wall": max(0.0, wall), "simulating": snapshot.simulating_seconds},
+        "seconds": seconds_of(snapshot, moment).model_dump(),
     }
 
 
@@ -291,7 +290,7 @@ def _event(number: str | None, kind: str, campaign: str, at: datetime, data: Map
 
 
 async def _within(seconds: float, event: asyncio.Event) -> bool:
-    """Whether an event was set within so many seconds."""
+    """Returns whether an event was set within so many seconds."""
     try:
         async with asyncio.timeout(seconds):
             await event.wait()

@@ -1,6 +1,7 @@
 """Setups of a campaign, and studies of its results."""
 
 from collections.abc import Mapping
+from decimal import Decimal
 from importlib.metadata import version
 from typing import Any
 
@@ -8,11 +9,11 @@ from fastapi import APIRouter
 
 from drivecal.api.dependencies import DatabaseDependency
 from drivecal.api.http.bodies import StrictRoute
-from drivecal.api.responses import refuse_comparison
+from drivecal.api.responses import calibration
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec
 from drivecal.contracts.setup import CampaignSetup, ScenarioSetup, SearchedParameter
 from drivecal.contracts.studies import Study, StudyPage
-from drivecal.domain.errors import ConflictError
+from drivecal.domain.parameters import Parameter
 from drivecal.domain.setups import Setup
 from drivecal.storage import campaigns, studies
 from drivecal.storage.campaigns import StoredCampaign
@@ -29,23 +30,12 @@ SAME_FOR_A_MAP = ("setups", "evaluator", "space", "fixed")
 def setup(campaign_id: str, database: DatabaseDependency) -> CampaignSetup:
     """The parameters, versions and fingerprints that the campaign was taken up with; while it is queued, those of today."""
     with database.read() as connection:
-        campaign = _calibration(campaigns.get(connection, campaign_id))
+        campaign = calibration(campaigns.get(connection, campaign_id))
         begun_with = resolved_spec(campaign)
         documents = setups.documents(connection, list(begun_with.setups.values()))
-    fixed = {name: float(value) for name, value in begun_with.space.fixed.items()}
     return CampaignSetup(
         evaluator=begun_with.evaluator,
-        parameters=[
-            SearchedParameter(
-                name=parameter.name,
-                unit=parameter.unit,
-                lower=float(parameter.lower),
-                upper=float(parameter.upper),
-                n_values=parameter.n_values,
-                fixed=fixed.get(parameter.name),
-            )
-            for parameter in begun_with.space.parameters
-        ],
+        parameters=[_searched(parameter, begun_with.space.fixed) for parameter in begun_with.space.parameters],
         scenarios=[_scenario(name, begun_with, documents) for name in begun_with.weights],
         server=version("drivecal"),
     )
@@ -55,16 +45,14 @@ def setup(campaign_id: str, database: DatabaseDependency) -> CampaignSetup:
 def list_studies(campaign_id: str, database: DatabaseDependency) -> StudyPage:
     """The robustness and validation studies of its best sets and its map, its own and those of other campaigns, newest first."""
     with database.read() as connection:
-        campaign = _calibration(campaigns.get(connection, campaign_id))
+        campaign = calibration(campaigns.get(connection, campaign_id))
         made = studies.about(connection, campaign.id, campaign.sequence, campaign.influence_map_id)
     return StudyPage(items=[_study(study) for study in made if _of_the_same(study, campaign)])
 
 
-def _calibration(campaign: StoredCampaign) -> StoredCampaign:
-    refuse_comparison(campaign)
-    if campaign.kind != "calibration":
-        raise ConflictError(f"{campaign.id} is a single evaluation; GET /api/v1/evaluations/{campaign.id}")
-    return campaign
+def _searched(parameter: Parameter, fixed: Mapping[str, Decimal]) -> SearchedParameter:
+    as_it_is = {name: getattr(parameter, name) for name in SearchedParameter.model_fields if name != "fixed"}
+    return SearchedParameter(**as_it_is, fixed=fixed.get(parameter.name))
 
 
 def _scenario(name: str, begun_with: ResolvedSpec, documents: Mapping[str, Mapping[str, Any]]) -> ScenarioSetup:
@@ -80,7 +68,7 @@ def _scenario(name: str, begun_with: ResolvedSpec, documents: Mapping[str, Mappi
 
 
 def _of_the_same(made: StoredStudy, campaign: StoredCampaign) -> bool:
-    """Whether a study is about this campaign: about its own sets; or, of a map, with the same scenarios, space and evaluator."""
+    """Returns whether a study is about this campaign: about its sets, or about its map with equal scenarios, space and evaluator."""
     if made.campaign_sequence == campaign.sequence or made.stage == "robustness":
         return True
     theirs, ours = made.resolution, campaign.resolution
@@ -88,13 +76,6 @@ def _of_the_same(made: StoredStudy, campaign: StoredCampaign) -> bool:
 
 
 def _study(made: StoredStudy) -> Study:
-    stage = made.stage.value
-    return Study(
-        campaign=made.campaign,
-        name=made.name,
-        stage=stage,
-        state=made.state,
-        settings=made.spec.get(stage) or {},
-        vehicle=(made.spec.get("vehicle") or {}).get("model"),
-        ended_at=made.ended_at,
-    )
+    as_it_is = {name: getattr(made, name) for name in Study.model_fields if hasattr(made, name)}
+    settings = made.spec.get(made.stage) or {}
+    return Study(**as_it_is, settings=settings, vehicle=(made.spec.get("vehicle") or {}).get("model"))

@@ -12,14 +12,13 @@ from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.http.queries import CampaignsQuery, SubmissionQuery
 from drivecal.api.live.dispatcher_health import silence
 from drivecal.api.live.response_cache import ResponseCache
-from drivecal.api.responses import ROOT, campaign_answer, etag, list_etag, matches, refuse_comparison
+from drivecal.api.responses import ROOT, SECONDS_BETWEEN_POLLS, calibration, campaign_answer, etag, list_etag, matches
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns
 from drivecal.contracts.specification import CampaignSpecification, RerunSpecification
 from drivecal.domain.actions import Action
 from drivecal.domain.campaigns import StageName
-from drivecal.domain.errors import ConflictError
 from drivecal.storage import audits, campaigns, comparisons, costs, results, revision_queries
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -28,8 +27,6 @@ from drivecal.storage.references import influence_maps
 
 router = APIRouter(prefix="/campaigns", tags=["campaigns"], route_class=StrictRoute)
 
-SECONDS_BETWEEN_POLLS = 1
-"""`Retry-After` of a running campaign."""
 NOT_MODIFIED: dict[int | str, dict[str, Any]] = {304: {"description": "Not changed since"}}
 IfNoneMatch = Annotated[str | None, Header(max_length=10_000)]
 
@@ -92,10 +89,7 @@ def read(campaign_id: str, request: Request, database: DatabaseDependency, if_no
 def accounting(campaign_id: str, database: DatabaseDependency) -> Accounting:
     """Savings of cells answered without a simulation, cost of the sensitivity stage, and the break-even of its map."""
     with database.read() as connection:
-        stored = campaigns.get(connection, campaign_id)
-        refuse_comparison(stored)
-        if stored.kind != "calibration":
-            raise ConflictError(f"{stored.id} is a single evaluation, which saves nothing; GET {ROOT}/evaluations/{stored.id}")
+        stored = calibration(campaigns.get(connection, campaign_id), ", which saves nothing")
         rows = costs.by_outcome(connection, stored.sequence)
         origin = _map_origin(connection, stored)
         proofs = audits.proofs(connection, stored.sequence, resolved_spec(stored).evaluator) if stored.resolution else ()
@@ -154,7 +148,7 @@ def _asked(database: Database, campaign_id: str, action: Action, response: Respo
 
 
 def accepted(response: Response, database: Database, stored: StoredCampaign) -> Campaign:
-    """The answer that says of a campaign that it was queued, or asked to do something."""
+    """Returns the answer for a campaign that was queued, or received a request."""
     response.headers["Location"] = f"{ROOT}/campaigns/{stored.id}"
     moment = now()
     with database.read() as connection:

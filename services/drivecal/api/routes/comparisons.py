@@ -1,16 +1,13 @@
-"""Comparisons of optimizers and of reductions: submit, and what their runs say beside each other."""
-
-from collections.abc import Sequence
+"""Comparisons of optimizers and of reductions: submission and results."""
 
 from fastapi import APIRouter, Response
-from pydantic import BaseModel
 
 from drivecal.api import comparison_submission
 from drivecal.api.dependencies import Accept, DatabaseDependency, IdempotencyKey, LimitsDependency
 from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.http.queries import SubmissionQuery, TableQuery
 from drivecal.api.routes.campaigns import accepted
-from drivecal.api.tables.paging import page_or_file, slices, table_answer
+from drivecal.api.tables.paging import listed, page_or_file
 from drivecal.campaigns.comparisons.results import ComparisonResults, compared
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.comparison import (
@@ -21,7 +18,6 @@ from drivecal.contracts.comparison import (
     ExpectedComparison,
     ReductionEffect,
 )
-from drivecal.contracts.tables import columns_of
 from drivecal.domain.errors import ConflictError
 from drivecal.storage import campaigns
 from drivecal.storage.engine.database import Database
@@ -54,29 +50,26 @@ def submit(
 @router.get("/campaigns/{campaign_id}/comparison", responses=page_or_file(ComparedRun))
 def list_runs(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
     """The runs of a comparison; `run` is the id of the campaign that holds all that it found."""
-    comparison = _compared(database, campaign_id)
-    return _table(f"comparison-{campaign_id}", query, accept, ComparedRun, comparison.runs())
+    return listed(f"comparison-{campaign_id}", query, accept, ComparedRun, _compared(database, campaign_id).runs())
 
 
 @router.get("/campaigns/{campaign_id}/comparison-groups", responses=page_or_file(ComparedGroup))
 def list_groups(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
     """Table 5: one row per optimizer, population size and reduction, over the seeds."""
-    comparison = _compared(database, campaign_id)
-    return _table(f"comparison-groups-{campaign_id}", query, accept, ComparedGroup, comparison.groups())
+    return listed(f"comparison-groups-{campaign_id}", query, accept, ComparedGroup, _compared(database, campaign_id).groups())
 
 
 @router.get("/campaigns/{campaign_id}/comparison-pairs", responses=page_or_file(ComparedPair))
 def list_pairs(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
     """Each ended run beside the one that differs from it in the reduction alone; none if there is one reduction."""
-    comparison = _compared(database, campaign_id)
-    return _table(f"comparison-pairs-{campaign_id}", query, accept, ComparedPair, comparison.pairs())
+    return listed(f"comparison-pairs-{campaign_id}", query, accept, ComparedPair, _compared(database, campaign_id).pairs())
 
 
 @router.get("/campaigns/{campaign_id}/comparison-effects", responses=page_or_file(ReductionEffect))
 def list_effects(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
     """Effects over all pairs: whether a reduction changes the final optimum, and its savings."""
-    comparison = _compared(database, campaign_id)
-    return _table(f"comparison-effects-{campaign_id}", query, accept, ReductionEffect, comparison.effects())
+    rows = _compared(database, campaign_id).effects()
+    return listed(f"comparison-effects-{campaign_id}", query, accept, ReductionEffect, rows)
 
 
 def _compared(database: Database, campaign_id: str) -> ComparisonResults:
@@ -85,8 +78,3 @@ def _compared(database: Database, campaign_id: str) -> ComparisonResults:
         if campaign.kind != "comparison":
             raise ConflictError(f"{campaign_id} is no comparison; POST /api/v1/comparisons makes one")
         return compared(connection, campaign)
-
-
-def _table(name: str, query: TableQuery, accept: str, model: type[BaseModel], rows: Sequence[BaseModel]) -> Response:
-    pages = slices(lambda start, stop: rows[start:stop], len(rows))
-    return table_answer(name, query, accept, lambda: columns_of(model), pages)

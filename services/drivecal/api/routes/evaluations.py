@@ -8,7 +8,7 @@ from sqlalchemy import Connection
 from drivecal.api import submission
 from drivecal.api.dependencies import DatabaseDependency, IdempotencyKey, LimitsDependency
 from drivecal.api.http.bodies import StrictRoute
-from drivecal.api.responses import evaluated_cell, evaluation_answer, evaluation_row
+from drivecal.api.responses import SECONDS_BETWEEN_POLLS, evaluated_cell, evaluation_answer, evaluation_row
 from drivecal.campaigns.results.explanation import explain
 from drivecal.contracts.evaluation import Evaluation
 from drivecal.contracts.explanation import Explanation
@@ -21,7 +21,6 @@ from drivecal.storage.references import runs
 router = APIRouter(prefix="/evaluations", tags=["evaluations"], route_class=StrictRoute)
 
 MOST_SCENARIOS = 1000
-SECONDS_BETWEEN_POLLS = 1
 
 
 @router.post("", status_code=202)
@@ -65,7 +64,7 @@ def explain_evaluation(evaluation_id: str, database: DatabaseDependency) -> Expl
 
 
 def number_of(connection: Connection, evaluation_id: str) -> int:
-    """The number of the one cell that an id names. Raises NotFoundError, and ConflictError if it names none yet, or several."""
+    """Returns the number of the cell that an id names. Raises NotFoundError, and ConflictError for no cell yet or several."""
     if _is_number(evaluation_id):
         return int(evaluation_id)
     rows, _ = results.page(connection, _single(connection, evaluation_id).sequence, limit=MOST_SCENARIOS)
@@ -83,7 +82,7 @@ def _is_number(evaluation_id: str) -> bool:
 
 
 def _single(connection: Connection, evaluation_id: str) -> StoredCampaign:
-    """A single evaluation. Raises NotFoundError."""
+    """Returns a single evaluation. Raises NotFoundError."""
     try:
         stored = campaigns.get(connection, evaluation_id)
     except NotFoundError:

@@ -8,11 +8,12 @@ from typing import Annotated
 from fastapi import APIRouter, Header, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import StreamingResponse
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from starlette.types import Send
 
 from drivecal.api.dependencies import DatabaseDependency, EventStreamPlace
 from drivecal.api.http.bodies import StrictRoute
+from drivecal.api.http.queries import Parameters
 from drivecal.api.live.streams import EventHub
 from drivecal.contracts.events import CampaignEvent, CampaignProgress
 from drivecal.domain.events import EventKind
@@ -22,7 +23,7 @@ from drivecal.storage.engine.database import Database
 router = APIRouter(prefix="/campaigns", tags=["campaigns"], route_class=StrictRoute)
 
 STALLED_SECONDS = 60.0
-"""A client that reads nothing for this time is disconnected; it can resume."""
+"""Time after which a client that reads nothing is disconnected; it can resume."""
 
 EventId = Annotated[int, Field(ge=0, le=2**63 - 1)]
 
@@ -31,10 +32,8 @@ STREAM = f"""Events as `text/event-stream`: {", ".join(f"`{kind}`" for kind in E
 without an id: `degraded` and `recovered`, which no process can store while the dispatcher or the database is silent."""
 
 
-class EventsOf(BaseModel):
+class EventsOf(Parameters):
     """Start of a stream."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     last_event_id: EventId | None = None
     """The last event that was received, for tools that cannot send the header `Last-Event-ID`."""
@@ -85,7 +84,7 @@ async def stream(
     del place  # held until the stream ends
     last = last_event_id if last_event_id is not None else query.last_event_id
     hub: EventHub = request.app.state.event_hub
-    seen, newest = await run_in_threadpool(_look, database, campaign_id)
+    seen, newest = await run_in_threadpool(newest_event, database, campaign_id)
     if last is not None and last == newest and seen.state.ended:
         return Response(status_code=204)
     if last is None or last > newest:  # an id that never was here: of a database that was replaced by an older one
@@ -93,7 +92,8 @@ async def stream(
     return EventStream(hub.stream(seen.sequence, seen.id, last))
 
 
-def _look(database: Database, campaign_id: str) -> tuple[revision_queries.CampaignRevision, int]:
+def newest_event(database: Database, campaign_id: str) -> tuple[revision_queries.CampaignRevision, int]:
+    """Returns the revision of a campaign and the id of its newest event."""
     with database.read() as connection:
         seen, _ = revision_queries.campaign_revision(connection, campaign_id)
         return seen, events.newest_id(connection, seen.sequence)

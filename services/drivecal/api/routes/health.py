@@ -1,9 +1,13 @@
-"""Whether the service lives, and whether it can do work. Outside /api, for supervisors and load balancers."""
+"""Health and metrics of the service, outside /api, for supervisors, load balancers and Prometheus."""
 
 from fastapi import APIRouter, Request, Response
+from prometheus_client import exposition
+from prometheus_client.openmetrics import exposition as openmetrics
 
 from drivecal.api.dependencies import DatabaseDependency
+from drivecal.api.http.problems import RETRY_SECONDS
 from drivecal.api.live.dispatcher_health import Judgement, judge
+from drivecal.api.metrics import Meters
 from drivecal.contracts.inventory import Readiness
 from drivecal.domain.errors import DrivecalError, UnavailableError
 from drivecal.storage import processes
@@ -12,7 +16,7 @@ from drivecal.storage.engine.types import now
 
 router = APIRouter(tags=["health"])
 
-RETRY_SECONDS = 5
+OPEN_METRICS = "application/openmetrics-text"
 
 
 @router.get("/healthz")
@@ -34,6 +38,20 @@ def ready(request: Request, response: Response, database: DatabaseDependency) ->
     return Readiness(ready=judgement.ready, problems=shown)
 
 
+@router.get("/metrics", response_class=Response, responses={200: {"content": {"text/plain": {}, OPEN_METRICS: {}}}})
+def metrics(request: Request) -> Response:
+    """Metrics in Prometheus' text format, or in OpenMetrics on request."""
+    meters: Meters = request.app.state.meters
+    if OPEN_METRICS in request.headers.get("accept", ""):
+        content: bytes = openmetrics.generate_latest(meters.registry)  # type: ignore[no-untyped-call]  # it has no types
+        return _metrics_answer(content, openmetrics.CONTENT_TYPE_LATEST)
+    return _metrics_answer(exposition.generate_latest(meters.registry), exposition.CONTENT_TYPE_PLAIN_0_0_4)
+
+
+def _metrics_answer(content: bytes, media_type: str) -> Response:
+    return Response(content, headers={"Content-Type": media_type, "Vary": "Accept"})
+
+
 def _judge(database: Database) -> Judgement:
     try:
         database.check()
@@ -46,7 +64,7 @@ def _judge(database: Database) -> Judgement:
 
 
 def _locked(database: Database) -> str | None:
-    """Why nothing can be written, as far as that may be why the dispatcher is silent: another program has SQLite's lock."""
+    """Returns why nothing can be written, for example because another program has SQLite's lock; None if it can."""
     try:
         with database.transaction():
             return None

@@ -1,4 +1,4 @@
-"""Influence maps: where a parameter can change the score of a scenario, and where not."""
+"""Influence maps: submission, list, and rows."""
 
 from fastapi import APIRouter, Response
 from fastapi.responses import JSONResponse
@@ -52,18 +52,14 @@ def read(map_id: str, query: FormQuery, database: DatabaseDependency, accept: Ac
     answer = _answer(stored, with_rows=True)
     if form == "json":
         return JSONResponse(answer.model_dump(mode="json"), headers={"Vary": "Accept"})
-    return download(
-        f"influence-map-{stored.id}", form, columns_of(InfluenceRow), [[file_row(row) for row in answer.rows or []]]
-    )
+    rows = [file_row(row) for row in answer.rows or []]
+    return download(f"influence-map-{stored.id}", form, columns_of(InfluenceRow), [rows])
 
 
 def _answer(stored: StoredInfluenceMap, *, with_rows: bool) -> InfluenceMapAnswer:
+    as_it_is = {name: getattr(stored, name) for name in ("id", "name", "source", "driving_function", "created_at")}
     return InfluenceMapAnswer(
-        id=stored.id,
-        name=stored.name,
-        source=stored.source,
-        driving_function=stored.driving_function,
-        created_at=stored.created_at,
+        **as_it_is,
         rows=map_rows(stored) if with_rows else None,
         basis=dict(stored.basis) if with_rows and stored.basis is not None else None,
         links={"self": f"{ROOT}/influence-maps/{stored.id}"},

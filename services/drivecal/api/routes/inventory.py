@@ -1,5 +1,6 @@
 """Inventory: scenarios, parameter spaces, references, workers."""
 
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ from drivecal.contracts.inventory import (
 from drivecal.domain.errors import NotFoundError
 from drivecal.domain.parameters import Parameter
 from drivecal.domain.roads import reference_line
-from drivecal.domain.scenarios import Scenario
+from drivecal.domain.scenarios import EgoStart, Scenario, TrafficVehicle
 from drivecal.domain.setups import Setup
 from drivecal.plugins import registry
 from drivecal.storage import processes
@@ -42,13 +43,10 @@ DIGITS = 6
 @router.get("/scenarios")
 def scenarios() -> ScenarioPage:
     """The scenarios of all installed catalogues."""
-    return ScenarioPage(
-        items=[
-            ScenarioAnswer.model_validate(_heading(catalogue.name, scenario))
-            for catalogue in registry.catalogues()
-            for scenario in catalogue.scenarios.values()
-        ]
-    )
+    headings = [
+        _heading(catalogue.name, scenario) for catalogue in registry.catalogues() for scenario in catalogue.scenarios.values()
+    ]
+    return ScenarioPage(items=[ScenarioAnswer.model_validate(heading) for heading in headings])
 
 
 @router.get("/scenarios/{scenario_id}")
@@ -64,15 +62,12 @@ def scenario(scenario_id: str, catalogue: str | None = None) -> ScenarioDetail:
 def parameters() -> ParameterSpacePage:
     """The parameter spaces of all installed driving functions."""
     functions = [registry.driving_function(name) for name in registry.names("drivecal.driving_functions")]
-    return ParameterSpacePage(
-        items=[
-            ParameterSpaceAnswer(
-                driving_function=function.name, name=name, parameters=[_parameter(parameter) for parameter in space]
-            )
-            for function in functions
-            for name, space in function.spaces.items()
-        ]
-    )
+    spaces = [
+        ParameterSpaceAnswer(driving_function=function.name, name=name, parameters=list(map(_parameter, space)))
+        for function in functions
+        for name, space in function.spaces.items()
+    ]
+    return ParameterSpacePage(items=spaces)
 
 
 @router.get("/references")
@@ -89,10 +84,9 @@ def workers(database: DatabaseDependency) -> WorkerPage:
     with database.read() as connection:
         dispatcher = processes.read(connection, processes.DISPATCHER)
     judgement = judge(dispatcher, now())
+    reported = [] if dispatcher is None else dispatcher.detail.get("workers", [])
     return WorkerPage(
-        items=[]
-        if dispatcher is None
-        else [WorkerAnswer.model_validate(worker) for worker in dispatcher.detail.get("workers", [])],
+        items=[WorkerAnswer.model_validate(worker) for worker in reported],
         dispatcher_seen_at=None if dispatcher is None else dispatcher.heartbeat_at,
         fresh=not judgement.silent,
         degraded="; ".join(judgement.problems) or None,
@@ -100,15 +94,8 @@ def workers(database: DatabaseDependency) -> WorkerPage:
 
 
 def _heading(catalogue: str, scenario: Scenario) -> dict[str, Any]:
-    return {
-        "id": scenario.id,
-        "catalogue": catalogue,
-        "title": scenario.title,
-        "manoeuvre": scenario.manoeuvre,
-        "duration": scenario.duration,
-        "step": scenario.step,
-        "vehicles": len(scenario.traffic),
-    }
+    as_it_is = {name: getattr(scenario, name) for name in ("id", "title", "manoeuvre", "duration", "step")}
+    return as_it_is | {"catalogue": catalogue, "vehicles": len(scenario.traffic)}
 
 
 def _detail(catalogue: str, scenario: Scenario) -> ScenarioDetail:
@@ -126,35 +113,21 @@ def _detail(catalogue: str, scenario: Scenario) -> ScenarioDetail:
             boundaries=[(line[:, 1:3] + d * left).round(DIGITS).tolist() for d in across],
             limits=[[knot.s, knot.speed] for knot in road.limits],
         ),
-        ego=VehicleAnswer(id=None, s_m=ego.s, d_m=ego.d, speed_mps=ego.speed, length_m=ego.length, width_m=ego.width),
-        traffic=[
-            VehicleAnswer(
-                id=other.id,
-                s_m=other.s,
-                d_m=other.lane * road.lane_width,
-                speed_mps=other.speed,
-                length_m=other.length,
-                width_m=other.width,
-            )
-            for other in scenario.traffic
-        ],
+        ego=_vehicle(None, ego.d, ego),
+        traffic=[_vehicle(other.id, other.lane * road.lane_width, other) for other in scenario.traffic],
         start_lane=task.start_lane,
         target_lane=task.target_lane,
         speeds=[[knot.s, knot.speed] for knot in task.speeds],
     )
 
 
+def _vehicle(identifier: str | None, d: float, start: EgoStart | TrafficVehicle) -> VehicleAnswer:
+    return VehicleAnswer(id=identifier, s_m=start.s, d_m=d, speed_mps=start.speed, length_m=start.length, width_m=start.width)
+
+
 def _parameter(parameter: Parameter) -> ParameterAnswer:
-    lower, upper = float(parameter.lower), float(parameter.upper)
-    return ParameterAnswer(
-        name=parameter.name,
-        unit=parameter.unit,
-        lower=lower,
-        upper=upper,
-        step=float((parameter.upper - parameter.lower) / (parameter.n_values - 1)),
-        n_values=parameter.n_values,
-        description=parameter.description,
-    )
+    step = (parameter.upper - parameter.lower) / (parameter.n_values - 1)
+    return ParameterAnswer.model_validate(asdict(parameter) | {"step": step})
 
 
 def _reference(stored: SetupCount) -> ReferenceAnswer:

@@ -19,7 +19,7 @@ FILES = Path(__file__).parent.parent / "static"
 """Folder of the built page (services/web/build_hook.py)."""
 START = "index.html"
 REASON = "missing.txt"
-"""Why there is no page, where it could not be built."""
+"""File with the reason for a missing page."""
 TYPES = {
     ".css": "text/css; charset=utf-8",
     ".html": "text/html; charset=utf-8",
@@ -86,7 +86,7 @@ def _answer(path: Path, caching: str, accept_encoding: str, if_none_match: str) 
 
 @lru_cache(maxsize=50)
 def _read(path: Path, modified: int) -> _File:
-    """`modified`: a page that was built anew is another one."""
+    """Reads a file. `modified`: distinguishes the files of a new build."""
     del modified
     content = path.read_bytes()
     return _File(content, gzip.compress(content, mtime=0), f'"{sha256(content).hexdigest()[:32]}"')

@@ -1,11 +1,13 @@
-"""From a set in the ranking to the evaluations that it was ranked by."""
+"""Evaluations behind the sets of the ranking."""
 
 from typing import Annotated
 
 from fastapi import APIRouter, Query
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints
+from pydantic import Field, StringConstraints
 
 from drivecal.api.dependencies import DatabaseDependency
+from drivecal.api.http.queries import Parameters
+from drivecal.contracts.campaign import Answer
 from drivecal.storage import campaigns, results
 
 router = APIRouter(prefix="/campaigns", tags=["page"])
@@ -13,20 +15,16 @@ router = APIRouter(prefix="/campaigns", tags=["page"])
 Place = Annotated[int, Field(ge=0, le=2**31 - 1)]
 
 
-class CellOf(BaseModel):
+class CellOf(Parameters):
     """A set of the ranking by `iteration` and `individual`, and a scenario."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     iteration: Place
     individual: Place
     scenario: Annotated[str, StringConstraints(min_length=1, max_length=200)]
 
 
-class CellAnswer(BaseModel):
+class CellAnswer(Answer):
     """The number of the evaluation that it is."""
-
-    model_config = ConfigDict(frozen=True)
 
     evaluation: int
 

@@ -18,9 +18,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from drivecal.api.dependencies import Limits
 from drivecal.api.live.streams import KEEPALIVE_SECONDS, EventHub
+from drivecal.api.routes.events import newest_event
 from drivecal.contracts.events import PROGRESS
 from drivecal.domain.errors import DrivecalError, OverloadError
-from drivecal.storage import events, revision_queries
 from drivecal.storage.engine.database import Database
 
 router = APIRouter()
@@ -30,7 +30,7 @@ MOST_FOLLOWED = 20
 LARGEST_MESSAGE = 1_000
 """Characters."""
 STALLED_SECONDS = 60.0
-"""A page that takes nothing for so long is let go; it comes back."""
+"""Time after which a page that reads nothing is disconnected; it comes back."""
 AGAIN_LATER, NOT_UNDERSTOOD = 1013, 1008
 
 PROTOCOL = (
@@ -96,7 +96,7 @@ class _Line:
             await asyncio.gather(*tasks, return_exceptions=True)
 
     async def _obey(self, message: str) -> bool:
-        """False if the page cannot be understood, and was let go."""
+        """Carries out a message. Returns False after closing the connection because of a faulty one."""
         try:
             if len(message) > LARGEST_MESSAGE:
                 raise ValueError
@@ -121,7 +121,7 @@ class _Line:
 
     async def _tell(self, campaign: str, after: int) -> None:
         try:
-            seen, newest = await run_in_threadpool(self._look, campaign)
+            seen, newest = await run_in_threadpool(newest_event, self._database, campaign)
         except DrivecalError as error:
             await self._send({"campaign": campaign, "error": str(error)})
             return
@@ -136,11 +136,6 @@ class _Line:
         if not self._hub.closed:
             await self._send({"campaign": campaign, "ended": True})
 
-    def _look(self, campaign: str) -> tuple[revision_queries.CampaignRevision, int]:
-        with self._database.read() as connection:
-            seen, _ = revision_queries.campaign_revision(connection, campaign)
-            return seen, events.newest_id(connection, seen.sequence)
-
     async def _stay_alive(self) -> None:
         while True:
             await asyncio.sleep(KEEPALIVE_SECONDS)
@@ -152,7 +147,7 @@ class _Line:
 
 
 def parsed(chunk: bytes) -> Iterator[tuple[str, int | None, dict[str, Any]]]:
-    """Name, number and content of each event in a piece of an event stream; what is for the stream itself is left out."""
+    """Yields name, number and content of each event in a piece of an event stream."""
     for block in chunk.decode().split("\n\n"):
         fields = dict(line.split(": ", 1) for line in block.splitlines() if ": " in line and not line.startswith(":"))
         if "event" in fields and "data" in fields:

@@ -1,19 +1,17 @@
 """Logging in, for the page: a token is shown once, and a cookie that no script can read stands for it from then on."""
 
 from fastapi import APIRouter, Request, Response
-from pydantic import BaseModel, ConfigDict
 
 from drivecal.api.http import sessions
 from drivecal.api.http.auth import ANYBODY
 from drivecal.configuration.tokens import Token
+from drivecal.contracts.campaign import Answer
 
 router = APIRouter(tags=["page"])
 
 
-class Session(BaseModel):
+class Session(Answer):
     """The client and its rights; `name` is null without tokens."""
-
-    model_config = ConfigDict(frozen=True)
 
     name: str | None
     may_write: bool

@@ -9,10 +9,10 @@ from pydantic import BaseModel
 from drivecal.api.dependencies import Accept, DatabaseDependency
 from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.http.queries import SolutionsQuery, TableQuery
-from drivecal.api.responses import evaluation_row, refuse_comparison
+from drivecal.api.responses import calibration, evaluation_row, refuse_comparison
 from drivecal.api.tables import influence
 from drivecal.api.tables.files import Row
-from drivecal.api.tables.paging import Pages, page_or_file, slices, table_answer
+from drivecal.api.tables.paging import Columns, Pages, listed, page_or_file, slices, table_answer
 from drivecal.api.tables.ranking import ranking
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec
 from drivecal.campaigns.results.optima import alternatives
@@ -28,7 +28,6 @@ from drivecal.contracts.tables import (
     columns_of,
 )
 from drivecal.domain.campaigns import StageName
-from drivecal.domain.errors import ConflictError
 from drivecal.storage import campaigns, generations, results, studies
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -57,13 +56,10 @@ def list_evaluations(campaign_id: str, query: TableQuery, database: DatabaseDepe
 
     def pages(limit: int, cursor: str | None) -> tuple[list[Row], str | None]:
         with database.read() as connection:
-            found, following = results.page(connection, campaign.sequence, limit=limit, cursor=cursor)
-        return [evaluation_row(evaluation) for evaluation in found], following
+            page, following = results.page(connection, campaign.sequence, limit=limit, cursor=cursor)
+        return [evaluation_row(evaluation) for evaluation in page], following
 
-    def columns() -> list[Column]:
-        return EvaluationRow.file_columns(list(_parameter_names(database, campaign)))
-
-    return table_answer(f"evaluations-{campaign.id}", query, accept, columns, pages)
+    return table_answer(f"evaluations-{campaign.id}", query, accept, lambda: _evaluation_columns(database, campaign), pages)
 
 
 @router.get("/solutions", responses=page_or_file(Solution))
@@ -72,10 +68,7 @@ def list_solutions(campaign_id: str, query: SolutionsQuery, database: DatabaseDe
     campaign = _campaign(database, campaign_id)
     begun_with = _pinned(campaign)
     ranked = ranking(database, campaign, begun_with, query.weights)
-
-    def columns() -> list[Column]:
-        return columns_of(Solution, _keys(ranked.scenarios, begun_with))
-
+    columns = _columns(Solution, ranked.scenarios, begun_with)
     return table_answer(f"solutions-{campaign.id}", query, accept, columns, slices(ranked.solutions, len(ranked)))
 
 
@@ -92,9 +85,7 @@ def list_optima(campaign_id: str, query: TableQuery, database: DatabaseDependenc
         placed = zip(ranked.solutions(start, min(stop, len(known))), known.shown(start, stop), strict=True)
         return [OptimumRow(**dict(solution), region=at.region, to_worse=at.to_worse) for solution, at in placed]
 
-    def columns() -> list[Column]:
-        return columns_of(OptimumRow, _keys(ranked.scenarios, begun_with))
-
+    columns = _columns(OptimumRow, ranked.scenarios, begun_with)
     return table_answer(f"optima-{campaign.id}", query, accept, columns, slices(rows, len(known)))
 
 
@@ -102,9 +93,7 @@ def list_optima(campaign_id: str, query: TableQuery, database: DatabaseDependenc
 def list_influence(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
     """The influence map that the campaign uses: one row per scenario and searched parameter, none if it has no map (yet)."""
     campaign = _campaign(database, campaign_id)
-    rows = _influence_rows(database, campaign)
-    pages = slices(lambda start, stop: rows[start:stop], len(rows))
-    return table_answer(f"influence-{campaign.id}", query, accept, lambda: columns_of(InfluenceRow), pages)
+    return listed(f"influence-{campaign.id}", query, accept, InfluenceRow, _influence_rows(database, campaign))
 
 
 @router.get("/robustness", responses=page_or_file(RobustnessRow))
@@ -113,13 +102,9 @@ def list_robustness(campaign_id: str, query: TableQuery, database: DatabaseDepen
     marked with the reason. None before the robustness stage."""
     campaign = _campaign(database, campaign_id)
     begun_with = _pinned(campaign)
-
-    def columns() -> list[Column]:
-        return columns_of(RobustnessRow, _keys(begun_with.weights, begun_with))
-
-    return table_answer(
-        f"robustness-{campaign.id}", query, accept, columns, _study(database, campaign, StageName.ROBUSTNESS, RobustnessRow)
-    )
+    columns = _columns(RobustnessRow, begun_with.weights, begun_with)
+    pages = _study(database, campaign, StageName.ROBUSTNESS, RobustnessRow)
+    return table_answer(f"robustness-{campaign.id}", query, accept, columns, pages)
 
 
 @router.get("/validation", responses=page_or_file(ValidationRow))
@@ -138,9 +123,9 @@ def _study(database: Database, campaign: StoredCampaign, stage: StageName, model
     return slices(lambda start, stop: [model.model_validate(item) for item in items[start:stop]], len(items))
 
 
-def _keys(scenarios: Iterable[str], begun_with: ResolvedSpec) -> dict[str, list[str]]:
-    """The columns of `scores` and `parameters` in a file."""
-    return {"scores": list(scenarios), "parameters": list(begun_with.space.names)}
+def _columns(model: type[BaseModel], scenarios: Iterable[str], begun_with: ResolvedSpec) -> Columns:
+    """Returns the columns of a file with a column for each score and parameter."""
+    return lambda: columns_of(model, {"scores": list(scenarios), "parameters": list(begun_with.space.names)})
 
 
 def _campaign(database: Database, campaign_id: str) -> StoredCampaign:
@@ -151,16 +136,15 @@ def _campaign(database: Database, campaign_id: str) -> StoredCampaign:
 
 
 def _pinned(campaign: StoredCampaign) -> ResolvedSpec:
-    if campaign.kind != "calibration":
-        raise ConflictError(f"{campaign.id} is a single evaluation, which ranks nothing; GET /api/v1/evaluations/{campaign.id}")
-    return resolved_spec(campaign)
+    return resolved_spec(calibration(campaign, ", which ranks nothing"))
 
 
-def _parameter_names(database: Database, campaign: StoredCampaign) -> Iterable[str]:
-    """Returns the parameters of the first row; without rows, those of the coming rows."""
+def _evaluation_columns(database: Database, campaign: StoredCampaign) -> list[Column]:
+    """Returns the columns of a file, with the parameters of the first row, or without rows those of the coming rows."""
     with database.read() as connection:
         rows, _ = results.page(connection, campaign.sequence, limit=1)
-    return rows[0].parameters.names if rows else resolved_spec(campaign).space.names
+    names = rows[0].parameters.names if rows else resolved_spec(campaign).space.names
+    return EvaluationRow.file_columns(list(names))
 
 
 def _influence_rows(database: Database, campaign: StoredCampaign) -> list[InfluenceRow]:

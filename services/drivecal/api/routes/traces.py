@@ -9,6 +9,7 @@ from fastapi import APIRouter, Header, Request, Response
 from drivecal.api.dependencies import DatabaseDependency, LimitsDependency
 from drivecal.api.http.auth import refuse_reader
 from drivecal.api.http.bodies import StrictRoute
+from drivecal.api.responses import SECONDS_BETWEEN_POLLS
 from drivecal.api.routes.evaluations import number_of
 from drivecal.campaigns.cells.tracing import is_to_be_made, no_trace, request_trace
 from drivecal.contracts.evaluation import PendingTrace, TraceAnswer
@@ -17,7 +18,6 @@ from drivecal.storage import admission, results, traces
 
 router = APIRouter(prefix="/evaluations", tags=["evaluations"], route_class=StrictRoute)
 
-SECONDS_BETWEEN_POLLS = 1
 ANSWERS: dict[int | str, dict[str, object]] = {
     200: {"model": TraceAnswer},
     202: {"model": PendingTrace, "description": "it is being made; ask again after `Retry-After` seconds"},
@@ -70,7 +70,7 @@ def _answer(content: bytes, if_none_match: str | None, accept_encoding: str) -> 
 
 
 def _takes_gzip(accept_encoding: str) -> bool:
-    """Whether a client named it, other than to refuse it (RFC 9110, Section 12.5.3)."""
+    """Returns whether a client accepts gzip (RFC 9110, Section 12.5.3)."""
     for part in accept_encoding.lower().split(","):
         name, *parameters = (word.strip() for word in part.split(";"))
         if name == "gzip":

@@ -17,7 +17,7 @@ Row = Mapping[str, Any]
 def download(
     name: str, form: Literal["csv", "parquet"], columns: Sequence[Column], pieces: Iterable[Sequence[Row]]
 ) -> StreamingResponse:
-    """The answer that carries a whole table as a file called `name`."""
+    """Returns the answer with a whole table as a file called `name`."""
     content = _csv(columns, pieces) if form == "csv" else _parquet(columns, pieces)
     media_type = "text/csv; charset=utf-8; header=present" if form == "csv" else PARQUET
     headers = {"Content-Disposition": f'attachment; filename="{name}.{form}"', "Vary": "Accept"}
@@ -25,7 +25,7 @@ def download(
 
 
 def _csv(columns: Sequence[Column], pieces: Iterable[Sequence[Row]]) -> Iterator[bytes]:
-    """RFC 4180 with a header; missing values are empty, truth is `true` and `false`, lists are JSON, floats round-trip."""
+    """Yields CSV (RFC 4180) with a header: missing values are empty, truth is `true` and `false`, lists are JSON, floats round-trip."""
     text = io.StringIO()
     writer = csv.writer(text)
     writer.writerow([column.name for column in columns])
@@ -67,7 +67,7 @@ def _parquet(columns: Sequence[Column], pieces: Iterable[Sequence[Row]]) -> Iter
 
 
 class _Sink(io.RawIOBase):
-    """Collects what is written until it is taken."""
+    """A file that collects what is written until it is taken."""
 
     def __init__(self) -> None:
         super().__init__()

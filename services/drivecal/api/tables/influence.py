@@ -19,13 +19,7 @@ def campaign_rows(stored: StoredInfluenceMap, resolved: ResolvedSpec) -> list[In
     """Returns a map for a campaign: its scenarios and searched parameters, within the bounds of its search."""
     influence_map = map_from_document(stored.scenarios)
     return [
-        _row(
-            scenario,
-            parameter.name,
-            influence_map.influence(scenario, parameter.name),
-            _entry(stored, scenario, parameter.name),
-            parameter,
-        )
+        _row(stored, scenario, parameter.name, influence_map.influence(scenario, parameter.name), parameter)
         for scenario in resolved.weights
         for parameter in resolved.space.searched
     ]
@@ -35,20 +29,16 @@ def map_rows(stored: StoredInfluenceMap) -> list[InfluenceRow]:
     """Returns the rows of a map within the bounds of its own space."""
     space = {parameter.name: parameter for parameter in space_from_document(stored.parameters)}
     return [
-        _row(scenario, name, influence, _entry(stored, scenario, name), space.get(name))
+        _row(stored, scenario, name, influence, space.get(name))
         for scenario, listed in map_from_document(stored.scenarios).scenarios.items()
         for name, influence in listed.items()
     ]
 
 
-def _entry(stored: StoredInfluenceMap, scenario: str, parameter: str) -> Mapping[str, Any] | None:
-    entry: Mapping[str, Any] | None = stored.scenarios.get(scenario, {}).get(parameter)
-    return entry
-
-
 def _row(
-    scenario: str, name: str, influence: Influence, entry: Mapping[str, Any] | None, parameter: Parameter | None
+    stored: StoredInfluenceMap, scenario: str, name: str, influence: Influence, parameter: Parameter | None
 ) -> InfluenceRow:
+    entry: Mapping[str, Any] | None = stored.scenarios.get(scenario, {}).get(name)
     influential, lower, upper = _bounds(influence, parameter)
     return InfluenceRow(
         scenario=scenario,
@@ -66,7 +56,7 @@ def _row(
 
 
 def _bounds(influence: Influence, parameter: Parameter | None) -> tuple[bool, Decimal | None, Decimal | None]:
-    """P_sens and PB_sens within the parameter's own bounds. Where these lie beside the influential region, nothing is influential."""
+    """Returns P_sens and PB_sens within the parameter's bounds. Nothing is influential if these lie outside the influential region."""
     lower, upper = influence.lower, influence.upper
     if parameter is not None:
         lower = parameter.lower if lower is None else max(lower, parameter.lower)

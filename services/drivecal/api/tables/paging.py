@@ -1,4 +1,4 @@
-"""A table as pages of JSON or as a whole in CSV and Parquet, whichever is asked for."""
+"""Tables as pages of JSON, or as a whole in CSV and Parquet."""
 
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
@@ -9,7 +9,8 @@ from pydantic import BaseModel
 
 from drivecal.api.http.queries import TableOf, form_of
 from drivecal.api.tables.files import Row, download
-from drivecal.contracts.tables import Column, Page, file_row
+from drivecal.contracts.campaign import Page
+from drivecal.contracts.tables import Column, columns_of, file_row
 from drivecal.storage.engine import cursors
 
 ROWS_AT_A_TIME = 2000
@@ -18,19 +19,20 @@ Rows = Sequence[BaseModel] | Sequence[Row]
 """Models, or plain rows that are the same in JSON and in a file."""
 Pages = Callable[[int, str | None], tuple[Rows, str | None]]
 """Returns at most so many rows from a cursor on, and the cursor of what follows."""
-
+Columns = Callable[[], Sequence[Column]]
+"""Returns the columns of a file."""
 
 FILES: dict[str, Any] = {"content": {"text/csv": {}, "application/vnd.apache.parquet": {}}}
 """The OpenAPI description of a table as a file."""
 
 
 def page_or_file(model: type[BaseModel]) -> dict[int | str, dict[str, Any]]:
-    """The OpenAPI description of a table's answer."""
+    """Returns the OpenAPI description of a table's answer."""
     return {200: {"model": Page[model], "description": "A page, or the whole table", **FILES}}  # type: ignore[valid-type]  # made at run time
 
 
 def slices(rows: Callable[[int, int], Rows], length: int) -> Pages:
-    """Pages of a list that is numbered from 0."""
+    """Returns the pages of a list that is numbered from 0."""
 
     def pages(limit: int, cursor: str | None) -> tuple[Rows, str | None]:
         start = 0 if cursor is None else int(cursors.decode(cursor, int)[0])
@@ -40,8 +42,8 @@ def slices(rows: Callable[[int, int], Rows], length: int) -> Pages:
     return pages
 
 
-def table_answer(name: str, query: TableOf, accept: str, columns: Callable[[], Sequence[Column]], pages: Pages) -> Response:
-    """A page as JSON, or the whole table as a file called `name`, as the query or the `Accept` header asks."""
+def table_answer(name: str, query: TableOf, accept: str, columns: Columns, pages: Pages) -> Response:
+    """Returns a page as JSON, or the whole table as a file called `name`, as the query or the `Accept` header asks."""
     form = form_of(query, accept)
     if form == "json":
         rows, following = pages(query.limit, query.cursor)
@@ -50,8 +52,14 @@ def table_answer(name: str, query: TableOf, accept: str, columns: Callable[[], S
     return download(name, form, columns(), _all(pages))
 
 
+def listed(name: str, query: TableOf, accept: str, model: type[BaseModel], rows: Sequence[BaseModel]) -> Response:
+    """Returns `table_answer` of rows in memory."""
+    pages = slices(lambda start, stop: rows[start:stop], len(rows))
+    return table_answer(name, query, accept, lambda: columns_of(model), pages)
+
+
 def _all(pages: Pages) -> Iterator[Sequence[Row]]:
-    """Every page, each read in a transaction of its own, so that a slow reader holds no connection."""
+    """Yields every page, each read in its own transaction, so that a slow reader holds no connection."""
     cursor: str | None = None
     while True:
         rows, cursor = pages(ROWS_AT_A_TIME, cursor)

@@ -1,4 +1,4 @@
-"""Ranks what a campaign has evaluated so far."""
+"""Ranking of the evaluated sets of a campaign."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -30,7 +30,7 @@ class CampaignRanking:
         return len(self.ranked)
 
     def solutions(self, start: int, stop: int) -> list[Solution]:
-        """The solutions of ranks `start` + 1 to `stop`."""
+        """Returns the solutions of ranks `start` + 1 to `stop`."""
         shown = self.ranked[start:stop]
         with self.database.read() as connection:
             sets = parameter_sets.load(connection, [solution.parameter_set for solution in shown])
@@ -50,8 +50,10 @@ class CampaignRanking:
 
 
 def ranking(database: Database, campaign: StoredCampaign, resolved: ResolvedSpec, weights: str | None) -> CampaignRanking:
-    """The ranking under the campaign's own weights or those in `weights` (`S1=2,S2=1`). A copied score gives way to a later simulation of
-    the very cell. Raises InvalidInputError for weights that no evaluated set could be ranked by."""
+    """Returns the ranking under the campaign's own weights or those in `weights` (`S1=2,S2=1`).
+
+    A copied score gives way to a later simulation of the very cell. Raises InvalidInputError for unusable weights.
+    """
     used = resolved.weights if weights is None else _weights(weights, list(resolved.weights))
     standing = Ranking(used)
     with database.read() as connection:
@@ -61,7 +63,7 @@ def ranking(database: Database, campaign: StoredCampaign, resolved: ResolvedSpec
 
 
 def _weights(text: str, simulated: Sequence[str]) -> Mapping[str, float]:
-    """By scenario, in the campaign's order; scenarios that are not named have weight 1, as in a campaign file."""
+    """Returns weights by scenario in the campaign's order; scenarios that are not named have weight 1, as in a campaign file."""
     given = assignments(text.split(","), "weights")
     problems: list[Problem] = []
     for name, weight in given.items():

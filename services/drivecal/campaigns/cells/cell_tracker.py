@@ -26,6 +26,7 @@ from drivecal.storage import evaluations, leases, results, traces
 from drivecal.storage.evaluations import COPIES, DONORS, AnsweredCell, NewEvaluation
 from drivecal.storage.references import runs
 from drivecal.storage.references.runs import NewRun, StoredRun
+from drivecal.storage.references.withdrawal import withdraw_certified
 from drivecal.storage.results import StoredEvaluation
 
 LONGEST_DETAIL = 2_000
@@ -50,6 +51,7 @@ class CellTracker:
         self._requests: Mapping[int, SetupRequest] = {}
         self._inspection = Inspection(view.campaign)
         self._refuted: str | None = None
+        self._refuted_setups: set[int] = set()
         self._exclusive = False
         self._evaluator_id = view.bench.evaluator_id
         self._from_series = isinstance(view.bench.evaluator, SeriesEvaluator)
@@ -136,6 +138,9 @@ class CellTracker:
         orphans += self._settle(connection, answers)
         evaluations.note_proofs(connection, proofs)
         evaluations.simulate_instead(connection, [orphan.id for orphan in orphans])
+        if self._refuted_setups:
+            withdrawn = withdraw_certified(connection, self._refuted_setups)
+            log.error("%s; %d answers of its setup by certificates are withdrawn", self._refuted, withdrawn)
         return self._work([*again, *orphans])
 
     def _settle(self, connection: Connection, answers: list[AnsweredCell]) -> list[StoredEvaluation]:
@@ -232,6 +237,7 @@ class CellTracker:
         self._counts["unrepeatable"] += not run.agrees
         if completion.result.agrees is False:
             self._refuted = _refutation(cell, completion)
+            self._refuted_setups.add(cell.setup_id)
         donor = Donor(cell.id, run.id, completion.result.score, completion.result.rating, completion.result.failure)
         if completion.shared:  # counted where it was simulated
             self._answer(cell, donor, answers)

@@ -249,14 +249,13 @@ class LotPlanner:
 
 
 def pays(lots_so_far: Sequence[StoredLot], known: int, cells: int, cell_seconds: float) -> bool:
-    """Whether a scenario's predictor can save more than it costs in a batch of so many cells: as the last lot of `lots_so_far` did, or,
-    if it accepted nothing, once clearly more answers are `known`."""
+    """Whether a scenario's predictor can save more than it costs in a batch of so many cells: as the last lot of `lots_so_far` did, or else
+    once clearly more answers are `known`."""
     if not lots_so_far:
         return True
     last = lots_so_far[-1]
-    if last.size:
-        return last.seconds <= (last.size - last.sample) * cell_seconds
-    return last.seconds <= LIKELY * cells * cell_seconds and known >= GROWTH * last.known
+    paid = last.size > 0 and last.seconds <= (last.size - last.sample) * cell_seconds
+    return paid or (known >= GROWTH * last.known and last.seconds <= LIKELY * cells * cell_seconds)
 
 
 def released_by_scenario(stored: Sequence[StoredLot], limit: float) -> dict[str, Released]:

@@ -123,6 +123,7 @@ class PredictionValidation(StudyStage):
             "error_rate": wrong / compared if compared else None,
             "lower_95": lower,
             "upper_95": upper,
+            "interval_over": "bases",
             "histogram": {str(points): count for points, count in sorted(histogram.items())},
         }
 

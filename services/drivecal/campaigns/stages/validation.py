@@ -1,13 +1,13 @@
 """The validation stage: checks that answers are the same if the influence map says so (Section V of the paper)."""
 
-from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from drivecal.analysis.validation import ReducibleSpace, ValidationDesign, design
+from drivecal.analysis.intervals import mean_interval
+from drivecal.analysis.validation import STREAM, Differences, ReducibleSpace, ValidationDesign, design
 from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.stages.stage import Round
@@ -17,8 +17,8 @@ from drivecal.domain.evaluations import CellScore
 from drivecal.domain.influence import InfluenceMap
 from drivecal.domain.parameters import ParameterSpace
 from drivecal.reduction.assignment import RequestedCell
-from drivecal.reduction.audit import clopper_pearson
 from drivecal.reduction.keys import ReferenceKeys
+from drivecal.storage import studies
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 
@@ -53,6 +53,7 @@ class ValidationStage(StudyStage):
         if wanted is None or influence_map is None:
             raise ValueError("the campaign has no map to validate")
         self._references = wanted.references
+        self._stream = self._begun_with()
         self._designs: dict[str, ValidationDesign | None] = {
             scenario: design(
                 reducible_space(influence_map, scenario, problem.space),
@@ -60,10 +61,17 @@ class ValidationStage(StudyStage):
                 wanted.references,
                 wanted.seed,
                 wanted.largest,
+                self._stream,
             )
             for scenario in problem.scenarios
         }
-        self._histograms: dict[str, Counter[int]] | None = None
+        self._differences: dict[str, Differences] | None = None
+
+    def _begun_with(self) -> int:
+        """Returns the version of the random stream that the study's stored cells were drawn from; today's before there are any."""
+        with self._database.read() as connection:
+            stored = studies.get(connection, self._campaign.sequence, self.name)
+        return STREAM if stored is None else int(stored.get("stream", 1))
 
     @staticmethod
     def is_wanted(campaign: StoredCampaign, problem: CalibrationProblem) -> bool:
@@ -76,7 +84,7 @@ class ValidationStage(StudyStage):
         return sum(len(pairs.bases) * (1 + self._references) for pairs in self._designs.values() if pairs is not None)
 
     def _ask(self) -> Round | None:
-        if self._histograms is not None:
+        if self._differences is not None:
             return None
         space, cells = self._problem.space, []
         for scenario, pairs in self._designs.items():
@@ -97,10 +105,7 @@ class ValidationStage(StudyStage):
         for answer in answers:
             if answer.score is not None:
                 scores[answer.scenario][divmod(answer.individual, width)] = answer.score
-        self._histograms = {
-            scenario: Counter((values[:, 1:] - values[:, :1])[~np.isnan(values[:, 1:] - values[:, :1])].astype(int).tolist())
-            for scenario, values in scores.items()
-        }
+        self._differences = {scenario: Differences(values[:, 1:] - values[:, :1]) for scenario, values in scores.items()}
 
     def _outcome(self) -> dict[str, Any]:
         rows = [self._row(scenario, pairs) for scenario, pairs in self._designs.items()]
@@ -109,13 +114,15 @@ class ValidationStage(StudyStage):
             for row in rows
             if not row["bases"]
         ]
-        return {"items": rows, "notes": notes}
+        return {"items": rows, "notes": notes, "stream": self._stream}
 
     def _row(self, scenario: str, pairs: ValidationDesign | None) -> dict[str, Any]:
-        histogram = {} if self._histograms is None else dict(sorted(self._histograms.get(scenario, Counter()).items()))
+        differences = None if self._differences is None else self._differences.get(scenario)
+        histogram = {} if differences is None else differences.histogram
         compared = sum(histogram.values())
         wrong = sum(count for points, count in histogram.items() if abs(points) > LARGEST_AGREEING)
-        lower, upper = clopper_pearson(wrong, compared) if compared else (None, None)
+        shares = None if differences is None or not compared else differences.wrong_shares(LARGEST_AGREEING)
+        lower, upper = (None, None) if shares is None else mean_interval(shares)
         return {
             "scenario": scenario,
             "reducible": 0 if pairs is None else pairs.coverage.reducible,
@@ -130,5 +137,6 @@ class ValidationStage(StudyStage):
             "error_rate": wrong / compared if compared else None,
             "lower_95": lower,
             "upper_95": upper,
+            "interval_over": "bases",
             "histogram": {str(points): count for points, count in histogram.items()},
         }

@@ -18,7 +18,7 @@ from drivecal.cli.application import (
     with_full_ids,
 )
 from drivecal.cli.views.comparisons import comparison_document, print_comparison
-from drivecal.cli.views.output import print_campaign, print_columns, print_json, saved, when
+from drivecal.cli.views.output import print_answer, print_campaign, print_json, print_page, saved, when
 from drivecal.cli.views.progress import follow
 from drivecal.cli.views.savings import pays_text, print_accounting, print_error_rates, print_lots, print_narrowed
 from drivecal.client.client import Action, Client
@@ -32,7 +32,7 @@ WaitOption = Annotated[bool, typer.Option("--wait", help="Show the progress unti
 TimeoutOption = Annotated[float | None, typer.Option(min=0, help="Seconds to wait at most; exit status 6 when they are over.")]
 
 _DONE: Mapping[Action, tuple[str, ...]] = {"pause": ("paused",), "resume": ("queued", "running"), "cancel": ("cancelled",)}
-"""The states in which nothing is left to do."""
+"""States in which an action has nothing left to do."""
 
 DryRunOption = Annotated[bool, typer.Option("--dry-run", help="Check the file and count the runs, submit nothing.")]
 
@@ -51,7 +51,7 @@ def submit(
     with connect(url) as client:
         specification = with_full_ids(client, specification)
         if dry_run:
-            _print_expected(client.expected_runs(specification), as_json)
+            print_answer(client.expected_runs(specification), as_json, _print_expected)
         else:
             submitted(client, client.submit(specification), wait, timeout, as_json)
 
@@ -91,13 +91,8 @@ def list_campaigns(
     """List campaigns, newest first."""
     with connect(url) as client:
         page = client.campaigns(state=state, limit=limit)
-    if as_json:
-        print_json(page)
-        return
     header = ["id", "state", "kind", "created", "requested", "simulated", "saved", "best", "name"]
-    print_columns(header, [_row(campaign) for campaign in page.items])
-    if page.next_cursor:
-        tell(f"there are more than {limit}; see them with --limit")
+    print_page(page, as_json, header, [_row(campaign) for campaign in page.items], limit)
 
 
 @app.command()
@@ -146,7 +141,7 @@ def _act(identifier: str, action: Action, url: str | None, as_json: bool) -> Non
 
 
 def submitted(client: Client, campaign: Campaign, wait: bool, timeout: float | None, as_json: bool) -> None:
-    """Shows a campaign that was just queued, at its end where the user waits for it; ends the command with the fitting exit status."""
+    """Shows a new campaign, with `wait` at its end, and ends the command with the matching exit status."""
     code = ExitCode.OK
     if wait:
         tell(f"campaign {campaign.id} is queued")
@@ -159,8 +154,10 @@ def submitted(client: Client, campaign: Campaign, wait: bool, timeout: float | N
 
 
 def _print_whole(client: Client, campaign: Campaign, as_json: bool) -> None:
-    """A campaign with its account, from the first answered cell on, or with the tables of a comparison. Single evaluations, which have no
-    iterations, have neither."""
+    """Prints a campaign, from the first answered cell on with its account or the tables of a comparison.
+
+    Single evaluations have neither.
+    """
     answered = campaign.cells.requested or campaign.sensitivity_cells.requested
     account = client.accounting(campaign.id) if answered and "generations" in campaign.links else None
     compared = answered and campaign.kind == "comparison"
@@ -179,10 +176,7 @@ def _print_whole(client: Client, campaign: Campaign, as_json: bool) -> None:
         print_accounting(account)
 
 
-def _print_expected(expected: ExpectedRuns, as_json: bool) -> None:
-    if as_json:
-        print_json(expected)
-        return
+def _print_expected(expected: ExpectedRuns) -> None:
     typer.echo(f"the campaign can run; it proposes {expected.calibration_proposed:,} cells and simulates at most:")
     runs_of = {"sensitivity": expected.sensitivity_at_most, "calibration": expected.calibration_at_most}
     for stage, runs in (runs_of | {study: getattr(expected, study) for study in STUDIES}).items():

@@ -7,7 +7,7 @@ import typer
 from drivecal.cli.application import JsonOption, UrlOption, app, connect, with_full_ids
 from drivecal.cli.commands.campaigns import DryRunOption, TimeoutOption, WaitOption, submitted
 from drivecal.cli.views.comparisons import print_expected
-from drivecal.cli.views.output import print_json
+from drivecal.cli.views.output import print_answer
 from drivecal.client.documents import read_document
 
 
@@ -24,9 +24,7 @@ def compare_optimizers(
     specification = read_document(file)
     with connect(url) as client:
         specification = with_full_ids(client, specification)
-        if not dry_run:
-            submitted(client, client.compare(specification), wait, timeout, as_json)
-        elif as_json:
-            print_json(client.expected_comparison(specification))
+        if dry_run:
+            print_answer(client.expected_comparison(specification), as_json, print_expected)
         else:
-            print_expected(client.expected_comparison(specification))
+            submitted(client, client.compare(specification), wait, timeout, as_json)

@@ -1,4 +1,4 @@
-"""Commands for those who run a server."""
+"""`drivecal db`: maintenance of the database."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def restore(
 
 @contextmanager
 def _opened(database_url: str | None) -> Iterator[tuple[str, Database]]:
-    """The database with its URL."""
+    """Opens the database; yields its URL and the database."""
     from drivecal.storage.engine.database import Database
 
     url = load_settings(database_url=database_url).database_url
@@ -153,7 +153,7 @@ def _verified(opened: Database, *, full: bool) -> dict[str, Any]:
 
 
 def _print_verified(report: dict[str, Any], as_json: bool) -> None:
-    """Ends with exit status 1 where something is broken."""
+    """Prints the checks. Exits with status 1 if one found a problem."""
     if as_json:
         print_json(report)
     else:

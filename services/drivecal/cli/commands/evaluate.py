@@ -1,6 +1,7 @@
-"""The command that drives one parameter set."""
+"""`drivecal evaluate`: drives one parameter set."""
 
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
@@ -8,7 +9,7 @@ import typer
 
 from drivecal.cli.application import ExitCode, JsonOption, UrlOption, WaitTimedOutError, app, code_of_state, connect, tell
 from drivecal.cli.views import traces
-from drivecal.cli.views.output import parameters_text, print_columns, print_json
+from drivecal.cli.views.output import parameters_text, print_answer, print_columns
 from drivecal.client.client import Client
 from drivecal.contracts.assignments import assignments
 from drivecal.contracts.evaluation import Evaluation, TraceAnswer
@@ -55,20 +56,24 @@ def evaluate(
         if trace is not None:
             traces.save(_trace(client, evaluation, timeout), trace)
             tell(f"time series: {trace}")
-    if as_json:
-        print_json(evaluation)
-    else:
-        _print(evaluation)
+    print_answer(evaluation, as_json, _print)
     raise typer.Exit(code_of_state(evaluation.state))
 
 
-def _ended(client: Client, evaluation: Evaluation, timeout: float | None) -> Evaluation:
+def _pauses(timeout: float | None, message: str) -> Iterator[None]:
+    """Pauses before each question. Raises WaitTimedOutError after `timeout` seconds."""
     deadline = None if timeout is None else time.monotonic() + timeout
+    while deadline is None or time.monotonic() <= deadline:
+        time.sleep(SECONDS_BETWEEN_QUESTIONS)
+        yield
+    raise WaitTimedOutError(message)
+
+
+def _ended(client: Client, evaluation: Evaluation, timeout: float | None) -> Evaluation:
+    pauses = _pauses(timeout, f"evaluation {evaluation.id} has no result after {timeout or 0:g} s; it goes on")
     try:
         while not CampaignState(evaluation.state).ended:
-            if deadline is not None and time.monotonic() > deadline:
-                raise WaitTimedOutError(f"evaluation {evaluation.id} has no result after {timeout:g} s; it goes on")
-            time.sleep(SECONDS_BETWEEN_QUESTIONS)
+            next(pauses)
             evaluation = client.evaluation(evaluation.id)
     except KeyboardInterrupt as error:
         tell(f"detached: evaluation {evaluation.id} goes on; end it with `drivecal cancel {evaluation.id}`")
@@ -77,14 +82,12 @@ def _ended(client: Client, evaluation: Evaluation, timeout: float | None) -> Eva
 
 
 def _trace(client: Client, evaluation: Evaluation, timeout: float | None) -> TraceAnswer:
-    """Has it driven once more."""
-    deadline = None if timeout is None else time.monotonic() + timeout
+    """Returns the time series, for which the server simulates the evaluation again."""
+    pauses = _pauses(
+        timeout, f"the time series of evaluation {evaluation.id} are not there after {timeout or 0:g} s; ask again"
+    )
     while (trace := client.trace(evaluation.id)) is None:
-        if deadline is not None and time.monotonic() > deadline:
-            raise WaitTimedOutError(
-                f"the time series of evaluation {evaluation.id} are not there after {timeout:g} s; ask again"
-            )
-        time.sleep(SECONDS_BETWEEN_QUESTIONS)
+        next(pauses)
     return trace
 
 

@@ -1,11 +1,11 @@
-"""Why a cell was reused, or why it was not."""
+"""`drivecal explain`: why a cell was reused, or why it was not."""
 
 from typing import Annotated
 
 import typer
 
 from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, connect, full_id
-from drivecal.cli.views.output import print_columns, print_json
+from drivecal.cli.views.output import print_answer, print_columns
 from drivecal.contracts.explanation import Difference, Explanation, Prediction
 from drivecal.domain.errors import NotFoundError
 
@@ -25,14 +25,11 @@ def explain(
         explanation = client.explanation(evaluation)
     if explanation.campaign != campaign:
         raise NotFoundError(f"evaluation of campaign {campaign}", str(evaluation), f"it is of campaign {explanation.campaign}")
-    if as_json:
-        print_json(explanation)
-    else:
-        print_explanation(explanation)
+    print_answer(explanation, as_json, print_explanation)
 
 
 def print_explanation(explanation: Explanation) -> None:
-    """Prints the answer in a sentence, the stored set it speaks of, and the parameters in which the two differ."""
+    """Prints the explanation, the stored set that it names, and the parameters that differ."""
     where = (
         f"{explanation.stage}, iteration {explanation.iteration}, individual {explanation.individual}, {explanation.scenario}"
     )

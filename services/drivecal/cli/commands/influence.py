@@ -8,20 +8,21 @@ from typing import Annotated, Any
 import typer
 
 from drivecal.cli.application import JsonOption, UrlOption, app, connect, full_id, full_map_id
-from drivecal.cli.views.output import print_columns, print_json
+from drivecal.cli.views.output import dumped, print_columns, print_json
 from drivecal.client.client import Client
 from drivecal.contracts.tables import InfluenceRow
 from drivecal.domain.errors import ConflictError, NotFoundError
+from drivecal.report.rows import by_scenario, fixed, segment
 from drivecal.sensitivity.agreement import Agreement, Pair, agreement
 
 WIDTH = 20
-"""Characters of the picture of a parameter's range."""
+"""Characters in the picture of a parameter's range."""
 _NONE = "0.000"
 
 
 @dataclass(frozen=True)
 class Described:
-    """Rows, whose they are, and what they rest on (None if nothing but a user's word)."""
+    """Rows, the title of their source, and the basis of its analysis (None for a map that a user posted)."""
 
     title: str
     rows: Sequence[InfluenceRow]
@@ -44,23 +45,23 @@ def influence(
     if second is not None:
         _compare(first, second, as_json)
     elif as_json:
-        print_json([row.model_dump(mode="json") for row in first.rows])
+        print_json(dumped(first.rows))
     else:
         typer.echo(first.title)
         print_influence(first.rows, first.basis)
 
 
 def print_influence(rows: Sequence[InfluenceRow], basis: Mapping[str, Any] | None) -> None:
-    """Prints a table per scenario, and what the rows rest on."""
+    """Prints a table per scenario, and the analysis behind the rows."""
     if not rows:
         typer.echo("there are no rows: no influence map is in use (yet), or it lists nothing")
         return
     measured = any(row.s_rel_intervals is not None for row in rows)
     header = ["parameter", "influential", "lower", "upper", "unit", f"{'range':{WIDTH}}"]
     header += ["mu", "sigma", "mu*", "largest s_rel"] if measured else []
-    for scenario, group in groupby(rows, key=lambda row: row.scenario):
-        listed = list(group)
-        unknown = "  unknown: no run scored above 0, so everything counts as influential" if _tells_nothing(listed) else ""
+    for scenario, listed in by_scenario(rows).items():
+        nothing_known = all(row.unknown and row.s_rel_intervals is not None for row in listed)
+        unknown = "  unknown: no run scored above 0, so everything counts as influential" if nothing_known else ""
         typer.echo(f"\n{scenario}{unknown}")
         print_columns(header, [_line(row, measured) for row in listed])
     for line in decided_text(rows):
@@ -68,18 +69,14 @@ def print_influence(rows: Sequence[InfluenceRow], basis: Mapping[str, Any] | Non
     if basis is not None:
         typer.echo(f"\n{_rests_on(basis)}")
         typer.echo("\nThe smallest s_rel that is not 0; a threshold below it means any change at all:\n")
+        parts = ("intervals", "overall")
         smallest = basis["smallest_s_rel"].items()
-        print_columns(
-            ["scenario", "intervals", "overall"],
-            [
-                [scenario, *(_short(least[part]) or "all are 0" for part in ("intervals", "overall"))]
-                for scenario, least in smallest
-            ],
-        )
+        lines = [[scenario, *(fixed(least[part], 3) or "all are 0" for part in parts)] for scenario, least in smallest]
+        print_columns(["scenario", *parts], lines)
 
 
 def bounds_text(row: InfluenceRow) -> str:
-    """`0.2 .. 0.8`, `nowhere`."""
+    """Returns influential bounds as `0.2 .. 0.8`, or `nowhere`."""
     if not row.influential:
         return "nowhere"
     ends = ["its bound" if bound is None else f"{bound:g}" for bound in (row.lower, row.upper)]
@@ -87,14 +84,13 @@ def bounds_text(row: InfluenceRow) -> str:
 
 
 def picture(row: InfluenceRow, width: int = WIDTH) -> str:
-    """The parameter's range from left to right: `#` where it is influential, `.` where not; empty if the range is not known."""
+    """Returns the parameter's range from left to right: `#` if influential, `.` if not; empty for an unknown range."""
     if row.space_lower is None or row.space_upper is None:
         return ""
-    if not row.influential:
+    ends = segment(row)
+    if ends is None:
         return "." * width
-    size = row.space_upper - row.space_lower
-    lower = 0.0 if row.lower is None else (row.lower - row.space_lower) / size
-    upper = 1.0 if row.upper is None else (row.upper - row.space_lower) / size
+    lower, upper = ends
     start = min(width - 1, int(lower * width + 1e-9))
     end = max(start + 1, width - int((1 - upper) * width + 1e-9))
     return "." * start + "#" * (end - start) + "." * (width - end)
@@ -104,15 +100,15 @@ def _line(row: InfluenceRow, measured: bool) -> list[object]:
     answer = "unknown" if row.unknown else "yes" if row.influential else "no"
     line: list[object] = [row.parameter, answer, row.lower, row.upper, row.unit, picture(row)]
     if measured:
-        line += [_short(value) for value in (row.mu, row.sigma, row.mu_star, _largest(row))]
+        line += [fixed(value, 3) for value in (row.mu, row.sigma, row.mu_star, _largest(row))]
     return line
 
 
 def decided_text(rows: Sequence[InfluenceRow]) -> list[str]:
     """Returns lines about rows that seem to contradict the intervals' largest s_rel, with the reason."""
     known = [(row, largest) for row in rows if not row.unknown and (largest := _largest(row)) is not None]
-    overruled = [(row.scenario, row.parameter) for row, largest in known if not row.influential and _short(largest) != _NONE]
-    added = [(row.scenario, row.parameter) for row, largest in known if row.influential and _short(largest) == _NONE]
+    overruled = [(row.scenario, row.parameter) for row, largest in known if not row.influential and fixed(largest, 3) != _NONE]
+    added = [(row.scenario, row.parameter) for row, largest in known if row.influential and fixed(largest, 3) == _NONE]
     lines = []
     if overruled:
         lines.append(
@@ -128,16 +124,8 @@ def decided_text(rows: Sequence[InfluenceRow]) -> list[str]:
 
 
 def _largest(row: InfluenceRow) -> float | None:
-    """The largest s_rel of its intervals."""
+    """Returns the largest s_rel of the intervals."""
     return max((value for value in row.s_rel_intervals or [] if value is not None), default=None)
-
-
-def _short(value: float | None) -> str | None:
-    return None if value is None else f"{value:.3f}"
-
-
-def _tells_nothing(rows: Sequence[InfluenceRow]) -> bool:
-    return all(row.unknown and row.s_rel_intervals is not None for row in rows)
 
 
 def _rests_on(basis: Mapping[str, Any]) -> str:
@@ -152,7 +140,7 @@ def _rests_on(basis: Mapping[str, Any]) -> str:
 
 
 def _described(client: Client, identifier: str) -> Described:
-    """A campaign's map within the campaign's bounds, or a map by its own id. Raises NotFoundError for neither."""
+    """Returns a campaign's map within the campaign's bounds, or a map by its own id. Raises NotFoundError."""
     try:
         campaign = client.campaign(full_id(client, identifier))
     except NotFoundError:
@@ -186,15 +174,8 @@ def _print_agreement(agreement: Agreement) -> None:
     if agreement.differences:
         typer.echo("")
         header = ["scenario", "parameter", "first", "second", f"{'first':{WIDTH}}", f"{'second':{WIDTH}}"]
-        rows = [
-            [
-                difference.first.scenario,
-                difference.first.parameter,
-                *(bounds_text(row) for row in (difference.first, difference.second)),
-                *(picture(row) for row in (difference.first, difference.second)),
-            ]
-            for difference in agreement.differences
-        ]
+        both = [(difference.first, difference.second) for difference in agreement.differences]
+        rows = [[pair[0].scenario, pair[0].parameter, *map(bounds_text, pair), *map(picture, pair)] for pair in both]
         print_columns(header, rows)
     for name, pairs in (("first", agreement.only_first), ("second", agreement.only_second)):
         if pairs:

@@ -4,9 +4,9 @@ from typing import Annotated
 
 import typer
 
-from drivecal.cli.application import JsonOption, UrlOption, app, connect, full_map_id, tell
+from drivecal.cli.application import JsonOption, UrlOption, app, connect, full_map_id
 from drivecal.cli.commands.influence import print_influence
-from drivecal.cli.views.output import print_columns, print_json, when
+from drivecal.cli.views.output import print_answer, print_page, when
 from drivecal.client.documents import read_document
 from drivecal.contracts.inventory import InfluenceMapAnswer
 
@@ -25,13 +25,8 @@ def list_maps(
     """List the influence maps, newest first. The source is the campaign whose analysis made it, or `expert`."""
     with connect(url) as client:
         page = client.influence_maps(limit=limit)
-    if as_json:
-        print_json(page)
-        return
     rows = [[item.id, when(item.created_at), item.source, item.driving_function, item.name] for item in page.items]
-    print_columns(["id", "created", "source", "driving function", "name"], rows)
-    if page.next_cursor:
-        tell(f"there are more than {limit}; see them with --limit")
+    print_page(page, as_json, ["id", "created", "source", "driving function", "name"], rows, limit)
 
 
 @maps.command("show")
@@ -42,7 +37,7 @@ def show_map(
 ) -> None:
     """Show one influence map."""
     with connect(url) as client:
-        _print(client.influence_map(full_map_id(client, identifier)), as_json)
+        print_answer(client.influence_map(full_map_id(client, identifier)), as_json, _print)
 
 
 @maps.command("post")
@@ -54,12 +49,9 @@ def post_map(
     """Store an influence map, so that campaigns can name it in `sensitivity: {map: ID}`."""
     specification = read_document(file)
     with connect(url) as client:
-        _print(client.post_influence_map(specification), as_json)
+        print_answer(client.post_influence_map(specification), as_json, _print)
 
 
-def _print(influence_map: InfluenceMapAnswer, as_json: bool) -> None:
-    if as_json:
-        print_json(influence_map)
-        return
+def _print(influence_map: InfluenceMapAnswer) -> None:
     typer.echo(f"influence map {influence_map.id}  {influence_map.name}  ({influence_map.source})")
     print_influence(influence_map.rows or [], influence_map.basis)

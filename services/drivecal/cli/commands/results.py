@@ -1,4 +1,4 @@
-"""Commands about what a campaign found."""
+"""Commands about the results of a campaign."""
 
 import json
 import os
@@ -84,7 +84,7 @@ def _pieces(client: Client, identifier: str, table: TableName, form: Format) -> 
 
 @contextmanager
 def _whole_or_not_at_all(path: Path) -> Iterator[BinaryIO]:
-    """A file that appears under its name only when it is complete."""
+    """Opens a file that appears under its name only when it is complete."""
     unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         with unfinished.open("wb") as stream:

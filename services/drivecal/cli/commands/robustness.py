@@ -1,6 +1,6 @@
 """`drivecal robustness`: shows a campaign's robustness study, makes a missing study, and compares it with another."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
 import typer
@@ -8,12 +8,14 @@ import typer
 from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, connect, full_id
 from drivecal.cli.commands.studies import BENCH, Wanted, known, make, specification, wanted_of
 from drivecal.cli.views import robustness_differences
-from drivecal.cli.views.output import parameters_text, print_columns, print_json
-from drivecal.cli.views.robustness_differences import MadeStudy
+from drivecal.cli.views.output import dumped, parameters_text, print_columns, print_json
+from drivecal.cli.views.robustness_differences import MadeStudy, degree_text
 from drivecal.client.client import Client
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.tables import RobustnessRow
 from drivecal.domain.errors import ConflictError
+from drivecal.report.rows import fixed
+from drivecal.report.sections.robustness import vehicles_text
 
 
 @app.command()
@@ -69,14 +71,10 @@ def robustness(
             other = _in_another_vehicle(client, campaign, maker, vehicle, again=again)
         beside = None if other is None else _study(client, other)
     if as_json:
-        print_json(
-            [row.model_dump(mode="json") for row in here.rows]
-            if beside is None
-            else robustness_differences.document(here, beside)
-        )
+        print_json(dumped(here.rows) if beside is None else robustness_differences.document(here, beside))
         return
     if beside is None:
-        print_robustness(here.rows)
+        print_robustness(here.rows, here.maker.spec["robustness"])
     else:
         robustness_differences.print_difference(here, beside)
     if hint := few_text(here):
@@ -84,12 +82,12 @@ def robustness(
 
 
 def _source(campaign: Campaign) -> str:
-    """The campaign whose best sets are examined: of a study that another campaign's sets were examined in, that one."""
+    """Returns the id of the campaign whose best sets are examined, also for a study of another campaign's sets."""
     return (campaign.spec.get("robustness") or {}).get("of") or campaign.id
 
 
 def _in_another_vehicle(client: Client, campaign: Campaign, maker: Campaign, model: str, *, again: bool) -> Campaign:
-    """The same study, with all its settings, in another vehicle model."""
+    """Returns the campaign of the same study, with all its settings, in another vehicle model."""
     settings: dict[str, Any] = {**maker.spec["robustness"], "of": _source(maker)}
     bench = {name: maker.spec.get(name) for name in BENCH} | {"vehicle": maker.spec["vehicle"] | {"model": model}}
     source = campaign if campaign.id == settings["of"] else client.campaign(settings["of"])
@@ -110,7 +108,7 @@ def _study(client: Client, maker: Campaign) -> MadeStudy:
 
 
 def few_text(study: MadeStudy) -> str:
-    """Why fewer sets were examined than asked for, and what would take more; empty if it is so many."""
+    """Returns why fewer sets were examined than wanted, and which option adds more; empty otherwise."""
     wanted = study.maker.spec.get("robustness") or {}
     count, within = len(study.rows), wanted.get("within") or 0
     if not count or wanted.get("sets") or count >= wanted.get("solutions", 0):
@@ -121,8 +119,8 @@ def few_text(study: MadeStudy) -> str:
     return f"{sets} the best objective; --within 0.5 takes those that are lower by up to 0.5, too"
 
 
-def print_robustness(rows: Sequence[RobustnessRow]) -> None:
-    """Prints the examined sets, most robust first."""
+def print_robustness(rows: Sequence[RobustnessRow], settings: Mapping[str, Any]) -> None:
+    """Prints the examined sets of a study with these `settings`, most robust first."""
     if not rows:
         typer.echo("no set was examined: the campaign found none with a result in every scenario")
         return
@@ -130,18 +128,14 @@ def print_robustness(rows: Sequence[RobustnessRow]) -> None:
         ["rank", "degree", "delta_max", "objective", "scores", "region", "to worse", "parameters"],
         [
             [
-                row.rank,
-                f">= {row.degree}" if row.at_least else row.degree,
-                f"{row.radius:.4g}",
-                None if row.objective is None else f"{row.objective:.4f}",
+                *(row.rank, degree_text(row), f"{row.radius:.4g}", fixed(row.objective, 4)),
                 " ".join(f"{name} {'-' if score is None else score}" for name, score in row.scores.items()),
-                row.region,
-                None if row.to_worse is None else f"{row.to_worse:.3f}",
-                parameters_text(row.parameters),
+                *(row.region, fixed(row.to_worse, 3), parameters_text(row.parameters)),
             ]
             for row in rows
         ],
     )
+    typer.echo(vehicles_text(settings))
     for row in rows:
         if row.recommended:
             typer.echo(f"recommended: rank {row.rank}, because it has {row.reason}")

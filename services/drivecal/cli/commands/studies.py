@@ -1,4 +1,4 @@
-"""Studies of what a campaign found: those that were made already, by itself or by another campaign, and new ones."""
+"""Studies of a campaign's results: existing studies, by itself or another campaign, and new ones."""
 
 import re
 from collections.abc import Mapping
@@ -29,14 +29,14 @@ class Wanted:
     bench: Mapping[str, Any]
 
     def is_made_by(self, maker: Campaign) -> bool:
-        """Whether a campaign's study is the wanted one."""
+        """Returns whether a campaign's study is the wanted one."""
         settings = maker.spec.get(self.stage) or {}
         same = all(settings.get(name) == value for name, value in self.settings.items())
         return same and all(maker.spec.get(name) == value for name, value in self.bench.items())
 
 
 def wanted_of(campaign: Campaign, stage: StudyName, given: Mapping[str, Any]) -> Wanted:
-    """A study of a campaign, in its own vehicle, with the settings that the user gave."""
+    """Returns the wanted study of a campaign in its own vehicle, with the settings that the user gave."""
     settings = {name: value for name, value in given.items() if value is not None}
     return Wanted(stage, settings, {name: campaign.spec.get(name) for name in BENCH})
 
@@ -60,7 +60,7 @@ def specification(campaign: Campaign, study: str, stages: Mapping[str, Any]) -> 
 
 
 def make(client: Client, campaign: Campaign, study: str, stages: Mapping[str, Any]) -> Campaign:
-    """The campaign of `specification`, followed to its end."""
+    """Submits the campaign of `specification` and returns it at its end. Exits unless it succeeds."""
     made = client.submit(specification(campaign, study, stages))
     tell(f"campaign {made.id} makes the study")
     ended = follow(client, made.id)

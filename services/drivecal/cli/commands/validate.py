@@ -8,11 +8,11 @@ import typer
 
 from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, connect, full_id
 from drivecal.cli.commands.studies import known, make, wanted_of
-from drivecal.cli.views.output import print_columns, print_json
+from drivecal.cli.views.output import dumped, print_columns, print_json
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.tables import ValidationRow
 from drivecal.domain.errors import ConflictError
-from drivecal.report.sections.errors import errors_text
+from drivecal.report.rows import PREDICTIONS, errors_text, interval_text, percent, predictions, totals
 
 ALL = 1_000_000
 """More than a scenario's released predictions."""
@@ -46,7 +46,7 @@ def validate(
             maker = make(client, campaign, "validation", stages)
         rows = client.validation(maker.id)
     if as_json:
-        print_json([row.model_dump(mode="json") for row in rows])
+        print_json(dumped(rows))
     elif predicted:
         print_released(rows)
     else:
@@ -62,36 +62,8 @@ def _map_of(campaign: Campaign) -> dict[str, str]:
 
 def print_released(rows: Sequence[ValidationRow]) -> None:
     """Prints how many released predictions are right."""
-    print_columns(
-        [
-            "scenario",
-            "released",
-            "simulated",
-            "different",
-            "beyond tolerance",
-            "share",
-            "limit",
-            "wrong",
-            "R_err",
-            "95 % interval",
-        ],
-        [
-            [
-                row.scenario,
-                row.released,
-                row.compared,
-                row.different,
-                row.beyond,
-                f"{(row.beyond or 0) / row.compared:.2%}" if row.compared else None,
-                None if row.limit is None else f"{row.limit:.1%}",
-                row.wrong,
-                None if row.error_rate is None else f"{row.error_rate:.3%}",
-                None if row.lower_95 is None or row.upper_95 is None else f"{row.lower_95:.3%} to {row.upper_95:.3%}",
-            ]
-            for row in rows
-        ],
-    )
-    compared, different, wrong = (sum(getattr(row, name) for row in rows) for name in ("compared", "different", "wrong"))
+    print_columns(PREDICTIONS, predictions(rows))
+    compared, different, wrong = totals(rows, "compared", "different", "wrong")
     if compared:
         typer.echo(errors_text("predictions", compared, different, wrong))
 
@@ -102,23 +74,18 @@ def print_validation(rows: Sequence[ValidationRow]) -> None:
         ["scenario", "n", "n*_LHS", "n_ref", "compared", "different", "wrong", "R_err", "95 % interval", "effects covered"],
         [
             [
-                row.scenario,
-                row.reducible,
-                row.bases,
-                row.references,
-                row.compared,
-                row.different,
-                row.wrong,
-                None if row.error_rate is None else f"{row.error_rate:.3%}",
+                *(row.scenario, row.reducible, row.bases, row.references, row.compared, row.different, row.wrong),
+                percent(row.error_rate, 3),
                 None if row.lower_95 is None or row.upper_95 is None else f"{row.lower_95:.3%} to {row.upper_95:.3%}",
                 f"{row.covered} of {row.effects}",
             ]
             for row in rows
         ],
     )
-    compared, different, wrong = (sum(getattr(row, name) for row in rows) for name in ("compared", "different", "wrong"))
+    compared, different, wrong = totals(rows, "compared", "different", "wrong")
     if compared:
         typer.echo(errors_text("variants", compared, different, wrong))
+        typer.echo(interval_text(rows))
     nothing = [row.scenario for row in rows if not row.compared]
     if nothing:
         typer.echo(f"nothing to validate in {', '.join(nothing)}: no parameter has a region in which it does not matter")

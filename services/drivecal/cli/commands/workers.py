@@ -1,32 +1,25 @@
-"""`drivecal workers`: who simulates, and what."""
+"""`drivecal workers`: the workers and their current batches."""
 
 from datetime import UTC, datetime, timedelta
 
 from drivecal.cli.application import JsonOption, UrlOption, app, connect, tell
-from drivecal.cli.views.output import duration, print_columns, print_json
+from drivecal.cli.views.output import duration, print_answer, print_columns
 from drivecal.contracts.inventory import WorkerAnswer, WorkerPage
+from drivecal.report.rows import fixed
 
 
 @app.command()
 def workers(url: UrlOption = None, as_json: JsonOption = False) -> None:
     """Show the workers: what each is doing, and how fast."""
     with connect(url) as client:
-        page = client.workers()
-    if as_json:
-        print_json(page)
-        return
+        print_answer(client.workers(), as_json, _print)
+
+
+def _print(page: WorkerPage) -> None:
     now = datetime.now(UTC)
     header = ["worker", "node", "state", "cells", "cells/s", "remembers", "simulates"]
     rows = [
-        [
-            item.id,
-            item.node,
-            item.state,
-            item.cells,
-            None if item.cells_per_second is None else f"{item.cells_per_second:.1f}",
-            remembering(item),
-            doing(item, now),
-        ]
+        [item.id, item.node, item.state, item.cells, fixed(item.cells_per_second, 1), remembering(item), doing(item, now)]
         for item in page.items
     ]
     print_columns(header, rows)

@@ -5,41 +5,28 @@ from typing import Any
 
 import typer
 
-from drivecal.cli.views.output import duration, print_columns
+from drivecal.cli.views.output import dumped, duration, print_columns
 from drivecal.client.client import Client
 from drivecal.contracts.comparison import ComparedGroup, ExpectedComparison, ReductionEffect
+from drivecal.report.rows import compared_groups, reduction_effect
 
 
 def comparison_document(client: Client, identifier: str) -> dict[str, Any]:
-    """All tables of a comparison, for programs."""
+    """Returns all tables of a comparison, JSON-ready."""
     return {
-        "runs": [run.model_dump(mode="json") for run in client.compared_runs(identifier)],
-        "groups": [group.model_dump(mode="json") for group in client.compared_groups(identifier)],
-        "pairs": [pair.model_dump(mode="json") for pair in client.compared_pairs(identifier)],
-        "effects": [effect.model_dump(mode="json") for effect in client.reduction_effects(identifier)],
+        "runs": dumped(client.compared_runs(identifier)),
+        "groups": dumped(client.compared_groups(identifier)),
+        "pairs": dumped(client.compared_pairs(identifier)),
+        "effects": dumped(client.reduction_effects(identifier)),
     }
 
 
 def print_comparison(groups: Sequence[ComparedGroup], effects: Sequence[ReductionEffect]) -> None:
-    """Prints Table 5 of the paper for these runs, and below it what the reductions changed."""
+    """Prints Table 5 of the paper for these runs, and the effects of the reductions."""
     several = len({group.reduction for group in groups}) > 1
     header = ["optimizer", "population", *(["reduction"] if several else []), "best", "mean", "min", "rating", "sets at best"]
     header += ["simulations", "converged", "iterations", "simulations until then", "as good as any"]
-    rows = [
-        [
-            *(group.optimizer, group.population, *([group.reduction] if several else [])),
-            *(_number(value, 4) for value in (group.best, group.mean, group.minimum)),
-            _number(group.rating, 3),
-            _number(group.alternatives, 1),
-            _number(group.simulations, 0),
-            f"{group.converged} of {group.seeds}",
-            _number(group.iterations_to_converge, 1),
-            _number(group.simulations_to_converge, 0),
-            f"{group.successes} of {group.seeds}",
-        ]
-        for group in groups
-    ]
-    print_columns(header, rows)
+    print_columns(header, compared_groups(groups, with_reduction=several))
     typer.echo(
         "Over the seeds. Simulations are those that each run would take alone; it has converged when its best stays for 10 iterations."
     )
@@ -51,32 +38,14 @@ def print_comparison(groups: Sequence[ComparedGroup], effects: Sequence[Reductio
 
 
 def _print_effects(effects: Sequence[ReductionEffect]) -> None:
-    header = [
-        "optimizer",
-        "population",
-        "reduction",
-        "pairs",
-        "difference of the optimum",
-        "95 % interval",
-        "better",
-        "equal",
-        "worse",
-    ]
-    rows = [
-        [
-            *(effect.optimizer or "all", effect.population or "all", f"{effect.reduction} - {effect.base}", effect.pairs),
-            f"{effect.mean_difference:+.4f}",
-            "-" if effect.lower_95 is None or effect.upper_95 is None else f"{effect.lower_95:+.4f} to {effect.upper_95:+.4f}",
-            *(effect.better, effect.equal, effect.worse, f"{effect.sign_test:.3g}", f"{effect.different_upper_95:.1%}"),
-            f"{effect.base_simulations - effect.simulations:,} ({effect.saved_share:.1%})",
-        ]
-        for effect in effects
-    ]
-    print_columns([*header, "sign test p", "differ at most", "simulations saved"], rows)
+    header = ["optimizer", "population", "reduction", "pairs", "difference of the optimum", "95 % interval"]
+    header += ["better", "equal", "worse", "sign test p", "differ at most", "simulations saved"]
+    saved = [f"{effect.base_simulations - effect.simulations:,} ({effect.saved_share:.1%})" for effect in effects]
+    print_columns(header, [[*reduction_effect(effect), text] for effect, text in zip(effects, saved, strict=True)])
 
 
 def print_expected(expected: ExpectedComparison) -> None:
-    """Prints what a comparison would cost."""
+    """Prints the expected cost of a comparison."""
     typer.echo(f"the comparison can run: {expected.runs:,} runs propose {expected.proposed:,} cells")
     typer.echo(
         f"and simulate at most {expected.at_most:,}; what runs have in common, their start first of all, is simulated once"
@@ -89,7 +58,3 @@ def print_expected(expected: ExpectedComparison) -> None:
         typer.echo("how long that takes is not known: there are no workers at this moment")
     for note in expected.notes:
         typer.echo(f"note: {note}")
-
-
-def _number(value: float | None, digits: int) -> str | None:
-    return None if value is None else f"{value:,.{digits}f}"

@@ -1,26 +1,40 @@
 """Results on stdout: plain columns that survive a pipe, or JSON."""
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import datetime
-from typing import Any
+from typing import Any, TypeVar
 
 import typer
 from pydantic import BaseModel
 
-from drivecal.contracts.campaign import Campaign, CellCounts, StageCellCounts
+from drivecal.cli.application import tell
+from drivecal.contracts.campaign import Baseline, Best, Campaign, CellCounts, StageCellCounts
 from drivecal.contracts.tables import Solution
 from drivecal.domain.events import ASKED
+from drivecal.report.rows import OUTCOMES, totals
 from drivecal.report.sections.commands import evaluation
 
-OUTCOMES = ("failed", "certified", "predicted", "reused", "repeated", "simulated")
-"""Outcomes of requested cells, frequent ones last."""
+Shown = TypeVar("Shown", bound=BaseModel)
+
+
+def dumped(rows: Iterable[BaseModel]) -> list[dict[str, Any]]:
+    """Returns rows of a table, JSON-ready."""
+    return [row.model_dump(mode="json") for row in rows]
 
 
 def print_json(answer: BaseModel | Mapping[str, Any] | Sequence[Any]) -> None:
     """Prints an answer as JSON."""
     document = answer.model_dump(mode="json") if isinstance(answer, BaseModel) else answer
     typer.echo(json.dumps(document, indent=2, ensure_ascii=False))
+
+
+def print_answer(answer: Shown, as_json: bool, show: Callable[[Shown], None]) -> None:
+    """Prints an answer as JSON, or by `show`."""
+    if as_json:
+        print_json(answer)
+    else:
+        show(answer)
 
 
 def print_columns(header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
@@ -35,8 +49,18 @@ def print_columns(header: Sequence[str], rows: Iterable[Sequence[object]]) -> No
         typer.echo("  ".join(parts).rstrip())
 
 
+def print_page(page: BaseModel, as_json: bool, header: Sequence[str], rows: Iterable[Sequence[object]], limit: int) -> None:
+    """Prints a page of a list, and to stderr whether it continues."""
+    if as_json:
+        print_json(page)
+        return
+    print_columns(header, rows)
+    if getattr(page, "next_cursor", None):
+        tell(f"there are more than {limit}; see them with --limit")
+
+
 def print_campaign(campaign: Campaign) -> None:
-    """Prints what one wants to know of a campaign."""
+    """Prints the summary of a campaign."""
     lines = [("campaign", f"{campaign.id}  {campaign.name}"), ("state", state_text(campaign))]
     if campaign.rerun_of:
         lines.append(("rerun of", campaign.rerun_of))
@@ -47,12 +71,10 @@ def print_campaign(campaign: Campaign) -> None:
     if campaign.cells.requested:
         lines.append(("cells", cells_text(campaign.cells)))
     if campaign.baseline:
-        lines.append(
-            ("baseline", f"{_objective(campaign.baseline.objective)}  {parameters_text(campaign.baseline.parameters)}")
-        )
+        lines.append(("baseline", _set_text(campaign.baseline)))
     if campaign.best:
         best = campaign.best
-        lines.append(("best", f"{_objective(best.objective)}  {parameters_text(best.parameters)}"))
+        lines.append(("best", _set_text(best)))
         lines.append(("scores", "  ".join(f"{name} {score}" for name, score in best.scores.items())))
         share = "1 parameter set has" if best.alternatives == 1 else f"{best.alternatives:,} parameter sets share"
         lines.append(("alternatives", f"{share} the best objective"))
@@ -92,7 +114,7 @@ def print_solutions(solutions: Sequence[Solution], spec: Mapping[str, Any]) -> N
 
 
 def state_text(campaign: Campaign) -> str:
-    """The state with what belongs to it, on one line."""
+    """Returns the state with stage, progress and requested action, on one line."""
     parts = [campaign.state]
     if campaign.stage and campaign.state == "running":
         parts.append(campaign.stage if campaign.iteration is None else f"{campaign.stage}, iteration {campaign.iteration + 1}")
@@ -108,7 +130,7 @@ def state_text(campaign: Campaign) -> str:
 
 
 def cells_text(cells: CellCounts) -> str:
-    """The cells by outcome, on one line: `requested 1,200 = 800 simulated + 300 reused + 100 repeated`."""
+    """Returns the cells by outcome, on one line: `1,200 requested = 800 simulated + 300 reused + 100 repeated`."""
     checks = [
         *([f"{cells.audited:,} of the simulated were audits"] if cells.audited else []),
         *([f"{cells.sampled:,} predictions were simulated as samples"] if cells.sampled else []),
@@ -119,21 +141,9 @@ def cells_text(cells: CellCounts) -> str:
 
 def print_cells(runs: Sequence[tuple[str, CellCounts]]) -> None:
     """Prints how the cells of campaigns were answered, one line each."""
-    header = ["", "proposed", "carried over", "requested", *reversed(OUTCOMES), "audited", "saved"]
-    print_columns(
-        header,
-        [
-            [
-                name,
-                *(
-                    f"{getattr(cells, name):,}"
-                    for name in ("proposed", "carried_over", "requested", *reversed(OUTCOMES), "audited")
-                ),
-                f"{saved(cells):.1%}",
-            ]
-            for name, cells in runs
-        ],
-    )
+    fields = ("proposed", "carried_over", "requested", *OUTCOMES, "audited")
+    rows = [[name, *(f"{getattr(cells, field):,}" for field in fields), f"{saved(cells):.1%}"] for name, cells in runs]
+    print_columns(["", *(field.replace("_", " ") for field in fields), "saved"], rows)
 
 
 def _sum(cells: CellCounts | StageCellCounts) -> str:
@@ -142,16 +152,14 @@ def _sum(cells: CellCounts | StageCellCounts) -> str:
 
 
 def by_outcome(cells: CellCounts | StageCellCounts) -> dict[str, int]:
-    """The requested cells by outcome, the frequent ones first; those that a stage does not know are 0."""
-    return {name: getattr(cells, name, 0) for name in reversed(OUTCOMES)}
+    """Returns the requested cells by outcome, frequent ones first; outcomes that a stage does not know are 0."""
+    return {name: getattr(cells, name, 0) for name in OUTCOMES}
 
 
 def self_check_text(campaign: Campaign) -> str:
     """Returns the audits' results on a line; empty before the first audit."""
     rates = campaign.error_rate
-    audited, different, wrong = (
-        sum(getattr(rate, name) for rate in rates.values()) for name in ("audited", "different", "wrong")
-    )
+    audited, different, wrong = totals(rates.values(), "audited", "different", "wrong")
     if not audited:
         return ""
     cells = "1 reusable cell was" if audited == 1 else f"{audited:,} reusable cells were"
@@ -162,10 +170,8 @@ def self_check_text(campaign: Campaign) -> str:
 
 def lots_text(campaign: Campaign) -> str:
     """Returns the inspections of predicted answers on a line; empty before the first."""
-    lots, rejected, predicted, sampled, different = (
-        sum(getattr(scenario, name) for scenario in campaign.released.values())
-        for name in ("lots", "rejected", "predicted", "sampled", "different")
-    )
+    names = ("lots", "rejected", "predicted", "sampled", "different")
+    lots, rejected, predicted, sampled, different = totals(campaign.released.values(), *names)
     if not lots:
         return ""
     inspected = "1 lot was" if lots == 1 else f"{lots:,} lots were"
@@ -173,18 +179,18 @@ def lots_text(campaign: Campaign) -> str:
 
 
 def saved(cells: CellCounts) -> float:
-    """The share of the requested cells that needed no simulation."""
+    """Returns the share of the requested cells that needed no simulation."""
     answered = cells.repeated + cells.reused + cells.predicted + cells.certified
     return answered / cells.requested if cells.requested else 0.0
 
 
 def parameters_text(parameters: Mapping[str, float]) -> str:
-    """`P1=0.5 P2=1`."""
+    """Returns values as `P1=0.5 P2=1`."""
     return " ".join(f"{name}={value:g}" for name, value in parameters.items())
 
 
 def duration(seconds: float) -> str:
-    """`8 s`, `3 min 05 s`, `2 h 10 min`."""
+    """Returns a duration as `8 s`, `3 min 05 s` or `2 h 10 min`."""
     whole = round(seconds)
     if whole < 60:
         return f"{whole} s"
@@ -194,12 +200,13 @@ def duration(seconds: float) -> str:
 
 
 def when(moment: datetime | None) -> str:
-    """A moment in the reader's time zone."""
+    """Returns a moment in the reader's time zone."""
     return "" if moment is None else moment.astimezone().strftime("%Y-%m-%d %H:%M:%S")
 
 
-def _objective(value: float | None) -> str:
-    return "no result yet" if value is None else f"{value:.4f}"
+def _set_text(shown: Best | Baseline) -> str:
+    objective = "no result yet" if shown.objective is None else f"{shown.objective:.4f}"
+    return f"{objective}  {parameters_text(shown.parameters)}"
 
 
 def _text(value: object) -> str:

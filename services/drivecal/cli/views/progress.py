@@ -2,10 +2,8 @@
 
 import sys
 import time
-from collections.abc import Callable
-from contextlib import AbstractContextManager
-from types import TracebackType
-from typing import Protocol, Self
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import typer
 from rich.console import Console
@@ -24,36 +22,12 @@ SHOWN = frozenset({"queued", "running", "generation", "succeeded", "failed", "ca
 _DEGRADED = "degraded: "
 
 
-class Reporter(AbstractContextManager["Reporter"], Protocol):
-    """Shows how a campaign is getting on."""
-
-    def show(self, campaign: Campaign) -> None:
-        """Shows it as it is now."""
-
-    def tell(self, text: str) -> None:
-        """Writes a line about something that happened."""
-
-
 class Bar:
     """A progress bar on a terminal."""
 
-    def __init__(self, console: Console) -> None:
-        self._progress = Progress(
-            TextColumn("{task.description}"),
-            BarColumn(bar_width=24),
-            MofNCompleteColumn(),
-            TextColumn("{task.fields[detail]}"),
-            console=console,
-            transient=True,
-        )
+    def __init__(self, progress: Progress) -> None:
+        self._progress = progress
         self._task = self._progress.add_task("waiting", total=None, detail="")
-
-    def __enter__(self) -> Self:
-        self._progress.start()
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self._progress.stop()
 
     def show(self, campaign: Campaign) -> None:
         """Moves the bar."""
@@ -78,16 +52,10 @@ class Lines:
         self._last: tuple[str, str | None] | None = None
         self._at = 0.0
         self._degraded: str | None = None
-        """The degraded state that the line before told of."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        return None
+        """Degraded state of the previous line."""
 
     def show(self, campaign: Campaign) -> None:
-        """Writes a line where one is due."""
+        """Writes a line if one is due."""
         now, kind = self._clock(), (campaign.state, campaign.stage)
         if kind == self._last and now - self._at < SECONDS_BETWEEN_LINES:
             return
@@ -100,23 +68,29 @@ class Lines:
         self._degraded = shown.degraded
 
     def tell(self, text: str) -> None:
-        """Writes the line among the others, unless the one before said as much."""
+        """Writes the line, unless the previous one reported the same."""
         reason = text.removeprefix(_DEGRADED) if text.startswith(_DEGRADED) else None
         if reason is None or reason != self._degraded:
             typer.echo(text, err=True)
         self._degraded = reason
 
 
-def reporter() -> Reporter:
-    """Returns the reporter for stderr."""
-    return Bar(Console(stderr=True)) if sys.stderr.isatty() else Lines()
+@contextmanager
+def reporter() -> Iterator[Bar | Lines]:
+    """Yields the reporter for stderr."""
+    if not sys.stderr.isatty():
+        yield Lines()
+        return
+    columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), MofNCompleteColumn())
+    detail = TextColumn("{task.fields[detail]}")
+    with Progress(*columns, detail, console=Console(stderr=True), transient=True) as progress:
+        yield Bar(progress)
 
 
 def follow(client: Client, identifier: str, timeout: float | None = None, *, from_beginning: bool = True) -> Campaign:
-    """Shows a campaign's progress, and what happens to it, until it ended, and returns it. Raises WaitTimedOutError after `timeout`
-    seconds.
+    """Shows a campaign's progress and events until it has ended, and returns it.
 
-    Ctrl-C ends the command, not the campaign.
+    Raises WaitTimedOutError after `timeout` seconds. Ctrl-C ends the command, not the campaign.
     """
     come_back = (
         f"the campaign goes on; come back with `drivecal watch {identifier}`, end it with `drivecal cancel {identifier}`"
@@ -134,8 +108,10 @@ def follow(client: Client, identifier: str, timeout: float | None = None, *, fro
 def show_until_ended(
     client: Client, identifier: str, deadline: float | None = None, *, from_beginning: bool = True
 ) -> Campaign:
-    """Shows a campaign's progress until it ended, and returns it; what happened to it earlier is told too where `from_beginning` is
-    True. Raises TimeoutError past `deadline`, of the monotonic clock."""
+    """Shows a campaign's progress until it has ended, and returns it. `from_beginning`: shows earlier events as well.
+
+    Raises TimeoutError when the monotonic clock passes `deadline`.
+    """
     said: str | None = None
     with reporter() as report:
 

@@ -7,10 +7,11 @@ from typing import Any
 import typer
 
 from drivecal.analysis.robustness_difference import difference, pairs_of
-from drivecal.cli.views.output import parameters_text, print_columns
+from drivecal.cli.views.output import dumped, parameters_text, print_columns
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.setup import CampaignSetup
 from drivecal.contracts.tables import RobustnessRow
+from drivecal.report.rows import fixed
 
 BOXES = ("delta", "steps", "samples", "eta", "condition", "refinements", "seed")
 """Settings that decide what a degree means; `seed` draws the vehicles."""
@@ -21,7 +22,7 @@ Settings = dict[str, tuple[Any, Any]]
 
 @dataclass(frozen=True, slots=True)
 class MadeStudy:
-    """A robustness study: the campaign that made it, with what it was taken up, and what it found."""
+    """A robustness study: its campaign, the campaign's setup, and the examined sets."""
 
     maker: Campaign
     setup: CampaignSetup
@@ -29,7 +30,7 @@ class MadeStudy:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """All that its degrees depend on, by the names of the campaign file."""
+        """Settings on which the degrees depend, by their names in the campaign file."""
         spec, wanted = self.maker.spec, self.maker.spec.get("robustness") or {}
         values: dict[str, Any] = {name: wanted.get(name) for name in (*BOXES, *CHOICE)}
         values["of"] = values["of"] or self.maker.id
@@ -46,7 +47,7 @@ class MadeStudy:
 
 
 def settings_that_differ(here: Mapping[str, Any], there: Mapping[str, Any]) -> Settings:
-    """By name, as (this study's, the other one's)."""
+    """Returns differing settings by name, as (this study's, the other study's)."""
     return {name: (value, there.get(name)) for name, value in here.items() if value != there.get(name)}
 
 
@@ -56,8 +57,8 @@ def document(here: MadeStudy, there: MadeStudy) -> dict[str, object]:
     return {
         "settings": {name: list(both) for name, both in differing.items()},
         "difference": asdict(difference(here.rows, there.rows)),
-        "here": [row.model_dump(mode="json") for row in here.rows],
-        "there": [row.model_dump(mode="json") for row in there.rows],
+        "here": dumped(here.rows),
+        "there": dumped(there.rows),
     }
 
 
@@ -81,26 +82,11 @@ def _said(value: Any) -> str:
 
 
 def print_difference(first: MadeStudy, other: MadeStudy) -> None:
-    """Prints which settings differ, both studies side by side, and what changes in words."""
+    """Prints differing settings, both studies side by side, and a summary of the changes."""
     typer.echo("\n".join([*settings_text(settings_that_differ(first.settings, other.settings)), ""]))
     rows, others = first.rows, other.rows
-    print_columns(
-        ["rank", "degree", "objective", "scores that differ", "parameters"],
-        [
-            [
-                _both(mine.rank, theirs.rank),
-                _both(_degree(mine), _degree(theirs)),
-                _both(_objective(mine), _objective(theirs)),
-                ", ".join(
-                    f"{name} {_both(score, theirs.scores.get(name))}"
-                    for name, score in mine.scores.items()
-                    if score != theirs.scores.get(name)
-                ),
-                parameters_text(mine.parameters),
-            ]
-            for mine, theirs in pairs_of(rows, others)
-        ],
-    )
+    header = ["rank", "degree", "objective", "scores that differ", "parameters"]
+    print_columns(header, [_line(mine, theirs) for mine, theirs in pairs_of(rows, others)])
     change = difference(rows, others)
     here, there = change.mean_degree
     lines = [f"{change.sets} sets in both studies" + (f", {change.only_one} in one of them alone" if change.only_one else "")]
@@ -112,14 +98,22 @@ def print_difference(first: MadeStudy, other: MadeStudy) -> None:
     typer.echo("\n".join(lines))
 
 
+def _line(mine: RobustnessRow, theirs: RobustnessRow) -> list[object]:
+    scores = {name: (score, theirs.scores.get(name)) for name, score in mine.scores.items()}
+    return [
+        _both(mine.rank, theirs.rank),
+        _both(degree_text(mine), degree_text(theirs)),
+        _both(fixed(mine.objective, 3), fixed(theirs.objective, 3)),
+        ", ".join(f"{name} {_both(*both)}" for name, both in scores.items() if both[0] != both[1]),
+        parameters_text(mine.parameters),
+    ]
+
+
 def _both(here: object, there: object) -> str:
     shown = ["-" if value is None else str(value) for value in (here, there)]
     return shown[0] if shown[0] == shown[1] else " -> ".join(shown)
 
 
-def _degree(row: RobustnessRow) -> str:
+def degree_text(row: RobustnessRow) -> str:
+    """Returns the degree of robustness: a lower bound if no box failed."""
     return f">= {row.degree}" if row.at_least else str(row.degree)
-
-
-def _objective(row: RobustnessRow) -> str | None:
-    return None if row.objective is None else f"{row.objective:.3f}"

@@ -7,50 +7,26 @@ import typer
 from drivecal.cli.views.output import duration, print_columns
 from drivecal.contracts.accounting import Accounting, BreakEven
 from drivecal.contracts.campaign import ErrorRate, Narrowed, Released
+from drivecal.report.rows import error_rates, released_lots, totals
 
 
 def print_error_rates(rates: Mapping[str, ErrorRate]) -> None:
-    """Prints a line per scenario that was audited or contradicts itself; nothing if there is none."""
-    known = {name: rate for name, rate in rates.items() if rate.audited or rate.stopped or rate.contradictions}
-    if not known:
+    """Prints a line per scenario that was audited or has contradictions."""
+    rows = error_rates(rates)
+    if not rows:
         return
     typer.echo("\nerrors of reused results, found by simulating some of them all the same (wrong: by more than 1)")
     header = ["scenario", "audited", "different", "wrong", "R_err", "at most (95 %)", "contradictions", "reuse"]
-    print_columns(
-        header,
-        [
-            [
-                name,
-                rate.audited,
-                rate.different,
-                rate.wrong,
-                f"{rate.wrong / rate.audited:.2%}" if rate.audited else None,
-                None if rate.upper_95 is None else f"{rate.upper_95:.2%}",
-                rate.contradictions,
-                "stopped" if rate.stopped else "on",
-            ]
-            for name, rate in known.items()
-        ],
-    )
+    print_columns(header, rows)
 
 
 def print_lots(released: Mapping[str, Released]) -> None:
     """Prints a line per scenario with inspected lots of predicted answers; nothing without lots."""
-    inspected = {name: lots for name, lots in released.items() if lots.lots}
-    if not inspected:
+    rows = released_lots(released)
+    if not rows:
         return
     typer.echo("\npredicted answers, released in lots after the simulation of a sample (different: by more than the tolerance)")
-    header = ["scenario", "lots", "rejected", "released", "sampled", "different", "limit", "at most (95 %)"]
-    print_columns(
-        header,
-        [
-            [
-                *(name, lots.lots, lots.rejected, lots.predicted, lots.sampled, lots.different, f"{lots.limit:.1%}"),
-                None if lots.upper_95 is None else f"{lots.upper_95:.2%}",
-            ]
-            for name, lots in inspected.items()
-        ],
-    )
+    print_columns(["scenario", "lots", "rejected", "released", "sampled", "different", "limit", "at most (95 %)"], rows)
 
 
 def print_accounting(accounting: Accounting) -> None:
@@ -73,12 +49,11 @@ def print_accounting(accounting: Accounting) -> None:
         typer.echo(
             f"  the self-check simulated {accounting.audited:,} reusable cells in {price}; they are not counted as saved"
         )
-    confirmed = sum(scenario.confirmed for scenario in accounting.scenarios)
+    confirmed, proved = totals(accounting.scenarios, "confirmed", "proved")
     if confirmed:
         typer.echo(
             f"  {confirmed:,} reused cells were simulated after all, to confirm the best set; they are not counted as saved"
         )
-    proved = sum(scenario.proved for scenario in accounting.scenarios)
     if proved:
         off = [
             f"{row.scenario} {row.proved_different:,} of {row.proved:,}"
@@ -99,7 +74,7 @@ def print_accounting(accounting: Accounting) -> None:
 
 
 def break_even_text(even: BreakEven) -> str:
-    """From when on the map pays."""
+    """Returns the number of requested cells from which the map pays."""
     if even.requested_cells is None:
         return "break-even: never at this rate, reuse saved nothing"
     text = f"break-even: the map pays from {even.requested_cells:,} requested cells on"
@@ -116,22 +91,17 @@ def pays_text(share: float) -> str:
 
 
 def print_narrowed(narrowed: list[Narrowed] | None) -> None:
-    """Prints what was cut from the search space; nothing if nothing was."""
+    """Prints the parts that were cut from the search space."""
     if not narrowed:
         return
     typer.echo("\nthe search was narrowed to where some scenario is influenced")
     header = ["parameter", "lower", "upper", "of lower", "of upper", "values left out", "of"]
     rows = [
         [
-            parameter.parameter,
-            parameter.lower,
-            parameter.upper,
-            parameter.full_lower,
-            parameter.full_upper,
-            parameter.removed_values,
-            parameter.values,
+            *(cut.parameter, cut.lower, cut.upper),
+            *(cut.full_lower, cut.full_upper, cut.removed_values, cut.values),
         ]
-        for parameter in narrowed
+        for cut in narrowed
     ]
     print_columns(header, rows)
 

@@ -21,23 +21,19 @@ def columns_of(trace: TraceAnswer) -> dict[str, list[float]]:
 
 
 def save(trace: TraceAnswer, file: Path) -> None:
-    """Writes what the file's suffix says: a table with a row per step, or everything, plans and metrics included. Raises InvalidInputError
-    where the file cannot be written."""
+    """Writes a table with a row per step (.csv, .parquet), or everything with plans and metrics (.json).
+
+    Raises InvalidInputError if the file cannot be written.
+    """
+    columns = columns_of(trace)
     try:
-        _write(trace, file)
+        if file.suffix == ".json":
+            file.write_text(trace.model_dump_json(indent=1), encoding="utf-8")
+        elif file.suffix == ".parquet":
+            pq.write_table(pa.table(columns), file)
+        else:
+            with file.open("w", newline="", encoding="utf-8") as out:
+                csv.writer(out).writerows([columns, *zip(*columns.values(), strict=True)])
     except OSError as error:
         reason = error.strerror or str(error)
         raise InvalidInputError(Problem(str(file), f"it cannot be written: {reason}", "give another file")) from error
-
-
-def _write(trace: TraceAnswer, file: Path) -> None:
-    columns = columns_of(trace)
-    if file.suffix == ".json":
-        file.write_text(trace.model_dump_json(indent=1), encoding="utf-8")
-    elif file.suffix == ".parquet":
-        pq.write_table(pa.table(columns), file)
-    else:
-        with file.open("w", newline="", encoding="utf-8") as out:
-            writer = csv.writer(out)
-            writer.writerow(columns)
-            writer.writerows(zip(*columns.values(), strict=True))

@@ -12,12 +12,13 @@ import itertools
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from drivecal.contracts.work import Batch, BatchResult, CellResult
+from drivecal.contracts.work import Batch, BatchResult, CellResult, RecordedRun
 from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.scheduling.affinity import SetupAffinity
 from drivecal.execution.scheduling.batching import BatchPolicy, CellCosts, batch_size, kind_of
-from drivecal.execution.scheduling.in_flight import WITNESSES, Claim, InFlightCells, Work, key_of
+from drivecal.execution.scheduling.in_flight import WITNESSES, Claim, InFlightCells, SetupKey, Work, key_of
 from drivecal.execution.scheduling.queue import ClaimGroup, FairQueue, Line
+from drivecal.execution.scheduling.shared_runs import SharedRuns
 from drivecal.execution.scheduling.worker_health import WorkerHealth
 
 ATTEMPTS = 3
@@ -75,6 +76,8 @@ class _Sent:
     leaders: list[Claim]
     alone: bool
     charged: float = 0.0
+    known: tuple[RecordedRun, ...] = ()
+    """Runs of other workers."""
 
 
 class Scheduler:
@@ -87,9 +90,12 @@ class Scheduler:
         self._queue = FairQueue()
         self._worker_health = WorkerHealth()
         self._affinity = SetupAffinity()
+        self._shared_runs = SharedRuns(self._affinity)
         self._passed_over = 0
         """Batches sent to a worker while a suspect waited for its replacement."""
         self._sent: dict[int, _Sent] = {}
+        self._refuted: set[SetupKey] = set()
+        """Setups with a certificate that a simulation contradicted."""
         self._changed: dict[int, int] = {}
         """Breakdowns that are not reported yet."""
         self._batch_ids = itertools.count(1)
@@ -112,10 +118,11 @@ class Scheduler:
             elif simulation.leader is None:
                 self._queue.join(claim)
 
-    def meet(self, ready: Sequence[str]) -> None:
-        """Notes which workers have started and live."""
+    def meet(self, ready: Sequence[str], nodes: Mapping[str, str] | None = None) -> None:
+        """Notes which workers have started and live. `nodes`: the node of each; workers without one share no recorded runs."""
         self._worker_health.meet(ready)
         self._affinity.meet(ready)
+        self._shared_runs.meet(nodes or {})
 
     def next_batch(self, worker: str, *, idle: bool) -> Dispatch | None:
         """Returns the batch for a free slot of a worker, or None. A suspect is sent alone and never behind a running batch; until then its
@@ -200,6 +207,10 @@ class Scheduler:
             self._costs.observe(setup, len(sent.leaders), result.seconds)
         answers = {answer.id: answer for answer in result.results}
         completed = []
+        if setup in self._refuted:
+            self._put_back_certified(sent, answers)
+        else:
+            self._shared_runs.take(result.worker, setup, result.learned)
         for leader in sent.leaders:
             answer = answers.get(leader.cell.id) or _broken(
                 leader, Breakdown.ERROR, "the worker returned no result for this cell"
@@ -209,6 +220,13 @@ class Scheduler:
             else:
                 completed += self._broke_down(leader, answer, result.worker, alone=sent.alone)
         return completed
+
+    def note_refutation(self, batch_id: int, result: BatchResult) -> None:
+        """Certifies no cell of the batch's setup from now on if a simulation contradicted a certificate. Call it for all batches that came
+        back together before `finished`: answers by the refuted certificates are then simulated instead."""
+        sent = self._sent.get(batch_id)
+        if sent is not None and any(answer.agrees is False for answer in result.results):
+            self._refuted.add(sent.leaders[0].simulation.key)
 
     def lost(
         self, batch_id: int, worker: str, breakdown: Breakdown, detail: str, seconds: float | None = None
@@ -267,7 +285,8 @@ class Scheduler:
         sent = _Sent(worker, group.line, self._queue.take(group, cells), alone=group.avoid is not None)
         for leader in sent.leaders:
             leader.simulation.leader = leader
-        self._affinity.load(worker, group.setup)
+        self._affinity.load(worker, group.setup, len(sent.leaders))
+        sent.known = self._shared_runs.give(worker, group.setup)
         batch_id = next(self._batch_ids)
         self._sent[batch_id] = sent
         return self._as_dispatch(batch_id, sent)
@@ -277,7 +296,12 @@ class Scheduler:
         cost = self._costs.seconds_per_cell(first.key)
         expected = None if cost is None else cost * len(sent.leaders)
         self._charge(sent, self._policy.target_seconds if expected is None else expected)
-        batch = Batch(first.setup, tuple(leader.cell for leader in sent.leaders))
+        cells = (leader.cell for leader in sent.leaders)
+        if first.key in self._refuted:
+            cells = (replace(cell, certify=False, check=False, probes=()) for cell in cells)
+        batch = Batch(first.setup, tuple(cells))
+        if any(cell.certify for cell in batch.cells) and self._shared_runs.readers(sent.worker, first.key):
+            batch = replace(batch, known=sent.known, share=self._shared_runs.room)
         breakdowns = {leader.cell.id: leader.simulation.breakdowns for leader in sent.leaders}
         return Dispatch(sent.worker, batch_id, batch, expected, sent.alone, breakdowns)
 
@@ -289,11 +313,20 @@ class Scheduler:
     def _put_back(self, sent: _Sent) -> None:
         """Returns cells to the queue as if they had not been sent."""
         self._charge(sent, 0.0)
-        for leader in sent.leaders:
+        self._to_queue(sent.leaders)
+
+    def _to_queue(self, leaders: Sequence[Claim]) -> None:
+        for leader in leaders:
             leader.simulation.leader = None
             if leader.withdrawn:
                 self._forget(leader)
-        self._queue.put_back(sent.leaders)
+        self._queue.put_back(leaders)
+
+    def _put_back_certified(self, sent: _Sent, answers: Mapping[int, CellResult]) -> None:
+        """Returns cells to the queue that a refuted certificate answered."""
+        certified = {number for number, answer in answers.items() if answer.proven_by is not None and answer.agrees is None}
+        self._to_queue([leader for leader in sent.leaders if leader.cell.id in certified])
+        sent.leaders = [leader for leader in sent.leaders if leader.cell.id not in certified]
 
     def _broke_down(self, leader: Claim, answer: CellResult, worker: str, *, alone: bool) -> list[Completed]:
         """Handles a cell without a result at a living worker."""

@@ -1,4 +1,4 @@
-"""Figure 11: the accumulated cells by what answered them, drawn and as a table."""
+"""Figure 11: the accumulated cells by outcome, drawn and as a table."""
 
 from collections.abc import Sequence
 from itertools import accumulate
@@ -9,8 +9,7 @@ from matplotlib.ticker import FuncFormatter
 
 from drivecal.contracts.tables import Generation
 from drivecal.report.figures.drawing import BLUE, GREEN, PURPLE, SKY, VERMILION, Drawn, style, whole_numbers
-from drivecal.report.markup import table
-from drivecal.report.sections.search import shown
+from drivecal.report.sections.search import in_numbers
 
 OUTCOMES = (
     ("simulated", "simulated", "#D9D9D9", ""),
@@ -25,12 +24,12 @@ OUTCOMES = (
 
 
 def accumulated(generations: Sequence[Generation]) -> dict[str, list[int]]:
-    """By outcome (fields of OUTCOMES) the cells of all iterations up to each."""
+    """Returns the cells of all iterations up to each, by outcome (fields of OUTCOMES)."""
     return {field: list(accumulate(_count(generation, field) for generation in generations)) for field, *_ in OUTCOMES}
 
 
 def drawn(generations: Sequence[Generation]) -> Drawn:
-    """Figure 11."""
+    """Returns Figure 11."""
     caption = (
         "Figure 11. Requested cells, one parameter set in one scenario each, added up over the iterations by what answered them. What "
         "the optimizer carried over unchanged is not requested; the runs of the sensitivity analysis are not in it."
@@ -43,22 +42,14 @@ def drawn(generations: Sequence[Generation]) -> Drawn:
 
 def cells_table(generations: Sequence[Generation]) -> str:
     """Returns Figure 11 as a table, with every outcome."""
-    totals = accumulated(generations)
-    places = {generation.iteration: place for place, generation in enumerate(generations)}
-    lines = shown(generations)
-    rows = [
-        [line.iteration + 1, sum(values[places[line.iteration]] for values in totals.values())]
-        + [totals[field][places[line.iteration]] for field, *_ in OUTCOMES]
-        for line in lines
-    ]
-    some = "" if len(lines) == len(generations) else f"; {len(lines)} of {len(generations)} iterations, all in generations.csv"
-    return table(
-        ["iteration", "requested", *(label for _, label, *_ in OUTCOMES)], rows, f"Figure 11 in numbers, added up{some}"
-    )
+    counts = zip(generations, zip(*accumulated(generations).values(), strict=True), strict=True)
+    rows = {generation.iteration: [sum(totals), *totals] for generation, totals in counts}
+    header = ["requested", *(label for _, label, *_ in OUTCOMES)]
+    return in_numbers("Figure 11 in numbers, added up", header, rows, generations)
 
 
 def cells_figure(generations: Sequence[Generation]) -> Figure:
-    """Requested cells of all iterations up to each, stacked by outcome; outcomes that never occurred are left out."""
+    """Draws the requested cells of all iterations up to each, stacked by outcome, without outcomes that never occurred."""
     totals = accumulated(generations)
     numbers = [generation.iteration + 1 for generation in generations]
     edges = np.append(np.array(numbers) - 0.5, numbers[-1] + 0.5)
@@ -89,6 +80,6 @@ def cells_figure(generations: Sequence[Generation]) -> Figure:
 
 
 def _count(generation: Generation, field: str) -> int:
-    """Audited cells are among the simulated; here each is counted once."""
+    """Returns a count without audited cells among the simulated ones."""
     count: int = getattr(generation, field)
     return count - generation.audited if field == "simulated" else count

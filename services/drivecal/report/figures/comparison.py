@@ -1,4 +1,4 @@
-"""The figures of a comparison: how each optimizer's runs went (Figures 7 and 8), where they ended, and what a reduction changed."""
+"""The figures of a comparison: the runs of each optimizer (Figures 7 and 8), final optima, and effects of a reduction."""
 
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -11,19 +11,21 @@ from matplotlib.lines import Line2D
 
 from drivecal.contracts.comparison import ComparedPair, ComparedRun, ReductionEffect
 from drivecal.contracts.tables import Generation
-from drivecal.report.figures.drawing import BLUE, INK, KINDS, RULE, Dashes, Drawn, style, whole_numbers
+from drivecal.report.figures.drawing import BLUE, INK, KINDS, RULE, Dashes, Drawn, plotted, style, whole_numbers
 
 PAPER = {"swarm": "Figure 7. ", "genetic": "Figure 8. "}
 MARKERS = "osv^DPX*"
 SPREAD = 0.06
-"""In shares of the range that is drawn: between the outermost of lines of equal value, which would hide each other."""
+"""Spread of lines of equal value, which would hide each other, in shares of the drawn range."""
 Kind = tuple[int, str]
 """Population and reduction of a run."""
 
 
 def search_figures(runs: Sequence[ComparedRun], generations: Mapping[str, Sequence[Generation]]) -> Iterator[Drawn]:
-    """One figure per optimizer, every run a line: the best objective over the iterations, and over the simulations; where all runs have the
-    same best objective all the time, the rating of the best set over the simulations."""
+    """Yields one figure per optimizer, with a line per run: the best objective over iterations and over simulations.
+
+    If all runs always have the same best objective, the latter shows the rating of the best set.
+    """
     kinds = list(dict.fromkeys((run.population, run.reduction) for run in runs))
     values = [entry.best for listed in generations.values() for entry in listed if entry.best is not None]
     if not values:
@@ -64,12 +66,12 @@ def _draw_runs(
         colour, dashes = _look(kinds, (run.population, run.reduction))
         look: dict[str, Any] = {"color": colour, "linestyle": dashes, "linewidth": 1.0}
         offset = spread * ((place + 0.5) / len(runs) - 0.5)
-        heights = [float("nan") if generation.best is None else generation.best + offset for generation in listed]
+        heights = [plotted(generation.best) + offset for generation in listed]
         left.plot([generation.iteration + 1 for generation in listed], heights, drawstyle="steps-mid", **look)
         if run.converged_at is not None:
             left.plot(run.converged_at, heights[run.converged_at - 1], marker="o", markersize=3, color=colour)
         taken = list(accumulate(map(_simulations, listed)))
-        ratings = [float("nan") if generation.rating is None else generation.rating for generation in listed]
+        ratings = [plotted(generation.rating) for generation in listed]
         right.plot(taken, ratings if by_rating else heights, drawstyle="steps-post", **look)
 
 
@@ -122,10 +124,7 @@ def optima_figure(runs: Sequence[ComparedRun]) -> Drawn:
             label = ", ".join(kind) if several else kind[0]
             colour = KINDS[number % len(KINDS)][0]
             for axes, field in zip(panels, ("simulated_best", "rating", "simulations"), strict=True):
-                values = [getattr(run, field) for run in mine]
-                axes.plot(
-                    across, [float("nan") if value is None else value for value in values], color=colour, label=label, **look
-                )
+                axes.plot(across, [plotted(getattr(run, field)) for run in mine], color=colour, label=label, **look)
         for axes, what in zip(panels, ("best objective", "rating of the best set", "simulations"), strict=True):
             axes.set_xticks(range(len(populations)), [f"{population:,}" for population in populations])
             axes.set(xlabel="individuals per iteration", ylabel=what, xlim=(-0.6, len(populations) - 0.4))
@@ -138,17 +137,14 @@ def optima_figure(runs: Sequence[ComparedRun]) -> Drawn:
 
 
 def effects_figure(pairs: Sequence[ComparedPair], effects: Sequence[ReductionEffect]) -> Drawn:
-    """Left: the difference of the final optimum of every pair, with the mean and its interval. Right: the share of simulations saved."""
+    """Draws the differences of the final optima of all pairs with their mean and interval, and the shares of saved simulations."""
     named = [effect for effect in effects if effect.optimizer is not None]
     with style():
         figure = Figure(figsize=(7.4, 1.4 + 0.5 * len(named)), layout="constrained")
         left, right = figure.subplots(1, 2, sharey=True)
         for row, effect in enumerate(named):
-            mine = [
-                pair
-                for pair in pairs
-                if (pair.optimizer, pair.population, pair.reduction) == (effect.optimizer, effect.population, effect.reduction)
-            ]
+            kind = (effect.optimizer, effect.population, effect.reduction)
+            mine = [pair for pair in pairs if (pair.optimizer, pair.population, pair.reduction) == kind]
             heights = [row + 0.5 * ((place + 0.5) / len(mine) - 0.5) for place in range(len(mine))]
             left.plot([run.difference for run in mine], heights, linestyle="none", marker="o", markersize=3, color=BLUE)
             if effect.lower_95 is not None and effect.upper_95 is not None:
@@ -174,7 +170,7 @@ def _look(kinds: Sequence[Kind], kind: Kind) -> tuple[str, Dashes]:
 
 
 def _unlike(name: str, others: Collection[str]) -> str:
-    """A name of its own: labels that differ may make equal names of files."""
+    """Returns a unique name: different labels may give equal names of files."""
     numbered = (f"{name}-{number}" for number in count(2))
     return next(candidate for candidate in chain([name], numbered) if candidate not in others)
 

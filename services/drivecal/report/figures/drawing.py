@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 DOTS_PER_INCH = 200
 BLUE, SKY, GREEN, VERMILION, ORANGE, PURPLE = "#0072B2", "#56B4E9", "#009E73", "#D55E00", "#E69F00", "#CC79A7"
@@ -59,7 +60,7 @@ FALLBACK = "'DejaVu Sans', Verdana, sans-serif"
 
 @dataclass(frozen=True, slots=True)
 class Drawn:
-    """A figure, the `name` of its files, and whether it stands in the page itself. `alt`: what it shows, for who cannot see it."""
+    """A figure, the `name` of its files, and whether it is in the page itself. `alt`: its description for screen readers."""
 
     name: str
     caption: str
@@ -70,13 +71,13 @@ class Drawn:
 
 @contextmanager
 def style() -> Iterator[None]:
-    """Within it figures look as they should."""
+    """Applies `STYLE` to figures inside the block."""
     with mpl.rc_context(STYLE):
         yield
 
 
 def svg(figure: Figure, name: str) -> str:
-    """The figure as SVG. `name` keeps its ids apart from those of other figures in one page."""
+    """Returns the figure as SVG. `name` keeps its ids apart from those of other figures in one page."""
     FigureCanvasSVG(figure)
     stream = io.StringIO()
     with style(), mpl.rc_context({"svg.hashsalt": name}):
@@ -85,7 +86,7 @@ def svg(figure: Figure, name: str) -> str:
 
 
 def png(figure: Figure) -> bytes:
-    """The figure as PNG, at print resolution."""
+    """Returns the figure as PNG, at print resolution."""
     FigureCanvasAgg(figure)
     stream = io.BytesIO()
     with style():
@@ -94,7 +95,7 @@ def png(figure: Figure) -> bytes:
 
 
 def inlined(document: str, name: str, title: str) -> str:
-    """An SVG document as a part of an HTML page: ids of its own, no XML head, as wide as the page allows, named for screen readers."""
+    """Returns an SVG document as a part of an HTML page: unique ids, no XML head, as wide as the page allows, named for screen readers."""
     body = document[document.index("<svg") :]
     body = re.sub(r"<metadata>.*?</metadata>\s*", "", body, flags=re.DOTALL)
     body = re.sub(r'\bid="', f'id="{name}-', body)
@@ -102,14 +103,16 @@ def inlined(document: str, name: str, title: str) -> str:
     body = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", body, count=1)
     width = re.search(r'<svg[^>]*? width="([0-9.]+)pt"', body)
     limit = f' style="max-width: {float(width[1]) * 4 / 3:.0f}px"' if width else ""
-    attributes = (
-        f' width="100%"{limit} role="img" aria-label="{title}"'  # by a function: a backslash in the title is no reference
-    )
+    attributes = f' width="100%"{limit} role="img" aria-label="{title}"'
+    # By a function: a backslash in the title is no reference.
     return re.sub(r'(<svg[^>]*?) width="[^"]*"', lambda match: match[1] + attributes, body, count=1)
 
 
-def whole_numbers(axes: Axes) -> None:
-    """Ticks of the horizontal axis at whole numbers only."""
-    from matplotlib.ticker import MaxNLocator
+def plotted(value: float | None) -> float:
+    """Returns a value for a line, in which an unknown value is a gap."""
+    return float("nan") if value is None else value
 
+
+def whole_numbers(axes: Axes) -> None:
+    """Puts ticks of the horizontal axis at whole numbers only."""
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -23,11 +24,12 @@ WORSE = "#D0D0D0"
 
 def positions(sets: Sequence[Solution], parameters: Sequence[SearchedParameter]) -> Floats:
     """Returns the values as shares of the parameters' ranges, shape (n_sets, n_parameters)."""
-    rows = [
-        [(parameter_set.parameters[each.name] - each.lower) / (each.upper - each.lower) for each in parameters]
-        for parameter_set in sets
-    ]
+    rows = [_shares(parameter_set.parameters, parameters) for parameter_set in sets]
     return np.array(rows, dtype=np.float64).reshape(len(sets), len(parameters))
+
+
+def _shares(values: Mapping[str, float], parameters: Sequence[SearchedParameter]) -> list[float]:
+    return [(values[each.name] - each.lower) / (each.upper - each.lower) for each in parameters]
 
 
 def drawn(
@@ -36,8 +38,10 @@ def drawn(
     parameters: Sequence[SearchedParameter],
     recommended: Mapping[str, float] | None = None,
 ) -> Drawn:
-    """Figure 12, left. `solutions`: the best of the ranking, `optima` among them; `recommended`: the values of the set that a robustness
-    study recommends."""
+    """Returns Figure 12, left.
+
+    `solutions`: the best of the ranking, with `optima`. `recommended`: the values of the set that a robustness study recommends.
+    """
     axes = searched(parameters)
     worse = [solution for solution in solutions if solution.rank > len(optima)][:MOST_OTHERS]
     same = constant(optima, axes)
@@ -65,7 +69,7 @@ def optima_figure(
     same: Mapping[str, float],
     recommended: Mapping[str, float] | None = None,
 ) -> Figure:
-    """Parallel coordinates over the searched `parameters`; `same`: the axes on which all best sets have one value."""
+    """Draws parallel coordinates over the searched `parameters`. `same`: the value that all best sets share, by parameter."""
     places = np.arange(len(parameters))
     with style():
         figure = Figure(figsize=(max(7.4, 0.55 * len(parameters)), 3.7), layout="constrained")
@@ -77,15 +81,8 @@ def optima_figure(
         _lines(axes, positions(worse, parameters), WORSE, "-", 0.5, "optima.worse", 2)
         handles = _regions(axes, best, parameters)
         if recommended is not None:
-            heights = [
-                (recommended[parameter.name] - parameter.lower) / (parameter.upper - parameter.lower)
-                for parameter in parameters
-            ]
-            (line,) = axes.plot(
-                places, heights, color=INK, linewidth=1.0, marker="o", markersize=3.5, zorder=5.5, gid="recommended"
-            )
-            line.set_label("recommended")
-            handles.append(line)
+            look: dict[str, Any] = {"color": INK, "linewidth": 1.0, "marker": "o", "markersize": 3.5, "zorder": 5.5}
+            handles += axes.plot(places, _shares(recommended, parameters), label="recommended", gid="recommended", **look)
         if worse:
             handles.append(Line2D([], [], color=WORSE, linewidth=1.2, label="ranked next"))
         for place, parameter in enumerate(parameters):
@@ -100,7 +97,7 @@ def optima_figure(
 
 
 def _axis(axes: Axes, place: int, parameter: SearchedParameter, same: float | None) -> None:
-    """The bounds of a parameter, and a diamond where all best sets have the `same` value."""
+    """Draws the bounds of a parameter, and a diamond if all best sets have the `same` value."""
     for height, value, side in ((1.03, parameter.upper, "bottom"), (-0.03, parameter.lower, "top")):
         axes.text(place, height, _value(value), ha="center", va=side, fontsize=6.5, color="#555555")
     if same is not None:
@@ -110,7 +107,7 @@ def _axis(axes: Axes, place: int, parameter: SearchedParameter, same: float | No
 
 
 def _regions(axes: Axes, best: Sequence[OptimumRow], parameters: Sequence[SearchedParameter]) -> list[Line2D]:
-    """Draws the best sets, the first on top; returns the legend's entries: one per region, one for all without a kind of their own."""
+    """Draws the best sets, the first on top. Returns the legend's entries: one per region, and one for all further regions."""
     counts = Counter(min(solution.region, len(KINDS)) for solution in best)
     handles = []
     for region in sorted(counts):

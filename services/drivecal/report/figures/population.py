@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from matplotlib.figure import Figure
 
 from drivecal.contracts.tables import Generation
-from drivecal.report.figures.drawing import BLUE, INK, ORANGE, VERMILION, Drawn, style, whole_numbers
+from drivecal.report.figures.drawing import BLUE, INK, ORANGE, VERMILION, Drawn, plotted, style, whole_numbers
 
 LARGEST_WITH_MARKERS = 60
 """Iterations up to which each gets a marker."""
@@ -14,7 +14,7 @@ LINES = (("best", "best", BLUE, "-", "o"), ("mean", "mean", ORANGE, "--", "s"), 
 
 
 def drawn(generations: Sequence[Generation], baseline: float | None = None) -> Drawn:
-    """Figure 10."""
+    """Returns Figure 10."""
     caption = (
         "Figure 10. Left: the objectives of the population in each iteration. Right: how many distinct parameter sets had been found "
         "by then with the best objective by then."
@@ -32,23 +32,21 @@ def drawn(generations: Sequence[Generation], baseline: float | None = None) -> D
 
 
 def population_figure(generations: Sequence[Generation], baseline: float | None = None) -> Figure:
-    """Left: best, mean and minimum of each population, and the objective of the `baseline` if there is one. Right: how many distinct
-    sets have been found by then whose objective is the best by then."""
+    """Draws best, mean and minimum of each population with the `baseline`, and the number of alternative optima so far."""
     numbers = [generation.iteration + 1 for generation in generations]
     marked = len(numbers) <= LARGEST_WITH_MARKERS
     with style():
         figure = Figure(figsize=(7.4, 3.0), layout="constrained")
         left, right = figure.subplots(1, 2)
         for field, label, colour, dashes, marker in LINES:
-            values = [_number(getattr(generation, field)) for generation in generations]
+            values = [plotted(getattr(generation, field)) for generation in generations]
             (line,) = left.plot(numbers, values, linestyle=dashes, color=colour, label=label, linewidth=1.4)
             line.set_gid(f"population.{field}")
             if marked:
                 line.set(marker=marker, markersize=3.5)
         if baseline is not None:
-            left.axhline(baseline, color=INK, linewidth=0.8, linestyle=(0, (6, 3)), label="baseline").set_gid(
-                "population.baseline"
-            )
+            line = left.axhline(baseline, color=INK, linewidth=0.8, linestyle=(0, (6, 3)), label="baseline")
+            line.set_gid("population.baseline")
         left.set(xlabel="iteration", ylabel="objective F(ps)", title="Population")
         left.margins(y=0.08)
         figure.legend(*left.get_legend_handles_labels(), loc="outside lower left", ncols=4)
@@ -71,7 +69,3 @@ def population_figure(generations: Sequence[Generation], baseline: float | None 
 
 def _text(value: float | None) -> str:
     return "nothing" if value is None else f"{value:.3f}"
-
-
-def _number(value: float | None) -> float:
-    return float("nan") if value is None else value

@@ -1,4 +1,4 @@
-"""Figure 12, right: how far each of the best sets bears other vehicles."""
+"""Figure 12, right: robustness of the best sets against other vehicles."""
 
 from collections.abc import Iterator, Sequence
 
@@ -17,7 +17,7 @@ NARROW = 0.035
 
 
 def drawn(studies: Sequence[Robust]) -> Iterator[Drawn]:
-    """Figure 12, right, of each study."""
+    """Yields Figure 12, right, of each study."""
     for number, studied in enumerate(studies, 1):
         yield _drawn(studied, "figure-12-robustness" if number == 1 else f"figure-12-robustness-{number}")
 
@@ -44,7 +44,7 @@ def _drawn(studied: Robust, name: str) -> Drawn:
 
 
 def robustness_figure(rows: Sequence[RobustnessRow]) -> Figure:
-    """A bar per set from 0 to the widest box that was tried; each piece, from one box to the next, tells the largest deviation in it."""
+    """Draws a bar per set from 0 to the widest tried box. Each piece, from one box to the next, shows the largest deviation in it."""
     widest = max((trial.radius for row in rows for trial in row.trials), default=1.0)
     with style():
         figure = Figure(figsize=(7.4, 1.1 + 0.24 * len(rows)), layout="constrained")

@@ -1,8 +1,7 @@
-"""Figure 9: where each parameter is influential, one spider plot per scenario, in the notation of the paper's Figures 5 and 9."""
+"""Figure 9: influential ranges, one spider plot per scenario, in the notation of the paper's Figures 5 and 9."""
 
 import math
 from collections.abc import Mapping, Sequence
-from itertools import groupby
 from textwrap import fill
 
 from matplotlib.axes import Axes
@@ -11,33 +10,17 @@ from matplotlib.patches import Circle, Patch, Polygon
 
 from drivecal.contracts.tables import InfluenceRow
 from drivecal.report.figures.drawing import INFLUENTIAL, INK, RULE, style
+from drivecal.report.rows import by_scenario, segment
 
 HUB = 0.2
 """Radius at which the axes begin, of the rim's: at 0 they would cover each other."""
 PANELS_PER_SHEET = 12
 UNKNOWN = "//////"
-"""Hatching of what counts as influential because nothing is known of it."""
-
-
-def by_scenario(rows: Sequence[InfluenceRow]) -> dict[str, list[InfluenceRow]]:
-    """The rows of each scenario, in order."""
-    return {scenario: list(members) for scenario, members in groupby(rows, key=lambda row: row.scenario)}
-
-
-def segment(row: InfluenceRow) -> tuple[float, float] | None:
-    """The influential part of a parameter's range, from 0 (its lower bound) to 1 (its upper bound); None if nothing is."""
-    if not row.influential:
-        return None
-    if row.space_lower is None or row.space_upper is None:
-        return 0.0, 1.0
-    size = row.space_upper - row.space_lower
-    lower = 0.0 if row.lower is None else (row.lower - row.space_lower) / size
-    upper = 1.0 if row.upper is None else (row.upper - row.space_lower) / size
-    return lower, upper
+"""Hatching of parameters that count as influential because nothing is known about them."""
 
 
 def scenario_figure(rows: Sequence[InfluenceRow], title: str = "") -> Figure:
-    """The spider plot of one scenario with the bounds of its parameters."""
+    """Draws the spider plot of one scenario with the bounds of its parameters."""
     with style():
         figure = Figure(figsize=(6.3, 5.2))
         axes = figure.add_axes((0.0, 0.055, 1.0, 0.885))
@@ -49,7 +32,7 @@ def scenario_figure(rows: Sequence[InfluenceRow], title: str = "") -> Figure:
 
 
 def overview_figures(rows: Sequence[InfluenceRow], titles: Mapping[str, str]) -> list[Figure]:
-    """Yields sheets with a panel per scenario. `titles` by scenario; missing titles stay empty."""
+    """Returns sheets with a panel per scenario. `titles`: by scenario; missing titles stay empty."""
     scenarios = list(by_scenario(rows).items())
     starts = range(0, len(scenarios), PANELS_PER_SHEET)
     return [_sheet(scenarios[start : start + PANELS_PER_SHEET], titles) for start in starts]
@@ -122,13 +105,13 @@ def _text(value: float | None) -> str:
 
 
 def _visible(lower: float, upper: float) -> tuple[float, float]:
-    """A region of a single value is drawn so wide that it is seen."""
+    """Returns a region that is wide enough to be seen."""
     missing = max(0.0, 0.012 - (upper - lower)) / 2
     return max(0.0, lower - missing), min(1.0, upper + missing)
 
 
 def _bar(angle: float, start: float, end: float, half: float) -> list[tuple[float, float]]:
-    """The corners of a bar along an axis, from `start` to `end` of its range, 2 `half` wide."""
+    """Returns the corners of a bar along an axis, from `start` to `end` of its range, 2 `half` wide."""
     x, y = math.cos(angle), math.sin(angle)
     inner, outer = (HUB + (1 - HUB) * share for share in (start, end))
     return [(radius * x - side * y, radius * y + side * x) for radius, side in

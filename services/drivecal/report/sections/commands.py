@@ -1,4 +1,4 @@
-"""Commands that repeat what a campaign did, complete: as they are printed they drive on the same bench."""
+"""Complete commands that repeat the runs of a campaign."""
 
 from collections.abc import Collection, Mapping
 from typing import Any
@@ -9,8 +9,10 @@ from drivecal.contracts.specification import EvaluationSpecification, VehicleSpe
 def evaluation(
     parameters: Mapping[str, float], spec: Mapping[str, Any], scenarios: Collection[str], vehicle: str | None = None
 ) -> str:
-    """The command that drives a parameter set alone, as the campaign of `spec` did in its `scenarios`, or in another `vehicle` model: with
-    an option for all in which it differs from the command's defaults."""
+    """Returns the command that drives a parameter set as the campaign of `spec` did in its `scenarios`, or in another `vehicle` model.
+
+    It has an option for each setting that differs from the command's default.
+    """
     usual = EvaluationSpecification.model_fields
     given = ((name, spec.get(name)) for name in ("catalogue", "driving_function", "evaluator"))
     words = [f"{name}={value:.10g}" for name, value in parameters.items()]

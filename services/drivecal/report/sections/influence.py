@@ -5,12 +5,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from drivecal.contracts.tables import InfluenceRow
-from drivecal.report.figures.spider import by_scenario
-from drivecal.report.markup import Emphasized, paragraph, table
+from drivecal.report.markup import paragraph, table
+from drivecal.report.rows import Emphasized, by_scenario
 
 
 def parts(rows: Sequence[InfluenceRow], basis: Mapping[str, Any] | None, drawings: Sequence[str]) -> list[str]:
-    """The section: what the map rests on, Figure 9, and the bounds as a table."""
+    """Returns the section: the basis of the map, Figure 9, and the bounds as a table."""
     if not rows:
         return [paragraph("No influence map is in use, so only equal parameter sets are answered without a simulation.")]
     scenarios = by_scenario(rows)

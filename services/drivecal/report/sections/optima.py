@@ -1,24 +1,24 @@
-"""The sets that share the best objective: how many, what they have in common, and the regions in which they lie (Section IV-C)."""
+"""The sets that share the best objective: their number, common values and regions (Section IV-C)."""
 
 from collections.abc import Iterable, Sequence
-from itertools import groupby
 
 from drivecal.analysis.optima import NEIGHBOURS
 from drivecal.contracts.setup import SearchedParameter
 from drivecal.contracts.tables import OptimumRow, Solution
-from drivecal.report.markup import Number, paragraph, table
+from drivecal.report.markup import paragraph, table
+from drivecal.report.rows import Number, fixed
 
 MOST_REGIONS = 12
 """Regions that are listed."""
 
 
 def searched(parameters: Iterable[SearchedParameter]) -> list[SearchedParameter]:
-    """Parameters that are not held."""
+    """Returns the parameters that are not held."""
     return [parameter for parameter in parameters if parameter.fixed is None]
 
 
 def constant(sets: Sequence[Solution], parameters: Iterable[SearchedParameter]) -> dict[str, float]:
-    """The searched parameters that have one value in all of the sets; of a single set nothing can be said."""
+    """Returns the parameters that have one value in all of the sets; empty for a single set."""
     if len(sets) < 2:
         return {}
     values = {each.name: {parameter_set.parameters[each.name] for parameter_set in sets} for each in parameters}
@@ -26,7 +26,7 @@ def constant(sets: Sequence[Solution], parameters: Iterable[SearchedParameter]) 
 
 
 def count(number: int, what: str) -> str:
-    """`1 set`, `2 sets`."""
+    """Returns a number with a noun: `1 set`, `2 sets`."""
     return f"{number:,} {what}{'' if number == 1 else 's'}"
 
 
@@ -40,7 +40,7 @@ def summary(optima: Sequence[OptimumRow]) -> str:
 def parts(
     optima: Sequence[OptimumRow], total: int, parameters: Sequence[SearchedParameter], drawings: Sequence[str]
 ) -> list[str]:
-    """The section: how many sets and regions, the figure, the regions as a table. `found`: the sets, of which `optima` are the first."""
+    """Returns the section: sets and regions, the figure, the table of regions. `total`: number of sets; `optima` are the first."""
     same = constant(optima, searched(parameters))
     text = f"The search found {summary(optima)}"
     if total > len(optima):
@@ -54,11 +54,12 @@ def parts(
 
 
 def regions_table(optima: Sequence[OptimumRow]) -> str:
-    """The regions, by their best-ranked set."""
-    groups = [
-        (region, list(members)) for region, members in groupby(sorted(optima, key=lambda optimum: optimum.region), key=_region)
-    ]
-    rows = [[region, len(members), members[0].rank, *_to_worse(members)] for region, members in groups[:MOST_REGIONS]]
+    """Returns the table of regions, by their best-ranked set."""
+    groups: dict[int, list[OptimumRow]] = {}
+    for optimum in optima:
+        groups.setdefault(optimum.region, []).append(optimum)
+    first = sorted(groups.items())[:MOST_REGIONS]
+    rows = [[region, len(members), members[0].rank, *_to_worse(members)] for region, members in first]
     caption = (
         f"Regions: chains of sets that are at most {NEIGHBOURS:g} apart (root mean square, in shares of the searched ranges). A set that "
         "lies far from every worse one bears small changes of its parameters"
@@ -69,10 +70,6 @@ def regions_table(optima: Sequence[OptimumRow]) -> str:
     return table(header, rows, caption, wrap_header=True)
 
 
-def _region(row: OptimumRow) -> int:
-    return row.region
-
-
 def _to_worse(members: Iterable[OptimumRow]) -> list[Number | None]:
     known = [member.to_worse for member in members if member.to_worse is not None]
-    return [Number(f"{min(known):.3f}"), Number(f"{max(known):.3f}")] if known else [None, None]
+    return [fixed(min(known), 3), fixed(max(known), 3)] if known else [None, None]

@@ -6,7 +6,8 @@ from typing import Any
 
 from drivecal.contracts.setup import CampaignSetup
 from drivecal.report.data import ReportData
-from drivecal.report.markup import Number, paragraph, subheading, table, verbatim
+from drivecal.report.markup import paragraph, subheading, table, verbatim
+from drivecal.report.rows import Number
 from drivecal.report.sections.commands import evaluation
 
 SETTINGS = ("optimizer", "reduction", "sensitivity", "robustness", "validation")
@@ -16,7 +17,7 @@ MOST_CHARACTERS = 10_000
 
 
 def setting(findings: ReportData) -> list[str]:
-    """Scenarios, parameters and the stages' settings."""
+    """Returns scenarios, parameters and the stages' settings."""
     setup, spec = findings.setup, findings.campaign.spec
     scenarios = [
         [
@@ -50,7 +51,7 @@ def setting(findings: ReportData) -> list[str]:
 
 
 def _settings(value: object) -> str:
-    """A stage's settings in one line; what is empty or null is left out."""
+    """Returns a stage's settings in one line, without empty ones."""
     if not isinstance(value, dict):
         return "none" if value is None else json.dumps(value)
     kept = {name: item for name, item in value.items() if item is not None and item not in ([], {})}
@@ -82,7 +83,7 @@ def versions(setup: CampaignSetup, version: str) -> list[str]:
 
 
 def again(findings: ReportData) -> list[str]:
-    """The commands that repeat the campaign, and drive its best and its recommended set alone."""
+    """Returns the commands that repeat the campaign, and drive its best and its recommended set alone."""
     campaign, recommended = findings.campaign, findings.recommended
     commands = [f"drivecal submit {SPECIFICATION} --wait"]
     text = (

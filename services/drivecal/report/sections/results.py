@@ -1,23 +1,25 @@
-"""The best sets of a campaign, and in a few sentences what came out of it."""
+"""The best sets of a campaign, and a summary of its results."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 
-from drivecal.contracts.campaign import Best, Campaign
-from drivecal.contracts.tables import OptimumRow, Solution
+from drivecal.contracts.campaign import Baseline, Best, Campaign
+from drivecal.contracts.tables import OptimumRow, RobustnessRow, Solution
 from drivecal.report.data import ReportData
-from drivecal.report.markup import Number, bullets, paragraph, table
+from drivecal.report.markup import bullets, paragraph, table
+from drivecal.report.rows import Number, errors_text, fixed, totals
 from drivecal.report.sections import reuse, search
-from drivecal.report.sections.errors import errors_text
 
 SHOWN = 20
 """The best sets that the page shows; all of them are in the table."""
+_NO_RESULT = "No parameter set has a result in every scenario."
 
 
 def summary(findings: ReportData) -> list[str]:
     """Returns the summary."""
     campaign, best = findings.campaign, findings.campaign.best
     if best is None:
-        return [bullets(_studies(findings))] if findings.robustness or findings.validation else [_nothing(campaign)]
+        nothing = "This campaign searched nothing." if campaign.spec.get("optimizer", {}) is None else _NO_RESULT
+        return [bullets(_studies(findings)) if findings.robustness or findings.validation else paragraph(nothing)]
     regions = len({optimum.region for optimum in findings.optima})
     least = "at least " * (len(findings.optima) < best.alternatives)
     where = f", in {least}{regions} distinct regions" if regions > 1 else ""
@@ -36,30 +38,20 @@ def summary(findings: ReportData) -> list[str]:
     return [bullets(sentence for sentence in sentences if sentence), _compared(findings, best)]
 
 
-def _nothing(campaign: Campaign) -> str:
-    if campaign.spec.get("optimizer", {}) is None:
-        return paragraph("This campaign searched nothing.")
-    return paragraph("No parameter set has a result in every scenario.")
-
-
 def _errors(campaign: Campaign) -> str:
-    audited = sum(rate.audited for rate in campaign.error_rate.values())
+    audited, different, wrong = totals(campaign.error_rate.values(), "audited", "different", "wrong")
     if not audited:
         return ""
-    different, wrong = (sum(getattr(rate, name) for rate in campaign.error_rate.values()) for name in ("different", "wrong"))
     stopped = [name for name, error_rate in campaign.error_rate.items() if error_rate.stopped]
     text = errors_text("audited answers", audited, different, wrong)
     return text + (f" Reuse was stopped in {', '.join(stopped)}." if stopped else "")
 
 
 def _predictions(campaign: Campaign) -> str:
-    inspected = reuse.lots(campaign).values()
-    if not inspected:
+    names = ("lots", "rejected", "predicted", "sampled", "different")
+    lots, rejected, predicted, sampled, different = totals(campaign.released.values(), *names)
+    if not lots:
         return ""
-    lots, rejected, predicted, sampled, different = (
-        sum(getattr(scenario, name) for scenario in inspected)
-        for name in ("lots", "rejected", "predicted", "sampled", "different")
-    )
     text = f"{predicted:,} answers are predictions of released lots"
     return f"{text}; of {sampled:,} samples of {lots:,} lots {different:,} differed, {rejected:,} lots were rejected and simulated."
 
@@ -79,8 +71,7 @@ def _studies(findings: ReportData) -> list[str]:
     if row is not None:
         sentences.append(f"Recommended after the robustness study: rank {row.rank} of its table, because it has {row.reason}.")
     for validated in findings.validation[:1]:
-        totals = (sum(getattr(row, name) for row in validated.rows) for name in ("compared", "different", "wrong"))
-        compared, different, wrong = totals
+        compared, different, wrong = totals(validated.rows, "compared", "different", "wrong")
         if compared:
             sentences.append(errors_text("variants in the validation of the influence map", compared, different, wrong))
     return sentences
@@ -88,43 +79,31 @@ def _studies(findings: ReportData) -> list[str]:
 
 def _compared(findings: ReportData, best: Best) -> str:
     baseline, recommended = findings.campaign.baseline, findings.recommended
-    rows = [_row("best", best.objective, best.scores, best.parameters, best)]
+    rows = [_row("best", best, best)]
     caption = "The best set: its score (0 to 7) in each scenario and its parameter values"
     if recommended is not None:
-        rows.append(_row("recommended", recommended.objective, recommended.scores, recommended.parameters, best))
+        rows.append(_row("recommended", recommended, best))
         caption += "; beside it the set that the robustness study recommends"
     if baseline is not None:
-        rows.append(_row("baseline", baseline.objective, baseline.scores, baseline.parameters, best))
+        rows.append(_row("baseline", baseline, best))
     return table(["", "objective", *best.scores, *best.parameters], rows, caption)
 
 
-def _row(
-    name: str,
-    objective: float | None,
-    scores: Mapping[str, int | None] | Mapping[str, int],
-    values: Mapping[str, float],
-    best: Best,
-) -> list[object]:
-    shown = None if objective is None else Number(f"{objective:.4f}")
-    return [
-        name,
-        shown,
-        *(scores.get(score) for score in best.scores),
-        *(values.get(parameter) for parameter in best.parameters),
-    ]
+def _row(name: str, compared: Best | Baseline | RobustnessRow, best: Best) -> list[object]:
+    scores = [compared.scores.get(scenario) for scenario in best.scores]
+    values = [compared.parameters.get(parameter) for parameter in best.parameters]
+    return [name, fixed(compared.objective, 4), *scores, *values]
 
 
 def solutions_table(solutions: Sequence[Solution], optima: Iterable[OptimumRow]) -> str:
-    """The best sets, with the regions of those that share the best objective."""
+    """Returns the table of the best sets, with the regions of those that share the best objective."""
     if not solutions:
         return ""
     known = {optimum.rank: optimum for optimum in optima}
     first, shown = solutions[0], solutions[:SHOWN]
     rows = [
         [
-            solution.rank,
-            Number(f"{solution.objective:.4f}"),
-            Number(f"{solution.rating:.3f}"),
+            *(solution.rank, fixed(solution.objective, 4), fixed(solution.rating, 3)),
             known[solution.rank].region if solution.rank in known else None,
             *(Number(f"{score}*" if name in solution.reused else f"{score}") for name, score in solution.scores.items()),
             *solution.parameters.values(),

@@ -1,88 +1,50 @@
 """Answers of the cells: outcomes, errors, savings."""
 
 from drivecal.contracts.accounting import Accounting
-from drivecal.contracts.campaign import Campaign, CellCounts, Released, StageCellCounts
-from drivecal.report.markup import Emphasized, Number, paragraph, table
+from drivecal.contracts.campaign import Campaign
+from drivecal.report.markup import paragraph, table
+from drivecal.report.rows import OUTCOMES, Number, error_rates, percent, released_lots, totals
 from drivecal.report.sections.savings import seconds_of
 
-OUTCOMES = ("simulated", "repeated", "reused", "predicted", "certified", "failed")
 CHECKS = {"audited": "of simulated: audits", "sampled": "samples of predictions", "checked": "checks of certificates"}
+PROVED = ("proved", "proved_different", "proved_wrong")
 
 
 def cells_by_stage(campaign: Campaign) -> str:
-    """The campaign's cells by outcome."""
-
-    def row(name: str, cells: CellCounts | StageCellCounts) -> list[object]:
-        return [
-            name,
-            *(getattr(cells, name, None) for name in ("proposed", "carried_over", "requested", *OUTCOMES, *CHECKS)),
-        ]
-
-    rows = [row(name, cells) for name, cells in campaign.by_stage().items() if cells.requested]
+    """Returns the table of the campaign's cells by stage and outcome."""
+    fields = ("proposed", "carried_over", "requested", *OUTCOMES, *CHECKS)
+    stages = {stage: cells for stage, cells in campaign.by_stage().items() if cells.requested}
+    rows = [[stage, *(getattr(cells, field, None) for field in fields)] for stage, cells in stages.items()]
     header = ["stage", "proposed", "carried over", "requested", *OUTCOMES, *CHECKS.values()]
     return table(header, rows, "Cells by stage and outcome", wrap_header=True) if rows else ""
 
 
 def self_check(campaign: Campaign, account: Accounting | None) -> list[str]:
     """Returns the results of audits, of inspected lots, of checked certificates, and of certificates of reused cells."""
-    content = []
-    rates = {name: rate for name, rate in campaign.error_rate.items() if rate.audited or rate.stopped or rate.contradictions}
-    if rates:
-        rows = [
-            [
-                name,
-                rate.audited,
-                rate.different,
-                rate.wrong,
-                Number(f"{rate.wrong / rate.audited:.2%}") if rate.audited else None,
-                None if rate.upper_95 is None else Number(f"{rate.upper_95:.2%}"),
-                rate.contradictions,
-                Emphasized("stopped") if rate.stopped else "on",
-            ]
-            for name, rate in rates.items()
-        ]
-        header = ["scenario", "audited", "different", "wrong", "R_err", "95 % bound", "contradictions", "reuse"]
-        caption = "Self-check: reusable cells that were simulated all the same; wrong: the scores differ by more than 1"
-        content.append(table(header, rows, caption))
-    elif not lots(campaign) or campaign.cells.reused:
-        content.append(paragraph("No cell was audited, so nothing is known about errors of reuse in this campaign."))
-    return [*content, *lots_table(campaign), *_proved(account), *_certified(campaign)]
-
-
-def lots(campaign: Campaign) -> dict[str, Released]:
-    """Inspected lots of predicted answers, by scenario."""
-    return {name: released for name, released in campaign.released.items() if released.lots}
+    header = ["scenario", "audited", "different", "wrong", "R_err", "95 % bound", "contradictions", "reuse"]
+    caption = "Self-check: reusable cells that were simulated all the same; wrong: the scores differ by more than 1"
+    rows = error_rates(campaign.error_rate)
+    content = [table(header, rows, caption)] if rows else []
+    lots = lots_table(campaign)
+    if not rows and (campaign.cells.reused or not lots):
+        content = [paragraph("No cell was audited, so nothing is known about errors of reuse in this campaign.")]
+    return [*content, *lots, *_proved(account), *_certified(campaign)]
 
 
 def lots_table(campaign: Campaign) -> list[str]:
-    """Returns the inspected lots by scenario; nothing without lots."""
-    rows = [
-        [
-            *(name, released.lots, released.rejected, released.predicted, released.sampled, released.different),
-            Number(f"{released.limit:.1%}"),
-            None if released.upper_95 is None else Number(f"{released.upper_95:.2%}"),
-        ]
-        for name, released in lots(campaign).items()
-    ]
-    if not rows:
-        return []
+    """Returns the table of inspected lots by scenario; nothing without lots."""
+    rows = released_lots(campaign.released)
     header = ["scenario", "lots", "rejected", "released answers", "sampled", "different", "limit", "95 % bound"]
     caption = (
         "Predicted answers: a sample of each lot was simulated, and the lot released or simulated whole. Different: by more than the "
         "tolerance; limit: of the expected share of errors among the released answers. A set with a predicted score is not ranked"
     )
-    return [table(header, rows, caption)]
+    return [table(header, rows, caption)] if rows else []
 
 
-def proved(account: Accounting | None) -> tuple[int, int, int]:
-    """Reused cells of which a certificate says what a simulation would have given, and how many of their references have another score,
-    and one that is off by more than 1."""
-    rows = [] if account is None else account.scenarios
-    known, different, wrong = (sum(getattr(row, name) for row in rows) for name in PROVED)
-    return known, different, wrong
-
-
-PROVED = ("proved", "proved_different", "proved_wrong")
+def proved(account: Accounting | None) -> tuple[int, ...]:
+    """Returns the number of reused cells with a certificate of their own result, of different scores, and of scores off by more than 1."""
+    return totals([] if account is None else account.scenarios, *PROVED)
 
 
 def _proved(account: Accounting | None) -> list[str]:
@@ -90,9 +52,8 @@ def _proved(account: Accounting | None) -> list[str]:
         return []
     rows = [
         [
-            scenario.scenario,
-            *(getattr(scenario, name) for name in ("reused", *PROVED)),
-            Number(f"{scenario.proved_wrong / scenario.proved:.2%}") if scenario.proved else None,
+            *(getattr(scenario, name) for name in ("scenario", "reused", *PROVED)),
+            percent(scenario.proved_wrong / scenario.proved if scenario.proved else None),
         ]
         for scenario in account.scenarios
         if scenario.reused
@@ -106,8 +67,7 @@ def _proved(account: Accounting | None) -> list[str]:
 
 
 def _certified(campaign: Campaign) -> list[str]:
-    stages = campaign.stages.values()
-    certified, checked = sum(cells.certified for cells in stages), sum(cells.checked for cells in stages)
+    certified, checked = totals(campaign.stages.values(), "certified", "checked")
     if not certified and not checked:
         return []
     text = (
@@ -122,7 +82,7 @@ def _certified(campaign: Campaign) -> list[str]:
 
 
 def accounting(account: Accounting | None) -> list[str]:
-    """Savings and costs, and when the map pays; nothing before the first answered cell."""
+    """Returns savings and costs, and when the map pays; nothing before the first answered cell."""
     if account is None:
         return []
     rows = [[item, Number(f"{round(seconds, 1) + 0.0:,.1f}")] for item, seconds in seconds_of(account)]

@@ -1,17 +1,19 @@
-"""Robustness: Table 9 of the paper, the ranking by what the best sets bear beside that by how good they are."""
+"""Robustness: Table 9 of the paper, with the rankings by robustness and by nominal quality."""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
+from drivecal.analysis.robustness import undetected_share
 from drivecal.contracts.tables import OptimumRow, RobustnessRow
 from drivecal.report.data import Studied
-from drivecal.report.markup import Number, paragraph, table
+from drivecal.report.markup import paragraph, table
+from drivecal.report.rows import Number, fixed
 
 Robust = Studied[RobustnessRow]
 
 
 def condition(settings: Mapping[str, Any]) -> str:
-    """The condition in a few words, e.g. `max ≤ 1`."""
+    """Returns the condition in a few words, e.g. `max ≤ 1`."""
     eta = settings.get("eta", 1.0)
     bound = "eta by scenario" if isinstance(eta, list) else f"{eta:g}"
     return f"{settings['condition'].replace('_', ' ')} {'≤' if settings['condition'] == 'max' else '<'} {bound}"
@@ -30,7 +32,7 @@ def degree(row: RobustnessRow) -> str:
 
 
 def limits(row: RobustnessRow, settings: Mapping[str, Any]) -> dict[str, float | None]:
-    """The scenarios that broke the condition in the smallest box where it did not hold, with their deviations (None: no result)."""
+    """Returns the scenarios that broke the condition in the smallest failed box, with their deviations (None: no result)."""
     trial = min((trial for trial in row.trials if not trial.holds), key=lambda trial: trial.radius, default=None)
     if trial is None:
         return {}
@@ -43,8 +45,22 @@ def limits(row: RobustnessRow, settings: Mapping[str, Any]) -> dict[str, float |
     return {name: away for name, away in trial.deviations.items() if breaks(name, away)}
 
 
+def vehicles_text(settings: Mapping[str, Any]) -> str:
+    """A sentence about what a box that holds says of vehicles that were not simulated."""
+    samples = settings["samples"]
+    if settings["condition"] == "mean":
+        return (
+            f"A box holds if the mean over the vehicles simulated in it ({samples:,}) holds in every scenario; "
+            "a single vehicle may change more."
+        )
+    return (
+        f"A box holds if the condition holds in every vehicle simulated in it ({samples:,}): up to {undetected_share(samples):.1%} of all "
+        "vehicles in the box may still break it (95 % confidence)."
+    )
+
+
 def by_nominal(rows: Sequence[RobustnessRow]) -> dict[int, int]:
-    """The rank in the nominal vehicle (objective, then rating) by the rank of robustness."""
+    """Returns the rank in the nominal vehicle (objective, then rating) by the rank of robustness."""
 
     def worth(row: RobustnessRow) -> tuple[float, float, int]:
         return -(row.objective if row.objective is not None else -1.0), -(row.rating or 0.0), row.rank
@@ -53,22 +69,17 @@ def by_nominal(rows: Sequence[RobustnessRow]) -> dict[int, int]:
 
 
 def boxes(studied: Robust) -> Iterator[Sequence[object]]:
-    """A header and a row for every set in every box."""
+    """Yields a header and a row for every set in every box."""
     scenarios = list(studied.rows[0].scores)
     yield "rank", "box", "radius", "holds", *(f"deviation_{name}" for name in scenarios)
     for row in studied.rows:
         for trial in row.trials:
-            yield (
-                row.rank,
-                trial.box,
-                trial.radius,
-                str(trial.holds).lower(),
-                *(trial.deviations.get(name) for name in scenarios),
-            )
+            deviations = [trial.deviations.get(name) for name in scenarios]
+            yield row.rank, trial.box, trial.radius, str(trial.holds).lower(), *deviations
 
 
 def parts(studies: Sequence[Robust], optima: Sequence[OptimumRow], campaign: str, drawings: Sequence[str]) -> list[str]:
-    """The section: what was examined, Table 9, the figure, the recommended set."""
+    """Returns the section: the study, Table 9, the figure, the recommended set."""
     main, *others = studies
     settings, made_by = main.study.settings, main.study.campaign
     of = f" of campaign {settings['of']}" if settings.get("of") not in {None, campaign} else ""
@@ -76,7 +87,7 @@ def parts(studies: Sequence[Robust], optima: Sequence[OptimumRow], campaign: str
     text = (
         f"The {sets} driven in other vehicles: {settings['samples']} in each box, boxes of half width "
         f"k·{settings['delta']:g} of the vehicle parameters' ranges, k = 1 … {settings['steps']}; condition {condition(settings)}. The "
-        "degree of robustness is the number of boxes up to which the condition holds in every scenario."
+        f"degree of robustness is the number of boxes up to which the condition holds in every scenario. {vehicles_text(settings)}"
     )
     if main.study.vehicle:
         text += f" The vehicle model is {main.study.vehicle}."
@@ -89,15 +100,13 @@ def parts(studies: Sequence[Robust], optima: Sequence[OptimumRow], campaign: str
 
 
 def _quality(main: Robust, others: Sequence[Robust]) -> str:
-    """The ranking by robust beside that by nominal quality."""
+    """Returns the ranking by robustness with the nominal one."""
     nominal, settings = by_nominal(main.rows), main.study.settings
     elsewhere = [{_key(row.parameters): Number(degree(row)) for row in other.rows} for other in others]
     rows = [
         [
             Number(f"{row.rank}{' *' if row.recommended else ''}"),
-            nominal[row.rank],
-            None if row.objective is None else Number(f"{row.objective:.4f}"),
-            None if row.rating is None else Number(f"{row.rating:.3f}"),
+            *(nominal[row.rank], fixed(row.objective, 4), fixed(row.rating, 3)),
             *row.scores.values(),
             Number(degree(row)),
             *(vehicle.get(_key(row.parameters)) for vehicle in elsewhere),
@@ -120,13 +129,7 @@ def _quality(main: Robust, others: Sequence[Robust]) -> str:
 def _values(studied: Robust, optima: Sequence[OptimumRow]) -> str:
     regions = {_key(optimum.parameters): optimum.region for optimum in optima}
     rows = [
-        [
-            row.rank,
-            *row.parameters.values(),
-            Number(degree(row)),
-            regions.get(_key(row.parameters)),
-            None if row.to_worse is None else Number(f"{row.to_worse:.3f}"),
-        ]
+        [row.rank, *row.parameters.values(), Number(degree(row)), regions.get(_key(row.parameters)), fixed(row.to_worse, 3)]
         for row in studied.rows
     ]
     caption = "Table 9, the sets: parameter values in their units, regions as above, distance to the nearest worse set"

@@ -9,7 +9,7 @@ FIELDS = tuple(ScenarioAccount.model_fields)
 
 
 def by_scenario(account: Accounting) -> Iterator[Row]:
-    """A header, a row per scenario, and one for all of them."""
+    """Yields a header, a row per scenario, and one for all of them."""
     yield FIELDS
     for scenario in account.scenarios:
         yield [getattr(scenario, field) for field in FIELDS]
@@ -17,7 +17,7 @@ def by_scenario(account: Accounting) -> Iterator[Row]:
 
 
 def balance(account: Accounting) -> Iterator[Row]:
-    """A header and a row per item, in CPU seconds of the workers: what was saved, what it cost, what is left."""
+    """Yields a header and a row per item, in CPU seconds of the workers: savings, costs, and the net."""
     yield "item", "value", "unit"
     for item, seconds in seconds_of(account):
         yield item, seconds, "s"
@@ -30,7 +30,7 @@ def balance(account: Accounting) -> Iterator[Row]:
 
 
 def seconds_of(account: Accounting) -> list[tuple[str, float]]:
-    """The items that add up to the net, and what stands beside it."""
+    """Returns the items that add up to the net, and further ones."""
     items = [
         ("saved by repeated cells", account.repeated_saved_seconds),
         ("saved by reused cells", account.reused_saved_seconds),

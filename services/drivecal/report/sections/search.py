@@ -1,46 +1,34 @@
-"""Whether the search had found what it found: the criteria of the paper's Tables 5 and 7, and the iterations as a table."""
+"""Convergence of the search by the criteria of the paper's Tables 5 and 7, and the iterations as a table."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from drivecal.analysis.convergence import UNCHANGED_ALTERNATIVES, UNCHANGED_BEST, alternatives_at, best_at
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.tables import Generation
-from drivecal.report.markup import Number, table
+from drivecal.report.markup import table
+from drivecal.report.rows import fixed
 
 MOST_LINES = 13
 """Iterations that a table in the page shows; all of them are in the file."""
 
 
 def convergence(generations: Sequence[Generation]) -> list[str]:
-    """A sentence for each criterion. An iteration that is not answered yet takes no part."""
+    """Returns a sentence for each criterion, without unanswered iterations."""
     answered = [generation for generation in generations if generation.best is not None]
     if not answered:
         return []
-    best = [cell.best for cell in answered]
-    counts = [cell.alternatives for cell in answered]
+    best = [generation.best for generation in answered]
+    counts = [generation.alternatives for generation in answered]
+    as_in_table_5 = f"for at least {UNCHANGED_BEST} iterations (Table 5)"
+    as_in_table_7 = f"for more than {UNCHANGED_ALTERNATIVES} iterations (Table 7)"
     return [
-        _sentence(
-            "The best objective",
-            "its best objective",
-            best_at(best),
-            _last_change(best),
-            len(answered),
-            f"for at least {UNCHANGED_BEST} iterations (Table 5)",
-        ),
-        _sentence(
-            "The number of alternative optima",
-            "its number of alternative optima",
-            alternatives_at(counts),
-            _last_change(counts),
-            len(answered),
-            f"for more than {UNCHANGED_ALTERNATIVES} iterations (Table 7)",
-        ),
+        _sentence("best objective", best, best_at(best), as_in_table_5),
+        _sentence("number of alternative optima", counts, alternatives_at(counts), as_in_table_7),
     ]
 
 
 def afterwards(campaign: Campaign, generations: Sequence[Generation]) -> str:
-    """Text about cells that confirmed the best set, in no iteration; empty if there are none. Before the last iteration is finished
-    those of an unfinished one are in none, too."""
+    """Returns a text about the cells of no iteration, which confirmed the best set; empty without them or before the last iteration."""
     wanted = (campaign.spec.get("optimizer") or {}).get("iterations")
     added = campaign.cells.requested - sum(generation.requested for generation in generations)
     if len(generations) != wanted or added <= 0:
@@ -52,42 +40,38 @@ def afterwards(campaign: Campaign, generations: Sequence[Generation]) -> str:
     )
 
 
-def _sentence(what: str, of_it: str, converged: int | None, changed: int, iterations: int, criterion: str) -> str:
+def _sentence(what: str, values: Sequence[float | None], converged: int | None, criterion: str) -> str:
+    last, of = len(values) - 1, f"of {len(values)}"
     if converged is not None:
-        return f"Converged by {of_it}: found in iteration {converged} of {iterations}, it then stayed as it was {criterion}."
+        return f"Converged by its {what}: found in iteration {converged} {of}, it then stayed as it was {criterion}."
+    changed = next((index + 2 for index in range(last - 1, -1, -1) if values[index] != values[last]), 1)
+    wanted = f"would have to stay {criterion}."
     if changed == 1:
-        return (
-            f"{what} never changed in {iterations} iterations, too few to call it converged: it would have to stay {criterion}."
-        )
-    return (
-        f"Not converged by {of_it}: it last changed in iteration {changed} of {iterations}, and would have to stay {criterion}."
-    )
-
-
-def _last_change(values: Sequence[float | None]) -> int:
-    """The iteration, counted from 1, since which nothing has changed."""
-    last = len(values) - 1
-    return next((index + 2 for index in range(last - 1, -1, -1) if values[index] != values[last]), 1)
+        return f"The {what} never changed in {len(values)} iterations, too few to call it converged: it {wanted}"
+    return f"Not converged by its {what}: it last changed in iteration {changed} {of}, and {wanted}"
 
 
 def shown(generations: Sequence[Generation]) -> list[Generation]:
-    """At most MOST_LINES iterations, evenly, the first and the last among them."""
+    """Returns at most MOST_LINES iterations, evenly spread, with the first and the last."""
     last = len(generations) - 1
     if last < MOST_LINES:
         return list(generations)
     return [generations[round(line * last / (MOST_LINES - 1))] for line in range(MOST_LINES)]
 
 
+def in_numbers(
+    title: str, header: Sequence[str], rows: Mapping[int, Sequence[object]], generations: Sequence[Generation]
+) -> str:
+    """Returns a table with the rows of the `shown` iterations, by iteration."""
+    lines = [[line.iteration + 1, *rows[line.iteration]] for line in shown(generations)]
+    some = "" if len(lines) == len(generations) else f"; {len(lines)} of {len(generations)} iterations, all in generations.csv"
+    return table(["iteration", *header], lines, title + some)
+
+
 def population_table(generations: Sequence[Generation]) -> str:
     """Returns Figure 10 as a table."""
-    lines = shown(generations)
-    rows = [
-        [line.iteration + 1, *(_fixed(value) for value in (line.best, line.mean, line.minimum)), line.alternatives]
-        for line in lines
-    ]
-    some = "" if len(lines) == len(generations) else f"; {len(lines)} of {len(generations)} iterations, all in generations.csv"
-    return table(["iteration", "best", "mean", "minimum", "alternatives"], rows, f"Figure 10 in numbers{some}")
-
-
-def _fixed(value: float | None) -> Number | None:
-    return None if value is None else Number(f"{value:.3f}")
+    rows = {
+        line.iteration: [*(fixed(value, 3) for value in (line.best, line.mean, line.minimum)), line.alternatives]
+        for line in generations
+    }
+    return in_numbers("Figure 10 in numbers", ["best", "mean", "minimum", "alternatives"], rows, generations)

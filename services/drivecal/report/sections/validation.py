@@ -11,8 +11,8 @@ from matplotlib.ticker import NullFormatter, StrMethodFormatter
 from drivecal.contracts.tables import InfluenceRow, ValidationRow
 from drivecal.report.data import Studied
 from drivecal.report.figures.drawing import BLUE, INK, VERMILION, Drawn, style
-from drivecal.report.markup import Number, paragraph, table
-from drivecal.report.sections.errors import errors_text
+from drivecal.report.markup import paragraph, table
+from drivecal.report.rows import errors_text, interval_text, percent, totals
 
 LARGEST_AGREEING = 1
 """Points: a difference beyond it is wrong (Eq. 8)."""
@@ -21,7 +21,7 @@ PANELS_PER_SHEET = 12
 
 
 def reducible(rows: Sequence[InfluenceRow]) -> list[str]:
-    """The parameters of one scenario that have a region of more than one value in which they do not matter."""
+    """Returns the parameters of one scenario with a non-influential region of more than one value."""
     parameters = []
     for row in rows:
         if row.space_lower is None or row.space_upper is None or row.n_values is None:
@@ -39,7 +39,7 @@ def reducible(rows: Sequence[InfluenceRow]) -> list[str]:
 
 
 def drawn(rows: Sequence[ValidationRow]) -> Iterator[Drawn]:
-    """Figure 14, on as many sheets as it takes; none if nothing was compared."""
+    """Yields the sheets of Figure 14; none if nothing was compared."""
     compared = [row for row in rows if row.compared]
     caption = (
         "Figure 14. How far the scores of variants, which differ from a basis only where the map says that it does not matter, are from "
@@ -55,7 +55,7 @@ def drawn(rows: Sequence[ValidationRow]) -> Iterator[Drawn]:
 
 
 def validation_figure(rows: Sequence[ValidationRow]) -> Figure:
-    """A panel per scenario: how many variants differ from their basis by how many points."""
+    """Draws a histogram per scenario of the differences between variants and their bases, in points."""
     columns = min(3, len(rows))
     lines = math.ceil(len(rows) / columns)
     top = max(max(row.histogram.values(), default=1) for row in rows)
@@ -97,9 +97,9 @@ def _panel(axes: Axes, row: ValidationRow) -> None:
 def parts(
     studied: Studied[ValidationRow], campaign: str, by_scenario: dict[str, list[InfluenceRow]], drawings: Sequence[str]
 ) -> list[str]:
-    """The section: what was compared, Tables 1 and 2, the figure."""
+    """Returns the section: the comparison, Tables 1 and 2, the figure."""
     rows = studied.rows
-    compared, different, wrong = (sum(getattr(row, name) for row in rows) for name in ("compared", "different", "wrong"))
+    compared, different, wrong = totals(rows, "compared", "different", "wrong")
     text = (
         "Sets were drawn from Latin hypercubes until those that lie in some non-influential region covered the main effects and "
         "interactions of the reducible parameters; each was compared with variants that differ from it inside such regions only. "
@@ -144,15 +144,11 @@ def _histograms(rows: Sequence[ValidationRow]) -> str:
 def _rates(rows: Sequence[ValidationRow]) -> str:
     lines = [
         [
-            row.scenario,
-            row.compared,
-            row.different,
-            row.wrong,
-            None if row.error_rate is None else Number(f"{row.error_rate:.2%}"),
-            None if row.lower_95 is None else Number(f"{row.lower_95:.2%}"),
-            None if row.upper_95 is None else Number(f"{row.upper_95:.2%}"),
+            *(row.scenario, row.compared, row.different, row.wrong),
+            *(percent(share) for share in (row.error_rate, row.lower_95, row.upper_95)),
         ]
         for row in rows
     ]
     header = ["scenario", "compared", "different", "wrong", "R_err", "95 % from", "to"]
-    return table(header, lines, "Table 2. Share of wrong answers (Eq. 8) with its exact 95 % interval (Clopper-Pearson)")
+    caption = "Table 2. Share of wrong answers (Eq. 8) with its 95 % interval"
+    return table(header, lines, f"{caption}. {interval_text(rows)}" if any(row.compared for row in rows) else caption)

@@ -1,9 +1,9 @@
-"""Statements over many values at once: `IN` in chunks, and inserts that leave alone what is there already."""
+"""Statements over many values at once: `IN` in chunks, and inserts that leave existing rows alone."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any, cast
 
-from sqlalchemy import ARRAY, Column, ColumnElement, Connection, Dialect, LargeBinary, Table, any_, bindparam
+from sqlalchemy import ARRAY, Column, ColumnElement, Connection, Dialect, LargeBinary, Select, Table, any_, bindparam
 from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.dialects.sqlite import Insert
 
@@ -23,6 +23,12 @@ def among(connection: Connection, column: Column[Any], values: Sequence[Any]) ->
         for start in range(0, len(values), LARGEST_IN):
             chunk = list(values[start : start + LARGEST_IN])
             yield column.in_(bindparam(None, chunk, expanding=True, type_=column.type))  # a bare list is checked value by value
+
+
+def rows_among(connection: Connection, query: Select[Any], column: Column[Any], values: Sequence[Any]) -> Iterator[Any]:
+    """Yields the rows of a query whose `column` is among `values`."""
+    for condition in among(connection, column, values):
+        yield from connection.execute(query.where(condition)).all()
 
 
 class _Bytes(LargeBinary):

@@ -28,6 +28,11 @@ metadata = MetaData(
     }
 )
 
+
+def _partial_index(name: str | None, *columns: str, where: str) -> Index:
+    return Index(name, *columns, sqlite_where=text(where), postgresql_where=text(where))
+
+
 influence_maps = Table(
     "influence_maps",
     metadata,
@@ -79,18 +84,9 @@ campaigns = Table(
     Column("created_at", UtcDateTime, nullable=False),
     Column("started_at", UtcDateTime),
     Column("ended_at", UtcDateTime),
-    Index(
-        None,
-        "parent_sequence",
-        sqlite_where=text("parent_sequence IS NOT NULL"),
-        postgresql_where=text("parent_sequence IS NOT NULL"),
-    ),
-    Index(  # what the dispatcher asks for all the time: some campaigns among all that ever were
-        "ix_campaigns_active",
-        "sequence",
-        sqlite_where=text("ended_at IS NULL"),
-        postgresql_where=text("ended_at IS NULL"),
-    ),
+    _partial_index(None, "parent_sequence", where="parent_sequence IS NOT NULL"),
+    # The dispatcher asks for these all the time: some campaigns among all that ever were.
+    _partial_index("ix_campaigns_active", "sequence", where="ended_at IS NULL"),
     sqlite_autoincrement=True,
 )
 
@@ -107,21 +103,8 @@ generations = Table(
     metadata,
     Column("campaign_sequence", Identity, ForeignKey("campaigns.sequence"), primary_key=True),
     Column("iteration", Integer, primary_key=True),
-    *(
-        Column(count, Integer, nullable=False)
-        for count in (
-            "proposed",
-            "carried_over",
-            "requested",
-            "repeated",
-            "reused",
-            "certified",
-            "simulated",
-            "failed",
-            "audited",
-            "alternatives",
-        )
-    ),
+    *(Column(count, Integer, nullable=False) for count in ("proposed", "carried_over", "requested", "repeated", "reused")),
+    *(Column(count, Integer, nullable=False) for count in ("certified", "simulated", "failed", "audited", "alternatives")),
     Column("predicted", Integer, nullable=False, server_default="0"),
     Column("sampled", Integer, nullable=False, server_default="0"),
     Column("best", Float),
@@ -185,7 +168,7 @@ ratings = Table(
     Column("rating", Float, nullable=False),
     # From which watermark on it is seen, where it is younger than its run; 0 if it is as old. Of the same numbers as the ids of runs.
     Column("since", Identity, nullable=False, server_default="0"),
-    Index(None, "since", sqlite_where=text("since > 0"), postgresql_where=text("since > 0")),
+    _partial_index(None, "since", where="since > 0"),
     sqlite_with_rowid=False,
 )
 
@@ -275,13 +258,7 @@ evaluations = Table(
     # The plan is in the two look-up indexes, or a class that answered thousands of cells would be read in full to find its donor.
     Index(None, "campaign_sequence", "scenario", "reference_key", "plan"),
     Index(None, "campaign_sequence", "scenario", "parameter_set_id", "plan"),
-    Index(
-        "ix_evaluations_pending",
-        "campaign_sequence",
-        "id",
-        sqlite_where=text("outcome IS NULL"),
-        postgresql_where=text("outcome IS NULL"),
-    ),
+    _partial_index("ix_evaluations_pending", "campaign_sequence", "id", where="outcome IS NULL"),
     sqlite_autoincrement=True,
 )
 

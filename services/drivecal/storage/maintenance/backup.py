@@ -50,7 +50,7 @@ def write(database: Database, file: Path, progress: Progress, *, force: bool = F
         with _partial(file) as partial:
             if connection.dialect.name == "sqlite":
                 rows = count_rows(connection, tables_of(connection))
-                _copy_pages(connection, partial, "pages", progress)
+                _copy_pages(connection, partial, progress)
             else:
                 rows = _copy_into_new(connection, partial, revision, progress)
             _check_file(partial, rows)
@@ -66,35 +66,31 @@ def restore(file: Path, database: Database, progress: Progress) -> Copied:
     """
     if not file.is_file():
         raise DatabaseError(f"there is no file {file}; name a backup that `drivecal db backup` made")
-    backup = _open_file(file)
-    try:
-        with backup.read() as source:
-            schema.refuse_foreign(source, backup.name)
-            revision = schema.revision_of(source)
-            if revision is None:
-                raise DatabaseError(f"{file} holds no database of drivecal; name a backup that `drivecal db backup` made")
-            _refuse_damaged(source, file)
-            schema.prepare_file(database.url)
-            rows = count_rows(source, tables_of(source))
-            target = sqlite_file(database.url)
-            if target is None:
-                with database.transaction() as connection:
-                    _refuse_rows(connection, database.name)
-                    _make_anew(connection, database.name, revision)
-                    copy_rows(source, connection, progress)
-                    _compare(connection, rows, database.name)
-                    schema.upgrade(connection, database.name)
-                    connection.exec_driver_sql("ANALYZE")
-            else:
-                if target.exists() and target.samefile(file):
-                    raise DatabaseError(f"{file} is the database itself; name another file or another database")
-                with database.read() as connection:
-                    _refuse_rows(connection, database.name)
-                _copy_pages(source, target, "pages", progress)
-                with database.read() as connection:
-                    _compare(connection, rows, database.name)
-    finally:
-        backup.dispose()
+    with _opened(file) as backup, backup.read() as source:
+        schema.refuse_foreign(source, backup.name)
+        revision = schema.revision_of(source)
+        if revision is None:
+            raise DatabaseError(f"{file} holds no database of drivecal; name a backup that `drivecal db backup` made")
+        _refuse_damaged(source, file)
+        schema.prepare_file(database.url)
+        rows = count_rows(source, tables_of(source))
+        target = sqlite_file(database.url)
+        if target is None:
+            with database.transaction() as connection:
+                _refuse_rows(connection, database.name)
+                _make_anew(connection, database.name, revision)
+                copy_rows(source, connection, progress)
+                _compare(connection, rows, database.name)
+                schema.upgrade(connection, database.name)
+                connection.exec_driver_sql("ANALYZE")
+        else:
+            if target.exists() and target.samefile(file):
+                raise DatabaseError(f"{file} is the database itself; name another file or another database")
+            with database.read() as connection:
+                _refuse_rows(connection, database.name)
+            _copy_pages(source, target, progress)
+            with database.read() as connection:
+                _compare(connection, rows, database.name)
     database.upgrade()
     return Copied(revision, rows)
 
@@ -137,51 +133,45 @@ def _publish(partial: Path, file: Path) -> None:
             os.close(folder)
 
 
-def _copy_pages(source: Connection, target: Path, label: str, progress: Progress) -> None:
+def _copy_pages(source: Connection, target: Path, progress: Progress) -> None:
     """Copies an SQLite database in the source's transaction, so that others may write meanwhile and the copy does not see it. The target
     is changed in one transaction of its own."""
     source.exec_driver_sql("SELECT count(*) FROM sqlite_master")  # a transaction sees its moment from its first statement on
     driver: Any = source.connection.driver_connection
     with translated(str(target)), closing(sqlite3.connect(target, timeout=30)) as copy:
-        driver.backup(copy, pages=PAGES, progress=lambda _, left, total: progress(label, total - left, total))
+        driver.backup(copy, pages=PAGES, progress=lambda _, left, total: progress("pages", total - left, total))
 
 
 def _copy_into_new(source: Connection, partial: Path, revision: str, progress: Progress) -> dict[str, int]:
-    opened = _open_file(partial)
-    try:
-        with opened.transaction() as target:
-            schema.upgrade(target, opened.name, revision)
-            return copy_rows(source, target, progress)
-    finally:
-        opened.dispose()
+    with _opened(partial) as opened, opened.transaction() as target:
+        schema.upgrade(target, opened.name, revision)
+        return copy_rows(source, target, progress)
 
 
-def _open_file(file: Path) -> Database:
+@contextmanager
+def _opened(file: Path) -> Iterator[Database]:
     url = URL.create("sqlite+pysqlite", database=str(file))
-    return Database(url, make_engine(url))
+    database = Database(url, make_engine(url))
+    try:
+        yield database
+    finally:
+        database.dispose()
 
 
 def _check_file(partial: Path, rows: dict[str, int]) -> None:
     with translated(str(partial)), closing(sqlite3.connect(partial)) as plain:
         plain.execute("PRAGMA journal_mode = DELETE")  # one file, which can be read where nothing can be written too
-    opened = _open_file(partial)
-    try:
-        with opened.read() as connection:
-            _refuse_damaged(connection, partial)
-            _compare(connection, rows, "the backup")
-    finally:
-        opened.dispose()
+    with _opened(partial) as opened, opened.read() as connection:
+        _refuse_damaged(connection, partial)
+        _compare(connection, rows, "the backup")
 
 
 def _refuse_damaged(connection: Connection, file: Path) -> None:
     problems = [str(row[0]) for row in connection.exec_driver_sql("PRAGMA integrity_check(3)") if row[0] != "ok"]
-    problems += [f"a row of {row[0]} points to one of {row[2]} that is not there" for row in _dangling(connection)]
+    dangling = connection.exec_driver_sql("PRAGMA foreign_key_check").fetchmany(3)
+    problems += [f"a row of {row[0]} points to one of {row[2]} that is not there" for row in dangling]
     if problems:
         raise DatabaseError(f"{file} is damaged ({'; '.join(problems)}); use another backup")
-
-
-def _dangling(connection: Connection) -> list[tuple[str, int, str, int]]:
-    return [tuple(row) for row in connection.exec_driver_sql("PRAGMA foreign_key_check").fetchmany(3)]
 
 
 def _refuse_rows(connection: Connection, name: str) -> None:

@@ -27,6 +27,7 @@ from drivecal.storage.evaluations import COPIES, DONORS
 from drivecal.storage.lots import LotVerdict
 from drivecal.storage.maintenance.consistency import Check
 from drivecal.storage.references.runs import largest_id
+from drivecal.storage.references.withdrawal import WITHDRAWN
 
 ENDED = tuple(state for state in CampaignState if state.ended)
 ROWS = 100
@@ -40,9 +41,8 @@ def check_counters(connection: Connection) -> Iterator[str]:
     checked = func.sum(case((evaluations.c.proof_agrees.is_not(None), 1), else_=0))
     sampled = func.sum(case((evaluations.c.sampled, 1), else_=0))
     columns = evaluations.c.campaign_sequence, stage, evaluations.c.outcome
-    for sequence, number, outcome, count, audits, checks, samples in connection.execute(
-        select(*columns, func.count(), audited, checked, sampled).group_by(*columns)
-    ):
+    by_outcome = select(*columns, func.count(), audited, checked, sampled).group_by(*columns)
+    for sequence, number, outcome, count, audits, checks, samples in connection.execute(by_outcome):
         cells = counted.setdefault((sequence, number), {})
         cells[outcome or "pending"] = count
         cells["checked"] = cells.get("checked", 0) + checks
@@ -50,16 +50,12 @@ def check_counters(connection: Connection) -> Iterator[str]:
             cells["sampled"] = cells.get("sampled", 0) + samples
         if outcome == Outcome.SIMULATED:
             cells["audited"] = audits
-    carried_over = func.sum(generations.c.carried_over)
-    carried = connection.execute(
-        select(generations.c.campaign_sequence, carried_over).group_by(generations.c.campaign_sequence)
-    )
-    for sequence, count in carried:
+    carried = select(generations.c.campaign_sequence, func.sum(generations.c.carried_over))
+    for sequence, count in connection.execute(carried.group_by(generations.c.campaign_sequence)):
         counted.setdefault((sequence, ORDER[StageName.CALIBRATION]), {})["carried_over"] = count
-    own = select(campaigns.c.sequence, campaigns.c.id, by_stage()).where(
-        campaigns.c.kind != "comparison"
-    )  # a sum over its runs
-    for row in connection.execute(own.order_by(campaigns.c.sequence)):
+    own = campaigns.c.kind != "comparison"  # whose counts are sums over its runs
+    query = select(campaigns.c.sequence, campaigns.c.id, by_stage()).where(own).order_by(campaigns.c.sequence)
+    for row in connection.execute(query):
         for stage_of in StageName:
             cells = counted.get((row.sequence, ORDER[stage_of]), {})
             cells["requested"] = sum(cells.get(outcome, 0) for outcome in Outcome)
@@ -89,14 +85,16 @@ def check_ended(connection: Connection) -> Iterator[str]:
 
 
 def check_answers(connection: Connection) -> Iterator[str]:
-    """Every answered cell has its run, of its own setup; every copy was answered by a cell or run that may answer others."""
+    """Every answered cell has its run, of its own setup, or was withdrawn; every copy was answered by what may answer others."""
     cell, run, donor = evaluations.c, runs.alias("run"), evaluations.alias("donor")
     joined = evaluations.outerjoin(run, run.c.id == cell.run_id).outerjoin(donor, donor.c.id == cell.reference)
     same = and_(
         run.c.setup_id == cell.setup_id, or_(cell.outcome == Outcome.REUSED, run.c.parameter_set_id == cell.parameter_set_id)
     )
     answered = cell.outcome.in_([*DONORS, *COPIES])
-    yield from _cells(connection, joined, answered & (run.c.id.is_(None) | ~same), "have no run of their own cell")
+    withdrawn = cell.run_id.is_(None) & (func.coalesce(cell.detail, "") == WITHDRAWN)
+    broken = answered & ~withdrawn & (run.c.id.is_(None) | ~same)
+    yield from _cells(connection, joined, broken, "have no run of their own cell")
     scored = answered | (cell.outcome == Outcome.PREDICTED)
     yield from _cells(connection, joined, scored & (cell.score.is_(None) | cell.rating.is_(None)), "have no score")
     failed = (cell.outcome == Outcome.FAILED) & (cell.run_id.is_not(None) | cell.score.is_not(None))
@@ -155,9 +153,8 @@ def check_references(connection: Connection) -> Iterator[str]:
         if count:
             yield f"{count:,} runs {sentence}, the first of them run {first}"
     newest = largest_id(connection)
-    for name, watermark in connection.execute(
-        select(campaigns.c.id, campaigns.c.watermark).where(campaigns.c.watermark > newest).limit(5)
-    ):
+    beyond = select(campaigns.c.id, campaigns.c.watermark).where(campaigns.c.watermark > newest).limit(5)
+    for name, watermark in connection.execute(beyond):
         yield f"campaign {name} may use runs up to {watermark}, and the newest is {newest}"
 
 

@@ -18,7 +18,7 @@ from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome
 from drivecal.storage import processes
 from drivecal.storage.campaign_stages import by_stage
-from drivecal.storage.engine.bulk import among
+from drivecal.storage.engine.bulk import rows_among
 from drivecal.storage.engine.tables import campaigns, leases
 from drivecal.storage.engine.types import now
 from drivecal.storage.processes import StoredProcess
@@ -102,11 +102,9 @@ def read(connection: Connection, tally: Tally) -> tuple[Statistics, Tally]:
 
 
 def _advance(connection: Connection, tally: Tally) -> tuple[Sums, Tally]:
-    looked_at: list[Any] = [
-        row for part in among(connection, campaigns.c.sequence, tally.open) for row in connection.execute(_QUERY.where(part))
-    ]
+    looked_at = list(rows_among(connection, _QUERY, campaigns.c.sequence, tally.open))
     ended = tally.ended.plus(row for row in looked_at if row.ended_at is not None)
-    still_open: list[Any] = [row for row in looked_at if row.ended_at is None]
+    still_open = [row for row in looked_at if row.ended_at is None]
     settled, last = tally.settled, tally.settled
     recent: list[Any] = []
     horizon = now() - SETTLED_AFTER

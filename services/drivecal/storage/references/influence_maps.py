@@ -6,11 +6,10 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import Connection, Row, select
+from sqlalchemy import Connection, bindparam, select
 
-from drivecal.domain.errors import NotFoundError
 from drivecal.storage.engine import cursors
-from drivecal.storage.engine.identifiers import is_identifier
+from drivecal.storage.engine.records import identified, record
 from drivecal.storage.engine.tables import influence_maps
 from drivecal.storage.engine.types import now
 
@@ -54,17 +53,13 @@ def insert(
         basis=None if basis is None else dict(basis),
         created_at=now(),
     )
-    return _influence_map(connection.execute(statement.returning(influence_maps)).one())
+    return record(StoredInfluenceMap, connection.execute(statement.returning(influence_maps)).one())
 
 
 def get(connection: Connection, influence_map_id: str) -> StoredInfluenceMap:
     """A map by its id. Raises NotFoundError."""
-    row = None
-    if is_identifier(influence_map_id):
-        row = connection.execute(select(influence_maps).where(influence_maps.c.id == influence_map_id)).one_or_none()
-    if row is None:
-        raise NotFoundError("influence map", influence_map_id)
-    return _influence_map(row)
+    query = select(influence_maps).where(influence_maps.c.id == bindparam("identifier"))
+    return record(StoredInfluenceMap, identified(connection, query, "influence map", influence_map_id))
 
 
 def page(connection: Connection, *, limit: int = 50, cursor: str | None = None) -> tuple[list[StoredInfluenceMap], str | None]:
@@ -73,20 +68,6 @@ def page(connection: Connection, *, limit: int = 50, cursor: str | None = None) 
     if cursor is not None:
         (before,) = cursors.decode(cursor, int)
         query = query.where(influence_maps.c.sequence < before)
-    page = [_influence_map(row) for row in connection.execute(query)]
+    page = [record(StoredInfluenceMap, row) for row in connection.execute(query)]
     following = cursors.encode(page[limit - 1].sequence) if len(page) > limit else None
     return page[:limit], following
-
-
-def _influence_map(row: Row[Any]) -> StoredInfluenceMap:
-    return StoredInfluenceMap(
-        sequence=row.sequence,
-        id=row.id,
-        name=row.name,
-        source=row.source,
-        driving_function=row.driving_function,
-        parameters=row.parameters,
-        scenarios=row.scenarios,
-        basis=row.basis,
-        created_at=row.created_at,
-    )

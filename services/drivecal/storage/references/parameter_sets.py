@@ -8,7 +8,7 @@ import numpy.typing as npt
 from sqlalchemy import Connection, select
 
 from drivecal.domain.parameters import BILLION, ParameterSet
-from drivecal.storage.engine.bulk import among, insert
+from drivecal.storage.engine.bulk import insert, rows_among
 from drivecal.storage.engine.tables import parameter_sets
 
 
@@ -30,12 +30,9 @@ def ensure(connection: Connection, given: Sequence[ParameterSet]) -> list[int]:
 
 def load(connection: Connection, ids: Sequence[int]) -> dict[int, ParameterSet]:
     """Parameter sets by id. Ids that are not stored are left out."""
-    sets: dict[int, ParameterSet] = {}
-    columns = select(parameter_sets.c.id, parameter_sets.c.parameter_values)
-    for condition in among(connection, parameter_sets.c.id, [int(identifier) for identifier in ids]):
-        for row in connection.execute(columns.where(condition)):
-            sets[row.id] = ParameterSet.from_json(row.parameter_values)
-    return sets
+    query = select(parameter_sets.c.id, parameter_sets.c.parameter_values)
+    rows = rows_among(connection, query, parameter_sets.c.id, [int(identifier) for identifier in ids])
+    return {number: ParameterSet.from_json(values) for number, values in rows}
 
 
 def parse(texts: Sequence[str]) -> Iterator[tuple[tuple[str, ...], list[int], npt.NDArray[np.int64]]]:
@@ -54,8 +51,5 @@ def parse(texts: Sequence[str]) -> Iterator[tuple[tuple[str, ...], list[int], np
 
 
 def _ids(connection: Connection, keys: Sequence[bytes]) -> dict[bytes, int]:
-    ids: dict[bytes, int] = {}
-    for condition in among(connection, parameter_sets.c.key, keys):
-        rows = connection.execute(select(parameter_sets.c.key, parameter_sets.c.id).where(condition))
-        ids.update((row.key, row.id) for row in rows)
-    return ids
+    query = select(parameter_sets.c.key, parameter_sets.c.id)
+    return dict(rows_among(connection, query, parameter_sets.c.key, keys))

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from sqlalchemy import Connection, case, exists, func, select
 
 from drivecal.domain.evaluations import Rating
-from drivecal.storage.engine.bulk import among
 from drivecal.storage.engine.bulk import insert as insert_into
+from drivecal.storage.engine.bulk import rows_among
 from drivecal.storage.engine.tables import campaigns, ratings, runs
 
 
@@ -56,7 +56,7 @@ def unrated(
         query = query.where(runs.c.parameter_set_id == parameter_set_id)
     if only_failed:
         query = query.where(runs.c.failure.is_not(None))
-    return [UnratedRun(row.id, row.metrics, row.failure) for row in connection.execute(query)]
+    return [UnratedRun(*row) for row in connection.execute(query)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,10 +81,9 @@ def standing(connection: Connection, setup_ids: Sequence[int], evaluator: str, w
     )
     counted = connection.execute(query).all()
     anew, again, missing = 0, 0, 0
-    used: dict[int, str] = {}
-    for condition in among(connection, campaigns.c.sequence, [row[0] for row in counted]):
-        rows = connection.execute(select(campaigns.c.sequence, campaigns.c.resolution).where(condition))
-        used |= {sequence: (resolution or {}).get("evaluator", evaluator) for sequence, resolution in rows}
+    resolutions = select(campaigns.c.sequence, campaigns.c.resolution)
+    rows = rows_among(connection, resolutions, campaigns.c.sequence, [row[0] for row in counted])
+    used = {sequence: (resolution or {}).get("evaluator", evaluator) for sequence, resolution in rows}
     for sequence, every, rated, repeated in counted:
         anew += rated - repeated if used.get(sequence) != evaluator else 0
         again += repeated

@@ -74,6 +74,7 @@ def own_sets(
             evaluations.c.scenario == scenario,
             evaluations.c.plan.in_(DONORS),
             evaluations.c.outcome.in_(DONORS),
+            evaluations.c.run_id.is_not(None),
             tuple_(*place) < limit,
         )
     )

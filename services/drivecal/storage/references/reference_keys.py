@@ -23,7 +23,7 @@ import numpy.typing as npt
 from sqlalchemy import Connection, Row, Select, SmallInteger, func, select, type_coerce
 
 from drivecal.domain.evaluations import Donor
-from drivecal.storage.engine.bulk import among, insert
+from drivecal.storage.engine.bulk import insert, rows_among
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.tables import parameter_sets as parameter_sets_table
 from drivecal.storage.engine.tables import ratings, reference_indexes, reference_keys, runs
@@ -48,18 +48,16 @@ def look_up(
 ) -> dict[bytes, Donor]:
     """The first references of `keys` among the runs that `evaluator` rated, both up to `watermark`. To be called after `sync`."""
     index = connection.scalar(_index(influence_map_sequence, setup_id, evaluator))
-    newest: dict[bytes, tuple[int, Donor]] = {}
     if index is None:
         return {}
     table = reference_keys.c
-    for condition in among(connection, table.key, sorted(keys)):  # in the order of the tree
-        query = select(
-            table.key, table.since, table.evaluation_id, table.run_id, table.score, table.rating, table.failure
-        ).where(table.index_id == index, condition, table.run_id <= watermark, table.since <= watermark)
-        for key, since, *donor in connection.execute(query).all():
-            number = since or donor[1]
-            if key not in newest or number > newest[key][0]:
-                newest[key] = number, Donor(*donor)
+    query = select(table.key, table.since, table.evaluation_id, table.run_id, table.score, table.rating, table.failure)
+    query = query.where(table.index_id == index, table.run_id <= watermark, table.since <= watermark)
+    newest: dict[bytes, tuple[int, Donor]] = {}
+    for key, since, *donor in rows_among(connection, query, table.key, sorted(keys)):  # in the order of the tree
+        number = since or donor[1]
+        if key not in newest or number > newest[key][0]:
+            newest[key] = number, Donor(*donor)
     return {key: donor for key, (_, donor) in newest.items()}
 
 
@@ -202,14 +200,13 @@ def _first(connection: Connection, index: int, keys: Sequence[bytes]) -> dict[by
 def _stored(connection: Connection, index: int, keys: Sequence[bytes]) -> dict[bytes, dict[int, tuple[int, tuple[int, ...]]]]:
     """The numbers and origins of keys that are there already, by key and run."""
     origins: dict[bytes, dict[int, tuple[int, tuple[int, ...]]]] = {}
-    for condition in among(connection, reference_keys.c.key, keys):
-        query = (
-            select(reference_keys.c.key, reference_keys.c.since, runs.c.id, *_ORIGIN)
-            .join(runs, runs.c.id == reference_keys.c.run_id)
-            .where(reference_keys.c.index_id == index, condition)
-        )
-        for key, since, run_id, *origin in connection.execute(query):
-            origins.setdefault(key, {})[run_id] = since or run_id, tuple(origin)
+    query = (
+        select(reference_keys.c.key, reference_keys.c.since, runs.c.id, *_ORIGIN)
+        .join(runs, runs.c.id == reference_keys.c.run_id)
+        .where(reference_keys.c.index_id == index)
+    )
+    for key, since, run_id, *origin in rows_among(connection, query, reference_keys.c.key, keys):
+        origins.setdefault(key, {})[run_id] = since or run_id, tuple(origin)
     return origins
 
 

@@ -10,7 +10,7 @@ from sqlalchemy import Connection, func, select, text
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Donor
 from drivecal.domain.parameters import ParameterSet
-from drivecal.storage.engine.bulk import among, insert
+from drivecal.storage.engine.bulk import insert, rows_among
 from drivecal.storage.engine.tables import parameter_sets, ratings, runs, setups
 from drivecal.storage.engine.types import finite, now
 
@@ -77,27 +77,21 @@ def largest_id(connection: Connection) -> int:
 
 def stocked(connection: Connection, setup_ids: Collection[int]) -> set[int]:
     """Returns the setups that have runs: one query instead of a look-up for each."""
-    seen: set[int] = set()
-    for condition in among(connection, setups.c.id, sorted(setup_ids)):
-        any_run = select(runs.c.id).where(runs.c.setup_id == setups.c.id).exists()
-        seen.update(connection.scalars(select(setups.c.id).where(condition, any_run)))
-    return seen
+    any_run = select(runs.c.id).where(runs.c.setup_id == setups.c.id).exists()
+    return {row.id for row in rows_among(connection, select(setups.c.id).where(any_run), setups.c.id, sorted(setup_ids))}
 
 
 def look_up_exact(
     connection: Connection, setup_id: int, parameter_set_ids: Sequence[int], evaluator: str, watermark: int
 ) -> dict[int, Donor]:
     """The stored results of parameter sets in one setup, by parameter set id; of runs that `evaluator` rated, both up to `watermark`."""
-    donors: dict[int, Donor] = {}
-    for condition in among(connection, runs.c.parameter_set_id, sorted(int(identifier) for identifier in parameter_set_ids)):
-        query = (
-            select(runs.c.parameter_set_id, runs.c.id, runs.c.evaluation_id, runs.c.failure, ratings.c.score, ratings.c.rating)
-            .join(ratings, (ratings.c.run_id == runs.c.id) & (ratings.c.evaluator == evaluator))
-            .where(runs.c.setup_id == setup_id, condition, runs.c.id <= watermark, ratings.c.since <= watermark)
-        )
-        for parameter_set_id, run, evaluation, failure, score, rating in connection.execute(query).all():
-            donors[parameter_set_id] = Donor(evaluation, run, score, rating, failure)
-    return donors
+    query = (
+        select(runs.c.parameter_set_id, runs.c.evaluation_id, runs.c.id, ratings.c.score, ratings.c.rating, runs.c.failure)
+        .join(ratings, (ratings.c.run_id == runs.c.id) & (ratings.c.evaluator == evaluator))
+        .where(runs.c.setup_id == setup_id, runs.c.id <= watermark, ratings.c.since <= watermark)
+    )
+    ids = sorted(int(identifier) for identifier in parameter_set_ids)
+    return {identifier: Donor(*donor) for identifier, *donor in rows_among(connection, query, runs.c.parameter_set_id, ids)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,11 +127,8 @@ def scores(connection: Connection, run_ids: Sequence[int], evaluator: str) -> di
 
 def metrics(connection: Connection, run_ids: Sequence[int]) -> dict[int, dict[str, float | None]]:
     """The measured metrics of runs by id, None for what was not finite. Ids that are not stored are left out."""
-    by_run: dict[int, dict[str, float | None]] = {}
-    for condition in among(connection, runs.c.id, [int(run_id) for run_id in run_ids]):
-        for row in connection.execute(select(runs.c.id, runs.c.metrics).where(condition)):
-            by_run[row.id] = row.metrics
-    return by_run
+    query = select(runs.c.id, runs.c.metrics)
+    return dict(rows_among(connection, query, runs.c.id, [int(run_id) for run_id in run_ids]))
 
 
 def _insert(connection: Connection, results: Sequence[NewRun]) -> dict[tuple[int, int], tuple[int, NewRun]]:
@@ -188,16 +179,10 @@ def _key(run: NewRun) -> tuple[int, int]:
 
 
 def _row(run: NewRun, created_at: Any) -> dict[str, Any]:
-    return {
-        "setup_id": run.setup_id,
-        "parameter_set_id": run.parameter_set_id,
+    as_it_is = ("setup_id", "parameter_set_id", "failure", "worker", "evaluation_id", "campaign_sequence", "stage")
+    return {name: getattr(run, name) for name in as_it_is} | {
         "metrics": dict(run.metrics),
-        "failure": run.failure,
         "milliseconds": float(run.milliseconds),
-        "worker": run.worker,
-        "evaluation_id": run.evaluation_id,
-        "campaign_sequence": run.campaign_sequence,
-        "stage": run.stage,
         "iteration": int(run.iteration),
         "individual": int(run.individual),
         "created_at": created_at,
@@ -230,18 +215,14 @@ def _stored(connection: Connection, results: Sequence[NewRun]) -> dict[tuple[int
     wanted: dict[int, list[int]] = {}
     for result in results:
         wanted.setdefault(result.setup_id, []).append(result.parameter_set_id)
-    columns = select(runs.c.setup_id, runs.c.parameter_set_id, runs.c.id, runs.c.evaluation_id, runs.c.failure, runs.c.metrics)
-    stored: dict[tuple[int, int], Any] = {}
-    for setup_id, ids in wanted.items():
-        for condition in among(connection, runs.c.parameter_set_id, ids):
-            for row in connection.execute(columns.where(runs.c.setup_id == setup_id, condition)):
-                stored[row.setup_id, row.parameter_set_id] = row
-    return stored
+    columns = select(runs.c.parameter_set_id, runs.c.id, runs.c.evaluation_id, runs.c.failure, runs.c.metrics)
+    return {
+        (setup_id, row.parameter_set_id): row
+        for setup_id, ids in wanted.items()
+        for row in rows_among(connection, columns.where(runs.c.setup_id == setup_id), runs.c.parameter_set_id, ids)
+    }
 
 
 def _ratings(connection: Connection, run_ids: Sequence[int]) -> dict[tuple[int, str], tuple[int, float]]:
-    stored: dict[tuple[int, str], tuple[int, float]] = {}
-    for condition in among(connection, ratings.c.run_id, run_ids):
-        for row in connection.execute(select(ratings).where(condition)):
-            stored[row.run_id, row.evaluator] = (row.score, row.rating)
-    return stored
+    rows = rows_among(connection, select(ratings), ratings.c.run_id, run_ids)
+    return {(row.run_id, row.evaluator): (row.score, row.rating) for row in rows}

@@ -7,7 +7,8 @@ from typing import Any
 from sqlalchemy import Connection, func, select
 
 from drivecal.domain.setups import Setup
-from drivecal.storage.engine.bulk import among, insert
+from drivecal.storage.engine.bulk import insert, rows_among
+from drivecal.storage.engine.records import record
 from drivecal.storage.engine.tables import runs, setups
 
 
@@ -53,30 +54,20 @@ def counts(connection: Connection) -> list[SetupCount]:
         .group_by(setups.c.id)
         .order_by(setups.c.scenario, setups.c.id)
     )
-    return [SetupCount(row.id, row.fingerprint, row.scenario, row.document, row.runs) for row in connection.execute(query)]
+    return [record(SetupCount, row) for row in connection.execute(query)]
 
 
 def by_id(connection: Connection, setup_id: int) -> StoredSetup:
     """Returns an existing setup."""
-    row = connection.execute(select(setups).where(setups.c.id == setup_id)).one()
-    return StoredSetup(row.fingerprint, row.document)
+    return record(StoredSetup, connection.execute(select(setups).where(setups.c.id == setup_id)).one())
 
 
 def documents(connection: Connection, fingerprints: Sequence[str]) -> dict[str, Mapping[str, Any]]:
     """Returns the documents of stored setups, by fingerprint."""
-    documents: dict[str, Mapping[str, Any]] = {}
-    for condition in among(connection, setups.c.fingerprint, fingerprints):
-        documents.update(
-            (row.fingerprint, row.document)
-            for row in connection.execute(select(setups.c.fingerprint, setups.c.document).where(condition))
-        )
-    return documents
+    query = select(setups.c.fingerprint, setups.c.document)
+    return dict(rows_among(connection, query, setups.c.fingerprint, fingerprints))
 
 
 def _ids(connection: Connection, fingerprints: Sequence[str]) -> dict[str, int]:
-    ids: dict[str, int] = {}
-    for condition in among(connection, setups.c.fingerprint, fingerprints):
-        ids.update(
-            (row.fingerprint, row.id) for row in connection.execute(select(setups.c.fingerprint, setups.c.id).where(condition))
-        )
-    return ids
+    query = select(setups.c.fingerprint, setups.c.id)
+    return dict(rows_among(connection, query, setups.c.fingerprint, fingerprints))

@@ -1,4 +1,4 @@
-"""The command: a campaign, its result, and what a second one with other weights still costs."""
+"""`drivecal demo`: a campaign, its result, and the cost of a rerun with other weights."""
 
 import json
 import shutil
@@ -34,7 +34,7 @@ BASELINE = {
     "P10": 10,
     "P11": 100,
 }
-"""The middle of every range: what one would begin with."""
+"""The middle of every range, as a first guess."""
 CAMPAIGN: Mapping[str, Any] = {
     "name": "demo: comfort in six motorway scenarios",
     "baseline": BASELINE,
@@ -42,7 +42,7 @@ CAMPAIGN: Mapping[str, Any] = {
 }
 OTHER_WEIGHTS = {"S1": 3, "S2": 3}
 SHOWN = 5
-"""Solutions that are printed."""
+"""Number of printed solutions."""
 
 
 @app.command()
@@ -85,12 +85,9 @@ def _first(client: Client, as_json: bool) -> Campaign:
     )
     campaign = _carried_out(client, client.submit(specification))
     if not as_json:
-        typer.echo(f"\nThe best parameter sets, with the comfort score (0 to 7) in each scenario, after {_time(campaign)}:\n")
-        print_solutions(client.solutions(campaign.id, limit=SHOWN).items, campaign.spec)
+        _print_best(client, campaign, "The best parameter sets, with the comfort score (0 to 7) in each scenario")
         _print_comparison(campaign)
-        typer.echo("\nHow its cells, one parameter set in one scenario each, were answered:\n")
-        print_cells([("campaign", campaign.cells)])
-        typer.echo(f"\nSelf-check: {self_check_text(campaign) or 'no cell was audited'}.")
+        _print_answers(campaign, "How its cells, one parameter set in one scenario each, were answered", campaign=campaign)
     return campaign
 
 
@@ -98,12 +95,24 @@ def _second(client: Client, first: Campaign, as_json: bool) -> Campaign:
     tell("running it again with lane changes (S1, S2) weighing three times as much")
     campaign = _carried_out(client, client.rerun(first.id, {"weights": OTHER_WEIGHTS}))
     if not as_json:
-        typer.echo(f"\nThe best sets when lane changes weigh three times as much, after {_time(campaign)}:\n")
-        print_solutions(client.solutions(campaign.id, limit=SHOWN).items, campaign.spec)
-        typer.echo("\nWhat the first campaign had simulated was not simulated again:\n")
-        print_cells([("campaign", first.cells), ("rerun", campaign.cells)])
-        typer.echo(f"\nSelf-check: {self_check_text(campaign) or 'no cell was audited'}.")
+        _print_best(client, campaign, "The best sets when lane changes weigh three times as much")
+        _print_answers(
+            campaign, "What the first campaign had simulated was not simulated again", campaign=first, rerun=campaign
+        )
     return campaign
+
+
+def _print_best(client: Client, campaign: Campaign, title: str) -> None:
+    seconds = campaign.seconds
+    spent = f"{duration(seconds.wall)} ({duration(seconds.simulating)} of simulation, {saved(campaign.cells):.1%} of the cells saved)"
+    typer.echo(f"\n{title}, after {spent}:\n")
+    print_solutions(client.solutions(campaign.id, limit=SHOWN).items, campaign.spec)
+
+
+def _print_answers(checked: Campaign, title: str, **campaigns: Campaign) -> None:
+    typer.echo(f"\n{title}:\n")
+    print_cells([(name, campaign.cells) for name, campaign in campaigns.items()])
+    typer.echo(f"\nSelf-check: {self_check_text(checked) or 'no cell was audited'}.")
 
 
 def _carried_out(client: Client, campaign: Campaign) -> Campaign:
@@ -121,11 +130,6 @@ def _print_comparison(campaign: Campaign) -> None:
         f"\nThe middle of all ranges scores {campaign.baseline.objective:.3f}; the best is {better:.3f} better, "
         f"and {campaign.best.alternatives} sets share it."
     )
-
-
-def _time(campaign: Campaign) -> str:
-    seconds = campaign.seconds
-    return f"{duration(seconds.wall)} ({duration(seconds.simulating)} of simulation, {saved(campaign.cells):.1%} of the cells saved)"
 
 
 def _print_end(campaign: Campaign, folder: Path, seconds: float) -> None:

@@ -1,4 +1,4 @@
-"""A coordinator of the demo's own: `drivecal serve` in a child process, on a free loopback port and a fresh database."""
+"""The demo's coordinator: `drivecal serve` in a child process, on a free loopback port and a fresh database."""
 
 import fcntl
 import json
@@ -28,7 +28,7 @@ LOG = "serve.log"
 def fresh_folder(folder: Path) -> Iterator[None]:
     """Empties `folder` and keeps other demos out of it.
 
-    Raises ConflictError if one is running there, DatabaseError where a server shows what the last one found.
+    Raises ConflictError if a demo is running there, and DatabaseError if a server uses the last demo's database.
     """
     from drivecal.storage.engine import locks
 
@@ -50,7 +50,7 @@ def _database_url(folder: Path) -> str:
 
 @contextmanager
 def coordinator(home: Path) -> Iterator[Client]:
-    """A running coordinator that keeps its files in `home`, and a client of it; stopped cleanly when the block is left.
+    """Runs a coordinator with its files in `home` until the block is left, and yields a client of it.
 
     Raises DrivecalError with the end of the log if it does not start.
     """
@@ -80,7 +80,7 @@ def coordinator(home: Path) -> Iterator[Client]:
 
 @contextmanager
 def _interrupted_by_sigterm() -> Iterator[None]:
-    """Makes SIGTERM the same as Ctrl-C: an exception, after which everything is cleaned up."""
+    """Turns SIGTERM into KeyboardInterrupt, as Ctrl-C does, so that everything is cleaned up."""
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         yield

@@ -1,8 +1,8 @@
 /** Campaigns that calibrate nothing: they examine what others found. */
 
-import { count, number } from "./format";
+import { count, number, percent } from "./format";
 import { condition } from "../charts/robust";
-import type { Campaign, Study } from "../server/types";
+import type { Campaign, Study, ValidationRow } from "../server/types";
 
 export type StudyStage = Study["stage"];
 
@@ -35,7 +35,14 @@ export function settingsText(stage: StudyStage, settings: Readonly<Record<string
   if (stage === "validation" && settings["of"]) return `at most ${count(value("samples"))} released predictions of each scenario, simulated`;
   if (stage === "validation") return `${count(value("references"))} variants of each set, of Latin hypercubes from ${count(value("samples"))} to ${count(value("largest"))} sets`;
   const halvings = value("refinements") > 0 ? `, then ${value("refinements")} halvings` : "";
-  return `up to ${value("steps")} boxes, each wider by ${number(value("delta"), 4)}${halvings}, with ${count(value("samples"))} vehicles in each; condition: ${condition(settings)}`;
+  const failing = settings["condition"] === "mean" ? "" : `; up to ${percent(1 - 0.05 ** (1 / value("samples")))} of all vehicles in a box that holds may still break it (95 % confidence)`;
+  return `up to ${value("steps")} boxes, each wider by ${number(value("delta"), 4)}${halvings}, with ${count(value("samples"))} simulated vehicles in each; condition: ${condition(settings)}${failing}`;
+}
+
+/** What the 95 % intervals of a validation take as independent. */
+export function intervalText(rows: readonly Pick<ValidationRow, "interval_over">[]): string {
+  if (rows.every((row) => row.interval_over === "bases")) return "95 % intervals of the mean over base sets, because variants of one base set are alike: more base sets narrow them, more variants hardly do.";
+  return "These 95 % intervals are too narrow: an earlier version took the variants of one base set as independent. drivecal validate ID --again makes the study anew.";
 }
 
 /** Whether the degrees of two robustness studies mean the same. */

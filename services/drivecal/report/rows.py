@@ -1,0 +1,161 @@
+"""Rows and sentences that the page of a report and the command line share."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import groupby
+from typing import Literal
+
+from drivecal.contracts.campaign import ErrorRate, Released
+from drivecal.contracts.comparison import ComparedGroup, ReductionEffect
+from drivecal.contracts.tables import InfluenceRow, ValidationRow
+
+OUTCOMES = ("simulated", "repeated", "reused", "predicted", "certified", "failed")
+"""Outcomes of requested cells, frequent ones first."""
+
+
+class Emphasized(str):
+    """The text of a table's cell that stands out."""
+
+    __slots__ = ()
+
+
+class Number(str):
+    """A number that is written already."""
+
+    __slots__ = ()
+
+
+def fixed(value: float | None, digits: int, separator: Literal["", ","] = "") -> Number | None:
+    """Returns a number with so many decimals and the `separator` of thousands; None for an unknown value."""
+    return None if value is None else Number(f"{value:{separator}.{digits}f}")
+
+
+def percent(share: float | None, digits: int = 2) -> Number | None:
+    """Returns a share in percent; None for an unknown share."""
+    return None if share is None else Number(f"{share:.{digits}%}")
+
+
+def totals(items: Iterable[object], *names: str) -> tuple[int, ...]:
+    """Returns the sum of each of the named fields over all items."""
+    listed = list(items)
+    return tuple(sum(getattr(item, name) for item in listed) for name in names)
+
+
+def errors_text(what: str, count: int, different: int, wrong: int) -> str:
+    """Returns a sentence about `count` compared answers, whose plural is `what`.
+
+    Wrong answers are off by more than one point (Eq. 8): R_err alone does not say how many are off by one.
+    """
+    differ = f"{different:,} had another score ({different / count:.2%})"
+    return f"Of {count:,} {what} {differ}; {wrong:,} were wrong, off by more than one point (R_err {wrong / count:.2%})."
+
+
+def interval_text(rows: Sequence[ValidationRow]) -> str:
+    """A sentence about the 95 % intervals of a validation; empty if nothing was compared."""
+    over = {row.interval_over for row in rows if row.compared}
+    if not over:
+        return ""
+    if over == {"bases"}:
+        return (
+            "Each 95 % interval is one of the mean over base sets (by betting, for any distribution), because variants of one base set are "
+            "alike. More base sets narrow it, more variants of each hardly do."
+        )
+    return (
+        "These 95 % intervals (Clopper-Pearson) are too narrow: an earlier version of drivecal took the variants of one base set as "
+        "independent. `drivecal validate ID --again` makes the study anew."
+    )
+
+
+PREDICTIONS = [
+    "scenario",
+    "released",
+    "simulated",
+    "different",
+    "beyond tolerance",
+    "share",
+    "limit",
+    "wrong",
+    "R_err",
+    "95 % interval",
+]
+"""Columns of `predictions`."""
+
+
+def predictions(rows: Iterable[ValidationRow]) -> list[list[object]]:
+    """Returns a row per scenario of a validation of released predictions."""
+    return [
+        [
+            *(row.scenario, row.released, row.compared, row.different, row.beyond),
+            percent((row.beyond or 0) / row.compared if row.compared else None),
+            *(percent(row.limit, 1), row.wrong, percent(row.error_rate)),
+            None if row.lower_95 is None or row.upper_95 is None else Number(f"{row.lower_95:.2%} to {row.upper_95:.2%}"),
+        ]
+        for row in rows
+    ]
+
+
+def error_rates(rates: Mapping[str, ErrorRate]) -> list[list[object]]:
+    """Returns a row per scenario that was audited, or whose results contradict each other."""
+    return [
+        [
+            *(name, rate.audited, rate.different, rate.wrong),
+            percent(rate.wrong / rate.audited if rate.audited else None),
+            *(percent(rate.upper_95), rate.contradictions, Emphasized("stopped") if rate.stopped else "on"),
+        ]
+        for name, rate in rates.items()
+        if rate.audited or rate.stopped or rate.contradictions
+    ]
+
+
+def released_lots(released: Mapping[str, Released]) -> list[list[object]]:
+    """Returns a row per scenario with inspected lots of predicted answers."""
+    return [
+        [
+            *(name, lots.lots, lots.rejected, lots.predicted, lots.sampled, lots.different),
+            *(percent(lots.limit, 1), percent(lots.upper_95)),
+        ]
+        for name, lots in released.items()
+        if lots.lots
+    ]
+
+
+def compared_groups(groups: Sequence[ComparedGroup], *, with_reduction: bool) -> list[list[object]]:
+    """Returns Table 5 of the paper, a row per group."""
+    return [
+        [
+            *(group.optimizer, group.population, *([group.reduction] if with_reduction else [])),
+            *(fixed(value, 4) for value in (group.best, group.mean, group.minimum)),
+            *(fixed(group.rating, 3), fixed(group.alternatives, 1, ","), fixed(group.simulations, 0, ",")),
+            *(f"{group.converged} of {group.seeds}", fixed(group.iterations_to_converge, 1, ",")),
+            *(fixed(group.simulations_to_converge, 0, ","), f"{group.successes} of {group.seeds}"),
+        ]
+        for group in groups
+    ]
+
+
+def reduction_effect(effect: ReductionEffect) -> list[object]:
+    """Returns the row of an effect up to the share of different searches; the saved simulations follow."""
+    known = effect.lower_95 is not None and effect.upper_95 is not None
+    return [
+        *(effect.optimizer or "all", effect.population or "all", f"{effect.reduction} - {effect.base}", effect.pairs),
+        Number(f"{effect.mean_difference:+.4f}"),
+        Number(f"{effect.lower_95:+.4f} to {effect.upper_95:+.4f}") if known else None,
+        *(effect.better, effect.equal, effect.worse),
+        *(Number(f"{effect.sign_test:.3g}"), percent(effect.different_upper_95, 1)),
+    ]
+
+
+def by_scenario(rows: Iterable[InfluenceRow]) -> dict[str, list[InfluenceRow]]:
+    """Returns the rows of each scenario, in order."""
+    return {scenario: list(members) for scenario, members in groupby(rows, key=lambda row: row.scenario)}
+
+
+def segment(row: InfluenceRow) -> tuple[float, float] | None:
+    """Returns the influential part of a parameter's range, from 0 (its lower bound) to 1 (its upper bound); None if nothing is."""
+    if not row.influential:
+        return None
+    if row.space_lower is None or row.space_upper is None:
+        return 0.0, 1.0
+    size = row.space_upper - row.space_lower
+    lower = 0.0 if row.lower is None else (row.lower - row.space_lower) / size
+    upper = 1.0 if row.upper is None else (row.upper - row.space_lower) / size
+    return lower, upper

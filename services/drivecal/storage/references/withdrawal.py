@@ -1,0 +1,41 @@
+"""Withdrawal of certified results after a simulation contradicted a certificate of their setup.
+
+Workers answer the cells of a setup from the same recorded decisions. If one certificate is wrong, its siblings may be wrong too: all
+results of the setup that no simulation gave. They stay as answers of their cells, marked, and answer no other cell from then on.
+"""
+
+from collections.abc import Collection
+
+from sqlalchemy import Connection, and_, delete, func, or_, select, update
+
+from drivecal.domain.evaluations import Outcome
+from drivecal.storage.engine.bulk import among
+from drivecal.storage.engine.tables import evaluations, ratings, reference_keys, runs
+
+WITHDRAWN = "withdrawn: a simulation contradicted a certificate of the same setup"
+"""Detail of a withdrawn answer."""
+
+
+def withdraw_certified(connection: Connection, setup_ids: Collection[int]) -> int:
+    """Removes the certified results of setups from the reference table, and marks all answers that rest on them, of any campaign.
+
+    Simulated results stay. A withdrawn answer keeps its score and has no run. Returns the number of withdrawn answers.
+    """
+    of_setup = runs.c.setup_id.in_(sorted(setup_ids))
+    origin = evaluations.alias("origin")
+    certified = (
+        select(runs.c.id)
+        .join(origin, origin.c.id == runs.c.evaluation_id)
+        .where(of_setup, origin.c.outcome == Outcome.CERTIFIED)
+    )
+    ids = list(connection.scalars(certified))
+    own = and_(evaluations.c.setup_id.in_(sorted(setup_ids)), evaluations.c.outcome == Outcome.CERTIFIED)
+    resting = or_(own, evaluations.c.run_id.in_(certified))
+    count = connection.scalar(select(func.count()).where(resting)) or 0
+    connection.execute(update(evaluations).where(resting).values(run_id=None, detail=WITHDRAWN))
+    for table in (reference_keys, ratings):
+        for chunk in among(connection, table.c.run_id, ids):
+            connection.execute(delete(table).where(chunk))
+    for chunk in among(connection, runs.c.id, ids):
+        connection.execute(delete(runs).where(chunk))
+    return count
