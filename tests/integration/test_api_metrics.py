@@ -94,11 +94,12 @@ def busy(api: RunningApi) -> Measures:
 def test_the_sums_are_those_of_all_campaigns(api: RunningApi) -> None:
     cells = [
         {
-            "proposed": 30,
+            "proposed": 34,
             "pending": 9,
-            "requested": 21,
+            "requested": 25,
             "repeated": 1,
             "reused": 2,
+            "predicted": 4,
             "certified": 3,
             "simulated": 14,
             "failed": 1,
@@ -117,8 +118,8 @@ def test_the_sums_are_those_of_all_campaigns(api: RunningApi) -> None:
     by_outcome = {
         outcome.value: value(found, "drivecal_cells", stage="calibration", outcome=outcome.value) for outcome in Outcome
     }
-    assert by_outcome == {"repeated": 1, "reused": 2, "certified": 3, "simulated": 24, "failed": 1}
-    assert sum(by_outcome.values()) == 31, "requested is the sum of the outcomes"
+    assert by_outcome == {"repeated": 1, "reused": 2, "predicted": 4, "certified": 3, "simulated": 24, "failed": 1}
+    assert sum(by_outcome.values()) == 35, "requested is the sum of the outcomes"
     assert value(found, "drivecal_cells_pending", stage="calibration") == 9
     assert value(found, "drivecal_campaigns", kind="calibration", state="running") == 1
     assert value(found, "drivecal_campaigns", kind="calibration", state="failed") == 1

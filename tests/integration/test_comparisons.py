@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from sqlalchemy import update
 from tests.support.comparisons import runs_of, submit_comparison
 from tests.support.computed import ComputedBackend, computed
 from tests.support.runs import dispatcher, everything, get, nothing_matters, post_map, run, submit
@@ -23,6 +24,7 @@ from drivecal.execution.scheduling.in_flight import Work
 from drivecal.execution.scheduling.scheduler import Completed
 from drivecal.storage import campaigns, generations, results
 from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.engine import tables
 from drivecal.storage.engine.database import Database
 
 
@@ -272,6 +274,23 @@ def test_runs_of_an_earlier_release_have_the_best_of_what_they_simulated(
         found = read_compared(connection, ended).runs()
     assert [one.confirmations for one in found] == [0, 0, 0]
     assert any(one.best != one.simulated_best for one in found)
+
+
+def test_predicted_cells_are_no_simulations_of_a_run(database: Database) -> None:
+    ended = run(database, submit_comparison(database, optimizers=[{"kind": "genetic"}], populations=[6]))
+    with database.transaction() as connection:
+        before = read_compared(connection, ended).runs()
+        pages = [generations.page(connection, one.sequence)[0] for one in runs_of(database, ended)]
+        columns = tables.generations.c
+        later = update(tables.generations).where(columns.iteration > 0)
+        connection.execute(later.values(predicted=columns.simulated, simulated=0))
+        after = read_compared(connection, ended).runs()
+    predicted = [sum(figures.simulated for iteration, figures in page if iteration) for page in pages]
+    searched = [one.simulations - one.confirmations for one in before]
+    assert [one.simulations - one.confirmations for one in after] == [
+        count - answered for count, answered in zip(searched, predicted, strict=True)
+    ]
+    assert min(predicted) > 0
 
 
 def test_a_comparison_of_results_that_are_all_there_leaves_time_for_others(database: Database) -> None:

@@ -2,8 +2,9 @@
 
 The net estimates the CPU time of the same campaign without reuse, less its own. So a saved cell is worth the mean CPU time of the
 scenario's simulations without certificates, and all that reuse itself takes is deducted: the sensitivity stage, walks that look for
-certificates, recording of runs, probes. Audited cells are simulated like any other: they are a saving forgone, already missing among the
-reused, and not a cost on top. Reused cells that were simulated after the search to confirm its best set save nothing either.
+certificates, recording of runs, probes, the predictor. Audited cells are simulated like any other: they are a saving forgone, already
+missing among the reused, and not a cost on top; so are the samples of predicted lots. Reused cells that were simulated after the search
+to confirm its best set save nothing either.
 
 A further outcome that saves simulations goes into `SAVING`, with its fields of the contract; a further cost into `_deductions`.
 """
@@ -16,7 +17,7 @@ from drivecal.contracts.accounting import DEDUCTIONS, Accounting, BreakEven, Map
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import AuditCount, Outcome, OutcomeCosts
 
-SAVING = (Outcome.REPEATED, Outcome.REUSED, Outcome.CERTIFIED)
+SAVING = (Outcome.REPEATED, Outcome.REUSED, Outcome.PREDICTED, Outcome.CERTIFIED)
 """Outcomes without a simulation. `ScenarioAccount` has a count NAME and `NAME_saved_seconds` for each, `Accounting` the latter."""
 ROUNDING = 1e-9
 """Quotients this close above a whole number are that number."""
@@ -40,9 +41,11 @@ def account(
     origin: MapOrigin | None,
     proofs: Iterable[AuditCount] = (),
     confirmed: Mapping[str, int] | None = None,
+    predictors: Mapping[str, float] | None = None,
 ) -> Accounting:
     """The account of a campaign from its `costs`; `scenarios` in the order in which they are to be listed; `proofs`: what certificates say
-    of reused cells; `confirmed`: how many of those were simulated after the search, by scenario."""
+    of reused cells; `confirmed`: how many of those were simulated after the search, by scenario; `predictors`: CPU time of the predictor,
+    by scenario."""
     proved = {proof.scenario: proof for proof in proofs}
     rows = [
         _scenario(
@@ -50,6 +53,7 @@ def account(
             [cost for cost in costs if cost.stage is StageName.CALIBRATION and cost.scenario == name],
             proved.get(name, _NOTHING),
             (confirmed or {}).get(name, 0),
+            (predictors or {}).get(name, 0.0),
         )
         for name in scenarios
     ]
@@ -90,7 +94,7 @@ def _saved(outcome: Outcome) -> str:
 
 
 _NOTHING = AuditCount("", 0, 0, 0)
-_SECONDS = ("simulated_seconds", "audited_seconds", "certifying_seconds", *map(_saved, SAVING))
+_SECONDS = ("simulated_seconds", "audited_seconds", "certifying_seconds", "predictor_seconds", *map(_saved, SAVING))
 
 
 def sensitivity_cost(costs: Iterable[OutcomeCosts]) -> SensitivityCost:
@@ -124,10 +128,13 @@ def _deductions(sensitivity: SensitivityCost, scenarios: Iterable[ScenarioAccoun
     return {
         "sensitivity": sensitivity.seconds,
         "certificates": sum(scenario.certifying_seconds for scenario in scenarios),
+        "predictor": sum(scenario.predictor_seconds for scenario in scenarios),
     }
 
 
-def _scenario(name: str, costs: Sequence[OutcomeCosts], proved: AuditCount, confirmed: int) -> ScenarioAccount:
+def _scenario(
+    name: str, costs: Sequence[OutcomeCosts], proved: AuditCount, confirmed: int, predictor_seconds: float
+) -> ScenarioAccount:
     cells = _cells(costs)
     simulated = [cost for cost in costs if cost.outcome is Outcome.SIMULATED]
     mean = _mean_seconds(simulated)
@@ -148,6 +155,7 @@ def _scenario(name: str, costs: Sequence[OutcomeCosts], proved: AuditCount, conf
         audited_seconds=sum(cost.seconds for cost in audited),
         **saved,
         certifying_seconds=sum(cost.certifying_seconds for cost in costs),
+        predictor_seconds=predictor_seconds,
         proved=proved.audited,
         proved_different=proved.different,
         proved_wrong=proved.wrong,

@@ -4,11 +4,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from itertools import groupby
 from typing import Literal
 
-from drivecal.contracts.campaign import ErrorRate
+from drivecal.contracts.campaign import ErrorRate, Released
 from drivecal.contracts.comparison import ComparedGroup, ReductionEffect
 from drivecal.contracts.tables import InfluenceRow, ValidationRow
 
-OUTCOMES = ("simulated", "repeated", "reused", "certified", "failed")
+OUTCOMES = ("simulated", "repeated", "reused", "predicted", "certified", "failed")
 """Outcomes of requested cells, frequent ones first."""
 
 
@@ -103,6 +103,18 @@ def error_rates(rates: Mapping[str, ErrorRate]) -> list[list[object]]:
         ]
         for name, rate in rates.items()
         if rate.audited or rate.stopped or rate.contradictions
+    ]
+
+
+def released_lots(released: Mapping[str, Released]) -> list[list[object]]:
+    """Returns a row per scenario with inspected lots of predicted answers."""
+    return [
+        [
+            *(name, lots.lots, lots.rejected, lots.predicted, lots.sampled, lots.different),
+            *(percent(lots.limit, 1), percent(lots.upper_95)),
+        ]
+        for name, lots in released.items()
+        if lots.lots
     ]
 
 

@@ -7,7 +7,11 @@ from pydantic import Field
 
 from drivecal.contracts.campaign import Answer
 
-DEDUCTIONS: Final[Mapping[str, str]] = {"sensitivity": "sensitivity stage", "certificates": "certificates"}
+DEDUCTIONS: Final[Mapping[str, str]] = {
+    "sensitivity": "sensitivity stage",
+    "certificates": "certificates",
+    "predictor": "predictor",
+}
 """Names of known deductions, by key, for readers; others are shown by their key."""
 
 
@@ -36,15 +40,16 @@ class MapCost(Answer):
 class ScenarioAccount(Answer):
     """The calibration stage in one scenario. `mean_seconds`: CPU time of a simulation without certificates, over the simulated cells; if
     there is none, over the simulated runs that answered cells; null if there is neither. Savings are numbers of cells times it.
-    `certifying_seconds`: CPU time that certificates took: looking for proofs, recording of runs, probes. `confirmed`: of the reused cells,
-    those that were simulated after the search to confirm its best set, and so save nothing. `proved`: of the reused cells, those of which a
-    worker happened to know by a certificate what a simulation would have given; `proved_different`: their score is another one,
-    `proved_wrong`: by more than 1 (Eq. 8). Two equal campaigns need not know the same."""
+    `certifying_seconds`: CPU time that certificates took: looking for proofs, recording of runs, probes. `predictor_seconds`: CPU time of
+    the predictor. `confirmed`: of the reused cells, those that were simulated after the search to confirm its best set, and so save
+    nothing. `proved`: of the reused cells, those of which a worker happened to know by a certificate what a simulation would have given;
+    `proved_different`: their score is another one, `proved_wrong`: by more than 1 (Eq. 8). Two equal campaigns need not know the same."""
 
     scenario: str
     requested: int
     repeated: int
     reused: int
+    predicted: int = 0
     certified: int
     simulated: int
     failed: int
@@ -55,8 +60,10 @@ class ScenarioAccount(Answer):
     audited_seconds: float
     repeated_saved_seconds: float
     reused_saved_seconds: float
+    predicted_saved_seconds: float = 0.0
     certified_saved_seconds: float
     certifying_seconds: float = 0.0
+    predictor_seconds: float = 0.0
     proved: int = 0
     proved_different: int = 0
     proved_wrong: int = 0
@@ -77,13 +84,13 @@ class BreakEven(Answer):
 class Accounting(Answer):
     """Savings and costs of a campaign, in cells and in CPU seconds of the workers.
 
-    `saved_seconds`: by repeated, reused and certified cells, without reused ones that were `confirmed`. `audited_seconds` is the price of
-    the self-check: audited cells could have been reused but were simulated, so they are not among the saved, and are not taken off once
-    more. `savings`: the addends of `saved_seconds`, by outcome. `deductions`: CPU seconds that saving took in this campaign, by cause
-    (`DEDUCTIONS`). Later releases may add outcomes and causes. `net_seconds` = sum of `savings` - sum of `deductions`: an estimate of the
-    CPU time of the same campaign without reuse, less its own. `map_net_seconds` = saved by reuse alone - cost of the map, in any
-    campaign; null without a map. `share_without_simulation`: (repeated + reused + certified) / requested; `share_reused`: reused /
-    requested; null before the first.
+    `saved_seconds`: by repeated, reused, predicted and certified cells, without reused ones that were `confirmed`. `audited_seconds` is
+    the price of the self-check: audited cells could have been reused but were simulated, so they are not among the saved, and are not
+    taken off once more. `savings`: the addends of `saved_seconds`, by outcome. `deductions`: CPU seconds that saving took in this
+    campaign, by cause (`DEDUCTIONS`). Later releases may add outcomes and causes. `net_seconds` = sum of `savings` - sum of
+    `deductions`: an estimate of the CPU time of the same campaign without reuse, less its own. `map_net_seconds` = saved by reuse alone -
+    cost of the map, in any campaign; null without a map. `share_without_simulation`: (repeated + reused + predicted + certified) /
+    requested; `share_reused`: reused / requested; null before the first.
     """
 
     campaign: str
@@ -101,8 +108,10 @@ class Accounting(Answer):
     audited_seconds: float
     repeated_saved_seconds: float
     reused_saved_seconds: float
+    predicted_saved_seconds: float = 0.0
     certified_saved_seconds: float
     certifying_seconds: float = 0.0
+    predictor_seconds: float = 0.0
     saved_seconds: float
     savings: dict[str, float] = Field(default_factory=dict)
     deductions: dict[str, float] = Field(default_factory=dict)

@@ -16,10 +16,11 @@ from drivecal.contracts.specification import (
     MaybeSensitivity,
     Name,
     ProblemSpecification,
+    ReductionMode,
     ReductionSpecification,
 )
 
-AnyReduction = Literal["off", "exact", "influence"] | ReductionSpecification
+AnyReduction = ReductionMode | ReductionSpecification
 EXACT_ALONE: list[AnyReduction] = ["exact"]
 LARGEST_RUNS = 1_000
 """Runs of one comparison."""
@@ -44,7 +45,7 @@ class ComparisonSpecification(ProblemSpecification):
     kind: Literal["comparison"] = "comparison"
     name: Name = "comparison"
     sensitivity: MaybeSensitivity = None
-    """Used by reductions of mode `influence` alone."""
+    """Used by reductions with an influence map alone."""
     optimizers: Annotated[list[ComparedOptimizer], Field(min_length=1, max_length=50)]
     populations: Annotated[list[Annotated[int, Field(ge=2, le=LARGEST_POPULATION)]], Field(min_length=1, max_length=50)]
     seeds: Annotated[list[Annotated[int, Field(ge=0, le=2**63 - 1)]], Field(min_length=3, max_length=LARGEST_RUNS)]
@@ -80,12 +81,11 @@ class ExpectedComparison(Answer):
 class ComparedRun(Answer):
     """A run. Iterations count from 1; `best` is the best objective, shared by `alternatives` sets.
 
-    `simulations`: cells of its calibration that had no answer among the run's own earlier cells, simulated by any campaign: the
-    simulations that the run alone would need on an empty database. `confirmations` of them follow the search, to simulate its best
-    set. `analysis`: the same of its sensitivity stage. `converged_at`: the iteration after which the best objective stayed for at
-    least 10 further iterations (Table 5),
-    null if it did not; `alternatives_converged_at`: after which the number of alternatives stayed for more than 5 (Table 7).
-    `success`: no run of the comparison found better.
+    `simulations`: cells of its calibration that had no answer among the run's own earlier cells or its predictions, simulated by any
+    campaign: the simulations that the run alone would need on an empty database. `confirmations` of them follow the search, to simulate
+    its best set. `analysis`: the same of its sensitivity stage. `converged_at`: the iteration after which the best objective stayed for
+    at least 10 further iterations (Table 5), null if it did not; `alternatives_converged_at`: after which the number of alternatives
+    stayed for more than 5 (Table 7). `success`: no run of the comparison found better.
     """
 
     run: str

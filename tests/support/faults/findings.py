@@ -44,7 +44,7 @@ OF_ONE_RUN = {"id", "milliseconds", "worker", "proven_by", "proof_agrees"}
 """Columns of an evaluation that say who simulated it and how fast, and what that worker happened to know of it, not what came out."""
 NOT_PROVED = {"outcome": "simulated", "reference": "", "agrees": ""}
 """What a cell shows that was simulated, and not to check a proof. Which cells a worker can prove depends on what it still knows."""
-OUTCOMES = ("repeated", "reused", "certified", "simulated", "failed")
+OUTCOMES = ("repeated", "reused", "predicted", "certified", "simulated", "failed")
 PLACE = ("stage", "iteration", "individual", "scenario")
 
 

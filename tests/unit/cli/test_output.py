@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import pytest
@@ -9,12 +10,23 @@ from typer.testing import CliRunner
 
 from drivecal.cli.commands.campaigns import kind_text
 from drivecal.cli.main import app
-from drivecal.cli.views.output import cells_text, duration, print_campaign, print_columns, print_solutions, saved
+from drivecal.cli.views.output import (
+    by_outcome,
+    cells_text,
+    duration,
+    lots_text,
+    print_campaign,
+    print_columns,
+    print_solutions,
+    saved,
+)
 from drivecal.cli.views.progress import Lines
-from drivecal.contracts.campaign import Best, Campaign, CellCounts, ErrorRate, Progress, Seconds
+from drivecal.contracts.campaign import Best, Campaign, CellCounts, ErrorRate, Progress, Released, Seconds
 from drivecal.contracts.tables import Solution
+from drivecal.domain.evaluations import Outcome
 
 CELLS = CellCounts(proposed=100, carried_over=40, requested=60, repeated=6, reused=9, simulated=44, failed=1, audited=2)
+PREDICTED = CellCounts(proposed=100, requested=100, repeated=5, reused=5, predicted=40, certified=10, simulated=40, sampled=8)
 
 
 @pytest.mark.parametrize(
@@ -32,6 +44,30 @@ def test_columns_align_numbers_right_and_text_left(capsys: pytest.CaptureFixture
 def test_saved_is_the_share_that_needed_no_simulation() -> None:
     assert saved(CELLS) == pytest.approx(15 / 60)
     assert saved(CellCounts()) == 0
+    assert saved(PREDICTED) == pytest.approx(60 / 100)
+
+
+def test_every_outcome_of_the_domain_is_listed_once() -> None:
+    counts = by_outcome(PREDICTED)
+    assert sorted(counts) == sorted(Outcome)
+    assert sum(counts.values()) == PREDICTED.requested
+    assert counts["predicted"] == 40
+
+
+def test_predicted_cells_and_samples_are_on_the_line_of_the_cells() -> None:
+    text = cells_text(PREDICTED)
+    assert "40 predicted" in text
+    assert "8" in text.split("(")[1]
+
+
+def test_lots_are_summed_up_over_the_scenarios() -> None:
+    lots = {
+        "S1": Released(lots=7, rejected=1, predicted=200, sampled=60, different=2, limit=0.05, upper_95=0.04),
+        "S2": Released(lots=4, predicted=1000, sampled=40, different=1, limit=0.05, upper_95=0.03),
+    }
+    campaign = Campaign(id="0" * 32, name="mine", state="running", released=lots)
+    assert re.findall(r"\d[\d,]*\b", lots_text(campaign)) == ["11", "1", "1,200", "3", "100"]
+    assert lots_text(campaign.model_copy(update={"released": {"S1": Released(limit=0.05)}})) == ""
 
 
 def test_the_cells_add_up_on_their_line() -> None:

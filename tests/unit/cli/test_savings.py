@@ -5,9 +5,16 @@ from __future__ import annotations
 import pytest
 from tests.unit.report.rows import ACCOUNT
 
-from drivecal.cli.views.savings import break_even_text, pays_text, print_accounting, print_error_rates, print_narrowed
+from drivecal.cli.views.savings import (
+    break_even_text,
+    pays_text,
+    print_accounting,
+    print_error_rates,
+    print_lots,
+    print_narrowed,
+)
 from drivecal.contracts.accounting import BreakEven, MapCost
-from drivecal.contracts.campaign import ErrorRate, Narrowed
+from drivecal.contracts.campaign import ErrorRate, Narrowed, Released
 
 
 def test_error_rates_have_their_bound_and_say_where_reuse_was_stopped(capsys: pytest.CaptureFixture[str]) -> None:
@@ -23,8 +30,31 @@ def test_error_rates_have_their_bound_and_say_where_reuse_was_stopped(capsys: py
     assert len(lines) == 5
 
 
+def test_lots_have_a_row_by_scenario(capsys: pytest.CaptureFixture[str]) -> None:
+    print_lots(
+        {
+            "S1": Released(lots=7, rejected=1, predicted=1200, sampled=96, different=3, limit=0.05, upper_95=0.0432),
+            "S2": Released(lots=1, rejected=1, sampled=16, different=5, limit=0.05),
+            "S3": Released(limit=0.05, seconds=1.5),
+        }
+    )
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[3].split() == ["S1", "7", "1", "1200", "96", "3", "5.0%", "4.32%"]
+    assert lines[4].split() == ["S2", "1", "1", "0", "16", "5", "5.0%", "-"]
+    assert len(lines) == 5, "a scenario without a lot has no row"
+
+
+def test_what_predictions_saved_and_the_predictor_took_is_in_the_balance(capsys: pytest.CaptureFixture[str]) -> None:
+    print_accounting(ACCOUNT.model_copy(update={"savings": {"predicted": 31.0}, "deductions": {"predictor": 7.25}}))
+    signed = [line.split()[-3:] for line in capsys.readouterr().out.splitlines() if line.endswith(" s")]
+    assert ["+", "31.0", "s"] in signed
+    assert ["-", "7.2", "s"] in signed
+
+
 def test_nothing_is_printed_where_nothing_was_checked_or_narrowed(capsys: pytest.CaptureFixture[str]) -> None:
     print_error_rates({"S1": ErrorRate()})
+    print_lots({})
+    print_lots({"S1": Released(limit=0.05)})
     print_narrowed(None)
     print_narrowed([])
     assert capsys.readouterr().out == ""

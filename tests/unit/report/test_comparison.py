@@ -34,7 +34,9 @@ def findings() -> ComparisonData:
         optimum = 6.0 if conditions.optimizer == "swarm" else 6.5 if conditions[2:] == (3, "influence") else 7.0
         taken = conditions.population if conditions.reduction == "exact" else conditions.population // 2
         figures = [
-            generation(i, best=5.0 if i == 0 else optimum, rating=optimum + 0.1, requested=taken, repeated=0, reused=0)
+            generation(
+                i, best=5.0 if i == 0 else optimum, rating=optimum + 0.1, requested=taken + 5, predicted=5, repeated=0, reused=0
+            )
             for i in range(ITERATIONS)
         ]
         listed[f"{number:032x}"] = figures

@@ -13,10 +13,10 @@ from pathlib import Path
 import pytest
 from tests.unit.report.rows import ACCOUNT, ROBUST, ROWS, SETUP, findings, row, study
 
-from drivecal.contracts.campaign import Campaign
+from drivecal.contracts.campaign import Campaign, Released
 from drivecal.domain.errors import InvalidInputError
 from drivecal.report.data import ReportData, Studied
-from drivecal.report.sections import problem, results, reuse
+from drivecal.report.sections import problem, results, reuse, savings
 from drivecal.report.writing import write_report
 
 VOID = {"meta", "link", "br"}
@@ -161,6 +161,24 @@ def test_the_page_says_what_certificates_answered_and_what_they_say_of_reused_ce
     assert "ertificate" not in "".join(reuse.self_check(campaign, ACCOUNT))
 
 
+def test_the_page_has_a_table_of_released_lots() -> None:
+    campaign = findings().campaign
+    assert reuse.lots_table(campaign) == reuse.lots_table(
+        campaign.model_copy(update={"released": {"S1": Released(limit=0.05)}})
+    )
+    cells = campaign.cells.model_copy(update={"predicted": 1333, "sampled": 112})
+    released = {
+        "S1": Released(lots=7, rejected=1, predicted=1333, sampled=96, different=3, limit=0.05, upper_95=0.0432, seconds=2.5),
+        "S2": Released(lots=1, rejected=1, sampled=16, different=5, limit=0.05),
+    }
+    campaign = campaign.model_copy(update={"stages": {"calibration": cells}, "released": released})
+    text = re.sub(r"(<[^>]+>\s*)+", "|", "".join(reuse.self_check(campaign, None)))
+    assert "|S1|7|1|1,333|96|3|5.0%|4.32%|" in text
+    assert "|S2|1|1|0|16|5|5.0%|–|" in text
+    assert reuse.cells_by_stage(campaign).count(">1,333<") == reuse.cells_by_stage(campaign).count(">112<") == 1
+    assert "1,333" in "".join(results.summary(findings(campaign=campaign)))
+
+
 def test_the_page_has_every_part_of_a_study(whole: Whole) -> None:
     for wanted in (
         "3 sets that share the best objective, in 2 distinct regions",
@@ -223,6 +241,12 @@ def test_the_account_adds_up_in_its_table(whole: Whole) -> None:
     balance = {row[0]: row[1] for row in csv.reader((whole.folder / "tables" / "balance.csv").read_text().splitlines())}
     saved = sum(float(balance[f"saved by {one} cells"]) for one in ("repeated", "reused", "certified"))
     assert float(balance["net"]) == pytest.approx(saved + float(balance["cost of the sensitivity stage"]))
+
+
+def test_what_predictions_saved_and_the_predictor_cost_is_in_the_balance() -> None:
+    account = ACCOUNT.model_copy(update={"savings": {"predicted": 31.0}, "deductions": {"predictor": 7.25}})
+    balance = dict(savings.seconds_of(account))
+    assert (balance["saved by predicted cells"], balance["cost of the predictor"]) == (31.0, -7.25)
 
 
 def test_a_campaign_that_has_just_begun_has_a_report_too(tmp_path: Path) -> None:

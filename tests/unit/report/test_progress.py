@@ -71,6 +71,14 @@ def test_cells_are_added_up_and_each_is_counted_once(iterations: int) -> None:
     assert f"{40 * iterations:,} requested cells, 37.5% answered without a simulation" in svg(figure, "test")
 
 
+def test_predicted_cells_are_drawn_among_those_without_a_simulation() -> None:
+    figure = cells_figure([generation(0, predicted=20, requested=60), generation(1)])
+    tops = {name: part.get_data()[0] for name, part in areas(figure).items()}
+    assert list(tops)[-3:] == ["cells.predicted", "cells.repeated", "cells.reused"]
+    np.testing.assert_allclose(tops["cells.predicted"], [45, 70])
+    assert "100 requested cells, 50.0% answered without a simulation" in svg(figure, "test")
+
+
 def test_what_never_occurred_is_not_in_the_legend() -> None:
     labels = re.findall(
         r">([a-z ]+): [0-9,]+ \([0-9.]+%\)</text>", svg(cells_figure([generation(0, reused=0, requested=30)]), "test")
@@ -80,7 +88,8 @@ def test_what_never_occurred_is_not_in_the_legend() -> None:
 
 def test_areas_differ_in_more_than_colour() -> None:
     marks = [
-        (to_rgb(part.get_facecolor()), part.get_hatch()) for part in areas(cells_figure([generation(0, certified=3)])).values()
+        (to_rgb(part.get_facecolor()), part.get_hatch())
+        for part in areas(cells_figure([generation(0, certified=3, predicted=3)])).values()
     ]
     bright = [0.299 * r + 0.587 * g + 0.114 * b for (r, g, b), hatch in marks if not hatch]
     assert len({hatch for _, hatch in marks if hatch}) + len(bright) == len(marks)

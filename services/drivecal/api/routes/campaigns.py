@@ -96,7 +96,8 @@ def accounting(campaign_id: str, database: DatabaseDependency) -> Accounting:
         searched = (stored.spec.get("optimizer") or {}).get("iterations", 0)
         confirmed = results.counted_since(connection, stored.sequence, StageName.CALIBRATION, searched)
     known = [*stored.error_rate, *(row.scenario for row in rows if row.stage is StageName.CALIBRATION)]
-    return account(stored.id, stored.state, dict.fromkeys(known), rows, origin, proofs, confirmed)
+    predictors = {scenario: lots.seconds for scenario, lots in stored.released.items()}
+    return account(stored.id, stored.state, dict.fromkeys(known), rows, origin, proofs, confirmed, predictors)
 
 
 def _map_origin(connection: Connection, campaign: StoredCampaign) -> MapOrigin | None:

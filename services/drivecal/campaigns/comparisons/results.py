@@ -98,7 +98,7 @@ _ended: dict[str, float | None] = {}
 
 def _needed(figures: Figures | CellCounts) -> int:
     """Requested cells without an answer from the campaign's own: simulated, by this or another campaign, or failed."""
-    return figures.requested - figures.repeated - figures.reused
+    return figures.requested - figures.repeated - figures.reused - figures.predicted
 
 
 def _run(campaign: StoredCampaign, course: Course, best: float | None) -> ComparedRun:

@@ -20,7 +20,7 @@ from drivecal.cli.application import (
 from drivecal.cli.views.comparisons import comparison_document, print_comparison
 from drivecal.cli.views.output import print_answer, print_campaign, print_json, print_page, saved, when
 from drivecal.cli.views.progress import follow
-from drivecal.cli.views.savings import pays_text, print_accounting, print_error_rates, print_narrowed
+from drivecal.cli.views.savings import pays_text, print_accounting, print_error_rates, print_lots, print_narrowed
 from drivecal.client.client import Action, Client
 from drivecal.client.documents import read_document
 from drivecal.contracts.assignments import assignments
@@ -171,6 +171,7 @@ def _print_whole(client: Client, campaign: Campaign, as_json: bool) -> None:
         print_comparison(client.compared_groups(campaign.id), client.reduction_effects(campaign.id))
     print_narrowed(campaign.narrowed)
     print_error_rates(campaign.error_rate)
+    print_lots(campaign.released)
     if account is not None:
         print_accounting(account)
 

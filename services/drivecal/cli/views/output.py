@@ -80,6 +80,8 @@ def print_campaign(campaign: Campaign) -> None:
         lines.append(("alternatives", f"{share} the best objective"))
     if self_check := self_check_text(campaign):
         lines.append(("self-check", self_check))
+    if lots := lots_text(campaign):
+        lines.append(("predictions", lots))
     lines += [("note", note) for note in campaign.notes]
     seconds = campaign.seconds
     if seconds.wall:
@@ -129,8 +131,12 @@ def state_text(campaign: Campaign) -> str:
 
 def cells_text(cells: CellCounts) -> str:
     """Returns the cells by outcome, on one line: `1,200 requested = 800 simulated + 300 reused + 100 repeated`."""
-    audited = f" ({cells.audited:,} of the simulated were audits)" if cells.audited else ""
-    return f"{cells.requested:,} requested = {_sum(cells)}{audited}; {cells.carried_over:,} carried over"
+    checks = [
+        *([f"{cells.audited:,} of the simulated were audits"] if cells.audited else []),
+        *([f"{cells.sampled:,} predictions were simulated as samples"] if cells.sampled else []),
+    ]
+    listed = f" ({'; '.join(checks)})" if checks else ""
+    return f"{cells.requested:,} requested = {_sum(cells)}{listed}; {cells.carried_over:,} carried over"
 
 
 def print_cells(runs: Sequence[tuple[str, CellCounts]]) -> None:
@@ -162,9 +168,19 @@ def self_check_text(campaign: Campaign) -> str:
     return f"{text}; reuse was stopped in {', '.join(stopped)}" if stopped else text
 
 
+def lots_text(campaign: Campaign) -> str:
+    """Returns the inspections of predicted answers on a line; empty before the first."""
+    names = ("lots", "rejected", "predicted", "sampled", "different")
+    lots, rejected, predicted, sampled, different = totals(campaign.released.values(), *names)
+    if not lots:
+        return ""
+    inspected = "1 lot was" if lots == 1 else f"{lots:,} lots were"
+    return f"{inspected} inspected, {rejected:,} rejected; {predicted:,} answers released; {different:,} of {sampled:,} samples differed"
+
+
 def saved(cells: CellCounts) -> float:
     """Returns the share of the requested cells that needed no simulation."""
-    answered = cells.repeated + cells.reused + cells.certified
+    answered = cells.repeated + cells.reused + cells.predicted + cells.certified
     return answered / cells.requested if cells.requested else 0.0
 
 

@@ -6,8 +6,8 @@ import typer
 
 from drivecal.cli.views.output import duration, print_columns
 from drivecal.contracts.accounting import DEDUCTIONS, Accounting, BreakEven
-from drivecal.contracts.campaign import ErrorRate, Narrowed
-from drivecal.report.rows import error_rates, totals
+from drivecal.contracts.campaign import ErrorRate, Narrowed, Released
+from drivecal.report.rows import error_rates, released_lots, totals
 
 
 def print_error_rates(rates: Mapping[str, ErrorRate]) -> None:
@@ -18,6 +18,15 @@ def print_error_rates(rates: Mapping[str, ErrorRate]) -> None:
     typer.echo("\nerrors of reused results, found by simulating some of them all the same (wrong: by more than 1)")
     header = ["scenario", "audited", "different", "wrong", "R_err", "at most (95 %)", "contradictions", "reuse"]
     print_columns(header, rows)
+
+
+def print_lots(released: Mapping[str, Released]) -> None:
+    """Prints a line per scenario with inspected lots of predicted answers; nothing without lots."""
+    rows = released_lots(released)
+    if not rows:
+        return
+    typer.echo("\npredicted answers, released in lots after the simulation of a sample (different: by more than the tolerance)")
+    print_columns(["scenario", "lots", "rejected", "released", "sampled", "different", "limit", "at most (95 %)"], rows)
 
 
 def print_accounting(accounting: Accounting) -> None:

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
 from drivecal.contracts.tables import Generation
-from drivecal.report.figures.drawing import BLUE, GREEN, SKY, VERMILION, Drawn, style, whole_numbers
+from drivecal.report.figures.drawing import BLUE, GREEN, PURPLE, SKY, VERMILION, Drawn, style, whole_numbers
 from drivecal.report.sections.search import in_numbers
 
 OUTCOMES = (
@@ -16,6 +16,7 @@ OUTCOMES = (
     ("audited", "simulated as an audit", "#B0B0B0", "\\\\\\\\"),
     ("failed", "failed", VERMILION, "xxxx"),
     ("certified", "certified", GREEN, "...."),
+    ("predicted", "predicted", PURPLE, "++++"),
     ("repeated", "repeated", SKY, ""),
     ("reused", "answered by a reference", BLUE, "////"),
 )
@@ -53,7 +54,7 @@ def cells_figure(generations: Sequence[Generation]) -> Figure:
     numbers = [generation.iteration + 1 for generation in generations]
     edges = np.append(np.array(numbers) - 0.5, numbers[-1] + 0.5)
     requested = sum(values[-1] for values in totals.values())
-    saved = sum(totals[field][-1] for field in ("repeated", "reused", "certified")) / max(1, requested)
+    saved = sum(totals[field][-1] for field in ("repeated", "reused", "predicted", "certified")) / max(1, requested)
     with style():
         figure = Figure(figsize=(7.4, 3.6), layout="constrained")
         axes = figure.subplots()

@@ -70,9 +70,14 @@ def _draw_runs(
         left.plot([generation.iteration + 1 for generation in listed], heights, drawstyle="steps-mid", **look)
         if run.converged_at is not None:
             left.plot(run.converged_at, heights[run.converged_at - 1], marker="o", markersize=3, color=colour)
-        taken = list(accumulate(generation.requested - generation.repeated - generation.reused for generation in listed))
+        taken = list(accumulate(map(_simulations, listed)))
         ratings = [plotted(generation.rating) for generation in listed]
         right.plot(taken, ratings if by_rating else heights, drawstyle="steps-post", **look)
+
+
+def _simulations(generation: Generation) -> int:
+    """Requested cells that neither copies nor predictions answered."""
+    return generation.requested - generation.repeated - generation.reused - generation.predicted
 
 
 def _label(figure: Figure, left: Axes, right: Axes, optimizer: str, kinds: Sequence[Kind], *, by_rating: bool) -> None:

@@ -34,7 +34,7 @@ def summary(findings: ReportData) -> list[str]:
     sentences = [first, *search.convergence(findings.generations)[:1]]
     if findings.accounting is not None:
         sentences.append(findings.accounting.sentence)
-    sentences += [_errors(campaign), _proofs(findings), *_studies(findings)]
+    sentences += [_errors(campaign), _predictions(campaign), _proofs(findings), *_studies(findings)]
     return [bullets(sentence for sentence in sentences if sentence), _compared(findings, best)]
 
 
@@ -45,6 +45,15 @@ def _errors(campaign: Campaign) -> str:
     stopped = [name for name, error_rate in campaign.error_rate.items() if error_rate.stopped]
     text = errors_text("audited answers", audited, different, wrong)
     return text + (f" Reuse was stopped in {', '.join(stopped)}." if stopped else "")
+
+
+def _predictions(campaign: Campaign) -> str:
+    names = ("lots", "rejected", "predicted", "sampled", "different")
+    lots, rejected, predicted, sampled, different = totals(campaign.released.values(), *names)
+    if not lots:
+        return ""
+    text = f"{predicted:,} answers are predictions of released lots"
+    return f"{text}; of {sampled:,} samples of {lots:,} lots {different:,} differed, {rejected:,} lots were rejected and simulated."
 
 
 def _proofs(findings: ReportData) -> str:

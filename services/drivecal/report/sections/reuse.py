@@ -3,28 +3,43 @@
 from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.campaign import Campaign
 from drivecal.report.markup import paragraph, table
-from drivecal.report.rows import OUTCOMES, Number, error_rates, percent, totals
+from drivecal.report.rows import OUTCOMES, Number, error_rates, percent, released_lots, totals
 from drivecal.report.sections.savings import seconds_of
 
+CHECKS = {"audited": "of simulated: audits", "sampled": "samples of predictions", "checked": "checks of certificates"}
 PROVED = ("proved", "proved_different", "proved_wrong")
 
 
 def cells_by_stage(campaign: Campaign) -> str:
     """Returns the table of the campaign's cells by stage and outcome."""
-    fields = ("proposed", "carried_over", "requested", *OUTCOMES, "audited", "checked")
+    fields = ("proposed", "carried_over", "requested", *OUTCOMES, *CHECKS)
     stages = {stage: cells for stage, cells in campaign.by_stage().items() if cells.requested}
     rows = [[stage, *(getattr(cells, field, None) for field in fields)] for stage, cells in stages.items()]
-    header = ["stage", "proposed", "carried over", "requested", *OUTCOMES, "of simulated: audits", "checks of certificates"]
+    header = ["stage", "proposed", "carried over", "requested", *OUTCOMES, *CHECKS.values()]
     return table(header, rows, "Cells by stage and outcome", wrap_header=True) if rows else ""
 
 
 def self_check(campaign: Campaign, account: Accounting | None) -> list[str]:
-    """Returns the results of audits, of checked certificates, and of certificates of reused cells."""
+    """Returns the results of audits, of inspected lots, of checked certificates, and of certificates of reused cells."""
     header = ["scenario", "audited", "different", "wrong", "R_err", "95 % bound", "contradictions", "reuse"]
     caption = "Self-check: reusable cells that were simulated all the same; wrong: the scores differ by more than 1"
     rows = error_rates(campaign.error_rate)
-    unknown = paragraph("No cell was audited, so nothing is known about errors of reuse in this campaign.")
-    return [table(header, rows, caption) if rows else unknown, *_proved(account), *_certified(campaign)]
+    content = [table(header, rows, caption)] if rows else []
+    lots = lots_table(campaign)
+    if not rows and (campaign.cells.reused or not lots):
+        content = [paragraph("No cell was audited, so nothing is known about errors of reuse in this campaign.")]
+    return [*content, *lots, *_proved(account), *_certified(campaign)]
+
+
+def lots_table(campaign: Campaign) -> list[str]:
+    """Returns the table of inspected lots by scenario; nothing without lots."""
+    rows = released_lots(campaign.released)
+    header = ["scenario", "lots", "rejected", "released answers", "sampled", "different", "limit", "95 % bound"]
+    caption = (
+        "Predicted answers: a sample of each lot was simulated, and the lot released or simulated whole. Different: by more than the "
+        "tolerance; limit: of the expected share of errors among the released answers. A set with a predicted score is not ranked"
+    )
+    return [table(header, rows, caption)] if rows else []
 
 
 def proved(account: Accounting | None) -> tuple[int, ...]:

@@ -4,7 +4,7 @@ import type { ComparedRun, Generation } from "../server/types";
 
 const run = (id: string, optimizer: string, population: number, reduction: string): ComparedRun =>
   ({ run: id, optimizer, population, reduction, seed: 1, state: "succeeded" }) as ComparedRun;
-const generation = (iteration: number, best: number): Generation => ({ iteration, best, rating: best / 2, requested: 10, repeated: 2, reused: 3 }) as Generation;
+const generation = (iteration: number, best: number): Generation => ({ iteration, best, rating: best / 2, requested: 14, repeated: 2, reused: 3, predicted: 4 }) as Generation;
 const RUNS = [run("a", "genetic", 40, "off"), run("b", "genetic", 80, "exact"), run("c", "swarm", 40, "off")];
 const FOUND = { a: [generation(0, 5), generation(1, 6)], b: [generation(0, 5)], c: [] };
 
@@ -18,7 +18,7 @@ test("every run of an optimizer is a line, with a group for each population and 
   expect(drawn[0]?.shift).toBe(-(drawn[1]?.shift ?? 0));
 });
 
-test("what was repeated or reused took no simulation", () => {
+test("what was repeated, reused or predicted took no simulation", () => {
   expect(lines(RUNS, "genetic", FOUND, "rating", "simulations")[0]).toMatchObject({ x: [5, 10], values: [2.5, 3] });
 });
 

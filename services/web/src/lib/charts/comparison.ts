@@ -21,6 +21,11 @@ export function kinds(runs: readonly ComparedRun[]): { several: boolean; populat
   return { several: reductions.length > 1, populations: [...new Set(runs.map((run) => run.population))], reductions };
 }
 
+/** Requested cells of a generation that neither copies nor predictions answered. */
+export function simulationsOf(generation: Generation): number {
+  return generation.requested - generation.repeated - generation.reused - generation.predicted;
+}
+
 /** Over the iterations, or over the simulations that the run would have taken alone. Each kind has its colour, where there are enough; dashes
  * are of reductions. */
 export function lines(
@@ -35,7 +40,7 @@ export function lines(
   return mine.map((run, place) => {
     const rows = generations[run.run] ?? [];
     let taken = 0;
-    const simulations = rows.map((entry) => (taken += entry.requested - entry.repeated - entry.reused));
+    const simulations = rows.map((entry) => (taken += simulationsOf(entry)));
     const population = populations.indexOf(run.population);
     const kind = populations.length * reductions.length > SERIES.length ? population : population * reductions.length + reductions.indexOf(run.reduction);
     const dash = DASHES[reductions.indexOf(run.reduction) % DASHES.length];

@@ -7,6 +7,7 @@ export const COLOURS: Record<Outcome | "pending" | "carried_over", string> = {
   pending: "#c9ced4",
   repeated: "#56b4e9",
   reused: "#0072b2",
+  predicted: "#cc79a7",
   certified: "#009e73",
   simulated: "#e69f00",
   failed: "#d55e00",

@@ -8,6 +8,10 @@ test("a field says what it is for, which names there are, and its limits", () =>
   expect(helpAt("something", { minimum: 0, maximum: 2 ** 63 - 1 })).toBe("At least 0.");
 });
 
+test("a form explains what predictions need", () => {
+  for (const name of ["mode", "tolerance", "limit"]) expect(helpAt(`reduction.${name}`, {})).not.toBe("");
+});
+
 test("names can be chosen wherever in a list a field stands", () => {
   expect(choicesAt(BUILT_IN, "optimizers[2].kind")).toContain("swarm");
   expect(choicesAt(BUILT_IN, "name")).toEqual([]);

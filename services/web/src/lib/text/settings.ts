@@ -54,10 +54,12 @@ export function asked(campaign: Asked, setup: CampaignSetup | null): [string, st
   if (isSettings(spec.optimizer)) rows.push(["Optimizer", named(spec.optimizer["kind"], list(spec.optimizer, ["kind"]))]);
   if (isSettings(spec.sensitivity)) rows.push(["Sensitivity", typeof spec.sensitivity["map"] === "string" ? `the stored influence map ${spec.sensitivity["map"].slice(0, 8)}` : list(spec.sensitivity)]);
   if (isSettings(spec.reduction) && spec.optimizer !== null) {
-    const { mode, audit, max_error: most, confirm } = spec.reduction;
-    const audits = mode === "influence" ? `${percent(Number(audit))} audited, stopped where more than ${percent(Number(most))} are wrong` : "";
-    const confirmed = mode === "influence" && confirm ? `the best confirmed by simulation, at most ${String(confirm)} sets` : "";
-    rows.push(["Reduction", named(mode, [audits, list(spec.reduction, ["mode", "audit", "max_error", "confirm"]), confirmed].filter(Boolean).join(", "))]);
+    const { mode, audit, max_error: most, confirm, tolerance, limit } = spec.reduction;
+    const reuses = mode === "influence" || mode === "both";
+    const lots = mode === "predicted" || mode === "both" ? `predictions right within ${number(Number(tolerance ?? 0))} points, an error expected in at most ${percent(Number(limit))} of those released` : "";
+    const audits = reuses ? `${percent(Number(audit))} audited, stopped where more than ${percent(Number(most))} are wrong` : "";
+    const confirmed = reuses && confirm ? `the best confirmed by simulation, at most ${String(confirm)} sets` : "";
+    rows.push(["Reduction", named(mode, [audits, lots, list(spec.reduction, ["mode", "audit", "max_error", "confirm", "tolerance", "limit"]), confirmed].filter(Boolean).join(", "))]);
   }
   for (const stage of studiesOf(campaign)) rows.push([stage === "robustness" ? "Robustness" : "Validation", settingsText(stage, spec[stage] ?? {})]);
   return rows.filter((row): row is [string, string] => row[1] !== null && row[1] !== "");

@@ -32,6 +32,7 @@ export function kindOf(campaign: Known): string {
 /** How a study is made, in words. */
 export function settingsText(stage: StudyStage, settings: Readonly<Record<string, unknown>>): string {
   const value = (name: string): number => Number(settings[name] ?? 0);
+  if (stage === "validation" && settings["of"]) return `at most ${count(value("samples"))} released predictions of each scenario, simulated`;
   if (stage === "validation") return `${count(value("references"))} variants of each set, of Latin hypercubes from ${count(value("samples"))} to ${count(value("largest"))} sets`;
   const halvings = value("refinements") > 0 ? `, then ${value("refinements")} halvings` : "";
   const failing = settings["condition"] === "mean" ? "" : `; up to ${percent(1 - 0.05 ** (1 / value("samples")))} of all vehicles in a box that holds may still break it (95 % confidence)`;

@@ -1,8 +1,8 @@
 import { expect, test } from "vitest";
 import type { Moving } from "../server/types";
-import { leadingStage, parts, referenceWords, sentence, stagesOf } from "./words";
+import { leadingStage, parts, referenceWords, sentence, stagesOf, withoutSimulation } from "./words";
 
-const cells = { proposed: 20, carried_over: 10, audited: 0, checked: 0, unrepeatable: 0, pending: 2, requested: 8, repeated: 1, reused: 2, certified: 1, simulated: 3, failed: 1 };
+const cells = { proposed: 24, carried_over: 10, audited: 0, sampled: 1, checked: 0, unrepeatable: 0, pending: 2, requested: 12, repeated: 1, reused: 2, predicted: 4, certified: 1, simulated: 3, failed: 1 };
 const moving: Moving = {
   state: "running", requested_action: null, degraded: null, stage: "calibration", iteration: 3, progress: { done: 1, total: 2, eta_seconds: null },
   cells, stages: { calibration: cells }, seconds: { wall: 0, simulating: 0 },
@@ -10,6 +10,11 @@ const moving: Moving = {
 
 test("the parts of what was requested are all of it", () => {
   expect(parts(moving.cells).reduce((sum, entry) => sum + entry.cells, 0)).toBe(moving.cells.requested);
+});
+
+test("predicted answers are among those without a simulation", () => {
+  expect(withoutSimulation(moving.cells)).toBe(8);
+  expect(withoutSimulation({})).toBe(0);
 });
 
 test("a sentence says what is going on, and what was asked for first", () => {

@@ -2,15 +2,16 @@
 
 import type { CellCounts, Moving } from "../server/types";
 
-export type Outcome = "repeated" | "reused" | "certified" | "simulated" | "failed";
+export type Outcome = "repeated" | "reused" | "predicted" | "certified" | "simulated" | "failed";
 
-export const OUTCOMES: readonly Outcome[] = ["repeated", "reused", "certified", "simulated", "failed"];
+export const OUTCOMES: readonly Outcome[] = ["repeated", "reused", "predicted", "certified", "simulated", "failed"];
 
 export const MEANING: Record<Outcome | "pending" | "carried_over", string> = {
   carried_over: "individuals that the optimizer left unchanged: not asked for again",
   pending: "still to be answered",
   repeated: "answered by the stored result of the same parameter set",
   reused: "answered by a stored set that differs only where the influence map says that it does not matter",
+  predicted: "predicted from simulated answers, and released with its lot after a sample of the lot was simulated; never a reference, never an optimum",
   certified: "answered by a stored run that this one provably repeats, bit for bit",
   simulated: "driven in the simulation; a collision or a missed task is a result as well, with score 0",
   failed: "without a result after all attempts: ranked last, never used as a reference",
@@ -48,6 +49,11 @@ export function leadingStage(campaign: Moving): string {
 /** What `requested` is made of; the sum of all parts and `pending` is what was asked for altogether. */
 export function parts(cells: Partial<CellCounts>): { outcome: Outcome; cells: number }[] {
   return OUTCOMES.map((outcome) => ({ outcome, cells: cells[outcome] ?? 0 }));
+}
+
+/** Requested cells that needed no simulation. */
+export function withoutSimulation(cells: Partial<Record<Outcome, number>>): number {
+  return OUTCOMES.reduce((sum, outcome) => sum + (outcome === "simulated" || outcome === "failed" ? 0 : (cells[outcome] ?? 0)), 0);
 }
 
 /** One sentence about the state. */

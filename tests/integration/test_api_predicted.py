@@ -1,0 +1,108 @@
+"""Predicted answers over HTTP and on the command line: counted, listed and exported as every other outcome."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from tests.integration.test_predicted_campaigns import SPACE, slowly
+from tests.support.command import command
+from tests.support.computed import ComputedBackend
+from tests.support.runs import run
+from tests.support.server import RunningApi, serving
+
+from drivecal.contracts.accounting import Accounting
+from drivecal.contracts.campaign import Campaign
+from drivecal.domain.evaluations import Outcome
+from drivecal.storage import campaigns
+
+CAMPAIGN = {
+    "parameters": SPACE,
+    "catalogue": ["S1", "S2"],
+    "optimizer": {"kind": "genetic", "population": 400, "iterations": 4, "seed": 3},
+    "reduction": {"mode": "predicted", "certified": False, "tolerance": 0.0, "limit": 0.05},
+    "sensitivity": None,
+}
+
+
+@dataclass(frozen=True)
+class Ended:
+    api: RunningApi
+    campaign: Campaign
+    rows: list[dict[str, str]]
+    """Of the table of evaluations, exported."""
+
+
+@pytest.fixture(scope="module")
+def ended(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ended]:
+    with serving(f"sqlite:///{tmp_path_factory.mktemp('predicted') / 'drivecal.db'}") as api:
+        submitted = api.http.post("/api/v1/campaigns", json=CAMPAIGN)
+        assert submitted.status_code == 202, submitted.text
+        with api.database.read() as connection:
+            stored = campaigns.get(connection, submitted.json()["id"])
+        run(api.database, stored, ComputedBackend(answer=slowly))
+        links = submitted.json()["links"]
+        exported = api.http.get(links["evaluations"], params={"format": "csv"}).text
+        campaign = Campaign.model_validate(api.http.get(links["self"]).json())
+        yield Ended(api, campaign, list(csv.DictReader(io.StringIO(exported))))
+
+
+def test_counts_by_outcome_are_those_of_the_exported_cells(ended: Ended) -> None:
+    cells, outcomes = ended.campaign.cells, Counter(row["outcome"] for row in ended.rows)
+    assert {outcome: getattr(cells, outcome) for outcome in Outcome} == {outcome: outcomes[outcome] for outcome in Outcome}
+    assert cells.requested == sum(outcomes.values())
+    assert cells.predicted > 0
+    assert cells.sampled == sum(row["sampled"] == "true" for row in ended.rows)
+    assert sum(lots.predicted for lots in ended.campaign.released.values()) == cells.predicted
+    predicted = [row for row in ended.rows if row["outcome"] == Outcome.PREDICTED]
+    assert all(row["lot"] and 0 <= float(row["confidence"]) <= 1 for row in predicted)
+
+
+def test_the_iterations_count_predicted_cells(ended: Ended) -> None:
+    generations = ended.api.http.get(ended.campaign.links["generations"]).json()["items"]
+    outcomes = Counter((row["iteration"], row["outcome"]) for row in ended.rows)
+    for generation in generations:
+        assert generation["predicted"] == outcomes[str(generation["iteration"]), Outcome.PREDICTED]
+        assert generation["requested"] == sum(generation[outcome] for outcome in Outcome)
+
+
+def test_the_account_has_what_predictions_saved_and_what_they_cost(ended: Ended) -> None:
+    account = Accounting.model_validate(ended.api.http.get(f"{ended.campaign.links['self']}/accounting").json())
+    assert sum(scenario.predicted for scenario in account.scenarios) == ended.campaign.cells.predicted
+    assert account.predicted_saved_seconds > 0
+    assert account.predictor_seconds == pytest.approx(sum(lots.seconds for lots in ended.campaign.released.values()))
+    assert account.net_seconds == pytest.approx(account.saved_seconds - account.predictor_seconds)
+
+
+def test_no_ranked_set_has_a_predicted_score(ended: Ended) -> None:
+    predicted = {(row["iteration"], row["individual"]) for row in ended.rows if row["outcome"] == Outcome.PREDICTED}
+    solutions = ended.api.http.get(ended.campaign.links["solutions"], params={"limit": 1000}).json()["items"]
+    assert solutions
+    assert not {(str(solution["iteration"]), str(solution["individual"])) for solution in solutions} & predicted
+
+
+def test_metrics_count_the_outcome(ended: Ended) -> None:
+    text = ended.api.http.get("/metrics").text
+    line = next(
+        line for line in text.splitlines() if line.startswith('drivecal_cells_total{outcome="predicted",stage="calibration"}')
+    )
+    assert float(line.split()[-1]) == ended.campaign.cells.predicted
+
+
+def test_the_command_line_shows_lots_and_shares(ended: Ended, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("DRIVECAL_URL", ended.api.url)
+    shown = command("show", ended.campaign.id).stdout.splitlines()
+    for scenario, lots in ended.campaign.released.items():
+        counts = [lots.lots, lots.rejected, lots.predicted, lots.sampled, lots.different]
+        assert [scenario, *map(str, counts)] in [line.split()[:6] for line in shown]
+    dumped = json.loads(command("show", ended.campaign.id, "--json").stdout)
+    assert dumped["cells"]["predicted"] == ended.campaign.cells.predicted
+    assert command("report", ended.campaign.id, "-o", str(tmp_path / "report")).exit_code == 0
+    balance = dict(row[:2] for row in csv.reader((tmp_path / "report/tables/balance.csv").read_text().splitlines()))
+    assert float(balance["saved by predicted cells"]) > 0
