@@ -163,8 +163,9 @@ def answers(
 ) -> Iterator[CellScore]:
     """The answered cells of one iteration, or of all, in the order of `page`; the connection must stay open meanwhile.
 
-    With `corrected_by`, an evaluator, a copied or predicted score gives way to that of a run of the very cell, by any campaign. A search
-    must not read its answers in this way: they would change after it has gone on from them.
+    With `corrected_by`, an evaluator, a copied or predicted score gives way to that of a run of the very cell, by any campaign, or to that
+    of the run that a certificate says it repeats. A search must not read its answers in this way: they would change after it has gone on
+    from them.
     """
     table = evaluations.c
     source: FromClause = evaluations
@@ -173,12 +174,18 @@ def answers(
     rating: ColumnElement[Any] = table.rating
     believed = copied
     if corrected_by is not None:
-        own_run, own_rating = runs.alias("own_run"), ratings.alias("own_rating")
+        own_run, proof = runs.alias("own_run"), evaluations.alias("proof")
+        own, proved = ratings.alias("own_rating"), ratings.alias("proved_rating")
         same_cell = (own_run.c.setup_id == table.setup_id) & (own_run.c.parameter_set_id == table.parameter_set_id)
-        rated = (own_rating.c.run_id == own_run.c.id) & (own_rating.c.evaluator == corrected_by)
-        source = evaluations.outerjoin(own_run, copied & same_cell).outerjoin(own_rating, rated)
-        score, rating = func.coalesce(own_rating.c.score, score), func.coalesce(own_rating.c.rating, rating)
-        believed = copied & own_rating.c.run_id.is_(None)
+        source = (
+            evaluations.outerjoin(own_run, copied & same_cell)
+            .outerjoin(own, (own.c.run_id == own_run.c.id) & (own.c.evaluator == corrected_by))
+            .outerjoin(proof, copied & (proof.c.id == table.proven_by))
+            .outerjoin(proved, (proved.c.run_id == proof.c.run_id) & (proved.c.evaluator == corrected_by))
+        )
+        score = func.coalesce(own.c.score, proved.c.score, score)
+        rating = func.coalesce(own.c.rating, proved.c.rating, rating)
+        believed = copied & own.c.run_id.is_(None) & proved.c.run_id.is_(None)
     query = (
         select(
             table.parameter_set_id,

@@ -105,7 +105,7 @@ class ReductionSpecification(Model):
     narrow: bool = False
     certified: bool = True
     """Whether a cell may be answered by a run that it provably repeats, where the driving function allows it; changes no result."""
-    confirm: Annotated[int, Field(ge=0, le=LARGEST_CONFIRM)] = 0
+    confirm: Annotated[int, Field(ge=0, le=LARGEST_CONFIRM)] = 20
 
 
 class RobustnessSpecification(Model):

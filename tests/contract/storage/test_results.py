@@ -177,3 +177,22 @@ def test_a_copied_score_gives_way_to_the_run_of_the_very_cell(database: Database
         (4, True, False),
         (4, True, False),
     ]
+
+
+def test_a_copied_score_gives_way_to_the_run_that_a_certificate_names(database: Database) -> None:
+    with database.transaction() as connection:
+        sequence, setup = campaign(connection).sequence, setup_id(connection)
+        sets = sample_set_ids(connection, 3)
+        donors = [NewEvaluation(CALIBRATION, 0, number, "S1", setup, sets[number], Outcome.SIMULATED) for number in (0, 1)]
+        simulate(connection, sequence, donors[:1], score=5)
+        (proof,) = simulate(connection, sequence, donors[1:], score=3)
+        donor = evaluations.own_exact(connection, sequence, "S1", setup, sets)[sets[0]]
+        reused = NewEvaluation(CALIBRATION, 0, 2, "S1", setup, sets[2], Outcome.REUSED, donor=donor)
+        (copy,) = evaluations.insert(connection, sequence, [reused])
+        evaluations.note_proofs(connection, {copy: proof})
+        believed, known = (
+            list(results.answers(connection, sequence, CALIBRATION, corrected_by=evaluator))[-1]
+            for evaluator in (None, EVALUATOR)
+        )
+    assert (believed.score, believed.own) == (5, False)
+    assert (known.score, known.own) == (3, True)
