@@ -258,7 +258,7 @@ class EventHub:
 
 def encoded(event: StoredEvent, campaign: str) -> bytes:
     """Returns an event as bytes of the stream."""
-    return _event(str(event.id), event.kind, campaign, event.created_at, event.data)
+    return _event(event.id, event.kind, campaign, event.created_at, event.data)
 
 
 def progress_document(snapshot: ProgressSnapshot, said: str | None, moment: datetime) -> dict[str, Any]:
@@ -284,9 +284,9 @@ def _unstored(campaign: str, trouble: str | None) -> bytes:
     return _event(None, EventKind.DEGRADED, campaign, now(), {"reason": trouble})
 
 
-def _event(number: str | None, kind: str, campaign: str, at: datetime, data: Mapping[str, Any]) -> bytes:
-    document = {"kind": kind, "campaign": campaign, "at": at.isoformat(), "text": event_text(kind, data), "data": data}
-    return format_sse_event(id=number, event=kind, data_str=json.dumps(document))
+def _event(number: int | None, kind: str, campaign: str, at: datetime, data: Mapping[str, Any]) -> bytes:
+    document = {"id": number, "kind": kind, "campaign": campaign, "at": at.isoformat(), "text": event_text(kind, data), "data": data}
+    return format_sse_event(id=None if number is None else str(number), event=kind, data_str=json.dumps(document))
 
 
 async def _within(seconds: float, event: asyncio.Event) -> bool:
