@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,10 @@ from tests.support.runs import dispatcher as dispatching
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.results.explanation import explain
 from drivecal.campaigns.results.verification import verify
-from drivecal.contracts.work import Cell
+from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.evaluations import Outcome
-from drivecal.storage import audits, generations, results
+from drivecal.storage import audits, costs, generations, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import runs
@@ -66,6 +67,38 @@ def test_cells_that_provably_repeat_a_run_are_certified_and_name_it(database: Da
             row.rating,
         )
         assert row.parameter_set_id != proof.parameter_set_id
+
+
+def test_what_certificates_take_is_no_part_of_the_price_and_is_summed_apart(database: Database) -> None:
+    backend = certifying()
+
+    def timed(scenario: str, cell: Cell) -> CellResult:
+        return replace(influenced(scenario, cell), milliseconds=9.0, certifying=2.0 if cell.certify else 0.0)
+
+    backend.answer = timed
+    ended = run(database, submit(database, **simple()), backend)
+    again = run(database, submit(database, **simple(reduction={"mode": "exact", "certified": False})), backend)
+    with database.read() as connection:
+        rows = costs.by_outcome(connection, ended.sequence)
+        copied = costs.by_outcome(connection, again.sequence)
+    simulated, certified = (
+        [row for row in rows if row.outcome is outcome] for outcome in (Outcome.SIMULATED, Outcome.CERTIFIED)
+    )
+    assert simulated
+    assert certified
+    for row in simulated:
+        assert row.runs == row.cells
+        assert row.seconds == pytest.approx(0.009 * row.cells)
+        assert row.run_seconds == pytest.approx(0.007 * row.cells)
+        assert row.certifying_seconds == pytest.approx(0.002 * row.cells)
+    for row in certified:
+        assert (row.runs, row.run_seconds) == (0, 0.0)
+        assert row.certifying_seconds == row.seconds == pytest.approx(0.009 * row.cells)
+    assert {row.outcome for row in copied} == {Outcome.REPEATED}
+    assert sum(row.runs for row in copied) == sum(row.runs for row in rows) < sum(row.cells for row in rows)
+    for row in copied:
+        assert row.run_seconds == pytest.approx(0.007 * row.runs)
+        assert row.certifying_seconds == 0
 
 
 def test_a_certified_cell_is_explained_by_the_run_that_it_repeats(database: Database) -> None:

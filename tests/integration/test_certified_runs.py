@@ -65,6 +65,15 @@ def test_a_check_simulates_and_compares() -> None:
     assert (checked.proven_by, checked.agrees) == (1, True)
 
 
+def test_certificates_report_what_they_took_apart_from_the_run() -> None:
+    certifying = runner("S5")
+    parameters = sets(seed=1, families=1, members=1)[0]
+    answers = [certifying.answer(parameters, number, check=number == 3) for number in range(1, 4)]
+    assert [answer.proven_by for answer in answers] == [None, 1, 1]
+    assert all(answer.certifying > 0 for answer in answers)
+    assert certifying.run(parameters).certifying == 0
+
+
 def test_what_is_forgotten_is_simulated_again() -> None:
     certifying = runner("S5")
     parameters = sets(seed=1, families=1, members=1)[0]

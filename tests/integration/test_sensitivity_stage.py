@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from collections import Counter
 from math import hypot
 from pathlib import Path
 from typing import Any
@@ -126,6 +127,47 @@ def test_a_campaign_killed_in_its_analysis_ends_like_one_that_was_not(tmp_path: 
         found.append((cells, ended.cells, ended.counts(StageName.SENSITIVITY), ended.best, _map(opened, ended)))
         opened.dispose()
     assert found[0] == found[1]
+
+
+def _interval_cells(database: Database, campaign: StoredCampaign) -> dict[int, int]:
+    """Cells by round of the stage."""
+    with database.read() as connection:
+        rounds = [row.iteration for row in results.stream(connection, campaign.sequence) if row.stage is StageName.SENSITIVITY]
+    return dict(Counter(rounds))
+
+
+def test_a_sequential_analysis_finds_the_bounds_of_the_whole_design_with_fewer_runs(tmp_path: Path) -> None:
+    maps, runs = [], []
+    for sequential in (True, False):
+        opened = Database.open(f"sqlite:///{tmp_path}/{sequential}.sqlite")
+        opened.upgrade()
+        wanted = {**WITH_ANALYSIS["sensitivity"], "threshold": "auto", "sequential": sequential}
+        ended = _run(opened, _submit(opened, optimizer=None, sensitivity=wanted))
+        assert ended.state is CampaignState.SUCCEEDED
+        maps.append(_map(opened, ended))
+        runs.append(ended.counts(StageName.SENSITIVITY).requested)
+        with opened.read() as connection:
+            stored = influence_maps.get(connection, ended.influence_map_id or "none")
+        listed = [entry["s_rel_intervals"] for listed in stored.scenarios.values() for entry in listed.values()]
+        assert all(len(values) == 5 for values in listed)
+        assert any(None in values for values in listed) == sequential
+        opened.dispose()
+    assert maps[0] == maps[1]
+    assert runs[0] < runs[1]
+
+
+def test_an_analysis_that_was_stored_before_there_was_a_sequential_one_makes_all_its_runs(database: Database) -> None:
+    specification = CampaignSpecification.model_validate(WITH_ANALYSIS).model_dump(mode="json")
+    del specification["sensitivity"]["sequential"]
+    with database.transaction() as connection:
+        stored = campaigns.insert(connection, name="stored", spec=specification)
+    first = dispatcher(database, ComputedBackend(answer=_answer))
+    for _ in range(8):
+        first.step()
+    assert _get(database, stored).counts(StageName.SENSITIVITY).pending > 0
+    ended = _run(database, stored)
+    assert ended.state is CampaignState.SUCCEEDED
+    assert _interval_cells(database, ended)[0] == 2 * 8 * (1 + 4 * (2 * 5 - 1))
 
 
 def test_an_analysis_of_its_own_ends_with_a_map_that_a_later_campaign_names(database: Database) -> None:

@@ -1,18 +1,24 @@
-"""Savings and costs of reuse: the sensitivity stage beside the simulations that its map saved. Pure.
+"""Savings and costs of reuse: the simulations that it saved beside what it took. Pure.
 
-A saved cell is worth the mean CPU time of the scenario's simulated cells. Audited cells are simulated like any other: they are a saving
-forgone, already missing among the reused, and not a cost on top; so are the samples of predicted lots. Reused cells that were simulated
-after the search to confirm its best set save nothing either. The predictor's CPU time is a cost.
+The net estimates the CPU time of the same campaign without reuse, less its own. So a saved cell is worth the mean CPU time of the
+scenario's simulations without certificates, and all that reuse itself takes is deducted: the sensitivity stage, walks that look for
+certificates, recording of runs, probes, the predictor. Audited cells are simulated like any other: they are a saving forgone, already
+missing among the reused, and not a cost on top; so are the samples of predicted lots. Reused cells that were simulated after the search to
+confirm its best set save nothing either.
+
+A further outcome that saves simulations goes into `SAVING`, with its fields of the contract; a further cost into `_deductions`.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import ceil
 
-from drivecal.contracts.accounting import Accounting, BreakEven, MapCost, ScenarioAccount, SensitivityCost
+from drivecal.contracts.accounting import DEDUCTIONS, Accounting, BreakEven, MapCost, ScenarioAccount, SensitivityCost
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import AuditCount, Outcome, OutcomeCosts
 
+SAVING = (Outcome.REPEATED, Outcome.REUSED, Outcome.PREDICTED, Outcome.CERTIFIED)
+"""Outcomes without a simulation. `ScenarioAccount` has a count NAME and `NAME_saved_seconds` for each, `Accounting` the latter."""
 ROUNDING = 1e-9
 """Quotients this close above a whole number are that number."""
 
@@ -54,9 +60,11 @@ def account(
     sensitivity = sensitivity_cost(costs)
     used = None if origin is None else _map_cost(origin, campaign)
     requested, reused = sum(row.requested for row in rows), sum(row.reused for row in rows)
-    answered = sum(row.repeated + row.reused + row.predicted + row.certified for row in rows)
+    answered = sum(getattr(row, outcome) for row in rows for outcome in SAVING)
     totals = {name: sum(getattr(row, name) for row in rows) for name in _SECONDS}
-    saved = sum(totals[name] for name in _SAVED)
+    savings = {outcome.value: totals[_saved(outcome)] for outcome in SAVING}
+    deductions = _deductions(sensitivity, rows)
+    saved = sum(savings.values())
     accounting = Accounting(
         campaign=campaign,
         state=state,
@@ -71,7 +79,9 @@ def account(
         share_reused=reused / requested if requested else None,
         **totals,
         saved_seconds=saved,
-        net_seconds=saved - sensitivity.seconds - totals["predictor_seconds"],
+        savings=savings,
+        deductions=deductions,
+        net_seconds=saved - sum(deductions.values()),
         map_net_seconds=None if used is None else totals["reused_saved_seconds"] - used.seconds,
         break_even=None if used is None else break_even(used.seconds, totals["reused_saved_seconds"], requested),
         sentence="",
@@ -79,9 +89,12 @@ def account(
     return accounting.model_copy(update={"sentence": _sentence(accounting)})
 
 
+def _saved(outcome: Outcome) -> str:
+    return f"{outcome.value}_saved_seconds"
+
+
 _NOTHING = AuditCount("", 0, 0, 0)
-_SAVED = ("repeated_saved_seconds", "reused_saved_seconds", "predicted_saved_seconds", "certified_saved_seconds")
-_SECONDS = ("simulated_seconds", "audited_seconds", "predictor_seconds", *_SAVED)
+_SECONDS = ("simulated_seconds", "audited_seconds", "certifying_seconds", "predictor_seconds", *map(_saved, SAVING))
 
 
 def sensitivity_cost(costs: Iterable[OutcomeCosts]) -> SensitivityCost:
@@ -110,6 +123,15 @@ def break_even(map_seconds: float, reused_saved_seconds: float, requested: int) 
     return BreakEven(requested_cells=ceil(campaigns * requested - ROUNDING), campaigns=whole, reruns=whole - 1)
 
 
+def _deductions(sensitivity: SensitivityCost, scenarios: Sequence[ScenarioAccount]) -> dict[str, float]:
+    """What saving took, by the keys of `contracts.accounting.DEDUCTIONS`."""
+    return {
+        "sensitivity": sensitivity.seconds,
+        "certificates": sum(scenario.certifying_seconds for scenario in scenarios),
+        "predictor": sum(scenario.predictor_seconds for scenario in scenarios),
+    }
+
+
 def _scenario(
     name: str, costs: Sequence[OutcomeCosts], proved: AuditCount, confirmed: int, predictor_seconds: float
 ) -> ScenarioAccount:
@@ -119,26 +141,22 @@ def _scenario(
     if mean is None:
         mean = _mean_seconds(costs)
     audited = [cell for cell in simulated if cell.audited]
-    worth = mean or 0.0
-    of_reused = min(confirmed, cells[Outcome.REUSED])
+    saving = {outcome: cells[outcome] for outcome in SAVING}
+    of_reused = min(confirmed, saving[Outcome.REUSED])
+    saving[Outcome.REUSED] -= of_reused
+    saving[Outcome.PREDICTED] -= min(confirmed - of_reused, saving[Outcome.PREDICTED])
+    saved = {_saved(outcome): number * (mean or 0.0) for outcome, number in saving.items()}
     return ScenarioAccount(
         scenario=name,
         requested=sum(cells.values()),
-        repeated=cells[Outcome.REPEATED],
-        reused=cells[Outcome.REUSED],
-        predicted=cells[Outcome.PREDICTED],
-        certified=cells[Outcome.CERTIFIED],
-        simulated=cells[Outcome.SIMULATED],
-        failed=cells[Outcome.FAILED],
+        **{outcome.value: number for outcome, number in cells.items()},
         audited=sum(cost.cells for cost in audited),
         confirmed=confirmed,
         mean_seconds=mean,
         simulated_seconds=sum(cell.seconds for cell in simulated),
         audited_seconds=sum(cost.seconds for cost in audited),
-        repeated_saved_seconds=cells[Outcome.REPEATED] * worth,
-        reused_saved_seconds=(cells[Outcome.REUSED] - of_reused) * worth,
-        predicted_saved_seconds=max(0, cells[Outcome.PREDICTED] - (confirmed - of_reused)) * worth,
-        certified_saved_seconds=cells[Outcome.CERTIFIED] * worth,
+        **saved,
+        certifying_seconds=sum(cost.certifying_seconds for cost in costs),
         predictor_seconds=predictor_seconds,
         proved=proved.audited,
         proved_different=proved.different,
@@ -174,14 +192,13 @@ def _sentence(accounting: Accounting) -> str:
         return f"No cell of the calibration stage has its answer yet; the sensitivity stage took {accounting.sensitivity.seconds:,.1f} s."
     share = f"{accounting.share_without_simulation:.1%} of {accounting.requested:,} requested cells were answered without a simulation"
     balance = f"that saved {accounting.saved_seconds:,.1f} s of CPU time"
-    costs = []
-    if accounting.sensitivity.requested:
-        costs.append(
-            f"the sensitivity stage cost {accounting.sensitivity.seconds:,.1f} s ({accounting.sensitivity.simulated:,} runs)"
-        )
-    if accounting.predictor_seconds:
-        costs.append(f"the predictor took {accounting.predictor_seconds:,.1f} s")
+    runs = f" ({accounting.sensitivity.simulated:,} runs)"
+    costs = [
+        f"{DEDUCTIONS.get(name, name)} {seconds:,.1f} s{runs * (name == 'sensitivity')}"
+        for name, seconds in accounting.deductions.items()
+        if seconds
+    ]
     if costs:
         verb = "net saving" if accounting.net_seconds >= 0 else "net loss"
-        balance = f"{balance}, {', '.join(costs)}: a {verb} of {abs(accounting.net_seconds):,.1f} s"
+        balance = f"{balance}, less {', '.join(costs)}: a {verb} of {abs(accounting.net_seconds):,.1f} s"
     return f"{share}; {balance}."

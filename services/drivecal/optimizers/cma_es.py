@@ -10,7 +10,7 @@ from drivecal.domain.parameters import Indices
 from drivecal.optimizers.built_in import BuiltIn
 from drivecal.optimizers.checks import searchable
 from drivecal.optimizers.ranking import ranking
-from drivecal.optimizers.replayed import Replayed, require
+from drivecal.optimizers.replayed import Replayed, named, require
 from drivecal.plugins.ports import Floats, OptimizerPlugin
 
 require("cma", extra="cma")
@@ -32,6 +32,7 @@ class CmaEngine:
     """
 
     def __init__(self, settings: CmaSettings, n_values: Indices) -> None:
+        self.library = named("cma")
         self._settings = settings
         self._last = (searchable(n_values) - 1).astype(np.float64)
         self._generator = np.random.Generator(np.random.PCG64([settings.seed, 1]))

@@ -9,7 +9,7 @@ from drivecal.contracts.specification import OptimizerSpecification
 from drivecal.domain.parameters import Indices
 from drivecal.optimizers.built_in import BuiltIn
 from drivecal.optimizers.checks import searchable
-from drivecal.optimizers.replayed import Replayed, require
+from drivecal.optimizers.replayed import Replayed, named, require
 from drivecal.plugins.ports import Floats, OptimizerPlugin
 
 require("optuna", extra="optuna")
@@ -37,6 +37,7 @@ class OptunaEngine:
         import optuna
 
         optuna.logging.set_verbosity(optuna.logging.WARNING)
+        self.library = named("optuna")
         self._population = settings.population
         self._distributions: dict[str, Any] = {
             f"x{column}": optuna.distributions.IntDistribution(0, last)

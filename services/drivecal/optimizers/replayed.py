@@ -1,16 +1,19 @@
 """Optimizers of other libraries behind drivecal's port.
 
 Their internal state cannot be stored as plain data. So the answers are stored: all of them are deterministic for a seed, and replaying
-the same answers restores the same state.
+the same answers restores the same state. Another version of a library may draw otherwise, so that a digest of every proposal is stored,
+too, and each replayed proposal must have the same.
 """
 
 from collections.abc import Mapping
+from hashlib import sha256
+from importlib.metadata import version
 from importlib.util import find_spec
 from typing import Any, Protocol
 
 import numpy as np
 
-from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.domain.errors import InvalidInputError, Problem, ReplayError
 from drivecal.domain.parameters import Indices
 from drivecal.optimizers.checks import checked_answers, fitting
 from drivecal.optimizers.state import dump_floats, load_floats
@@ -27,8 +30,16 @@ def require(package: str, extra: str) -> None:
         )
 
 
+def named(package: str) -> str:
+    """Returns a library's name with its installed version."""
+    return f"{package} {version(package)}"
+
+
 class Engine(Protocol):
     """A library's optimizer of grid indices."""
+
+    library: str
+    """The library with its version, for errors."""
 
     def propose(self) -> Indices:
         """The next population, shape (n, n_searched)."""
@@ -46,6 +57,7 @@ class Replayed:
         self._changed = np.ones(len(first), dtype=np.bool_)
         self._engine = engine
         self._history: list[tuple[Floats, Floats]] = []
+        self._digests = [_digest(first)]
         self._told = False
 
     def ask(self) -> Proposal:
@@ -53,6 +65,7 @@ class Replayed:
         if self._told:
             before, self._population = self._population, self._engine.propose()
             self._changed = (self._population != before).any(axis=1)
+            self._digests.append(_digest(self._population))
             self._told = False
         return Proposal(self._population.copy(), self._changed.copy())
 
@@ -66,18 +79,40 @@ class Replayed:
         self._told = True
 
     def state(self) -> dict[str, Any]:
-        """The start population and all answers since, as data for strict JSON."""
+        """The start population, all answers since, and a digest of every proposal, as data for strict JSON."""
         return {
             "first": self._first.tolist(),
             "told": [[dump_floats(objectives), dump_floats(ties)] for objectives, ties in self._history],
             "asked": not self._told,
+            "digests": list(self._digests),
+            "library": self._engine.library,
         }
 
     def resume(self, state: Mapping[str, Any]) -> None:
-        """Replays all answers. Raises InvalidInputError if it belongs to a population of another size or another space."""
+        """Replays all answers. Raises InvalidInputError if it belongs to a population of another size or another space, and ReplayError at
+        the first proposal whose digest is another one. States of earlier releases have no digests and are trusted.
+        """
         self._first = self._population = fitting(np.array(state["first"], dtype=np.int64), self._first)
+        self._digests = [_digest(self._first)]
+        self._compare(state)
         for objectives, ties in state["told"]:
-            self.ask()
+            self._ask_again(state)
             self.tell(np.array(load_floats(objectives)), np.array(load_floats(ties)))
         if state["asked"]:
-            self.ask()
+            self._ask_again(state)
+
+    def _ask_again(self, state: Mapping[str, Any]) -> None:
+        self.ask()
+        self._compare(state)
+
+    def _compare(self, state: Mapping[str, Any]) -> None:
+        """Raises ReplayError if the last proposal is not the saved one."""
+        iteration, saved = len(self._digests) - 1, state.get("digests")
+        if saved is not None and self._digests[iteration:] != saved[iteration : iteration + 1]:
+            raise ReplayError(iteration, state.get("library", ""), self._engine.library)
+
+
+def _digest(population: Indices) -> str:
+    """Sixteen hexadecimal digits of a population, shape and order included."""
+    shape = "x".join(map(str, population.shape))
+    return sha256(shape.encode() + population.astype("<i8").tobytes()).hexdigest()[:16]

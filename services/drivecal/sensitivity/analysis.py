@@ -1,4 +1,5 @@
-"""The sensitivity analysis of a campaign as ask/tell in phases: intervals, confirmation of what is cut, global analysis in what is left.
+"""The sensitivity analysis of a campaign as ask/tell in phases: intervals, confirmation of what is cut, global analysis in what is left,
+confirmation over the whole range of the parameters that only the global analysis found without influence.
 
 Nothing is saved: an analysis recreated from the same arguments that receives the scores of all finished phases again continues
 exactly as this one would.
@@ -19,17 +20,19 @@ from drivecal.sensitivity.lines import lines_design, regions_design
 from drivecal.sensitivity.paper import paper_design
 from drivecal.sensitivity.radial import COLUMNS, SobolRows, radial_design
 from drivecal.sensitivity.scenario import ScenarioInfluence, ScenarioState
+from drivecal.sensitivity.sequential import IntervalRuns
 from drivecal.sensitivity.settings import SensitivitySettings
 
 PhaseName = Literal["intervals", "confirmation", "global"]
 
-_INTERVALS, _GLOBAL, _FIRST_CONFIRMATION = 0, 1, 2
-"""Sobol' sequences of the phases; each round of confirmation has its own."""
+_INTERVALS, _GLOBAL, _WHOLE_RANGE, _FIRST_CONFIRMATION = 0, 1, 2, 3
+"""Sobol' sequences of the phases; each round of confirmation has its own. The round after the global analysis has its own as well, for
+the number of the earlier ones depends on the other scenarios."""
 
 
 @dataclass(frozen=True, slots=True)
 class Phase:
-    """Runs that can be made in any order. `number` counts from 0; several rounds of confirmation share a name.
+    """Runs that can be made in any order. `number` counts from 0; several rounds of intervals or confirmations share a name.
 
     `points`: grid indices of the searched parameters by scenario, shape (n, n_searched). Scenarios of which nothing is asked are not in it.
     Points may repeat; equal arrays are one object where all scenarios share them.
@@ -58,11 +61,14 @@ class SensitivityAnalysis:
         self._edges = [interval_edges(n, settings.intervals) for n in space.n_values.tolist()]
         self._states = {scenario: ScenarioState(space, self._edges, settings.threshold) for scenario in scenarios}
         self._number = 0
+        self._confirmed = 0
         self._name: PhaseName | None = "intervals"
-        self._designs: dict[str, Design] | None = None
+        self._intervals: dict[str, IntervalRuns] = {}
+        self._designs: dict[str, Design] = {}
+        self._points: dict[str, Indices] | None = None
 
     def expected_runs(self) -> dict[PhaseName, int]:
-        """Runs per scenario and phase: exact for the intervals (Equation 3 for `paper`), at most for the others.
+        """Runs per scenario and phase at most; exact for the intervals unless they are chosen sequentially (Equation 3 for `paper`).
 
         Confirmation is cheaper by far where few regions are given back, and repeats are answered without a run.
         """
@@ -74,31 +80,34 @@ class SensitivityAnalysis:
         """The phase whose scores are to be told next, the same until they are; None when the analysis is finished."""
         if self._name is None:
             return None
-        if self._designs is None:
-            self._designs = self._drawn()
-        return Phase(self._number, self._name, {scenario: design.points for scenario, design in self._designs.items()})
+        if self._points is None:
+            self._points = self._drawn()
+        return Phase(self._number, self._name, self._points)
 
     def tell(self, scores: Mapping[str, Floats]) -> None:
         """The scores 0..7 of the points of the phase asked last, by scenario, shape (n,); NaN if a run failed.
 
         Raises ValueError if they do not fit the phase, RuntimeError if nothing was asked.
         """
-        if self._designs is None or self._name is None:
+        if self._points is None or self._name is None:
             raise RuntimeError("there is nothing to tell: ask for a phase first")
-        if set(scores) != set(self._designs):
-            raise ValueError(f"scores must be of {', '.join(self._designs)}, not of {', '.join(scores)}")
-        for scenario, design in self._designs.items():
-            _check(scenario, scores[scenario], len(design.points))
-        for scenario, design in self._designs.items():
+        if set(scores) != set(self._points):
+            raise ValueError(f"scores must be of {', '.join(self._points)}, not of {', '.join(scores)}")
+        for scenario, points in self._points.items():
+            _check(scenario, scores[scenario], len(points))
+        for scenario in self._points:
             state, answers = self._states[scenario], scores[scenario]
-            effects = design.effects(answers)
             if self._name == "intervals":
-                state.take_intervals(answers, effects, design.steps)
-            elif self._name == "confirmation":
+                self._tell_interval_runs(scenario, answers)
+                continue
+            design = self._designs[scenario]
+            effects = design.effects(answers)
+            if self._name == "confirmation":
                 state.take_confirmations(effects, design.steps)
             else:
                 state.take_overall(answers, effects, design.steps)
-        self._designs = None
+        self._confirmed += self._name == "confirmation"
+        self._points = None
         self._number += 1
         self._name = self._next()
 
@@ -118,30 +127,57 @@ class SensitivityAnalysis:
             }
         )
 
+    def _tell_interval_runs(self, scenario: str, scores: Floats) -> None:
+        runs = self._intervals[scenario]
+        runs.tell(scores)
+        if runs.rows().size == 0:
+            self._states[scenario].take_intervals(runs.scores, runs.effects, runs.design.steps)
+
     def _next(self) -> PhaseName | None:
+        if any(runs.rows().size for runs in self._intervals.values()):
+            return "intervals"
         if any(state.waiting for state in self._states.values()):
             return "confirmation"
-        if self._name == "global" or all(state.unknown for state in self._states.values()):
-            return None
-        return "global"
+        return "global" if any(state.awaits_overall for state in self._states.values()) else None
 
-    def _drawn(self) -> dict[str, Design]:
-        n_values, samples, seed = self._space.n_values, self._settings.samples, self._settings.seed
+    def _drawn(self) -> dict[str, Indices]:
         if self._name == "intervals":
+            return self._interval_points()
+        self._designs = self._confirming_designs() if self._name == "confirmation" else self._global_designs()
+        return {scenario: design.points for scenario, design in self._designs.items()}
+
+    def _interval_points(self) -> dict[str, Indices]:
+        if not self._intervals:
             make = paper_design if self._settings.design == "paper" else lines_design
-            shared = make(n_values, self._edges, samples, seed, _INTERVALS)
-            return dict.fromkeys(self._states, shared)
-        if self._name == "confirmation":
-            tag = _FIRST_CONFIRMATION + self._number
-            regions = {
-                scenario: [(box.column, *state.bounds(box)) for box in state.waiting]
-                for scenario, state in self._states.items()
-                if state.waiting
+            shared = make(self._space.n_values, self._edges, self._settings.samples, self._settings.seed, _INTERVALS)
+            sequential = self._settings.sequential and self._settings.design == "lines"
+            self._intervals = {
+                scenario: IntervalRuns(shared, self._settings.threshold, sequential=sequential) for scenario in self._states
             }
-            return {scenario: regions_design(n_values, region, samples, seed, tag) for scenario, region in regions.items()}
-        rows = SobolRows(COLUMNS * len(n_values), seed, _GLOBAL, 1)
+        drawn: dict[bytes, Indices] = {}
+        points = {}
+        for scenario, runs in self._intervals.items():
+            if (rows := runs.rows()).size:
+                points[scenario] = drawn.setdefault(rows.tobytes(), runs.design.points[rows])
+                points[scenario].flags.writeable = False
+        return points
+
+    def _confirming_designs(self) -> dict[str, Design]:
+        is_last = not any(state.awaits_overall for state in self._states.values())
+        tag = _WHOLE_RANGE if is_last else _FIRST_CONFIRMATION + self._confirmed
+        regions = {
+            scenario: [(box.column, *state.bounds(box)) for box in state.waiting]
+            for scenario, state in self._states.items()
+            if state.waiting
+        }
+        n_values, samples, seed = self._space.n_values, self._settings.samples, self._settings.seed
+        return {scenario: regions_design(n_values, region, samples, seed, tag) for scenario, region in regions.items()}
+
+    def _global_designs(self) -> dict[str, Design]:
+        n_values = self._space.n_values
+        rows = SobolRows(COLUMNS * len(n_values), self._settings.seed, _GLOBAL, 1)
         boxes = {scenario: state.box() for scenario, state in self._states.items() if not state.unknown}
-        return {scenario: radial_design(n_values, rows, *box, samples) for scenario, box in boxes.items()}
+        return {scenario: radial_design(n_values, rows, *box, self._settings.samples) for scenario, box in boxes.items()}
 
 
 def _check(scenario: str, scores: Floats, count: int) -> None:

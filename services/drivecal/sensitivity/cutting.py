@@ -75,6 +75,6 @@ def cut(column: int, influential: Sequence[bool]) -> list[Region]:
 
 
 def most_confirmations(intervals: int) -> int:
-    """Confirming analyses of one parameter at most, over all rounds: each halving of a region takes one."""
+    """Confirming analyses of one parameter at most, over all rounds: each halving of a region takes one, and the whole range another."""
     halvings = [below.bit_length() + (intervals - 1 - below).bit_length() for below in range(intervals)]
-    return max(1, *halvings)
+    return 1 + max(halvings)

@@ -99,7 +99,10 @@ class ScenarioState:
                 self._try([left] if left else [])
 
     def take_overall(self, scores: Floats, effects: Floats, steps: Floats) -> None:
-        """The global analysis: `effects`, `steps` of shape (n_p, r). If it has no information, the results of the intervals stand."""
+        """The global analysis: `effects`, `steps` of shape (n_p, r). If it has no information, the results of the intervals stand.
+
+        It cuts nothing alone: a parameter with influential intervals awaits an analysis over its whole range, unless one has refuted that.
+        """
         verdicts = [self._verdict(*row) for row in zip(effects, steps, strict=True)]
         self._overall = verdicts
         if tells_nothing(scores):
@@ -108,8 +111,13 @@ class ScenarioState:
             whole = "whole" in self._cut[column]
             if whole and overall.influential:
                 self._cut[column] = {}
-            elif not overall.influential and not whole:
-                self._cut[column] = {"whole": Region(column, "whole", len(self._edges[column]) - 1)}
+            elif not overall.influential and not whole and not self._is_refuted(column):
+                self._try([Region(column, "whole", len(self._edges[column]) - 1)])
+
+    @property
+    def awaits_overall(self) -> bool:
+        """Whether the global analysis is still to come."""
+        return not self.unknown and self._overall is None
 
     def bounds(self, region: Region) -> tuple[int, int]:
         """The first and the last grid index of a region."""
@@ -160,6 +168,10 @@ class ScenarioState:
             lower, upper = self.bounds(region)
             if upper > lower:
                 self.waiting.append(region)
+
+    def _is_refuted(self, column: int) -> bool:
+        """Whether an analysis over the whole range found the parameter influential."""
+        return any(done.region.side == "whole" and done.verdict.influential for done in self._confirmations[column])
 
     def _verdict(self, effects: Floats, steps: Floats) -> Verdict:
         return verdict(measures(effects), steps[~np.isnan(effects)], self._threshold)

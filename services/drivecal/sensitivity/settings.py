@@ -1,16 +1,19 @@
 """Settings of a sensitivity analysis."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isfinite
-from typing import Literal
+from typing import Any, Literal
 
 from drivecal.domain.errors import InvalidInputError, Problem
-from drivecal.sensitivity.thresholds import MuSigmaThresholds, Threshold
+from drivecal.sensitivity.thresholds import MuSigmaThresholds, Threshold, tolerance_text
 
 
 @dataclass(frozen=True, slots=True)
 class SensitivitySettings:
     """`design`: how the intervals are analysed; `intervals`: n_Int per parameter; `samples`: r effects per analysis; `seed`: of all points.
+
+    `sequential`: the design `lines` makes only the runs that its bounds take. `paper` makes all of Equation 3 in any case.
 
     Raises InvalidInputError naming every setting that cannot be used, under `sensitivity`.
     """
@@ -20,6 +23,7 @@ class SensitivitySettings:
     samples: int
     threshold: Threshold
     seed: int
+    sequential: bool = True
 
     def __post_init__(self) -> None:
         problems: list[Problem] = []
@@ -43,6 +47,16 @@ class SensitivitySettings:
                 problems.append(_problem(name, f"{limit} is no usable threshold", remedy))
         if problems:
             raise InvalidInputError(*problems)
+
+
+def caveats(stored: Mapping[str, Any]) -> list[str]:
+    """Returns what a map cannot show because of the settings that are stored with it, for readers: a line each, none for most settings."""
+    lines = [tolerance_text(stored["samples"])] if stored["threshold"] == "auto" else []
+    if stored.get("sequential") and stored["design"] == "lines":
+        lines.append(
+            "sequential analysis: intervals between influential ones took no runs, so a larger s_rel may be hidden there"
+        )
+    return lines
 
 
 def _problem(name: str, message: str, remedy: str) -> Problem:

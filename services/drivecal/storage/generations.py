@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
-from sqlalchemy import Connection, select, update
+from sqlalchemy import Connection, func, select, update
 
 from drivecal.storage.engine import cursors
 from drivecal.storage.engine.records import record
@@ -84,6 +84,14 @@ def is_stored(connection: Connection, campaign_sequence: int, iteration: int) ->
     """Whether an iteration was requested, at least in part."""
     here = generations.c.campaign_sequence == campaign_sequence, generations.c.iteration == iteration
     return connection.execute(select(generations.c.iteration).where(*here)).first() is not None
+
+
+def sums(connection: Connection, campaign_sequence: int, names: Sequence[str], iterations: int) -> dict[str, int]:
+    """Returns the sums of counts, by name, over the first `iterations`."""
+    columns = [func.coalesce(func.sum(generations.c[name]), 0) for name in names]
+    first = generations.c.campaign_sequence == campaign_sequence, generations.c.iteration < iterations
+    totals = connection.execute(select(*columns).where(*first)).one()
+    return {name: int(total) for name, total in zip(names, totals, strict=True)}
 
 
 def finish(

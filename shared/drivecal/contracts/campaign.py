@@ -229,13 +229,13 @@ class ExpectedRuns(Answer):
     """Upper bounds of a campaign's cost: proposed cells by stage, and simulations without any reuse."""
 
     sensitivity: int
-    """Runs of the interval analysis, which is known beforehand; its results decide confirmations and the global analysis."""
+    """Runs of the interval analysis, at most if it is `sequential`; its results decide confirmations and the global analysis."""
     sensitivity_at_most: int
     calibration_proposed: int
     calibration_at_most: int
     robustness: int
     validation: int
     break_even_share: float | None = None
-    """The share of requested cells that would have to be reused for the interval analysis to pay within this campaign, all runs counted
-    alike: above 1 it cannot. Null without both stages. How many will be reused cannot be known before."""
+    """The share of requested cells that would have to be reused for all runs of the interval analysis to pay within this campaign, all
+    counted alike: above 1 they cannot. Null without both stages. How many will be reused cannot be known before."""
     notes: list[str] = []

@@ -58,7 +58,8 @@ class SeparateThresholds(Model):
 class SensitivitySpecification(Model):
     """Sensitivity analysis: a complexity reduction by elementary effects (Section II-A).
 
-    `threshold` on s_rel, on |mu| and sigma separately, or `auto`.
+    `threshold` on s_rel, on |mu| and sigma separately, or `auto`. `sequential`: the design `lines` leaves out the runs that cannot change a
+    bound; intervals between influential ones then have no figures.
     """
 
     design: Literal["lines", "paper"] = "lines"
@@ -66,6 +67,7 @@ class SensitivitySpecification(Model):
     samples: Annotated[int, Field(ge=2, le=10_000)] = 20
     threshold: Annotated[float, Field(gt=0, le=1e6)] | Literal["auto"] | SeparateThresholds = 0.02
     seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 1
+    sequential: bool = True
 
 
 class OptimizerSpecification(BaseModel):

@@ -201,7 +201,8 @@ class InfluenceRow(Answer):
     lower: float | None
     upper: float | None
     s_rel_intervals: list[float | None] | None = None
-    """A value per interval, from the lower end of the space to the upper; null with too few results."""
+    """A value per interval, from the lower end of the space to the upper; null with too few results, and if the analysis is sequential
+    also between the first influential intervals from both ends, which need no runs."""
     mu: float | None = None
     sigma: float | None = None
     mu_star: float | None = None

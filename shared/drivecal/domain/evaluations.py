@@ -1,7 +1,7 @@
 """Results of cells, i.e. (parameter set, scenario) pairs, and the ways in which cells are answered."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 from drivecal.domain.campaigns import StageName
@@ -60,7 +60,7 @@ class RunResult:
 
     `proven_by`: the number of the run that the result provably repeats, None without a certificate. `agrees`: whether a simulation gave
     the same result as the certificate, None if it was not simulated. `agrees` is False without `proven_by` if the simulation turned out
-    not to be deterministic.
+    not to be deterministic. `certifying`: CPU time (ms) of looking for the certificate and of recording the run; no part of the result.
     """
 
     rating: Rating
@@ -68,6 +68,7 @@ class RunResult:
     failure: Failure | None = None
     proven_by: int | None = None
     agrees: bool | None = None
+    certifying: float = field(default=0.0, compare=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +114,8 @@ class AuditCount:
 class OutcomeCosts:
     """Answered cells of one stage and scenario that have outcome and `audited` in common.
 
-    `seconds`: CPU time that the campaign's own attempts took; `run_seconds`: that of the `runs` stored runs that answered the cells.
+    `seconds`: CPU time that the campaign's own attempts took, of which certificates took `certifying_seconds`. `run_seconds`: CPU time of
+    the `runs` simulated runs that answered the cells, without certificates.
     """
 
     stage: StageName
@@ -124,3 +126,4 @@ class OutcomeCosts:
     seconds: float
     runs: int
     run_seconds: float
+    certifying_seconds: float = 0.0

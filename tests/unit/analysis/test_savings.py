@@ -22,10 +22,11 @@ def _costs(
     stage: StageName = StageName.CALIBRATION,
     runs: int | None = None,
     run_seconds: float | None = None,
+    certifying: float = 0.0,
 ) -> OutcomeCosts:
     answered = (0 if outcome is Outcome.FAILED else cells) if runs is None else runs
     return OutcomeCosts(
-        stage, scenario, outcome, audited, cells, seconds, answered, seconds if run_seconds is None else run_seconds
+        stage, scenario, outcome, audited, cells, seconds, answered, seconds if run_seconds is None else run_seconds, certifying
     )
 
 
@@ -105,6 +106,7 @@ def test_predictions_save_and_their_predictor_costs() -> None:
     assert (found.answered_without_simulation, found.share_without_simulation, found.share_reused) == (40, 0.2, 0.0)
     assert found.predictor_seconds == 0.75
     assert found.saved_seconds == found.predicted_saved_seconds == pytest.approx(0.8)
+    assert (found.savings["predicted"], found.deductions["predictor"]) == (found.predicted_saved_seconds, 0.75)
     assert found.net_seconds == pytest.approx(0.05)
 
 
@@ -117,6 +119,28 @@ def test_confirmed_answers_are_taken_off_the_predicted_only_after_the_reused() -
     (only,) = account("c", "running", ["S1"], costs, None, confirmed={"S1": 3}).scenarios
     assert only.reused_saved_seconds == 0
     assert only.predicted_saved_seconds == pytest.approx(0.7)
+
+
+def test_a_saved_cell_is_worth_a_run_without_certificates_and_what_they_took_is_deducted() -> None:
+    rows = [
+        _costs("S1", Outcome.SIMULATED, 100, 1.2, run_seconds=1.0, certifying=0.2),
+        _costs("S1", Outcome.CERTIFIED, 50, 0.1, runs=0, run_seconds=0.0, certifying=0.1),
+    ]
+    balance = account("c", "succeeded", ["S1"], rows, None)
+    assert balance.scenarios[0].mean_seconds == pytest.approx(0.01)
+    assert balance.saved_seconds == pytest.approx(0.5)
+    assert balance.scenarios[0].certifying_seconds == balance.certifying_seconds == pytest.approx(0.3)
+    assert balance.net_seconds == pytest.approx(150 * 0.01 - (1.2 + 0.1)), "without reuse less with reuse"
+    assert "net saving of 0.2 s" in balance.sentence
+
+
+def test_the_net_is_what_all_outcomes_saved_less_all_that_saving_took() -> None:
+    rows = [*ANALYSIS, *CALIBRATION, _costs("S2", Outcome.CERTIFIED, 10, 0.02, runs=0, run_seconds=0.0, certifying=0.02)]
+    balance = account("c", "succeeded", ["S1", "S2"], rows, MapOrigin("m", "c", ANALYSIS))
+    assert balance.savings == pytest.approx({"repeated": 0.4, "reused": 4.5, "predicted": 0.0, "certified": 0.2})
+    assert balance.deductions == pytest.approx({"sensitivity": 10.0, "certificates": 0.02, "predictor": 0.0})
+    assert balance.saved_seconds == pytest.approx(sum(balance.savings.values()))
+    assert balance.net_seconds == pytest.approx(balance.saved_seconds - sum(balance.deductions.values()))
 
 
 def test_a_rerun_pays_nothing_for_the_map_and_counts_what_answered_it() -> None:

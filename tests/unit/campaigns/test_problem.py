@@ -53,6 +53,13 @@ def test_a_weight_of_zero_leaves_the_scenario_out_and_says_so() -> None:
     assert any("S2" in note for note in problem.notes)
 
 
+def test_the_misses_of_the_threshold_auto_are_noted_before_an_analysis_begins() -> None:
+    (note,) = _resolve(sensitivity={"threshold": "auto", "samples": 20}).notes
+    assert "39%" in note
+    assert _resolve(sensitivity={"threshold": 0.02, "samples": 20}).notes == ()
+    assert _resolve(sensitivity=None).notes == ()
+
+
 def test_a_vehicle_beyond_the_bounds_of_its_model_is_driven_and_noted() -> None:
     assert _resolve(vehicle={"parameters": {"mass": 1200.0}}).notes == ()
     (note,) = _resolve(vehicle={"parameters": {"mass": 2.06}}).notes  # in tonnes, by mistake

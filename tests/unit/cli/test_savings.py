@@ -45,7 +45,7 @@ def test_lots_have_a_row_by_scenario(capsys: pytest.CaptureFixture[str]) -> None
 
 
 def test_what_predictions_saved_and_the_predictor_took_is_in_the_balance(capsys: pytest.CaptureFixture[str]) -> None:
-    print_accounting(ACCOUNT.model_copy(update={"predicted_saved_seconds": 31.0, "predictor_seconds": 7.25}))
+    print_accounting(ACCOUNT.model_copy(update={"savings": {"predicted": 31.0}, "deductions": {"predictor": 7.25}}))
     signed = [line.split()[-3:] for line in capsys.readouterr().out.splitlines() if line.endswith(" s")]
     assert ["+", "31.0", "s"] in signed
     assert ["-", "7.2", "s"] in signed

@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from drivecal.domain.errors import InvalidInputError
+from drivecal.domain.errors import InvalidInputError, ReplayError
 from drivecal.domain.parameters import Indices
 from drivecal.optimizers import cma_es, optuna_samplers
 from drivecal.optimizers.built_in import RANDOM
+from drivecal.optimizers.replayed import Replayed
 from drivecal.plugins import registry
 from drivecal.plugins.ports import Floats, Optimizer, OptimizerPlugin
 
@@ -81,6 +82,75 @@ def test_the_start_population_is_the_campaigns(plugin: OptimizerPlugin, chosen: 
     reference = RANDOM.create(RANDOM.settings(population=12, start="halton"), GRID).ask().population
     assert np.array_equal(plugin.create(settings, GRID).ask().population, reference)
     assert plugin.requested_individuals(settings) == 12 * 20
+
+
+@every
+def test_an_engine_that_draws_otherwise_is_refused(plugin: OptimizerPlugin, chosen: dict[str, Any]) -> None:
+    saved = create(plugin, chosen, seed=7)
+    drive(saved, 3)
+    other = plugin.settings(**({"population": 12, "seed": 8} | chosen))
+    with pytest.raises(ReplayError) as refused:
+        plugin.restore(other, GRID, saved.state())
+    assert refused.value.iteration == 1
+    assert refused.value.saved == refused.value.installed == saved.state()["library"]
+
+
+@every
+def test_a_state_without_digests_still_loads(plugin: OptimizerPlugin, chosen: dict[str, Any]) -> None:
+    saved = create(plugin, chosen)
+    begun = drive(saved, 3)
+    earlier = {name: value for name, value in saved.state().items() if name in {"first", "told", "asked"}}
+    restored = plugin.restore(plugin.settings(**({"population": 12} | chosen)), GRID, earlier)
+    assert restored.state() == saved.state()
+    whole = drive(create(plugin, chosen), 4)
+    assert all(np.array_equal(a, b) for a, b in zip(begun + drive(restored, 1), whole, strict=True))
+
+
+class Drifting:
+    """An engine that proposes the start population shifted by one more each time, and by `drift` from proposal `since` on."""
+
+    library = "drifting 2.0"
+
+    def __init__(self, since: int, drift: int) -> None:
+        self._since, self._drift = since, drift
+        self._proposals = 0
+
+    def propose(self) -> Indices:
+        self._proposals += 1
+        return START + self._proposals + (self._drift if self._proposals >= self._since else 0)
+
+    def learn(self, population: Indices, objectives: Floats, tie_breakers: Floats) -> None:
+        del population, objectives, tie_breakers
+
+
+START = np.arange(12, dtype=np.int64).reshape(3, 4)
+
+
+@pytest.mark.parametrize("since", [1, 2, 3])
+@pytest.mark.parametrize("asked", [False, True])
+def test_a_refused_replay_names_the_first_iteration_that_differs(since: int, asked: bool) -> None:
+    saved = Replayed(START, Drifting(99, 0))
+    drive(saved, 3)
+    if asked:
+        saved.ask()
+    differs = since <= 2 or asked
+    state = saved.state() | {"library": "drifting 1.0"}
+    other = Replayed(np.zeros_like(START), Drifting(since, 1))
+    if not differs:
+        other.resume(state)
+        return
+    with pytest.raises(ReplayError) as refused:
+        other.resume(state)
+    assert (refused.value.iteration, refused.value.saved, refused.value.installed) == (since, "drifting 1.0", "drifting 2.0")
+
+
+def test_a_damaged_start_population_is_refused() -> None:
+    saved = Replayed(START, Drifting(99, 0))
+    drive(saved, 2)
+    state = saved.state() | {"first": (START + 1).tolist()}
+    with pytest.raises(ReplayError) as refused:
+        Replayed(START, Drifting(99, 0)).resume(state)
+    assert refused.value.iteration == 0
 
 
 def test_a_state_of_another_population_is_refused() -> None:

@@ -58,7 +58,8 @@ ACCOUNT = Accounting(
     ],
     requested=80, answered_without_simulation=30, simulated=48, audited=8, share_without_simulation=0.375, share_reused=0.25,
     simulated_seconds=0.96, audited_seconds=0.16, repeated_saved_seconds=0.2, reused_saved_seconds=0.4, certified_saved_seconds=0.0,
-    saved_seconds=0.6, net_seconds=-8.4, map_net_seconds=-8.6,
+    saved_seconds=0.6, savings={"repeated": 0.2, "reused": 0.4, "certified": 0.0}, deductions={"sensitivity": 9.0, "certificates": 0.0},
+    net_seconds=-8.4, map_net_seconds=-8.6,
     break_even=BreakEven(requested_cells=1800, campaigns=23, reruns=22),
     sentence="It lost 8.4 s.",
 )  # fmt: skip

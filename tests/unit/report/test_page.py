@@ -244,7 +244,7 @@ def test_the_account_adds_up_in_its_table(whole: Whole) -> None:
 
 
 def test_what_predictions_saved_and_the_predictor_cost_is_in_the_balance() -> None:
-    account = ACCOUNT.model_copy(update={"predicted_saved_seconds": 31.0, "predictor_seconds": 7.25})
+    account = ACCOUNT.model_copy(update={"savings": {"predicted": 31.0}, "deductions": {"predictor": 7.25}})
     balance = dict(savings.seconds_of(account))
     assert (balance["saved by predicted cells"], balance["cost of the predictor"]) == (31.0, -7.25)
 
@@ -263,6 +263,7 @@ def test_the_page_says_where_the_map_comes_from(tmp_path: Path) -> None:
     text = "".join(written(findings(basis=basis, influence=[*ROWS, row("S3", "P1", unknown=True)]), tmp_path)[0].text)
     assert "design lines, 5 intervals, 3 samples" in text
     assert "2,484 runs asked for, 2,329 simulated" in text
+    assert "probability of about 73%" in text, "three samples miss nine in ten changes of a tenth of the steps"
     assert "unknown" in text
 
 

@@ -22,6 +22,8 @@ from drivecal.runtime.runners import RefusedError, TimeSeries
 from drivecal.runtime.worker import LONGEST_DETAIL, MOST_RUNNERS, Worker
 
 SETUP = SetupRequest("highway", "S1", "frenet", "single_track", {}, "reference", "a fingerprint")
+WALK, RECORDING = 0.001, 0.002
+"""Milliseconds that the scripted runner says its certificates took."""
 
 
 class ForeignError(Exception):
@@ -44,8 +46,8 @@ class ScriptedRunner:
         first, second = parameters
         if second in self.known and not check:
             by, result = self.known[second]
-            return replace(result, proven_by=by)
-        result = self.run(parameters)
+            return replace(result, proven_by=by, certifying=WALK)
+        result = replace(self.run(parameters), certifying=RECORDING)
         if first == 8.0:
             return replace(result, agrees=False)
         if second in self.known:
@@ -403,3 +405,24 @@ def test_a_worker_reports_certificates_of_probes_without_a_simulation() -> None:
     (first,) = certified(worker, Cell(1, {"a": 0.0, "b": 3.0}, probes=probes))
     assert first.probed == ((7, 1),)
     assert first.metrics["runs"] == 1
+
+
+def test_what_certificates_took_is_reported_apart_from_the_run() -> None:
+    worker = Worker("w", lambda _: ScriptedRunner())
+    simulated, proved = certified(worker, Cell(1, {"a": 0.0, "b": 3.0}), Cell(2, {"a": 0.0, "b": 3.0}))
+    [plain] = run(worker, (0.0, 3.0))
+    assert (simulated.certifying, proved.certifying, plain.certifying) == (RECORDING, WALK, 0.0)
+    assert simulated.run_milliseconds == simulated.milliseconds - RECORDING
+    assert plain.run_milliseconds == plain.milliseconds
+
+
+def test_probes_are_part_of_the_time_and_of_what_certificates_took() -> None:
+    class Slow(ScriptedRunner):
+        def prove(self, parameters: Sequence[float]) -> int | None:
+            sum(range(20_000))
+            return super().prove(parameters)
+
+    probe = Probe(7, {"a": 9.0, "b": 3.0})
+    [cell] = certified(Worker("w", lambda _: Slow()), Cell(1, {"a": 0.0, "b": 3.0}, probes=(probe,)))
+    assert cell.certifying > RECORDING
+    assert cell.milliseconds > cell.certifying

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from decimal import Decimal
+from hashlib import sha256
 from math import isnan
 from typing import Any, Literal
 
@@ -25,7 +26,7 @@ from drivecal.sensitivity.settings import SensitivitySettings
 from drivecal.sensitivity.thresholds import MuSigmaThresholds
 
 SPACE = space_of(41, 101, 61)
-SETTINGS = SensitivitySettings("lines", 8, 12, "auto", 5)
+SETTINGS = SensitivitySettings("lines", 8, 12, "auto", 5, sequential=False)
 SCORES: dict[str, Score] = {"S1": staircase(SPACE, {0: (0.4, 0.9)}), "S2": staircase(SPACE, {1: (0, 0.5), 2: (0.25, 0.7)})}
 
 both = pytest.mark.parametrize("design", ["lines", "paper"])
@@ -252,10 +253,67 @@ def test_a_parameter_without_influential_intervals_must_be_without_influence_glo
         assert influence_after_global(state, effects) == influence
 
 
-def test_a_parameter_below_the_threshold_in_the_influential_box_has_no_influence() -> None:
-    state = state_after_intervals("..####..")
-    confirm(state, {"below": QUIET, "above": QUIET})
-    assert influence_after_global(state, QUIET) == Influence(influential=False)
+def test_a_parameter_below_the_threshold_in_the_influential_box_awaits_an_analysis_of_its_whole_range() -> None:
+    for whole, influence in ((QUIET, Influence(influential=False)), (LOUD, Influence(True, Decimal(2), Decimal(6)))):
+        state = state_after_intervals("..####..")
+        confirm(state, {"below": QUIET, "above": QUIET})
+        influence_after_global(state, QUIET)
+        assert confirm(state, {"whole": whole}) == [("whole", 0, 80)]
+        assert not state.waiting
+        parameter = state.result().parameters["P1"]
+        assert parameter.influence == influence
+        assert parameter.confirmations[-1].verdict.influential == (whole is LOUD)
+
+
+def test_a_whole_range_that_turned_out_influential_stays_so_whatever_the_global_analysis_finds() -> None:
+    state = state_after_intervals("........")
+    confirm(state, {"whole": LOUD})
+    assert influence_after_global(state, QUIET) == EVERYWHERE
+    assert not state.waiting
+
+
+SIX = space_of(*[31] * 6)
+
+
+def rare(points: Indices) -> Floats:
+    """Each parameter changes the score if the one beside it is near its end."""
+    near = (points > 10) & (np.roll(points, 1, axis=1) > 25)
+    return np.asarray(1 + near.sum(axis=1), dtype=np.float64)
+
+
+@both
+@pytest.mark.parametrize("seed", range(6))
+def test_no_parameter_is_without_influence_unless_an_analysis_of_its_whole_range_says_so(
+    design: Literal["lines", "paper"], seed: int
+) -> None:
+    found = finished({"S1": rare}, replace(SETTINGS, design=design, seed=seed), SIX)["S1"].parameters.values()
+    without = [parameter for parameter in found if not parameter.influence.influential]
+    overruled = [parameter for parameter in without if any(interval.influential for interval in parameter.intervals)]
+    for parameter in without:
+        last = parameter.confirmations[-1]
+        assert (last.lower, last.upper, last.verdict.influential) == (0, 30, False)
+    assert len(overruled) <= 1
+
+
+@pytest.mark.parametrize(
+    ("design", "seed", "phases", "digest"),
+    [
+        ("lines", 1, ["intervals", "confirmation", "confirmation", "global"], "4336bea94597b2b0"),
+        ("paper", 2, ["intervals", "confirmation", "confirmation", "confirmation", "global"], "ec0aa1a5f7c556dc"),
+    ],
+)
+def test_the_phases_of_an_analysis_that_an_earlier_release_began_are_unchanged(
+    design: Literal["lines", "paper"], seed: int, phases: list[str], digest: str
+) -> None:
+    analysis = SensitivityAnalysis(SIX, ["S1"], replace(SETTINGS, design=design, seed=seed))
+    seen, points = [], sha256()
+    while (phase := analysis.ask()) is not None:
+        if "global" not in seen:
+            points.update(phase.points["S1"].astype("<i8").tobytes())
+        seen.append(phase.name)
+        analysis.tell({"S1": rare(phase.points["S1"])})
+    assert seen == [*phases, "confirmation"], "what only the global analysis found is confirmed after all else"
+    assert points.hexdigest()[:16] == digest
 
 
 def test_a_global_analysis_without_any_score_changes_nothing() -> None:

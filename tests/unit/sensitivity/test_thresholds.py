@@ -13,8 +13,16 @@ from drivecal.sensitivity.cutting import interval_edges
 from drivecal.sensitivity.effects import Floats, measures
 from drivecal.sensitivity.lines import lines_design
 from drivecal.sensitivity.radial import COLUMNS, SobolRows, radial_design
-from drivecal.sensitivity.settings import SensitivitySettings
-from drivecal.sensitivity.thresholds import MuSigmaThresholds, Threshold, automatic, tolerated_changes, verdict
+from drivecal.sensitivity.settings import SensitivitySettings, caveats
+from drivecal.sensitivity.thresholds import (
+    MuSigmaThresholds,
+    Threshold,
+    automatic,
+    miss_probability,
+    tolerance_text,
+    tolerated_changes,
+    verdict,
+)
 
 
 def effects_of_changes(points: list[int], n: int, step: float) -> Floats:
@@ -64,6 +72,57 @@ def test_tolerated_changes_are_those_that_one_percent_explains() -> None:
 @given(st.integers(2, 100_000))
 def test_tolerated_changes_are_a_binomial_quantile(n: int) -> None:
     assert tolerated_changes(n) == stats.binom.ppf(0.95, n, 0.01)
+
+
+@pytest.mark.parametrize(("samples", "probability"), [(16, 0.5147), (20, 0.3917), (100, 0.0078)])
+def test_auto_misses_a_tenth_of_changed_steps_as_often_as_it_says(samples: int, probability: float) -> None:
+    assert miss_probability(samples, 0.1) == pytest.approx(probability, abs=0.001)
+    assert f"{probability:.0%}" in tolerance_text(samples)
+
+
+@given(st.integers(2, 2_000), st.floats(0, 1))
+def test_the_probability_of_a_miss_is_binomial(samples: int, rate: float) -> None:
+    assert miss_probability(samples, rate) == pytest.approx(
+        stats.binom.cdf(stats.binom.ppf(0.95, samples, 0.01), samples, rate)
+    )
+
+
+@pytest.mark.parametrize(("samples", "rate"), [(8, 0.1), (20, 0.1), (20, 0.25), (40, 0.05)])
+def test_analyses_of_equal_steps_miss_as_often_as_announced(samples: int, rate: float) -> None:
+    generator, trials = np.random.default_rng(samples), 2_000
+    missed = 0
+    for _ in range(trials):
+        changes = generator.choice([-1.0, 1.0], samples) * (generator.random(samples) < rate)
+        missed += not is_influential(changes / 7 / 0.5, 0.5)
+    expected = miss_probability(samples, rate)
+    assert missed / trials == pytest.approx(expected, abs=4 * np.sqrt(expected * (1 - expected) / trials))
+
+
+@pytest.mark.parametrize(("samples", "rate"), [(16, 0.1), (20, 0.1), (40, 0.05), (100, 0.05)])
+def test_steps_of_different_lengths_add_little_to_the_misses(samples: int, rate: float) -> None:
+    generator, n_values, missed, analyses = np.random.default_rng(samples), np.full(6, 101), 0, 0
+    for seed in range(10):
+        rows = SobolRows(COLUMNS * 6, seed)
+        steps = radial_design(n_values, rows, np.zeros(6, dtype=np.int64), n_values - 1, samples).steps
+        for _ in range(40):
+            changes = generator.choice([-1.0, 1.0], steps.shape) * (generator.random(steps.shape) < rate)
+            for effects, lengths in zip(changes / 7 / steps, steps, strict=True):
+                missed += not verdict(measures(effects), lengths, "auto").influential
+                analyses += 1
+    assert -0.04 < missed / analyses - miss_probability(samples, rate) < 0.09
+
+
+def test_readers_of_a_map_hear_of_the_misses_of_auto_alone() -> None:
+    settings = {"design": "lines", "intervals": 10, "samples": 20, "threshold": 0.02, "seed": 1}
+    assert caveats(settings) == []
+    assert caveats(settings | {"threshold": {"mu": 0.1, "sigma": 0.1}}) == []
+    assert caveats(settings | {"threshold": "auto"}) == [tolerance_text(20)]
+
+
+def test_readers_of_a_map_hear_of_intervals_that_took_no_runs_if_there_may_be_any() -> None:
+    settings = {"design": "lines", "intervals": 10, "samples": 20, "threshold": 0.02, "seed": 1, "sequential": True}
+    assert len(caveats(settings)) == 1
+    assert caveats(settings | {"design": "paper"}) == caveats(settings | {"sequential": False}) == []
 
 
 @given(st.integers(2, 400), st.floats(0.001, 1))

@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from time import thread_time_ns
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -32,6 +33,8 @@ BYTES_PER_RESULT = 4000
 """Approximate size of a stored result, mostly metrics by name."""
 DECISIONS_UNTIL_DESCRIPTION = 2
 """Decisions of the planner in a state before it is described: a description costs as much as a few decisions."""
+TIMED = 8
+"""Every so many plans the recording is timed: reading the clock takes a good part of what recording a plan does."""
 
 
 class NotDeterministicError(DrivecalError):
@@ -178,24 +181,44 @@ class RecordingPlanner(Generic[Result]):
         self._planner, self._trie = planner, trie
         self.period = planner.period
         self.recording = DecisionRecord()
-        self._states: list[Floats] = []
+        """The finished run."""
+        self._parameters: Sequence[float] = ()
+        self._states: list[bytes] = []
+        """State of each plan, as bytes: copying an array takes five times as long, and slows the run itself."""
         self._decisions: list[int] = []
         self._infeasible: list[tuple[int, npt.NDArray[np.bool_]]] = []
+        self._timed = 0
+
+    @property
+    def milliseconds(self) -> float:
+        """CPU time of recording so far, estimated from every `TIMED`-th plan."""
+        timed = -(-len(self._decisions) // TIMED)
+        return self._timed / 1e6 * len(self._decisions) / timed if timed else 0.0
 
     def reset(self, parameters: Sequence[float]) -> None:
         self._planner.reset(parameters)
-        self._states, self._decisions, self._infeasible = [], [], []
-        self.recording = DecisionRecord(parameters, self._states, self._decisions, self._infeasible)
+        self._parameters, self._states, self._decisions, self._infeasible = parameters, [], [], []
+        self._timed = 0
 
     def plan(self, observation: Observation) -> Floats:
-        planner = self._planner
-        trajectory = planner.plan(observation)
-        if np.count_nonzero(planner.infeasible):
-            self._infeasible.append((len(self._decisions), planner.infeasible.copy()))
-        self._states.append(planner.state.copy())
-        self._decisions.append(planner.chosen)
+        trajectory = self._planner.plan(observation)
+        if len(self._decisions) % TIMED:
+            self._record()
+        else:
+            start = thread_time_ns()
+            self._record()
+            self._timed += thread_time_ns() - start
         return trajectory
+
+    def _record(self) -> None:
+        planner = self._planner
+        if True in planner.infeasible.tobytes():  # several times faster than numpy on so few values
+            self._infeasible.append((len(self._decisions), planner.infeasible.copy()))
+        self._states.append(planner.state.tobytes())
+        self._decisions.append(planner.chosen)
 
     def finish(self, result: Result, run: int) -> None:
         """Stores the finished run under the number `run`. Raises like `Trie.learn`."""
+        states = np.frombuffer(bytearray().join(self._states)).reshape(len(self._decisions), -1)  # writable, as kernels expect
+        self.recording = DecisionRecord(self._parameters, states, self._decisions, self._infeasible)
         self._trie.learn(self.recording, result, run)

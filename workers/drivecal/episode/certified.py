@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Sequence
 from dataclasses import replace
+from time import thread_time_ns
 from typing import Any
 
 from drivecal.certification.memory import Memory
@@ -47,25 +48,32 @@ class CertifiedRunner(EpisodeRunner):
         """
         if not self._certifiable:
             return self.run(parameters)
+        start = thread_time_ns()
         trie = self._trie_to_fill()
         certificate = trie.prove(parameters)
         if certificate is not None and not check:
-            return replace(certificate.result, proven_by=certificate.proven_by)
+            return replace(certificate.result, proven_by=certificate.proven_by, certifying=_milliseconds(start))
         recording = trie.record()
+        before = _milliseconds(start)
         result = self.run(parameters, recording)
+        start = thread_time_ns()
+        deterministic = True
         try:
             recording.finish(result, number)
         except NotDeterministicError:
             self.forget()
-            return replace(result, agrees=False)
+            deterministic = False
+        certifying = before + recording.milliseconds + _milliseconds(start)
+        if not deterministic:
+            return replace(result, agrees=False, certifying=certifying)
         if certificate is None:
             if self.unsent is not None:
                 self.unsent.append(packed(recording.recording, result, number))
-            return result
+            return replace(result, certifying=certifying)
         agrees = result == certificate.result
         if not agrees:
             self.forget()
-        return replace(result, proven_by=certificate.proven_by, agrees=agrees)
+        return replace(result, proven_by=certificate.proven_by, agrees=agrees, certifying=certifying)
 
     def prove(self, parameters: Sequence[float]) -> int | None:
         """Returns the number of the run that these parameters would provably repeat, or None. Simulates nothing."""
@@ -119,3 +127,8 @@ class CertifiedRunner(EpisodeRunner):
     def forget(self) -> None:
         """Forgets all recorded runs and frees their memory."""
         self.trie = None
+
+
+def _milliseconds(start: int) -> float:
+    """Returns the CPU time of this thread since `start` (of `time.thread_time_ns`)."""
+    return (thread_time_ns() - start) / 1e6

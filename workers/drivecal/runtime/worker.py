@@ -106,17 +106,23 @@ class Worker:
             rating = _finite("the rating", result.rating.rating)
             metrics = {name: _finite(name, value) for name, value in result.metrics.items()}
             failure = result.failure.value if result.failure else None
-            milliseconds = _milliseconds(start)
+            certifying = result.certifying
+            probed: tuple[tuple[int, int], ...] = ()
+            if cell.probes:
+                probing = time.thread_time_ns()
+                probed = _probed(runner, cell.probes)
+                certifying += _milliseconds(probing)
             return CellResult(
                 id=cell.id,
                 rating=rating,
                 score=int(result.rating.score),
                 metrics=metrics,
                 failure=failure,
-                milliseconds=milliseconds,
+                milliseconds=_milliseconds(start),
                 proven_by=result.proven_by,
                 agrees=result.agrees,
-                probed=_probed(runner, cell.probes),
+                probed=probed,
+                certifying=certifying,
             )
         except RefusedError:
             raise

@@ -322,7 +322,7 @@ class CellTracker:
             parameter_set_id=cell.parameter_set_id,
             metrics=completion.result.metrics,
             failure=completion.result.failure,
-            milliseconds=completion.result.milliseconds,
+            milliseconds=completion.result.run_milliseconds,
             worker=completion.worker,
             evaluator=self._evaluator_id,
             score=completion.result.score,

@@ -34,7 +34,7 @@ from drivecal.reduction.prediction import (
     ScenarioLearner,
     choose_lot,
 )
-from drivecal.storage import lots, results
+from drivecal.storage import evaluations, lots, results
 from drivecal.storage.engine.types import ORDER
 from drivecal.storage.evaluations import NewEvaluation
 from drivecal.storage.lots import LotVerdict, NewLot, StoredLot
@@ -94,13 +94,16 @@ class LotPlanner:
         self._features = FeatureSpace(space, view.names)
         kind = partial(Forest, reduction.tolerance)
         self._learners = {scenario: ScenarioLearner(kind, reduction.tolerance) for scenario in weights}
-        self._seconds: dict[str, list[float]] = defaultdict(list)
+        self._lots_so_far: Sequence[StoredLot] = ()
+        self._cell_seconds: Mapping[str, float] = {}
         self._newest: int | None = None
         self._rows: dict[int, int] = {}
         self._forecasts: dict[str, _Forecast] = {}
 
     def learn(self, connection: Connection) -> None:
-        """Reads the answers since the last call. No cell of the campaign may wait for its answer."""
+        """Reads the answers and lots since the last call. No cell of the campaign may wait for its answer."""
+        self._lots_so_far = lots.of_campaign(connection, self._view.campaign)
+        self._cell_seconds = evaluations.mean_seconds(connection, self._view.campaign)
         setups = ensure_setups(connection, self._view.bench)
         if self._newest is None:
             self._newest = 0
@@ -136,9 +139,7 @@ class LotPlanner:
             weight = np.array([batch[place].stands_for for place in asked], dtype=np.float64)
             learner.observe(predicted, confidence, scores[asked], weight)
 
-    def predict(
-        self, sets: Mapping[int, ParameterSet], lots_so_far: Sequence[StoredLot], mean_seconds: Mapping[str, float]
-    ) -> None:
+    def predict(self, sets: Mapping[int, ParameterSet]) -> None:
         """Predicts a batch, by individual; takes seconds, so call it outside of any transaction. Skips scenarios without enough known
         answers, and those in which the predictor costs more than it saves."""
         self._rows = {individual: row for row, individual in enumerate(sets)}
@@ -147,10 +148,10 @@ class LotPlanner:
             scenario
             for scenario, learner in self._learners.items()
             if pays(
-                [lot for lot in lots_so_far if lot.scenario == scenario],
+                [lot for lot in self._lots_so_far if lot.scenario == scenario],
                 learner.known,
                 len(sets),
-                mean_seconds.get(scenario, 0.0),
+                self._cell_seconds.get(scenario, 0.0),
             )
         ]
 
@@ -163,6 +164,10 @@ class LotPlanner:
         with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
             forecasts = dict(zip(asked, pool.map(forecast, asked), strict=True))
         self._forecasts = {scenario: told for scenario, told in forecasts.items() if told is not None}
+
+    def released(self, connection: Connection) -> dict[str, Released]:
+        """Sums up the lots with a verdict, by scenario."""
+        return released_by_scenario(lots.of_campaign(connection, self._view.campaign), self._reduction.limit)
 
     def plan(
         self, connection: Connection, cells: Sequence[NewEvaluation], best: float | None, whole: Collection[int]

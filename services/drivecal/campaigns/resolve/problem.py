@@ -203,6 +203,7 @@ def resolve(specification: CampaignSpecification) -> CalibrationProblem:
     optimization = resolvers.choose_optimizer(specification, diagnostics)
     weights, notes = resolvers.normalise_weights(specification.weights, list(scenarios), diagnostics)
     notes += resolvers.note_vehicle(vehicle, vehicle_parameters)
+    notes += resolvers.note_threshold(specification)
     space = None if function is None else search_space(specification, function, diagnostics)
     baseline = given_set(specification.baseline, space, "baseline", diagnostics)
     start_sets = resolvers.find_start_sets(specification, baseline, space, diagnostics)

@@ -29,7 +29,16 @@ def problem_of(campaign: StoredCampaign) -> CalibrationProblem | EvaluationProbl
     """Resolves a campaign against today's plug-ins. Raises InvalidInputError if that fails."""
     if campaign.kind == "evaluation":
         return resolve_evaluation(validated(EvaluationSpecification, campaign.spec))
-    return resolve(validated(CampaignSpecification, campaign.spec))
+    return resolve(validated(CampaignSpecification, stored_document(campaign.spec)))
+
+
+def stored_document(spec: Mapping[str, Any]) -> dict[str, Any]:
+    """A stored specification in today's words. Specifications are stored with all settings, so a missing one did not exist: an analysis
+    that began without `sequential` makes all its runs, and continues with the phases that it began with."""
+    document, sensitivity = dict(spec), spec.get("sensitivity")
+    if isinstance(sensitivity, dict) and "map" not in sensitivity:
+        document["sensitivity"] = {"sequential": False} | sensitivity
+    return document
 
 
 def resolved_spec(campaign: StoredCampaign) -> ResolvedSpec:

@@ -84,6 +84,14 @@ def note_vehicle(vehicle: Vehicle | None, values: Mapping[str, float]) -> tuple[
     )
 
 
+def note_threshold(specification: CampaignSpecification) -> tuple[str, ...]:
+    """Notes what the threshold `auto` of a new analysis may miss with its number of samples."""
+    wanted = specification.sensitivity
+    if not isinstance(wanted, SensitivitySpecification) or wanted.threshold != "auto":
+        return ()
+    return (thresholds.tolerance_text(wanted.samples),)
+
+
 def choose_optimizer(specification: CampaignSpecification, diagnostics: Diagnostics) -> Optimization | None:
     """The optimizer with its checked settings; None if none is requested."""
     wanted = specification.optimizer
@@ -178,6 +186,7 @@ def plan_analysis(wanted: SensitivitySpecification, space: ParameterSpace, scena
         if isinstance(threshold, SeparateThresholds)
         else threshold,
         seed=wanted.seed,
+        sequential=wanted.sequential,
     )
     return SensitivityAnalysis(space, scenarios, settings)
 

@@ -14,7 +14,7 @@ from sqlalchemy import Connection
 from drivecal.analysis.confirmation import Confirmation, verdict_in
 from drivecal.analysis.solutions import EQUAL, EvaluatedSet, Ranking
 from drivecal.campaigns.cells.planning import View, sync_reference_keys
-from drivecal.campaigns.cells.predicting import LotPlanner, released_by_scenario, slice_size
+from drivecal.campaigns.cells.predicting import LotPlanner, slice_size
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.stages.stage import CampaignStage, Round
 from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, Released
@@ -26,11 +26,11 @@ from drivecal.execution.scheduling.in_flight import Work
 from drivecal.plugins.ports import Optimizer, Proposal
 from drivecal.reduction.assignment import Policy, RequestedCell
 from drivecal.reduction.audit import error_rates
-from drivecal.storage import audits, campaigns, evaluations, events, generations, lots, results
+from drivecal.storage import audits, campaigns, events, generations, results
 from drivecal.storage.campaigns import Snapshot, StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.evaluations import NewEvaluation
-from drivecal.storage.generations import Figures
+from drivecal.storage.generations import Figures, StoredGeneration
 from drivecal.storage.references import parameter_sets
 
 _COUNTED = (
@@ -111,38 +111,50 @@ class Calibration(CampaignStage):
             )
 
     def _resume(self) -> list[Work]:
-        """Resumes the last generation, or starts with the first."""
-        problem = self._problem
+        """Resumes the last generation, or starts with the first.
+
+        The optimizer is restored between two transactions, because a replay may take long and nothing else could be written meanwhile. What
+        was read before stays true: only the dispatcher changes it, and every transaction first checks that this process is still the one.
+        """
         sync_reference_keys(self._database, self._view)
-        with self._database.transaction() as connection:
+        with self._database.read() as connection:
             last = generations.last(connection, self._campaign.sequence)
-            if last is None or last.optimizer_state is None:
-                start = self._area.contract(problem.start_indices) if problem.start_sets else None
-                self._optimizer = self._optimization.plugin.create(self._optimization.settings, self._area.n_values, start)
-                if problem.specification.reduction.narrow:
+            if last is not None:
+                finished = last.iteration + last.finished
+                self._before = CellCounts(**generations.sums(connection, self._campaign.sequence, _COUNTED, finished))
+                self._take_in(connection, iterations=range(finished))
+        self._optimizer = self._restored(last)
+        with self._database.transaction() as connection:
+            if last is None:
+                if self._problem.specification.reduction.narrow:
                     campaigns.set_narrowed(connection, self._campaign.sequence, self._area.narrowed())
                 self._remember_baseline(connection)
                 return []
-            self._optimizer = self._optimization.plugin.restore(
-                self._optimization.settings, self._area.n_values, last.optimizer_state
-            )
-            self._iteration = last.iteration
-            finished = last.iteration + last.finished
-            self._before = self._counts_of_finished(connection, finished)
-            self._take_in(connection, iterations=range(finished))
-            if last.finished:
-                self._optimizer.tell(self._weighted(self._scores), self._weighted(self._ratings))
-            else:
-                self._proposal = Proposal(np.array(last.population, dtype=np.int64), np.array(last.changed, dtype=np.bool_))
-                self._batches = [
-                    batch
-                    for batch in self._split(last.iteration, self._proposal)
-                    if not results.is_requested(connection, self._campaign.sequence, self.name, last.iteration, batch[0])
-                ]
-                self._round = Round(last.iteration, (), self._policy())
+            self._batches = [batch for batch in self._batches if not self._is_requested(connection, last.iteration, batch)]
             work = self._tracker.load(connection, share_runs=self._policy().mode != "off")
             self._save(connection)
         return work
+
+    def _restored(self, last: StoredGeneration | None) -> Optimizer:
+        """The optimizer as it was after the last generation, or a new one. Takes as long as the optimizer's computations."""
+        plugin, settings, n_values = self._optimization.plugin, self._optimization.settings, self._area.n_values
+        if last is None:
+            start = self._area.contract(self._problem.start_indices) if self._problem.start_sets else None
+            return plugin.create(settings, n_values, start)
+        if last.optimizer_state is None:
+            raise RuntimeError(f"generation {last.iteration} has no optimizer state")
+        optimizer = plugin.restore(settings, n_values, last.optimizer_state)
+        self._iteration = last.iteration
+        if last.finished:
+            optimizer.tell(self._weighted(self._scores), self._weighted(self._ratings))
+        else:
+            self._proposal = Proposal(np.array(last.population, dtype=np.int64), np.array(last.changed, dtype=np.bool_))
+            self._batches = self._split(last.iteration, self._proposal)
+            self._round = Round(last.iteration, (), self._policy())
+        return optimizer
+
+    def _is_requested(self, connection: Connection, iteration: int, batch: list[int]) -> bool:
+        return results.is_requested(connection, self._campaign.sequence, self.name, iteration, batch[0] if batch else None)
 
     def _propose(self) -> Round:
         if self._optimizer is None:
@@ -172,10 +184,8 @@ class Calibration(CampaignStage):
         if self._planner is not None:
             with self._database.transaction() as connection:
                 self._planner.learn(connection)
-                stored = lots.of_campaign(connection, self._campaign.sequence)
-                costs = evaluations.mean_seconds(connection, self._campaign.sequence)
                 self._take_in(connection, [self._iteration])
-            self._planner.predict(dict(zip(batch, sets, strict=True)), stored, costs)
+            self._planner.predict(dict(zip(batch, sets, strict=True)))
         return Round(self._iteration, [(problem.bench, wanted)], self._policy())
 
     def _predict(self, connection: Connection, asked: Round, planned: list[NewEvaluation]) -> list[NewEvaluation]:
@@ -256,8 +266,7 @@ class Calibration(CampaignStage):
             objectives, ratings = self._weighted(self._scores), self._weighted(self._ratings)
             self._check_reuse(connection, self._iteration)
             if self._planner is not None:
-                limit = self._problem.specification.reduction.limit
-                self._released = released_by_scenario(lots.of_campaign(connection, self._campaign.sequence), limit)
+                self._released = self._planner.released(connection)
             self._describe_best(connection)
             figures = self._figures(objectives)
             generations.finish(connection, self._campaign.sequence, self._iteration, figures, objectives.tolist())
@@ -319,15 +328,6 @@ class Calibration(CampaignStage):
             minimum=float(known.min()) if known.size else None,
             alternatives=0 if best is None else best[1],
         )
-
-    def _counts_of_finished(self, connection: Connection, iterations: int) -> CellCounts:
-        """The sum over the iterations before this one."""
-        total = dict.fromkeys(_COUNTED, 0)
-        finished, _ = generations.page(connection, self._campaign.sequence, limit=max(iterations, 1))
-        for iteration, figures in finished:
-            for name in _COUNTED:
-                total[name] += asdict(figures)[name] if iteration < iterations else 0
-        return CellCounts(**total)
 
     def _describe_best(self, connection: Connection) -> None:
         best = self._ranking.best()

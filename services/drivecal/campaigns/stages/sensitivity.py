@@ -32,7 +32,7 @@ KEYS_AT_ONCE = 10_000
 
 
 class Sensitivity(CampaignStage):
-    """The analysis of a campaign; each phase is a round.
+    """The analysis of a campaign; each phase is a round, and its intervals are several if they are chosen sequentially.
 
     Runs are answered by equal parameter sets or simulated, never reused: reuse needs the map that they produce.
     """
@@ -62,7 +62,8 @@ class Sensitivity(CampaignStage):
 
     @property
     def _at_most(self) -> int:
-        return self._expected.sensitivity
+        is_early = self._phase is None or self._phase.name == "intervals"
+        return self._expected.sensitivity if is_early else 0  # later phases leave no interval to be run
 
     def _ask(self) -> Round | None:
         self._phase = self._analysis.ask()

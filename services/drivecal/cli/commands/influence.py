@@ -14,6 +14,7 @@ from drivecal.contracts.tables import InfluenceRow
 from drivecal.domain.errors import ConflictError, NotFoundError
 from drivecal.report.rows import by_scenario, fixed, segment
 from drivecal.sensitivity.agreement import Agreement, Pair, agreement
+from drivecal.sensitivity.settings import caveats
 
 WIDTH = 20
 """Characters in the picture of a parameter's range."""
@@ -68,6 +69,8 @@ def print_influence(rows: Sequence[InfluenceRow], basis: Mapping[str, Any] | Non
         typer.echo(f"\n{line}")
     if basis is not None:
         typer.echo(f"\n{_rests_on(basis)}")
+        for line in caveats(basis["sensitivity"]):
+            typer.echo(line)
         typer.echo("\nThe smallest s_rel that is not 0; a threshold below it means any change at all:\n")
         parts = ("intervals", "overall")
         smallest = basis["smallest_s_rel"].items()
@@ -112,8 +115,8 @@ def decided_text(rows: Sequence[InfluenceRow]) -> list[str]:
     lines = []
     if overruled:
         lines.append(
-            f"Not influential, though an interval has an s_rel above 0: {_listed(overruled)}.\nThe final analysis, in which all parameters "
-            "stay where they matter, showed no effect of them that counts. It decides."
+            f"Not influential, though an interval has an s_rel above 0: {_listed(overruled)}.\nA later analysis, over more "
+            "than one interval, showed no effect of them that counts. It decides."
         )
     if added:
         lines.append(

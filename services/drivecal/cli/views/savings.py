@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import typer
 
 from drivecal.cli.views.output import duration, print_columns
-from drivecal.contracts.accounting import Accounting, BreakEven
+from drivecal.contracts.accounting import DEDUCTIONS, Accounting, BreakEven
 from drivecal.contracts.campaign import ErrorRate, Narrowed, Released
 from drivecal.report.rows import error_rates, released_lots, totals
 
@@ -33,12 +33,8 @@ def print_accounting(accounting: Accounting) -> None:
     """Prints the balance of a campaign in seconds of its workers."""
     typer.echo("\nwhat was saved, in CPU time of the workers")
     lines = [
-        ("answered by equal sets", accounting.repeated_saved_seconds),
-        ("answered by references", accounting.reused_saved_seconds),
-        ("answered by predictions", accounting.predicted_saved_seconds),
-        ("answered by certificates", accounting.certified_saved_seconds),
-        ("predictor", -accounting.predictor_seconds),
-        ("sensitivity stage", -accounting.sensitivity.seconds),
+        *((f"{outcome} cells", seconds) for outcome, seconds in accounting.savings.items()),
+        *((DEDUCTIONS.get(name, name), -seconds) for name, seconds in accounting.deductions.items()),
     ]
     for name, seconds in lines:
         if seconds:

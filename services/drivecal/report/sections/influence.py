@@ -7,6 +7,7 @@ from typing import Any
 from drivecal.contracts.tables import InfluenceRow
 from drivecal.report.markup import paragraph, table
 from drivecal.report.rows import Emphasized, by_scenario
+from drivecal.sensitivity.settings import caveats
 
 
 def parts(rows: Sequence[InfluenceRow], basis: Mapping[str, Any] | None, drawings: Sequence[str]) -> list[str]:
@@ -25,10 +26,11 @@ def _origin(basis: Mapping[str, Any] | None) -> str:
     if basis is None:
         return "The influence map was posted by a user; no analysis stands behind it."
     settings = basis["sensitivity"]
+    ends = "".join(f" {line[0].upper()}{line[1:]}." for line in caveats(settings))
     return (
         f"An analysis by elementary effects: design {settings['design']}, {settings['intervals']} intervals, {settings['samples']} "
         f"samples, threshold {json.dumps(settings['threshold'])}, seed {settings['seed']}; {basis['runs']:,} runs asked for, "
-        f"{basis['simulated']:,} simulated for it."
+        f"{basis['simulated']:,} simulated for it.{ends}"
     )
 
 

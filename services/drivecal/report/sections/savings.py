@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 
-from drivecal.contracts.accounting import Accounting, ScenarioAccount
+from drivecal.contracts.accounting import DEDUCTIONS, Accounting, ScenarioAccount
 
 Row = Sequence[object]
 FIELDS = tuple(ScenarioAccount.model_fields)
@@ -32,12 +32,8 @@ def balance(account: Accounting) -> Iterator[Row]:
 def seconds_of(account: Accounting) -> list[tuple[str, float]]:
     """Returns the items that add up to the net, and further ones."""
     items = [
-        ("saved by repeated cells", account.repeated_saved_seconds),
-        ("saved by reused cells", account.reused_saved_seconds),
-        ("saved by predicted cells", account.predicted_saved_seconds),
-        ("saved by certified cells", account.certified_saved_seconds),
-        ("cost of the sensitivity stage", 0.0 - account.sensitivity.seconds),
-        ("cost of the predictor", 0.0 - account.predictor_seconds),
+        *((f"saved by {outcome} cells", seconds) for outcome, seconds in account.savings.items()),
+        *((f"cost of the {DEDUCTIONS.get(name, name)}", 0.0 - seconds) for name, seconds in account.deductions.items()),
         ("net", account.net_seconds),
         ("simulated", account.simulated_seconds),
         ("of these for audits", account.audited_seconds),

@@ -17,7 +17,10 @@ from drivecal.storage.engine.types import finite, now
 
 @dataclass(frozen=True, slots=True)
 class NewRun:
-    """A simulated result, rated by `evaluator` ("name version"), and the evaluation that it comes from."""
+    """A simulated result, rated by `evaluator` ("name version"), and the evaluation that it comes from.
+
+    `milliseconds`: CPU time of the run alone, without what certificates took; the evaluation's own `milliseconds` include it.
+    """
 
     setup_id: int
     parameter_set_id: int

@@ -1,0 +1,228 @@
+"""Intervals from both ends inwards: the same bounds as all runs of the design give, from fewer of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import isnan
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tests.unit.sensitivity.synthetic import Box, Score, drive, space_of, staircase
+
+from drivecal.domain.influence import EVERYWHERE
+from drivecal.domain.parameters import Indices
+from drivecal.sensitivity.analysis import SensitivityAnalysis
+from drivecal.sensitivity.effects import Floats, measures
+from drivecal.sensitivity.settings import SensitivitySettings
+from drivecal.sensitivity.thresholds import MuSigmaThresholds, Threshold, is_surely_influential, verdict
+
+SPACE = space_of(41, 101, 61)
+BOXES: dict[str, Box] = {"S1": {0: (0.4, 0.9)}, "S2": {1: (0, 0.5), 2: (0.25, 0.7)}}
+SCORES: dict[str, Score] = {scenario: staircase(SPACE, box) for scenario, box in BOXES.items()}
+SETTINGS = SensitivitySettings("lines", 8, 12, "auto", 5)
+ALL_RUNS = replace(SETTINGS, sequential=False)
+THRESHOLDS: tuple[Threshold, ...] = ("auto", 0.02, 0.4, 2.0, MuSigmaThresholds(0.1, 0.5), MuSigmaThresholds(0.5, 0.1))
+
+
+class Recorded:
+    """A score that remembers for which points it was asked."""
+
+    def __init__(self, score: Score) -> None:
+        self._score = score
+        self.asked: list[tuple[int, ...]] = []
+
+    def __call__(self, points: Indices) -> Floats:
+        self.asked += [tuple(row) for row in points.tolist()]
+        return self._score(points)
+
+
+def rough(space: Any, box: Box, seed: int, changed: float, failing: float) -> Score:
+    """A staircase of which a share of all points scores otherwise and another share fails; whole parts of the range fail, too."""
+    stairs = staircase(space, box)
+
+    def score(points: Indices) -> Floats:
+        hashed = np.array([np.random.default_rng([seed, *row]).random(3) for row in points.tolist()])
+        scores = np.where(hashed[:, 0] < changed, np.floor(8 * hashed[:, 1]), stairs(points))
+        dead = points[:, 0] < failing * space.n_values[0]
+        return np.where(dead | (hashed[:, 2] < failing / 3), np.nan, scores)
+
+    return score
+
+
+@given(
+    st.lists(st.integers(7, 40), min_size=1, max_size=4),
+    st.integers(1, 6),
+    st.integers(2, 14),
+    st.sampled_from(THRESHOLDS),
+    st.integers(0, 10_000),
+    st.sampled_from([0.0, 0.02, 0.1, 0.6]),
+    st.sampled_from([0.0, 0.1, 0.5]),
+)
+@settings(max_examples=80, deadline=None)
+def test_the_bounds_are_those_of_the_whole_design(
+    sizes: list[int], intervals: int, samples: int, threshold: Threshold, seed: int, changed: float, failing: float
+) -> None:
+    space, generator = space_of(*sizes), np.random.default_rng(seed)
+    boxes: list[Box] = [
+        {column: (low, low + generator.random() + 0.01) for column, low in enumerate(starts) if generator.random() < 0.6}
+        for starts in generator.random((2, len(sizes))).tolist()
+    ]
+    scores = {f"S{number}": Recorded(rough(space, box, seed, changed, failing)) for number, box in enumerate(boxes)}
+    every = SensitivityAnalysis(space, list(scores), SensitivitySettings("lines", intervals, samples, threshold, seed, False))
+    drive(every, scores)
+    of_all = {scenario: set(score.asked) for scenario, score in scores.items()}
+    for score in scores.values():
+        score.asked.clear()
+    some = SensitivityAnalysis(space, list(scores), SensitivitySettings("lines", intervals, samples, threshold, seed))
+    drive(some, scores)
+    assert some.influence_map() == every.influence_map()
+    for scenario, score in scores.items():
+        assert set(score.asked) <= of_all[scenario]
+        full, short = every.result()[scenario], some.result()[scenario]
+        assert short.unknown == full.unknown
+        for name, parameter in short.parameters.items():
+            assert parameter.confirmations == full.parameters[name].confirmations
+            assert repr(parameter.overall) == repr(full.parameters[name].overall)  # NaN differs from itself
+
+
+def finished(chosen: SensitivitySettings, scores: dict[str, Score] = SCORES) -> tuple[Any, list[tuple[str, dict[str, int]]]]:
+    analysis = SensitivityAnalysis(SPACE, list(scores), chosen)
+    told = drive(analysis, scores)
+    return analysis.result(), told
+
+
+def runs_of(told: list[tuple[str, dict[str, int]]], phase: str) -> int:
+    return sum(sum(runs.values()) for name, runs in told if name == phase)
+
+
+@pytest.mark.parametrize("threshold", THRESHOLDS[:3])
+def test_it_takes_fewer_runs_than_announced_and_none_twice(threshold: Threshold) -> None:
+    scores = {scenario: Recorded(score) for scenario, score in SCORES.items()}
+    analysis = SensitivityAnalysis(SPACE, list(scores), replace(SETTINGS, threshold=threshold))
+    while (phase := analysis.ask()) is not None and phase.name == "intervals":
+        analysis.tell({scenario: scores[scenario](points) for scenario, points in phase.points.items()})
+    announced = 2 * analysis.expected_runs()["intervals"]
+    made = [(scenario, *point) for scenario, score in scores.items() for point in score.asked]
+    assert len(made) < 0.85 * announced
+    whole = SensitivityAnalysis(SPACE, list(scores), replace(ALL_RUNS, threshold=threshold)).ask()
+    assert whole is not None
+    for scenario, score in scores.items():
+        rows, counts = np.unique(whole.points[scenario], axis=0, return_counts=True)
+        most = {tuple(row): count for row, count in zip(rows.tolist(), counts.tolist(), strict=True)}
+        assert all(score.asked.count(point) <= most[point] for point in score.asked)
+
+
+def test_only_intervals_between_influential_ones_are_left_out_and_have_no_figures() -> None:
+    short, full = finished(SETTINGS)[0], finished(ALL_RUNS)[0]
+    left_out = 0
+    for scenario in SCORES:
+        for name, parameter in short[scenario].parameters.items():
+            marks = [interval.influential for interval in full[scenario].parameters[name].intervals]
+            for place, s_rel in enumerate(parameter.s_rel_intervals):
+                if isnan(s_rel):
+                    left_out += 1
+                    assert any(marks[:place])
+                    assert any(marks[place + 1 :])
+                elif not marks[place]:
+                    assert s_rel == full[scenario].parameters[name].s_rel_intervals[place]
+                else:
+                    assert parameter.intervals[place].influential
+    assert left_out > 0
+
+
+def test_the_first_round_is_the_same_for_all_scenarios_and_large() -> None:
+    first = SensitivityAnalysis(SPACE, ["S1", "S2", "S3"], SETTINGS).ask()
+    assert first is not None
+    assert first.points["S1"] is first.points["S3"]
+    assert len(first.points["S1"]) >= 3 * 2 * 3, "both ends of all parameters"
+
+
+def test_the_paper_s_own_design_is_made_in_full() -> None:
+    _, told = finished(replace(SETTINGS, design="paper"))
+    assert [name for name, _ in told].count("intervals") == 1
+    assert runs_of(told, "intervals") == 2 * 3 * 8 * 12 * 4
+
+
+@pytest.mark.parametrize("value", [0.0, np.nan])
+def test_a_scenario_of_which_nothing_is_known_takes_all_runs_before_it_counts_as_unknown(value: float) -> None:
+    scores: dict[str, Score] = {"S1": lambda points: np.full(len(points), value)}
+    result, told = finished(SETTINGS, scores)
+    assert result["S1"].unknown
+    assert {parameter.influence for parameter in result["S1"].parameters.values()} == {EVERYWHERE}
+    assert runs_of(told, "intervals") == SensitivityAnalysis(SPACE, ["S1"], SETTINGS).expected_runs()["intervals"]
+
+
+def test_a_score_only_far_inside_keeps_a_scenario_from_being_unknown() -> None:
+    def inside(points: Indices) -> Floats:
+        unit = points / (SPACE.n_values - 1)
+        return np.where(np.all(np.abs(unit - 0.5) < 0.2, axis=1), 5.0, np.nan)
+
+    scores: dict[str, Score] = {"S1": inside}
+    assert finished(SETTINGS, scores)[0]["S1"].unknown == finished(ALL_RUNS, scores)[0]["S1"].unknown
+
+
+def test_a_replayed_sequential_analysis_goes_on_as_the_first_would() -> None:
+    first = SensitivityAnalysis(SPACE, list(SCORES), SETTINGS)
+    told: list[dict[str, Floats]] = []
+    while (phase := first.ask()) is not None:
+        second = SensitivityAnalysis(SPACE, list(SCORES), SETTINGS)
+        for scores in told:
+            second.ask()
+            second.tell(scores)
+        again = second.ask()
+        assert again is not None
+        assert (again.number, again.name) == (phase.number, phase.name) == (len(told), phase.name)
+        assert again.points.keys() == phase.points.keys()
+        assert all(np.array_equal(again.points[scenario], phase.points[scenario]) for scenario in phase.points)
+        told.append({scenario: SCORES[scenario](points) for scenario, points in phase.points.items()})
+        first.tell(told[-1])
+    assert [set(scores) for scores in told][-1] == set(SCORES)
+
+
+def test_a_scenario_is_analysed_the_same_whatever_others_there_are() -> None:
+    for scenario, score in SCORES.items():
+        alone, together = finished(SETTINGS, {scenario: score})[0][scenario], finished(SETTINGS)[0][scenario]
+        assert repr(alone) == repr(together)
+
+
+effects_of = st.floats(-1, 1).map(lambda change: round(7 * change))
+
+
+@given(
+    st.lists(st.tuples(effects_of, st.floats(0.02, 1), st.booleans()), min_size=2, max_size=40),
+    st.integers(0, 40),
+    st.sampled_from(THRESHOLDS),
+    st.integers(0, 10_000),
+)
+@settings(max_examples=400)
+def test_what_is_surely_influential_stays_so_whatever_comes(
+    pairs: list[tuple[int, float, bool]], made: int, threshold: Threshold, seed: int
+) -> None:
+    generator = np.random.default_rng(seed)
+    made = min(made, len(pairs))
+    steps = np.array([step * generator.choice([-1, 1]) for _, step, _ in pairs])
+    effects = np.array([np.nan if fails and generator.random() < 0.3 else change / 7 for change, _, fails in pairs]) / steps
+    if not is_surely_influential(effects[:made], steps[:made], steps[made:], threshold):
+        return
+    completions = [effects]
+    for share in (0.0, 0.5, 1.0):
+        later = np.where(generator.random(len(pairs)) < share, np.nan, generator.integers(-7, 8, len(pairs)) / 7 / steps)
+        completions += [
+            np.where(np.arange(len(pairs)) < made, effects, later),
+            np.where(np.arange(len(pairs)) < made, effects, 0.0),
+            np.where(np.arange(len(pairs)) < made, effects, np.nanmean(effects[:made])),
+        ]
+    for completed in completions:
+        assert verdict(measures(completed), steps[~np.isnan(completed)], threshold).influential
+
+
+def test_auto_settles_with_as_many_changes_as_the_whole_analysis_needs() -> None:
+    steps, changed = np.full(20, 0.5), np.zeros(20)
+    changed[:2] = [1, -1]
+    effects = changed / 7 / steps
+    assert is_surely_influential(effects[:5], steps[:5], steps[5:], "auto")
+    assert not is_surely_influential(effects[:1], steps[:1], steps[1:], "auto")
+    assert not is_surely_influential(np.roll(effects, 1)[:2], steps[:2], steps[2:], "auto"), "one change is tolerated"
