@@ -281,8 +281,8 @@ def table(tallies: Sequence[Tally]) -> Iterator[str]:
 def main(arguments: Sequence[str]) -> int:
     """Prints the table; 1 if a search found other scores."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--population", type=int, default=200)
-    parser.add_argument("--iterations", type=int, default=12)
+    parser.add_argument("--population", type=int, default=100)
+    parser.add_argument("--iterations", type=int, default=8)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--workers", type=int, nargs="+", default=[1, 2, 8, 32])
     parser.add_argument("--modes", choices=MODES, nargs="+", default=MODES)

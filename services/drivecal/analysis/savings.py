@@ -3,8 +3,8 @@
 The net estimates the CPU time of the same campaign without reuse, less its own. So a saved cell is worth the mean CPU time of the
 scenario's simulations without certificates, and all that reuse itself takes is deducted: the sensitivity stage, walks that look for
 certificates, recording of runs, probes, the predictor. Audited cells are simulated like any other: they are a saving forgone, already
-missing among the reused, and not a cost on top; so are the samples of predicted lots. Reused cells that were simulated after the search to
-confirm its best set save nothing either.
+missing among the reused, and not a cost on top; so are the samples of predicted lots. Reused cells that were simulated after the search
+to confirm its best set save nothing either.
 
 A further outcome that saves simulations goes into `SAVING`, with its fields of the contract; a further cost into `_deductions`.
 """
@@ -123,7 +123,7 @@ def break_even(map_seconds: float, reused_saved_seconds: float, requested: int) 
     return BreakEven(requested_cells=ceil(campaigns * requested - ROUNDING), campaigns=whole, reruns=whole - 1)
 
 
-def _deductions(sensitivity: SensitivityCost, scenarios: Sequence[ScenarioAccount]) -> dict[str, float]:
+def _deductions(sensitivity: SensitivityCost, scenarios: Iterable[ScenarioAccount]) -> dict[str, float]:
     """What saving took, by the keys of `contracts.accounting.DEDUCTIONS`."""
     return {
         "sensitivity": sensitivity.seconds,

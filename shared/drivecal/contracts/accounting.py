@@ -40,10 +40,10 @@ class MapCost(Answer):
 class ScenarioAccount(Answer):
     """The calibration stage in one scenario. `mean_seconds`: CPU time of a simulation without certificates, over the simulated cells; if
     there is none, over the simulated runs that answered cells; null if there is neither. Savings are numbers of cells times it.
-    `certifying_seconds`: CPU time that certificates took: looking for proofs, recording of runs, probes. `confirmed`: of the reused cells,
-    those that were simulated after the search to confirm its best set, and so save nothing. `proved`: of the reused cells, those of which a
-    worker happened to know by a certificate what a simulation would have given; `proved_different`: their score is another one,
-    `proved_wrong`: by more than 1 (Eq. 8). Two equal campaigns need not know the same."""
+    `certifying_seconds`: CPU time that certificates took: looking for proofs, recording of runs, probes. `predictor_seconds`: CPU time of
+    the predictor. `confirmed`: of the reused cells, those that were simulated after the search to confirm its best set, and so save
+    nothing. `proved`: of the reused cells, those of which a worker happened to know by a certificate what a simulation would have given;
+    `proved_different`: their score is another one, `proved_wrong`: by more than 1 (Eq. 8). Two equal campaigns need not know the same."""
 
     scenario: str
     requested: int
@@ -64,7 +64,6 @@ class ScenarioAccount(Answer):
     certified_saved_seconds: float
     certifying_seconds: float = 0.0
     predictor_seconds: float = 0.0
-    """CPU time of the predictor."""
     proved: int = 0
     proved_different: int = 0
     proved_wrong: int = 0
@@ -85,13 +84,13 @@ class BreakEven(Answer):
 class Accounting(Answer):
     """Savings and costs of a campaign, in cells and in CPU seconds of the workers.
 
-    `saved_seconds`: by repeated, reused, predicted and certified cells, without those that were `confirmed`. `audited_seconds` is the
-    price of the self-check: audited cells could have been reused but were simulated, so they are not among the saved, and are not taken
-    off once more. `savings`: the addends of `saved_seconds`, by outcome. `deductions`: CPU seconds that saving took in this campaign, by
-    cause (`DEDUCTIONS`). Later releases may add outcomes and causes. `net_seconds` = sum of `savings` - sum of `deductions`: an estimate
-    of the CPU time of the same campaign without reuse, less its own. `map_net_seconds` = saved by reuse alone - cost of the map, in any
-    campaign; null without a map. `share_without_simulation`: (repeated + reused + predicted + certified) / requested; `share_reused`:
-    reused / requested; null before the first.
+    `saved_seconds`: by repeated, reused, predicted and certified cells, without those that were `confirmed`. `audited_seconds` is
+    the price of the self-check: audited cells could have been reused but were simulated, so they are not among the saved, and are not
+    taken off once more. `savings`: the addends of `saved_seconds`, by outcome. `deductions`: CPU seconds that saving took in this
+    campaign, by cause (`DEDUCTIONS`). Later releases may add outcomes and causes. `net_seconds` = sum of `savings` - sum of
+    `deductions`: an estimate of the CPU time of the same campaign without reuse, less its own. `map_net_seconds` = saved by reuse alone -
+    cost of the map, in any campaign; null without a map. `share_without_simulation`: (repeated + reused + predicted + certified) /
+    requested; `share_reused`: reused / requested; null before the first.
     """
 
     campaign: str
