@@ -77,7 +77,7 @@ def test_the_account_has_what_predictions_saved_and_what_they_cost(ended: Ended)
     assert sum(scenario.predicted for scenario in account.scenarios) == ended.campaign.cells.predicted
     assert account.predicted_saved_seconds > 0
     assert account.predictor_seconds == pytest.approx(sum(lots.seconds for lots in ended.campaign.released.values()))
-    assert account.net_seconds == pytest.approx(account.saved_seconds - account.predictor_seconds)
+    assert account.net_seconds == pytest.approx(account.saved_seconds - sum(account.deductions.values()))
 
 
 def test_no_ranked_set_has_a_predicted_score(ended: Ended) -> None:

@@ -142,7 +142,9 @@ def _scenario(
         mean = _mean_seconds(costs)
     audited = [cell for cell in simulated if cell.audited]
     saving = {outcome: cells[outcome] for outcome in SAVING}
-    saving[Outcome.REUSED] -= confirmed
+    of_reused = min(confirmed, saving[Outcome.REUSED])
+    saving[Outcome.REUSED] -= of_reused
+    saving[Outcome.PREDICTED] -= min(confirmed - of_reused, saving[Outcome.PREDICTED])
     saved = {_saved(outcome): number * (mean or 0.0) for outcome, number in saving.items()}
     return ScenarioAccount(
         scenario=name,

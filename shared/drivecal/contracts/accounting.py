@@ -84,7 +84,7 @@ class BreakEven(Answer):
 class Accounting(Answer):
     """Savings and costs of a campaign, in cells and in CPU seconds of the workers.
 
-    `saved_seconds`: by repeated, reused, predicted and certified cells, without reused ones that were `confirmed`. `audited_seconds` is
+    `saved_seconds`: by repeated, reused, predicted and certified cells, without those that were `confirmed`. `audited_seconds` is
     the price of the self-check: audited cells could have been reused but were simulated, so they are not among the saved, and are not
     taken off once more. `savings`: the addends of `saved_seconds`, by outcome. `deductions`: CPU seconds that saving took in this
     campaign, by cause (`DEDUCTIONS`). Later releases may add outcomes and causes. `net_seconds` = sum of `savings` - sum of

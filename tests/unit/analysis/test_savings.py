@@ -93,6 +93,34 @@ def test_what_certificates_say_of_reused_cells_stands_in_the_account_of_its_scen
     assert counts == [(0, 0, 0), (9, 3, 1)]
 
 
+def test_predictions_save_and_their_predictor_costs() -> None:
+    costs = [
+        _costs("S1", Outcome.SIMULATED, 60, 1.2),
+        _costs("S1", Outcome.PREDICTED, 40, 0.0, runs=0, run_seconds=0.0),
+        _costs("S2", Outcome.SIMULATED, 100, 1.0),
+    ]
+    found = account("c", "running", ["S1", "S2"], costs, None, predictors={"S1": 0.5, "S2": 0.25})
+    first, second = found.scenarios
+    assert (first.predicted, first.predictor_seconds, second.predicted, second.predictor_seconds) == (40, 0.5, 0, 0.25)
+    assert first.predicted_saved_seconds == pytest.approx(0.8)
+    assert (found.answered_without_simulation, found.share_without_simulation, found.share_reused) == (40, 0.2, 0.0)
+    assert found.predictor_seconds == 0.75
+    assert found.saved_seconds == found.predicted_saved_seconds == pytest.approx(0.8)
+    assert (found.savings["predicted"], found.deductions["predictor"]) == (found.predicted_saved_seconds, 0.75)
+    assert found.net_seconds == pytest.approx(0.05)
+
+
+def test_confirmed_answers_are_taken_off_the_predicted_only_after_the_reused() -> None:
+    costs = [
+        _costs("S1", Outcome.SIMULATED, 10, 1.0),
+        _costs("S1", Outcome.REUSED, 2, 0.0),
+        _costs("S1", Outcome.PREDICTED, 8, 0.0),
+    ]
+    (only,) = account("c", "running", ["S1"], costs, None, confirmed={"S1": 3}).scenarios
+    assert only.reused_saved_seconds == 0
+    assert only.predicted_saved_seconds == pytest.approx(0.7)
+
+
 def test_a_saved_cell_is_worth_a_run_without_certificates_and_what_they_took_is_deducted() -> None:
     rows = [
         _costs("S1", Outcome.SIMULATED, 100, 1.2, run_seconds=1.0, certifying=0.2),
@@ -113,22 +141,6 @@ def test_the_net_is_what_all_outcomes_saved_less_all_that_saving_took() -> None:
     assert balance.deductions == pytest.approx({"sensitivity": 10.0, "certificates": 0.02, "predictor": 0.0})
     assert balance.saved_seconds == pytest.approx(sum(balance.savings.values()))
     assert balance.net_seconds == pytest.approx(balance.saved_seconds - sum(balance.deductions.values()))
-
-
-def test_predictions_save_and_their_predictor_costs() -> None:
-    costs = [
-        _costs("S1", Outcome.SIMULATED, 60, 1.2),
-        _costs("S1", Outcome.PREDICTED, 40, 0.0, runs=0, run_seconds=0.0),
-        _costs("S2", Outcome.SIMULATED, 100, 1.0),
-    ]
-    found = account("c", "running", ["S1", "S2"], costs, None, predictors={"S1": 0.5, "S2": 0.25})
-    first, second = found.scenarios
-    assert (first.predicted, first.predictor_seconds, second.predicted, second.predictor_seconds) == (40, 0.5, 0, 0.25)
-    assert first.predicted_saved_seconds == pytest.approx(0.8)
-    assert (found.answered_without_simulation, found.share_without_simulation, found.share_reused) == (40, 0.2, 0.0)
-    assert found.predictor_seconds == 0.75
-    assert found.saved_seconds == found.predicted_saved_seconds == pytest.approx(0.8)
-    assert found.net_seconds == pytest.approx(0.05)
 
 
 def test_a_rerun_pays_nothing_for_the_map_and_counts_what_answered_it() -> None:
