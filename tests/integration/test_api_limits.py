@@ -129,7 +129,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
         (
             {"optimizer": {"population": 1500, "iterations": 1}, "sensitivity": {"samples": 4, "intervals": 2}},
             "optimizer",
-            "10,632 cells, 9,000 of them here: 1,500 individuals x 1 iterations x 6 scenarios",
+            "11,160 cells, 9,000 of them here: 1,500 individuals x 1 iterations x 6 scenarios",
         ),
     ],
 )
