@@ -249,7 +249,7 @@ def test_what_a_search_believed_of_references_is_confirmed_after_it(database: Da
         after = [row for row in rows[one.run] if row.iteration >= 3]
         assert one.confirmations == len(after)
         assert one.simulations == sum(row.outcome not in {"repeated", "reused"} for row in rows[one.run])
-        assert campaign.spec["reduction"]["confirm"] == (0 if one.reduction == "exact" else CONFIRMED)
+        assert campaign.spec["reduction"]["confirm"] == (20 if one.reduction == "exact" else CONFIRMED)
     assert sum(one.confirmations for one in found.runs()) > 0
     believed = [one for one in found.runs() if one.best != one.simulated_best]
     assert {one.reduction for one in believed} == {"influence audit=0.4"}

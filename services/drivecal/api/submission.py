@@ -42,8 +42,7 @@ def expected(database: Database, limits: Limits, specification: CampaignSpecific
         check_source(connection, problem)
         check_predictions(connection, problem)
         reduction = specification.reduction
-        reused = used is not None and reduction.mode in {"influence", "both"}
-        warnings = doubts(connection, used, reduction.max_error, now()) if used is not None and reused else []
+        warnings = doubts(connection, used, reduction.max_error, now()) if used is not None and reduction.uses_map else []
     runs = problem.expected_runs()
     return runs.model_copy(update={"notes": [*warnings, *runs.notes]})
 

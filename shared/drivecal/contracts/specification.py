@@ -104,6 +104,12 @@ class ReductionSpecification(Model):
     max_error: Annotated[float, Field(gt=0, le=1)] = 0.02
     narrow: bool = False
     certified: bool = True
+
+    @property
+    def uses_map(self) -> bool:
+        """Whether references may answer cells by an influence map."""
+        return self.mode in {"influence", "both"}
+
     """Whether a cell may be answered by a run that it provably repeats, where the driving function allows it; changes no result."""
     confirm: Annotated[int, Field(ge=0, le=LARGEST_CONFIRM)] = 20
 

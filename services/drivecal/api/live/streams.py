@@ -285,7 +285,14 @@ def _unstored(campaign: str, trouble: str | None) -> bytes:
 
 
 def _event(number: int | None, kind: str, campaign: str, at: datetime, data: Mapping[str, Any]) -> bytes:
-    document = {"id": number, "kind": kind, "campaign": campaign, "at": at.isoformat(), "text": event_text(kind, data), "data": data}
+    document = {
+        "id": number,
+        "kind": kind,
+        "campaign": campaign,
+        "at": at.isoformat(),
+        "text": event_text(kind, data),
+        "data": data,
+    }
     return format_sse_event(id=None if number is None else str(number), event=kind, data_str=json.dumps(document))
 
 

@@ -153,8 +153,9 @@ def _campaign(
         "optimizer": chosen | {"seed": conditions.seed},
         "reduction": reduction.model_dump(),
     }
-    if reduction.mode == "influence":  # a run's score must hold for its own set
-        document["reduction"]["confirm"] = reduction.confirm or CONFIRMED
+    if reduction.uses_map:  # a run's score must hold for its own set
+        given = reduction.confirm if "confirm" in reduction.model_fields_set else 0
+        document["reduction"]["confirm"] = given or CONFIRMED
     else:  # useless to the run, and its cells would count
         document["sensitivity"] = None
     return validated(CampaignSpecification, document)
@@ -180,9 +181,9 @@ def _check_lists(specification: ComparisonSpecification, diagnostics: Diagnostic
     _check_unique("seeds", specification.seeds, diagnostics)
     reductions = [_reduction(reduction) for reduction in specification.reductions]
     _check_unique("reductions", [reduction_label(reduction) for reduction in reductions], diagnostics)
-    if specification.sensitivity is None and any(reduction.mode == "influence" for reduction in reductions):
-        remedy = "ask for a sensitivity analysis, name a map, or leave `influence` out"
-        diagnostics.add("sensitivity", "the reduction `influence` needs an influence map", remedy)
+    if specification.sensitivity is None and any(reduction.uses_map for reduction in reductions):
+        remedy = "ask for a sensitivity analysis, name a map, or leave `influence` and `both` out"
+        diagnostics.add("sensitivity", "reductions `influence` and `both` need an influence map", remedy)
     seen: dict[str, int] = {}
     for index, optimizer in enumerate(specification.optimizers):
         label = optimizer.label or optimizer.kind

@@ -69,7 +69,7 @@ class StagedCampaign(Job):
         """What was known about a given map when the campaign was submitted; its own analysis is new."""
         reduction = self._problem.specification.reduction
         given = isinstance(self._problem.specification.sensitivity, MapReference)
-        if campaign.influence_map_id is None or not given or reduction.mode not in {"influence", "both"}:
+        if campaign.influence_map_id is None or not given or not reduction.uses_map:
             return []
         with self._database.read() as connection:
             return doubts(connection, campaign.influence_map_id, reduction.max_error, campaign.created_at)
