@@ -114,6 +114,8 @@ def missed(outcomes: Mapping[tuple[str, int], Outcome], seeds: Sequence[int]) ->
     problems = []
     for kind in KINDS:
         pairs = [(outcomes[kind, seed], outcomes["off", seed]) for seed in seeds if (kind, seed) in outcomes]
+        if not pairs:
+            continue
         for name, most in WANTED.get(kind, {}).items():
             mean, _, _ = interval([getattr(one, name) / getattr(off, name) for one, off in pairs])
             if mean > most:

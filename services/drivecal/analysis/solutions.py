@@ -18,7 +18,7 @@ class EvaluatedSet:
     rating: float
     scores: Mapping[str, int]
     reused: tuple[str, ...]
-    """Scenarios whose score is a reference's: this very set was not simulated there."""
+    """Scenarios whose score is a reference's or a prediction: this very set was not simulated there."""
     iteration: int
     individual: int
 
@@ -38,6 +38,8 @@ class Ranking:
         self._answers: dict[int, dict[str, CellScore]] = {}
         self._places: dict[int, tuple[int, int]] = {}
         self._solutions: dict[int, EvaluatedSet] = {}
+        self._predicted: dict[int, EvaluatedSet] = {}
+        """Sets with a predicted score, which have no rank."""
 
     def add(self, answers: Iterable[CellScore]) -> None:
         """Takes answers in, in any order. A set with a predicted score takes no place in the ranking."""
@@ -52,8 +54,13 @@ class Ranking:
             touched.add(number)
         for number in touched:
             solution = self._solution(number)
-            if solution is not None:
+            if solution is None:
+                continue
+            if any(cell.predicted for cell in self._answers[number].values()):
+                self._predicted[number] = solution
+            else:
                 self._solutions[number] = solution
+                self._predicted.pop(number, None)
 
     def ranking(self) -> list[EvaluatedSet]:
         """All solutions, best first."""
@@ -67,14 +74,19 @@ class Ranking:
         equal = sum(1 for solution in self._solutions.values() if abs(solution.objective - best.objective) <= EQUAL)
         return best, equal
 
+    def surest(self) -> EvaluatedSet | None:
+        """The best solution whose scores are all its own; None without one."""
+        own = (solution for solution in self._solutions.values() if not solution.reused)
+        return min(own, key=lambda solution: solution.order, default=None)
+
     def doubtful(self, tried: Collection[int] = ()) -> EvaluatedSet | None:
-        """The best of the solutions that owe a score to a reference and rank before every one that owes none, but for those `tried`, by
-        their ids; None without one."""
-        surest = min((solution.order for solution in self._solutions.values() if not solution.reused), default=None)
+        """The best set with a copied or predicted score that would rank before `surest`, but for those `tried`, by their ids; None without
+        one."""
+        surest = self.surest()
         candidates = [
             candidate
-            for number, candidate in self._solutions.items()
-            if candidate.reused and number not in tried and (surest is None or candidate.order < surest)
+            for number, candidate in (self._solutions | self._predicted).items()
+            if candidate.reused and number not in tried and (surest is None or candidate.order < surest.order)
         ]
         return min(candidates, key=lambda solution: solution.order, default=None)
 
@@ -89,7 +101,7 @@ class Ranking:
         reused: list[str] = []
         for scenario, share in self._shares.items():
             cell = cells.get(scenario)
-            if cell is None or cell.score is None or cell.rating is None or cell.predicted:
+            if cell is None or cell.score is None or cell.rating is None:
                 return None
             objective += share * cell.score
             rating += share * cell.rating

@@ -15,9 +15,10 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import brentq
-from scipy.stats import betabinom, hypergeom
+from scipy.special import betaln, gammaln
 
 Floats = npt.NDArray[np.float64]
+Positions = npt.NDArray[np.int64]
 
 MOST_ACCEPTED = 5
 """Largest acceptance number that `best_plan` tries."""
@@ -49,17 +50,33 @@ class SamplingPlan:
         if spare == 0:
             return 0.0
         wrong = min(max(error_rate, 1e-9), 1.0 - 1e-9) * DISPERSION
-        released = betabinom.cdf(self.acceptance, self.sample, wrong, DISPERSION - wrong)
-        return spare * float(released)
+        drawn = np.arange(min(self.acceptance, self.sample) + 1)
+        chances = _log_choose(self.sample, drawn) + betaln(wrong + drawn, DISPERSION - wrong + self.sample - drawn)
+        return spare * min(1.0, float(np.exp(chances - betaln(wrong, DISPERSION - wrong)).sum()))  # a beta-binomial
 
 
 def outgoing_errors(plan: SamplingPlan) -> Floats:
     """Returns the expected share of released errors for D = 0..size wrong predictions, shape (size + 1,)."""
-    wrong = np.arange(plan.size + 1)
-    shares = np.zeros(plan.size + 1)
-    for drawn in range(plan.acceptance + 1):
-        shares += hypergeom.pmf(drawn, plan.size, wrong, plan.sample) * np.maximum(wrong - drawn, 0)
-    return shares / max(plan.size, 1)
+    drawn, wrong = np.arange(plan.acceptance + 1)[:, None], np.arange(plan.size + 1)[None, :]
+    errors: Floats = (_chances(plan, drawn, wrong) * np.maximum(wrong - drawn, 0)).sum(axis=0)
+    return errors / max(plan.size, 1)
+
+
+def _chances(plan: SamplingPlan, drawn: Positions, wrong: Positions) -> Floats:
+    """Returns the hypergeometric chances of `drawn` errors in the sample, for numbers of `wrong` predictions in the lot."""
+    right = plan.size - wrong
+    possible = (drawn <= wrong) & (plan.sample - drawn <= right) & (drawn <= plan.sample)
+    logarithms = (
+        _log_choose(wrong, np.minimum(drawn, wrong))
+        + _log_choose(right, np.clip(plan.sample - drawn, 0, right))
+        - _log_choose(plan.size, plan.sample)
+    )
+    return np.where(possible, np.exp(np.where(possible, logarithms, 0.0)), 0.0)
+
+
+def _log_choose(count: Positions | int, chosen: Positions | int) -> Floats:
+    logarithms: Floats = gammaln(np.add(count, 1)) - gammaln(np.add(chosen, 1)) - gammaln(np.subtract(count, chosen) + 1)
+    return logarithms
 
 
 @lru_cache(maxsize=4096)
@@ -101,16 +118,16 @@ def most_released(lots: Iterable[tuple[SamplingPlan, int]], confidence: float = 
     """Returns an upper limit of the number of errors released by inspected lots, each with the errors in its sample.
 
     Time-uniform: with probability `confidence` it holds after every lot at once, for every number of errors in each of them, which may
-    depend on all earlier samples. Per lot, exp(g E - h(g) k) of E released errors (none if it is rejected) and k sampled ones has an
-    expectation of at most 1 over the draw without replacement. The product over lots is a supermartingale, a mixture over growth rates g
-    as well (Waudby-Smith and Ramdas 2020 build theirs in this way), and Ville's inequality bounds it.
+    depend on all earlier samples. Per lot, exp(g E - h(g) k) of E released errors (none if it is rejected) and k sampled ones, of which at
+    most c + 1 count, has an expectation of at most 1 over the draw without replacement. The product over lots is a supermartingale, a
+    mixture over growth rates g as well (Waudby-Smith and Ramdas 2020 build theirs in this way), and Ville's inequality bounds it.
     """
     inspected = list(lots)
     offsets: list[tuple[float, float]] = []
     for growth in GROWTH:
         costs = [cost_of_an_error(plan, growth) for plan, _ in inspected]
         if all(math.isfinite(cost) for cost in costs):
-            paid = sum(cost * errors for cost, (_, errors) in zip(costs, inspected, strict=True))
+            paid = sum(cost * min(errors, plan.acceptance + 1) for cost, (plan, errors) in zip(costs, inspected, strict=True))
             offsets.append((growth, -paid))
     unknown = sum(plan.size - plan.sample for plan, errors in inspected if plan.releases(errors))
     evidence = math.log(len(GROWTH) / (1.0 - confidence))
@@ -129,13 +146,14 @@ def cost_of_an_error(plan: SamplingPlan, growth: float) -> float:
     """Returns the smallest h for `most_released`: the evidence against released errors that an error in the sample takes back; infinite if
     none suffices."""
     wrong = np.arange(plan.size + 1)[None, :]
-    drawn = np.arange(plan.sample + 1)[:, None]
-    chance: Floats = np.asarray(hypergeom.pmf(drawn, plan.size, wrong, plan.sample), dtype=np.float64)
-    released = np.where(drawn <= plan.acceptance, np.maximum(wrong - drawn, 0), 0)
-    gain = chance * np.exp(np.minimum(growth * released, 700.0))
+    drawn = np.arange(min(plan.acceptance, plan.sample) + 1)[:, None]
+    chances = _chances(plan, drawn, wrong)
+    gain = chances * np.exp(np.minimum(growth * np.maximum(wrong - drawn, 0), 700.0))
+    rejected = np.maximum(1.0 - chances.sum(axis=0), 0.0)
 
     def expected(cost: float) -> float:
-        return float((gain * np.exp(-cost * drawn)).sum(axis=0).max()) - 1.0
+        released = (gain * np.exp(-cost * drawn)).sum(axis=0)
+        return float((released + rejected * math.exp(-cost * (plan.acceptance + 1))).max()) - 1.0
 
     if expected(MOST_PER_ERROR) > 1e-9:
         return math.inf

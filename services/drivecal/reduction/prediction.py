@@ -24,7 +24,7 @@ RECENT = 6
 """Batches that a calibration remembers."""
 LEFT_OUT = 0.2
 """Weight of a left-out error of the training data beside a prediction's own."""
-SIZES = 48
+SIZES = 24
 """Lot sizes that `choose_lot` compares."""
 LEVELS = 40
 """Levels of confidence in a calibration, of equal weight."""
@@ -134,11 +134,8 @@ class ScenarioLearner:
         self._tolerance = tolerance
         self._record = ConfidenceRecord()
         self._known: deque[tuple[Floats, Floats, Floats]] = deque()
-
-    @property
-    def known(self) -> int:
+        self.known = 0
         """Number of known answers."""
-        return sum(len(scores) for _, scores, _ in self._known)
 
     def newest(self) -> tuple[float, float]:
         """Returns mean and variance of the scores of the newest batch; zeros without one."""
@@ -151,6 +148,9 @@ class ScenarioLearner:
         """Adds simulated answers: features of shape (n, k), scores and ratings of shape (n,)."""
         if len(scores):
             self._known.append((features, scores, ratings))
+            self.known += len(scores)
+            while sum(len(batch[1]) for batch in self._known) - len(self._known[0][1]) >= MOST_KNOWN:
+                self._known.popleft()
 
     def observe(self, predicted: Floats, confidence: Floats, scores: Floats, weight: Floats | float = 1.0) -> None:
         """Compares predicted scores with simulated ones, each of shape (n,); a prediction stands for `weight` ones."""

@@ -71,7 +71,7 @@ PREDICTIONS = [
     "simulated",
     "different",
     "beyond tolerance",
-    "share",
+    "per prediction in lots",
     "limit",
     "wrong",
     "R_err",
@@ -80,12 +80,19 @@ PREDICTIONS = [
 """Columns of `predictions`."""
 
 
+def _per_inspected(row: ValidationRow) -> float | None:
+    """Errors released for each prediction in a lot, if the compared ones are like the others."""
+    if not row.compared or not row.inspected:
+        return None
+    return (row.beyond or 0) / row.compared * (row.released or 0) / row.inspected
+
+
 def predictions(rows: Iterable[ValidationRow]) -> list[list[object]]:
     """Returns a row per scenario of a validation of released predictions."""
     return [
         [
             *(row.scenario, row.released, row.compared, row.different, row.beyond),
-            percent((row.beyond or 0) / row.compared if row.compared else None),
+            percent(_per_inspected(row)),
             *(percent(row.limit, 1), row.wrong, percent(row.error_rate)),
             None if row.lower_95 is None or row.upper_95 is None else Number(f"{row.lower_95:.2%} to {row.upper_95:.2%}"),
         ]
@@ -110,7 +117,7 @@ def released_lots(released: Mapping[str, Released]) -> list[list[object]]:
     """Returns a row per scenario with inspected lots of predicted answers."""
     return [
         [
-            *(name, lots.lots, lots.rejected, lots.predicted, lots.sampled, lots.different),
+            *(name, lots.asked, lots.lots, lots.rejected, lots.predicted, lots.sampled, lots.different),
             *(percent(lots.limit, 1), percent(lots.upper_95)),
         ]
         for name, lots in released.items()

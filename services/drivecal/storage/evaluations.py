@@ -11,7 +11,7 @@ from drivecal.domain.evaluations import Donor, Outcome
 from drivecal.domain.parameters import ParameterSet
 from drivecal.storage import leases
 from drivecal.storage.engine.bulk import rows_among
-from drivecal.storage.engine.tables import evaluations, parameter_sets
+from drivecal.storage.engine.tables import evaluations, parameter_sets, runs
 
 COPIES = (Outcome.REPEATED, Outcome.REUSED)
 DONORS = (Outcome.SIMULATED, Outcome.CERTIFIED)
@@ -146,9 +146,11 @@ def draw_sample(connection: Connection, evaluation_ids: Sequence[int]) -> None:
 
 
 def mean_seconds(connection: Connection, campaign_sequence: int) -> dict[str, float]:
-    """Returns the mean CPU time of a campaign's simulated and certified cells, by scenario."""
-    query = select(evaluations.c.scenario, func.avg(evaluations.c.milliseconds) / 1000.0).where(
-        evaluations.c.campaign_sequence == campaign_sequence, evaluations.c.milliseconds.is_not(None)
+    """Returns the mean CPU time of the runs that answered a campaign's cells, by scenario."""
+    query = (
+        select(evaluations.c.scenario, func.avg(runs.c.milliseconds) / 1000.0)
+        .join(runs, runs.c.id == evaluations.c.run_id)
+        .where(evaluations.c.campaign_sequence == campaign_sequence, runs.c.milliseconds.is_not(None))
     )
     return dict(connection.execute(query.group_by(evaluations.c.scenario)).all())
 

@@ -92,11 +92,15 @@ def of_campaign(connection: Connection, campaign_sequence: int) -> list[StoredLo
     ]
 
 
-def errors_so_far(connection: Connection, lot_ids: Sequence[int]) -> dict[int, int]:
-    """Returns the errors in the samples of lots, by id: differing answers, and cells without a result."""
+def errors_so_far(connection: Connection, campaign_sequence: int, lot_ids: Sequence[int]) -> dict[int, int]:
+    """Returns the errors in the samples of a campaign's lots, by id: differing answers, and cells without a result."""
     cell = evaluations.c
     wrong = (cell.sampled, cell.outcome.is_not(None), cell.agrees.is_distinct_from(True))
-    query = select(cell.lot, func.count()).where(cell.lot.in_(list(lot_ids)), *wrong).group_by(cell.lot)
+    query = (
+        select(cell.lot, func.count())
+        .where(cell.campaign_sequence == campaign_sequence, cell.lot.in_(list(lot_ids)), *wrong)
+        .group_by(cell.lot)
+    )
     return dict(connection.execute(query).all()) if lot_ids else {}
 
 

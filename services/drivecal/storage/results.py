@@ -327,6 +327,7 @@ def known(
             cell.id > after,
             cell.setup_id.in_(list(setup_ids)),
             cell.outcome.in_((Outcome.SIMULATED, Outcome.CERTIFIED)),
+            cell.run_id.is_not(None),  # not withdrawn
         )
         .order_by(cell.stage, cell.iteration, cell.individual, cell.scenario)
     )

@@ -131,12 +131,18 @@ class ErrorRate(Answer):
 class Released(Answer):
     """Lots of predicted answers in a scenario: `rejected` ones were simulated whole, the others' `predicted` answers were released.
 
-    Of the `sampled` predictions so many were `different`, i.e. off by more than the tolerance. `limit` bounds the expected share of errors
-    among released answers (AOQL). `upper_95`: a time-uniform upper limit of the share that was released; null before the first lot.
-    `seconds`: CPU time of the predictor.
+    Of the `sampled` predictions so many were `different`, i.e. off by more than the tolerance. The expected number of errors released is
+    at most `limit` (AOQL) times the `inspected` predictions: all in lots, with samples and rejected lots. `upper_95`: a time-uniform
+    upper limit of the share of errors among released answers; null before the first.
+    `asked`: of all `batches`, those in which the predictor was asked; in the others too little was known, or asking would have cost more
+    than it saves. `seconds`: CPU time of the predictor.
     """
 
+    batches: int = 0
+    asked: int = 0
+
     lots: int = 0
+    inspected: int = 0
     rejected: int = 0
     predicted: int = 0
     sampled: int = 0

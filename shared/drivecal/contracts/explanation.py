@@ -91,8 +91,8 @@ class Proof(Answer):
 class InspectedLot(Answer):
     """A lot of predictions: `sample` of `size` were simulated; with more than `acceptance` errors beyond the `tolerance` it is rejected.
 
-    `limit` bounds the expected share of released errors, `known` counts the answers that the predictor had learned from. `errors` and
-    `verdict` (released or rejected) are null before the sample is simulated.
+    `limit` bounds the expected released errors for each prediction in a lot, `known` counts the answers that the predictor had learned
+    from. `errors` and `verdict` (released or rejected) are null before the sample is simulated.
     """
 
     id: int

@@ -92,7 +92,7 @@ class ReductionSpecification(Model):
 
     `off`: none but in-population duplicates' own repeats is ever copied; `exact`: equal parameter sets; `influence`: Figure 6;
     `predicted`: equal sets and predictions in inspected lots; `both`: `influence` and `predicted`. `tolerance`: the largest error of a
-    prediction that counts as none, in points; `limit`: the largest expected share of released errors (AOQL), by scenario.
+    prediction that counts as none, in points; `limit`: expected released errors at most for each prediction in a lot (AOQL), by scenario.
     `narrow`: search only the smallest common area, where some scenario is influenced (Section III). `confirm`: at most so many sets are
     simulated after the search, one after the other, until the best of the ranking has no score of a reference.
     """

@@ -258,8 +258,8 @@ class ValidationRow(Answer):
     `upper_95` limit the mean over base sets of the share of wrong variants, with a confidence of at least 95 %. `histogram`: how many
     variants differ from their base by how many points.
 
-    For the predictions of a campaign: `released` ones, of them `compared` with a simulation, `beyond` the tolerance; `limit` bounds the
-    expected share of these. Null for a map.
+    For the predictions of a campaign: `released` ones, of them `compared` with a simulation, `beyond` the tolerance (or without a result);
+    the expected number of these among all released ones is at most `limit` times the `inspected` predictions. Null for a map.
     """
 
     scenario: str
@@ -276,6 +276,7 @@ class ValidationRow(Answer):
     lower_95: float | None
     upper_95: float | None
     released: int | None = None
+    inspected: int | None = None
     beyond: int | None = None
     limit: float | None = None
     histogram: Annotated[dict[int, int], FileForm("numbers", _counts_by_points)]

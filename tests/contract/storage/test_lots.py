@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from tests.support.storage import campaign, sample_set_ids, setup_id, simulate
+from tests.support.storage import campaign, new_run, sample_set_ids, setup_id, simulate
 
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome
@@ -13,6 +13,7 @@ from drivecal.storage import evaluations, lots, results
 from drivecal.storage.engine.database import Database
 from drivecal.storage.evaluations import AnsweredCell, NewEvaluation
 from drivecal.storage.lots import LotVerdict, NewLot
+from drivecal.storage.references import runs
 
 CALIBRATION = StageName.CALIBRATION
 LOT = NewLot(2, 0, "S1", 3, 1, 0, 0.0, 0.05, 400, 0.25)
@@ -66,17 +67,19 @@ def test_samples_are_simulated_compared_and_known_with_their_weight(database: Da
         evaluations.insert(connection, sequence, [replace(cell, predicted_rating=4.2) for cell in predicted])
         waiting = results.pending(connection, sequence)
         drawn = waiting[1]
+        run = new_run(setup, drawn.parameter_set_id, evaluation=drawn.id, campaign_sequence=sequence, score=3, rating=3.1)
+        (own,) = runs.insert_results(connection, [run])
         evaluations.draw_sample(connection, [drawn.id])
-        assert lots.errors_so_far(connection, [number]) == {}
+        assert lots.errors_so_far(connection, sequence, [number]) == {}
     with database.transaction() as connection:
         cells = {cell.id: cell for cell in results.pending(connection, sequence)}
         assert (cells[drawn.id].plan, cells[drawn.id].sampled) == (Outcome.SIMULATED, True)
-        answers = [AnsweredCell(drawn.id, Outcome.SIMULATED, 3, 3.1, run_id=None, milliseconds=8.0, agrees=False)]
+        answers = [AnsweredCell(drawn.id, Outcome.SIMULATED, 3, 3.1, own.id, milliseconds=8.0, agrees=False)]
         rest = [number for number in cells if number != drawn.id]
         answers += [AnsweredCell(cell, Outcome.PREDICTED, 4, 4.2, run_id=None) for cell in rest]
         evaluations.answer(connection, answers)
-        assert lots.errors_so_far(connection, [number]) == {number: 1}
-        assert lots.errors_so_far(connection, []) == {}
+        assert lots.errors_so_far(connection, sequence, [number]) == {number: 1}
+        assert lots.errors_so_far(connection, sequence, []) == {}
         lots.conclude(connection, {number: (LotVerdict.RELEASED, 1)})
     with database.read() as connection:
         known, newest = results.known(connection, sequence, [setup], after=0)
@@ -86,7 +89,8 @@ def test_samples_are_simulated_compared_and_known_with_their_weight(database: Da
     assert [(answer.individual, answer.score, answer.stands_for) for answer in known] == [(1, 3, 3.0), (3, 5, 1.0)]
     assert [(answer.predicted_score, answer.confidence) for answer in known] == [(4, 0.9), (None, None)]
     assert [(cell.id, cell.score) for cell in released] == [(cell, 4) for cell in sorted(rest)]
-    assert 0.0 < seconds["S1"] <= 0.008
+    assert set(seconds) == {"S1"}
+    assert seconds["S1"] > 0.0
 
 
 @pytest.mark.parametrize("outcome", [Outcome.PREDICTED, Outcome.REUSED])

@@ -2,7 +2,7 @@
 
 import pytest
 
-from drivecal.campaigns.cells.predicting import batch_of, pays, released_by_scenario, slice_size
+from drivecal.campaigns.cells.predicting import batch_of, pays, released_by_scenario, skipped_text, slice_size
 from drivecal.domain.campaigns import StageName
 from drivecal.storage.lots import LotVerdict, StoredLot
 
@@ -45,7 +45,15 @@ def test_batches_are_slices_of_the_start_population_then_generations() -> None:
 
 
 def test_rejected_lots_and_lots_without_a_verdict_release_nothing() -> None:
-    released = released_by_scenario([lot(116), lot(216, errors=3), lot(316, errors=None), lot(0, 0, errors=None)], 0.05)["S1"]
+    stored = [lot(116), lot(216, errors=3), lot(316, errors=None), lot(0, 0, errors=None)]
+    by_scenario = released_by_scenario(stored, ["S1", "S2"], 0.05, batches=4)
+    released = by_scenario["S1"]
+    assert [(each.asked, each.batches) for each in by_scenario.values()] == [(4, 4), (0, 4)]
+    text = skipped_text(by_scenario)
+    assert text is not None
+    assert "S2 (4 of 4)" in text
+    assert "S1" not in text
+    assert skipped_text({"S1": released}) is None
     assert (released.lots, released.rejected, released.predicted, released.sampled, released.different) == (2, 1, 100, 32, 3)
     assert released.seconds == 4.0
     assert released.upper_95 is not None

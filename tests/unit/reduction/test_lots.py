@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.stats import hypergeom
+from scipy.stats import betabinom, hypergeom
 
 from drivecal.reduction.lots import (
+    DISPERSION,
     SamplingPlan,
     best_plan,
     cost_of_an_error,
@@ -139,5 +140,20 @@ def test_the_evidence_of_a_lot_is_a_supermartingale_for_every_number_of_errors()
             for wrong in range(plan.size + 1):
                 drawn = np.arange(plan.sample + 1)
                 released = np.where(drawn <= plan.acceptance, np.maximum(wrong - drawn, 0), 0)
+                charged = np.minimum(drawn, plan.acceptance + 1)
                 chance = hypergeom.pmf(drawn, plan.size, wrong, plan.sample)
-                assert float((chance * np.exp(growth * released - cost * drawn)).sum()) <= 1.0 + 1e-6
+                assert float((chance * np.exp(growth * released - cost * charged)).sum()) <= 1.0 + 1e-6
+
+
+def test_chances_are_those_of_scipy() -> None:
+    for plan in (SamplingPlan(40, 7, 2), SamplingPlan(300, 16, 1), SamplingPlan(25, 25, 0), SamplingPlan(5, 2, 3)):
+        wrong = np.arange(plan.size + 1)
+        expected = sum(
+            hypergeom.pmf(drawn, plan.size, wrong, plan.sample) * np.maximum(wrong - drawn, 0)
+            for drawn in range(plan.acceptance + 1)
+        )
+        assert outgoing_errors(plan) == pytest.approx(np.nan_to_num(expected) / plan.size, abs=1e-12)
+        for rate in (0.001, 0.05, 0.4):
+            shapes = rate * DISPERSION, (1.0 - rate) * DISPERSION
+            released = (plan.size - plan.sample) * betabinom.cdf(plan.acceptance, plan.sample, *shapes)
+            assert plan.expected_saving(rate) == pytest.approx(released)

@@ -168,12 +168,23 @@ def test_the_page_has_a_table_of_released_lots() -> None:
     )
     cells = campaign.cells.model_copy(update={"predicted": 1333, "sampled": 112})
     released = {
-        "S1": Released(lots=7, rejected=1, predicted=1333, sampled=96, different=3, limit=0.05, upper_95=0.0432, seconds=2.5),
+        "S1": Released(
+            batches=9,
+            asked=8,
+            lots=7,
+            rejected=1,
+            predicted=1333,
+            sampled=96,
+            different=3,
+            limit=0.05,
+            upper_95=0.0432,
+            seconds=2.5,
+        ),
         "S2": Released(lots=1, rejected=1, sampled=16, different=5, limit=0.05),
     }
     campaign = campaign.model_copy(update={"stages": {"calibration": cells}, "released": released})
     text = re.sub(r"(<[^>]+>\s*)+", "|", "".join(reuse.self_check(campaign, None)))
-    assert "|S1|7|1|1,333|96|3|5.0%|4.32%|" in text
+    assert "|S1|8|7|1|1,333|96|3|5.0%|4.32%|" in text
     assert "|S2|1|1|0|16|5|5.0%|–|" in text
     assert reuse.cells_by_stage(campaign).count(">1,333<") == reuse.cells_by_stage(campaign).count(">112<") == 1
     assert "1,333" in "".join(results.summary(findings(campaign=campaign)))

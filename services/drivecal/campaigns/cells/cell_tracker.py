@@ -102,8 +102,11 @@ class CellTracker:
         answers: list[AnsweredCell] = []
         if share_runs:
             self._share_runs(connection, answers)
-        rejected = self._settle(connection, answers)
-        evaluations.simulate_instead(connection, [cell.id for cell in rejected])
+        while rejected := self._settle(connection, answers):
+            evaluations.simulate_instead(connection, [cell.id for cell in rejected])
+            answers = []
+            if share_runs:
+                self._share_runs(connection, answers)
         self._breakdowns = leases.breakdowns(connection, list(self._pending))
         simulated = [cell for cell in self._pending.values() if cell.plan is Outcome.SIMULATED]
         return self._work(simulated, self._probes(connection, simulated))

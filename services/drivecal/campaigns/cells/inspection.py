@@ -45,7 +45,7 @@ class Inspection:
         if not waiting:
             return {}
         stored = {lot.id: lot for lot in lots.of_campaign(connection, self._campaign) if lot.size and lot.verdict is None}
-        errors = lots.errors_so_far(connection, list(stored))
+        errors = lots.errors_so_far(connection, self._campaign, list(stored))
         self._open = {number: _OpenLot(lot, errors.get(number, 0)) for number, lot in stored.items()}
         for cell in waiting:
             if cell.lot in self._open and cell.sampled:

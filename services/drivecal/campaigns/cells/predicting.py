@@ -1,14 +1,14 @@
 """Predicts the cells of a calibration batch by batch, and accepts predictions in lots.
 
 A batch is a slice of the start population or a later generation. Its predictors learn from all earlier answers that were simulated or
-certified, so lots depend on the stored rows alone, never on the workers' timing.
+certified, so lots depend on stored rows, never on the order of answers. CPU times decide only whether a predictor pays.
 """
 
 import math
 import os
 import time
 from collections import defaultdict
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -66,7 +66,7 @@ def batch_of(stage: StageName, iteration: int, individual: int, size: int) -> Ba
 
 @dataclass(frozen=True, slots=True)
 class _Forecast:
-    """What a scenario's predictor says of every set of a batch; rows follow the batch."""
+    """Predictions of a scenario for every set of a batch; rows follow the batch."""
 
     predictions: Predictions
     error_rates: Floats
@@ -90,7 +90,7 @@ class LotPlanner:
         self._view = view
         self._reduction = reduction
         self._weights = weights
-        self._slice = slice_size(population)
+        self._population, self._slice = population, slice_size(population)
         self._features = FeatureSpace(space, view.names)
         kind = partial(Forest, reduction.tolerance)
         self._learners = {scenario: ScenarioLearner(kind, reduction.tolerance) for scenario in weights}
@@ -142,7 +142,9 @@ class LotPlanner:
     def predict(self, sets: Mapping[int, ParameterSet]) -> None:
         """Predicts a batch, by individual; takes seconds, so call it outside of any transaction. Skips scenarios without enough known
         answers, and those in which the predictor costs more than it saves."""
-        self._rows = {individual: row for row, individual in enumerate(sets)}
+        self._rows, self._forecasts = {individual: row for row, individual in enumerate(sets)}, {}
+        if not sets:
+            return
         features = self._features(list(sets.values()))
         asked = [
             scenario
@@ -165,9 +167,11 @@ class LotPlanner:
             forecasts = dict(zip(asked, pool.map(forecast, asked), strict=True))
         self._forecasts = {scenario: told for scenario, told in forecasts.items() if told is not None}
 
-    def released(self, connection: Connection) -> dict[str, Released]:
-        """Sums up the lots with a verdict, by scenario."""
-        return released_by_scenario(lots.of_campaign(connection, self._view.campaign), self._reduction.limit)
+    def released(self, connection: Connection, iteration: int) -> dict[str, Released]:
+        """Sums up the lots with a verdict, by scenario, after the last batch of an iteration."""
+        batches = -(-self._population // self._slice) + iteration
+        stored = lots.of_campaign(connection, self._view.campaign)
+        return released_by_scenario(stored, self._learners, self._reduction.limit, batches)
 
     def plan(
         self, connection: Connection, cells: Sequence[NewEvaluation], best: float | None, whole: Collection[int]
@@ -202,8 +206,11 @@ class LotPlanner:
                     confidence=float(forecast.predictions.confidence[row]),
                 )
             candidates = [place for place in here if place not in leading and cells[place].individual not in promoted]
-            rows = [self._rows[cells[place].individual] for place in candidates]
-            lot = choose_lot(forecast.error_rates[rows], self._reduction.limit) if rows else None
+            if not candidates:
+                continue
+            lot = choose_lot(
+                forecast.error_rates[[self._rows[cells[place].individual] for place in candidates]], self._reduction.limit
+            )
             accepted[scenario] = lot
             members[scenario] = [] if lot is None else [candidates[position] for position in lot.members]
         stored = lots.insert(connection, self._view.campaign, [self._new(cells[0], *pair) for pair in accepted.items()])
@@ -229,27 +236,33 @@ class LotPlanner:
         )
 
     def _promoted(self, cells: Sequence[NewEvaluation], best: float | None) -> set[int]:
-        """Individuals whose believed objective is less than `REACH` standard deviations below the best simulated one. Without a prediction,
-        the newest known scores of the scenario tell mean and deviation."""
+        """Individuals whose predicted objective reaches the best simulated one, or whose mean one is less than `REACH` standard deviations
+        below it. Without a prediction, the newest known scores of the scenario tell mean and deviation."""
         if best is None:
             return set()
+        predicted: dict[int, float] = defaultdict(float)
         means: dict[int, float] = defaultdict(float)
         variances: dict[int, float] = defaultdict(float)
         prior = {scenario: learner.newest() for scenario, learner in self._learners.items() if scenario not in self._forecasts}
         for cell in cells:
-            if cell.donor is not None:
+            if cell.donor is not None and not cell.audited:
                 mean, variance = float(cell.donor.score), 0.0
+                score = mean
             elif cell.scenario in prior:
                 mean, variance = prior[cell.scenario]
+                score = mean
             else:
                 predictions, row = self._forecasts[cell.scenario].predictions, self._rows[cell.individual]
-                mean, variance = float(predictions.mean[row]), float(predictions.variance[row])
+                score, mean, variance = (
+                    float(column[row]) for column in (predictions.scores, predictions.mean, predictions.variance)
+                )
+            predicted[cell.individual] += self._weights[cell.scenario] * score
             means[cell.individual] += self._weights[cell.scenario] * mean
             variances[cell.individual] += self._weights[cell.scenario] ** 2 * variance
         return {
             individual
             for individual, mean in means.items()
-            if mean + REACH * math.sqrt(variances[individual]) >= best - ROUNDING
+            if max(predicted[individual], mean + REACH * math.sqrt(variances[individual])) >= best - ROUNDING
         }
 
 
@@ -263,19 +276,21 @@ def pays(lots_so_far: Sequence[StoredLot], known: int, cells: int, cell_seconds:
     return paid or (known >= GROWTH * last.known and last.seconds <= LIKELY * cells * cell_seconds)
 
 
-def released_by_scenario(stored: Sequence[StoredLot], limit: float) -> dict[str, Released]:
-    """Sums up lots with a verdict."""
-    by_scenario: dict[str, list[StoredLot]] = defaultdict(list)
-    for lot in stored:
-        by_scenario[lot.scenario].append(lot)
-    return {scenario: _released(listed, limit) for scenario, listed in sorted(by_scenario.items())}
+def released_by_scenario(
+    stored: Sequence[StoredLot], scenarios: Iterable[str], limit: float, batches: int
+) -> dict[str, Released]:
+    """Sums up lots with a verdict, after so many batches."""
+    return {name: _released([lot for lot in stored if lot.scenario == name], limit, batches) for name in scenarios}
 
 
-def _released(stored: Sequence[StoredLot], limit: float) -> Released:
+def _released(stored: Sequence[StoredLot], limit: float, batches: int) -> Released:
     inspected = [lot for lot in stored if lot.verdict is not None]
     released = sum(lot.released for lot in inspected)
     plans = [(SamplingPlan(lot.size, lot.sample, lot.acceptance), lot.errors or 0) for lot in inspected]
     return Released(
+        batches=batches,
+        asked=len(stored),
+        inspected=sum(lot.size for lot in inspected),
         lots=len(inspected),
         rejected=sum(lot.verdict is LotVerdict.REJECTED for lot in inspected),
         predicted=released,
@@ -285,3 +300,16 @@ def _released(stored: Sequence[StoredLot], limit: float) -> Released:
         upper_95=most_released(plans) / released if released else None,
         seconds=sum(lot.seconds for lot in stored),
     )
+
+
+def skipped_text(released: Mapping[str, Released]) -> str | None:
+    """Returns a note on scenarios whose predictor was asked in fewer than all batches; None if there is none."""
+    skipped = [
+        f"{name} ({each.batches - each.asked} of {each.batches})"
+        for name, each in released.items()
+        if each.asked < each.batches
+    ]
+    if not skipped:
+        return None
+    reason = "because too little was known or predicting would have cost more than it saves"
+    return f"batches without predictions, {reason}: {', '.join(skipped)}"

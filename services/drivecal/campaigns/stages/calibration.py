@@ -14,7 +14,7 @@ from sqlalchemy import Connection
 from drivecal.analysis.confirmation import Confirmation, verdict_in
 from drivecal.analysis.solutions import EQUAL, EvaluatedSet, Ranking
 from drivecal.campaigns.cells.planning import View, sync_reference_keys
-from drivecal.campaigns.cells.predicting import LotPlanner, slice_size
+from drivecal.campaigns.cells.predicting import LotPlanner, skipped_text, slice_size
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.stages.stage import CampaignStage, Round
 from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, Released
@@ -191,9 +191,9 @@ class Calibration(CampaignStage):
     def _predict(self, connection: Connection, asked: Round, planned: list[NewEvaluation]) -> list[NewEvaluation]:
         if self._planner is None or asked.number != self._iteration:
             return planned
-        best = self._ranking.best()
+        best = self._ranking.surest()
         given = range(len(self._problem.start_sets)) if asked.number == 0 else ()  # first in the start population
-        return self._planner.plan(connection, planned, None if best is None else best[0].objective, given)
+        return self._planner.plan(connection, planned, None if best is None else best.objective, given)
 
     def _policy(self) -> Policy:
         reduction = self._problem.specification.reduction
@@ -266,7 +266,7 @@ class Calibration(CampaignStage):
             objectives, ratings = self._weighted(self._scores), self._weighted(self._ratings)
             self._check_reuse(connection, self._iteration)
             if self._planner is not None:
-                self._released = self._planner.released(connection)
+                self._released = self._planner.released(connection, self._iteration)
             self._describe_best(connection)
             figures = self._figures(objectives)
             generations.finish(connection, self._campaign.sequence, self._iteration, figures, objectives.tolist())
@@ -384,6 +384,8 @@ class Calibration(CampaignStage):
             if not self._repeatable_no_more:
                 events.add(connection, self._campaign.sequence, EventKind.NOTE, {"text": notes[-1]})
                 self._repeatable_no_more = True
+        if (skipped := skipped_text(self._released)) is not None and self._iteration == self._optimization.iterations - 1:
+            notes.append(skipped)
         if self._verdict is not None:
             notes.append(self._verdict)
         return replace(

@@ -19,7 +19,7 @@ from drivecal.reduction.assignment import RequestedCell
 from drivecal.reduction.audit import clopper_pearson
 from drivecal.reduction.lots import draw
 from drivecal.reduction.prediction import ROUNDING
-from drivecal.storage import campaigns, results
+from drivecal.storage import campaigns, lots, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.results import ReleasedCell
@@ -65,6 +65,8 @@ class PredictionValidation(StudyStage):
         with database.read() as connection:
             source = campaigns.get(connection, wanted.of)
             stored = results.released(connection, source.sequence)
+            inspected = [lot for lot in lots.of_campaign(connection, source.sequence) if lot.verdict is not None]
+        self._inspected = {name: sum(lot.size for lot in inspected if lot.scenario == name) for name in problem.scenarios}
         self._reduction = ReductionSpecification.model_validate(source.spec["reduction"])
         self._released = {name: [cell for cell in stored if cell.scenario == name] for name in problem.scenarios}
         self._drawn = {name: _drawn(cells, wanted.samples, wanted.seed) for name, cells in self._released.items()}
@@ -103,6 +105,7 @@ class PredictionValidation(StudyStage):
 
     def _row(self, scenario: str) -> dict[str, Any]:
         differences = [] if self._differences is None else self._differences[scenario]
+        unanswered = 0 if self._differences is None else len(self._drawn[scenario]) - len(differences)
         compared, histogram = len(differences), Counter(int(difference) for difference in differences)
         wrong = sum(abs(difference) > LARGEST_AGREEING for difference in differences)
         lower, upper = clopper_pearson(wrong, compared) if compared else (None, None)
@@ -115,7 +118,8 @@ class PredictionValidation(StudyStage):
             "bases": len(self._drawn[scenario]),
             "references": 1,
             "released": len(self._released[scenario]),
-            "beyond": sum(abs(difference) > self._reduction.tolerance + ROUNDING for difference in differences),
+            "inspected": self._inspected[scenario],
+            "beyond": unanswered + sum(abs(difference) > self._reduction.tolerance + ROUNDING for difference in differences),
             "limit": self._reduction.limit,
             "compared": compared,
             "wrong": wrong,

@@ -26,7 +26,9 @@ def print_lots(released: Mapping[str, Released]) -> None:
     if not rows:
         return
     typer.echo("\npredicted answers, released in lots after the simulation of a sample (different: by more than the tolerance)")
-    print_columns(["scenario", "lots", "rejected", "released", "sampled", "different", "limit", "at most (95 %)"], rows)
+    print_columns(
+        ["scenario", "asked", "lots", "rejected", "released", "sampled", "different", "limit", "at most (95 %)"], rows
+    )
 
 
 def print_accounting(accounting: Accounting) -> None:

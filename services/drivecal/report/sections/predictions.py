@@ -8,7 +8,7 @@ from drivecal.report.rows import PREDICTIONS, errors_text, predictions, totals
 
 def validated(studied: Studied[ValidationRow]) -> list[str]:
     """Returns a table of a study of predictions, and its sum."""
-    caption = "Released predictions, simulated afterwards; `limit` bounds the expected share beyond the tolerance"
+    caption = "Released predictions, simulated afterwards; limit: of the expected number beyond the tolerance, for each prediction in a lot"
     content = [table(PREDICTIONS, predictions(studied.rows), caption)]
     compared, different, wrong = totals(studied.rows, "compared", "different", "wrong")
     return [*content, paragraph(errors_text("predictions", compared, different, wrong))] if compared else content

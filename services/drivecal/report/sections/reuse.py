@@ -34,10 +34,20 @@ def self_check(campaign: Campaign, account: Accounting | None) -> list[str]:
 def lots_table(campaign: Campaign) -> list[str]:
     """Returns the table of inspected lots by scenario; nothing without lots."""
     rows = released_lots(campaign.released)
-    header = ["scenario", "lots", "rejected", "released answers", "sampled", "different", "limit", "95 % bound"]
+    header = [
+        "scenario",
+        "batches asked",
+        "lots",
+        "rejected",
+        "released answers",
+        "sampled",
+        "different",
+        "limit",
+        "95 % bound",
+    ]
     caption = (
         "Predicted answers: a sample of each lot was simulated, and the lot released or simulated whole. Different: by more than the "
-        "tolerance; limit: of the expected share of errors among the released answers. A set with a predicted score is not ranked"
+        "tolerance; limit: of the expected errors released, for each prediction in a lot. A set with a predicted score is not ranked"
     )
     return [table(header, rows, caption)] if rows else []
 
