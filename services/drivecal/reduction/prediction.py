@@ -28,6 +28,8 @@ SIZES = 24
 """Lot sizes that `choose_lot` compares."""
 LEVELS = 40
 """Levels of confidence in a calibration, of equal weight."""
+REFIT = 1.1
+"""Growth of the known answers after which a predictor is trained again: training takes most of its time."""
 FEWEST_KNOWN, MOST_KNOWN = 100, 10_000
 """Known answers before the first prediction, and the newest answers that a predictor is trained on."""
 ROUNDING = 1e-9
@@ -136,6 +138,10 @@ class ScenarioLearner:
         self._known: deque[tuple[Floats, Floats, Floats]] = deque()
         self.known = 0
         """Number of known answers."""
+        self.trained_on = 0
+        """Number of them when the predictor is, or was, trained: known by the batches alone, so that it is the same after a crash."""
+        self._training: list[tuple[Floats, Floats, Floats]] = []
+        self._trained: Predictor | None = None
 
     def newest(self) -> tuple[float, float]:
         """Returns mean and variance of the scores of the newest batch; zeros without one."""
@@ -151,6 +157,8 @@ class ScenarioLearner:
             self.known += len(scores)
             while sum(len(batch[1]) for batch in self._known) - len(self._known[0][1]) >= MOST_KNOWN:
                 self._known.popleft()
+        if self.known >= max(FEWEST_KNOWN, REFIT * self.trained_on):
+            self._training, self.trained_on, self._trained = list(self._known), self.known, None
 
     def observe(self, predicted: Floats, confidence: Floats, scores: Floats, weight: Floats | float = 1.0) -> None:
         """Compares predicted scores with simulated ones, each of shape (n,); a prediction stands for `weight` ones."""
@@ -162,13 +170,12 @@ class ScenarioLearner:
         return wrong
 
     def fitted(self) -> Predictor | None:
-        """Returns a predictor trained on the newest known answers; None with too few."""
-        if self.known < FEWEST_KNOWN:
-            return None
-        features, scores, ratings = (np.concatenate(column)[-MOST_KNOWN:] for column in zip(*self._known, strict=True))
-        predictor = self._predictor()
-        predictor.fit(features, scores, ratings)
-        return predictor
+        """Returns the predictor, trained on the newest of the first `trained_on` answers; None with too few."""
+        if self._trained is None and self._training:
+            features, scores, ratings = (np.concatenate(column)[-MOST_KNOWN:] for column in zip(*self._training, strict=True))
+            self._trained = self._predictor()
+            self._trained.fit(features, scores, ratings)
+        return self._trained
 
     def predict(self, features: Floats) -> tuple[Predictions, Floats] | None:
         """Returns the predictions of n sets with their expected error rates, shape (n,); None with too few known answers."""

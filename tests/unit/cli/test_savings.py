@@ -39,8 +39,8 @@ def test_lots_have_a_row_by_scenario(capsys: pytest.CaptureFixture[str]) -> None
         }
     )
     lines = capsys.readouterr().out.splitlines()
-    assert lines[3].split() == ["S1", "7", "1", "1200", "96", "3", "5.0%", "4.32%"]
-    assert lines[4].split() == ["S2", "1", "1", "0", "16", "5", "5.0%", "-"]
+    assert lines[3].split() == ["S1", "0", "7", "1", "1200", "96", "3", "5.0%", "4.32%"]
+    assert lines[4].split() == ["S2", "0", "1", "1", "0", "16", "5", "5.0%", "-"]
     assert len(lines) == 5, "a scenario without a lot has no row"
 
 

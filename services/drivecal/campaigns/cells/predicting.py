@@ -161,7 +161,7 @@ class LotPlanner:
             began = time.thread_time()
             learner = self._learners[scenario]
             told = learner.predict(features)
-            return None if told is None else _Forecast(*told, learner.known, time.thread_time() - began)
+            return None if told is None else _Forecast(*told, learner.trained_on, time.thread_time() - began)
 
         with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
             forecasts = dict(zip(asked, pool.map(forecast, asked), strict=True))

@@ -1,7 +1,7 @@
 """The prediction of a cell with the stored answers behind it: the predictor learns once more what it knew when the cell was requested."""
 
-from collections.abc import Mapping
 from functools import partial
+from itertools import groupby
 
 import numpy as np
 from sqlalchemy import Connection
@@ -10,7 +10,6 @@ from drivecal.campaigns.cells.predicting import batch_of, slice_size
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec
 from drivecal.contracts.explanation import InspectedLot, Neighbour, Prediction
 from drivecal.contracts.specification import CampaignSpecification
-from drivecal.domain.parameters import ParameterSet
 from drivecal.reduction.prediction import MOST_KNOWN, FeatureSpace, ScenarioLearner
 from drivecal.storage import lots, results
 from drivecal.storage.campaigns import StoredCampaign
@@ -67,38 +66,32 @@ def _neighbours(
     tolerance, width = specification.reduction.tolerance, slice_size(specification.optimizer.population)
     features = FeatureSpace(resolved.space, resolved.space.names)
     learner = ScenarioLearner(partial(Forest, tolerance), tolerance)
-    watermark = campaign.watermark or 0
-    evaluations: list[int] = []
-    sets: list[ParameterSet] = []
-    scores: list[int] = []
-    for run in runs.rated(connection, cell.setup_id, resolved.evaluator, watermark, MOST_KNOWN):
-        evaluations.append(run.evaluation)
-        sets.append(run.parameters)
-        scores.append(run.score)
     own = batch_of(cell.stage, cell.iteration, cell.individual, width)
-    for answer in results.known(connection, campaign.sequence, [cell.setup_id], after=0)[0]:
-        if batch_of(answer.stage, answer.iteration, answer.individual, width) < own:
-            evaluations.append(answer.id)
-            sets.append(answer.parameters)
-            scores.append(answer.score)
-    learner.learn(features(sets), np.array(scores, dtype=np.float64), np.zeros(len(scores)))
+    earlier = runs.rated(connection, cell.setup_id, resolved.evaluator, campaign.watermark or 0, MOST_KNOWN)
+    answers, _ = results.known(connection, campaign.sequence, [cell.setup_id], after=0)
+    batches = [[(run.evaluation, run.parameters, run.score) for run in earlier]]
+    for batch, listed in groupby(answers, lambda answer: batch_of(answer.stage, answer.iteration, answer.individual, width)):
+        if batch < own:
+            batches.append([(answer.id, answer.parameters, answer.score) for answer in listed])
+    for known in batches:
+        scores = np.array([score for _, _, score in known], dtype=np.float64)
+        learner.learn(features([parameters for _, parameters, _ in known]), scores, np.zeros(len(known)))
     predictor = learner.fitted()
     if not isinstance(predictor, Forest):
         return []
     weights = predictor.weights(features([cell.parameters]))
-    newest = evaluations[-len(weights) :]
+    trained = [each for known in batches for each in known][: learner.trained_on][-len(weights) :]
     heaviest = np.argsort(-weights, kind="stable")[:most].tolist()
-    known: Mapping[int, StoredEvaluation] = {place: results.by_id(connection, newest[place]) for place in heaviest}
-    first = len(scores) - len(weights)
+    neighbours = [(results.by_id(connection, trained[place][0]), trained[place][2], weights[place]) for place in heaviest]
     return [
         Neighbour(
             evaluation=neighbour.id,
             stage=neighbour.stage,
             iteration=neighbour.iteration,
             individual=neighbour.individual,
-            score=scores[first + place],
-            weight=float(weights[place]),
+            score=score,
+            weight=float(weight),
             parameters=neighbour.parameters.floats,
         )
-        for place, neighbour in known.items()
+        for neighbour, score, weight in neighbours
     ]
