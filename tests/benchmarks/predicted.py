@@ -13,7 +13,7 @@ import json
 import sqlite3
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import closing
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -22,10 +22,10 @@ from typing import Any
 
 import numpy as np
 from tests.benchmarks.certified import carry_out
+from tests.support.inspected import Tally, inspect
 
 from drivecal.reduction.forest import Forest
-from drivecal.reduction.lots import draw
-from drivecal.reduction.prediction import Floats, ScenarioLearner, choose_lot
+from drivecal.reduction.prediction import Floats, ScenarioLearner
 
 HOME = Path(".drivecal/bench/predicted").absolute()
 TARGET = Path(".drivecal/bench/predicted.json")
@@ -38,20 +38,6 @@ WANTED = {(0.0, 0.05): 0.40, (1.0, 0.01): 0.50}
 CELLS = """
     SELECT scenario, iteration, individual, parameter_set_id, parameter_values, score, rating FROM evaluations
     JOIN parameter_sets ON parameter_sets.id = parameter_set_id WHERE stage = 2 AND score IS NOT NULL ORDER BY iteration, individual"""
-
-
-@dataclass(slots=True)
-class Tally:
-    """Counts of a scenario."""
-
-    cells: int = 0
-    released: int = 0
-    different: int = 0
-    lots: int = 0
-    rejected: int = 0
-    sampled: int = 0
-    seconds: float = 0.0
-    """CPU time of fits and predictions."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,50 +70,31 @@ def scenarios(database: Path) -> dict[str, Scenario]:
     return ordered
 
 
-def replay(cells: Scenario, tolerance: float, limit: float) -> Tally:
-    """Predicts the cells of a scenario batch by batch."""
-    tally, learner = Tally(cells=len(cells.scores)), ScenarioLearner(partial(Forest, tolerance), tolerance)
+def replay(cells: Scenario, tolerance: float, limit: float) -> tuple[Tally, float]:
+    """Answers the cells of a scenario batch by batch; returns the counts, and the CPU time of fits and predictions."""
+    total, learner = Tally(), ScenarioLearner(partial(Forest, tolerance), tolerance)
+    began = time.process_time()
     for batch in np.unique(cells.batches):
         here = np.flatnonzero(cells.batches == batch)
-        features, scores, ratings = cells.features[here], cells.scores[here], cells.ratings[here]
-        began = time.process_time()
-        told = learner.predict(features)
-        if told is None:
-            learner.learn(features, scores, ratings)
-            continue
-        predictions, error_rates = told
-        lot = choose_lot(error_rates, limit)
-        tally.seconds += time.process_time() - began
-        wrong = learner.is_wrong(predictions.scores, scores)
-        simulated, weight = np.arange(len(here)), np.ones(len(here))
-        if lot is not None:
-            identities = [int(here[member]).to_bytes(8) for member in lot.members]
-            sampled = lot.members[draw(identities, lot.plan.sample, str(batch).encode())]
-            tally.lots += 1
-            tally.sampled += len(sampled)
-            if lot.plan.releases(int(wrong[sampled].sum())):
-                released = np.setdiff1d(lot.members, sampled)
-                tally.released += len(released)
-                tally.different += int(wrong[released].sum())
-                simulated, weight[sampled] = np.setdiff1d(simulated, released), lot.plan.size / lot.plan.sample
-            else:
-                tally.rejected += 1
-        learner.learn(features[simulated], scores[simulated], ratings[simulated])
-        seen = predictions.scores[simulated], predictions.confidence[simulated]
-        learner.observe(*seen, scores[simulated], weight[simulated])
-    return tally
+        columns = cells.features[here], cells.scores[here], cells.ratings[here]
+        total = added([total, inspect(learner, *columns, limit, str(batch).encode())])
+    return total, time.process_time() - began
 
 
-def table(tallies: dict[str, Tally]) -> Iterator[str]:
+def added(tallies: Iterable[Tally]) -> Tally:
+    """Returns the sums."""
+    return Tally(*map(sum, zip(*(asdict(tally).values() for tally in tallies), strict=True)))
+
+
+def table(tallies: dict[str, tuple[Tally, float]]) -> Iterator[str]:
     """Yields a line per scenario and their sum."""
     yield f"{'':6}{'cells':>9}{'no simulation':>15}{'different':>11}{'lots':>6}{'rejected':>10}{'sampled':>9}{'fits, s':>9}"
-    columns = zip(*(asdict(row).values() for row in tallies.values()), strict=True)
-    rows = [*tallies.items(), ("all", Tally(*(sum(column) for column in columns)))]
-    for name, row in rows:
+    whole = added(row for row, _ in tallies.values()), sum(seconds for _, seconds in tallies.values())
+    for name, (row, seconds) in [*tallies.items(), ("all", whole)]:
         share = f"{row.different / row.released:.2%}" if row.released else "-"
         yield (
             f"{name:6}{row.cells:>9,}{row.released / row.cells:>15.1%}{share:>11}{row.lots:>6}{row.rejected:>10}{row.sampled:>9,}"
-            f"{row.seconds:>9.1f}"
+            f"{seconds:>9.1f}"
         )
 
 
@@ -150,10 +117,12 @@ def main(arguments: list[str]) -> int:
         tallies = {name: replay(cells, tolerance, limit) for name, cells in read.items()}
         print("\n".join(table(tallies)))
         cells, released, different = (
-            sum(getattr(row, name) for row in tallies.values()) for name in ("cells", "released", "different")
+            sum(getattr(row, name) for row, _ in tallies.values()) for name in ("cells", "released", "different")
         )
         good &= different <= limit * cells and (cells < 30_000 or released >= WANTED[tolerance, limit] * cells)
-        figures[f"{tolerance:g}/{limit:g}"] = {name: asdict(row) for name, row in tallies.items()}
+        figures[f"{tolerance:g}/{limit:g}"] = {
+            name: asdict(row) | {"seconds": seconds} for name, (row, seconds) in tallies.items()
+        }
     TARGET.parent.mkdir(parents=True, exist_ok=True)
     TARGET.write_text(json.dumps(figures, indent=2))
     return int(not good)

@@ -99,8 +99,8 @@ def test_the_command_line_shows_lots_and_shares(ended: Ended, monkeypatch: pytes
     monkeypatch.setenv("DRIVECAL_URL", ended.api.url)
     shown = command("show", ended.campaign.id).stdout.splitlines()
     for scenario, lots in ended.campaign.released.items():
-        counts = [lots.lots, lots.rejected, lots.predicted, lots.sampled, lots.different]
-        assert [scenario, *map(str, counts)] in [line.split()[:6] for line in shown]
+        counts = [lots.asked, lots.lots, lots.rejected, lots.predicted, lots.sampled, lots.different]
+        assert [scenario, *map(str, counts)] in [line.split()[:7] for line in shown]
     dumped = json.loads(command("show", ended.campaign.id, "--json").stdout)
     assert dumped["cells"]["predicted"] == ended.campaign.cells.predicted
     assert command("report", ended.campaign.id, "-o", str(tmp_path / "report")).exit_code == 0

@@ -1,0 +1,49 @@
+"""Batches of a scenario under predicted answers, without a campaign: predict, choose a lot, draw, compare, release or reject."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivecal.reduction.lots import draw
+from drivecal.reduction.prediction import Floats, ScenarioLearner, choose_lot
+
+
+@dataclass(slots=True)
+class Tally:
+    """Counts of a scenario. `inspected`: predictions in lots; `different`: released ones off by more than the tolerance."""
+
+    cells: int = 0
+    released: int = 0
+    different: int = 0
+    lots: int = 0
+    inspected: int = 0
+    rejected: int = 0
+    sampled: int = 0
+
+
+def inspect(learner: ScenarioLearner, features: Floats, scores: Floats, ratings: Floats, limit: float, secret: bytes) -> Tally:
+    """Answers a batch, n sets with features of shape (n, k); the learner then learns what was simulated."""
+    tally = Tally(cells=len(scores))
+    told = learner.predict(features)
+    if told is None:
+        learner.learn(features, scores, ratings)
+        return tally
+    predictions, error_rates = told
+    lot = choose_lot(error_rates, limit)
+    wrong = learner.is_wrong(predictions.scores, scores)
+    simulated, weight = np.arange(len(scores)), np.ones(len(scores))
+    if lot is not None:
+        sampled = lot.members[draw([int(member).to_bytes(8) for member in lot.members], lot.plan.sample, secret)]
+        tally.lots, tally.inspected, tally.sampled = 1, lot.plan.size, len(sampled)
+        if lot.plan.releases(int(wrong[sampled].sum())):
+            released = np.setdiff1d(lot.members, sampled)
+            tally.released, tally.different = len(released), int(wrong[released].sum())
+            simulated, weight[sampled] = np.setdiff1d(simulated, released), lot.plan.size / lot.plan.sample
+        else:
+            tally.rejected = 1
+    learner.learn(features[simulated], scores[simulated], ratings[simulated])
+    seen = predictions.scores[simulated], predictions.confidence[simulated]
+    learner.observe(*seen, scores[simulated], weight[simulated])
+    return tally
