@@ -97,7 +97,7 @@ def test_the_account_adds_up(ended: Ended) -> None:
     assert found.map is not None
     assert found.map.paid_here
     assert found.break_even is not None
-    saving = (found.share_reused * found.requested - confirmed) / found.requested
+    saving = (cells["reused"] - confirmed) / found.requested
     assert found.break_even.requested_cells == pytest.approx(analysis["simulated"] / saving, abs=1)
 
 
