@@ -28,7 +28,8 @@ STAGES = {
     "validation": "validation_cells",
 }
 """Where a campaign counts the cells of each."""
-TABLES: tuple[TableName, ...] = ("generations", "solutions", "influence", "robustness", "validation", "evaluations")
+TABLES: tuple[TableName, ...] = ("generations", "influence", "robustness", "validation", "evaluations")
+"""Tables of what a campaign did itself. Its ranking shows what others simulated, too, which depends on time."""
 OF_A_CAMPAIGN = (
     "state",
     "error",
