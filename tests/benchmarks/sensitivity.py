@@ -177,7 +177,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         memory = Memory(pool)
         analysed = {
             (design, seed): analyse(
-                SensitivitySettings(design, options.intervals, options.samples, threshold, seed, sequential=False),  # type: ignore[arg-type]
+                SensitivitySettings(design, options.intervals, options.samples, threshold, seed, sequential=False),  # type: ignore[arg-type]  # `design` is any string here
                 memory,
             )
             for design, seed in product(("paper", "lines"), (1, 2))

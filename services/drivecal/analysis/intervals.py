@@ -23,7 +23,7 @@ STAKES = 40
 SMALLEST = 1e-12
 """Smallest mean that is told from 0."""
 HALVINGS = 40
-"""Of the range of a limit's logarithm: to eleven digits."""
+"""Halvings of the range of a limit's logarithm, to eleven digits."""
 
 
 def mean_interval(shares: Floats, confidence: float = CONFIDENCE) -> tuple[float, float]:

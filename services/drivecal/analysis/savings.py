@@ -124,7 +124,7 @@ def break_even(map_seconds: float, reused_saved_seconds: float, requested: int) 
 
 
 def _deductions(sensitivity: SensitivityCost, scenarios: Iterable[ScenarioAccount]) -> dict[str, float]:
-    """What saving took, by the keys of `contracts.accounting.DEDUCTIONS`."""
+    """Returns the CPU time that saving took, by the keys of `contracts.accounting.DEDUCTIONS`."""
     return {
         "sensitivity": sensitivity.seconds,
         "certificates": sum(scenario.certifying_seconds for scenario in scenarios),

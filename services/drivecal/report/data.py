@@ -47,7 +47,7 @@ class ReportData:
     accounting: Accounting | None
     robustness: Sequence[Studied[RobustnessRow]] = ()
     validation: Sequence[Studied[ValidationRow]] = ()
-    """Of the influence map."""
+    """Validations of the influence map."""
     predictions: Sequence[Studied[ValidationRow]] = ()
     """Validations of released predictions."""
 

@@ -81,10 +81,10 @@ PREDICTIONS = [
 
 
 def _per_inspected(row: ValidationRow) -> float | None:
-    """Errors released for each prediction in a lot, if the compared ones are like the others."""
+    """Errors released for each prediction in a lot, if those that were drawn are like the others."""
     if not row.compared or not row.inspected:
         return None
-    return (row.beyond or 0) / row.compared * (row.released or 0) / row.inspected
+    return (row.beyond or 0) / row.bases * (row.released or 0) / row.inspected
 
 
 def predictions(rows: Iterable[ValidationRow]) -> list[list[object]]:

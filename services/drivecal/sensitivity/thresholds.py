@@ -71,7 +71,7 @@ def miss_probability(samples: int, change_rate: float) -> float:
 
 
 def tolerance_text(samples: int) -> str:
-    """What `auto` tolerates and how often it misses, for readers."""
+    """Returns a sentence about the influence that `auto` tolerates, and how often it misses more."""
     return (
         f"threshold auto tolerates a change of one point in {tolerated_changes(samples)} of {samples} effects: an analysis misses a "
         f"parameter that changes the score in {SEEN_RATE:.0%} of its steps with a probability of about "

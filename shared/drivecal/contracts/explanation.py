@@ -119,7 +119,7 @@ class Neighbour(Answer):
 
 
 class Prediction(Answer):
-    """What the predictor said: `confidence` is its share of votes for scores within the tolerance, 0 to 1. `agrees`: whether the simulation
+    """A prediction. `confidence`: the share of votes for scores within the tolerance, 0 to 1. `agrees`: whether the simulation
     of a sampled cell confirmed it. `neighbours`: the stored answers with most weight, heaviest first."""
 
     score: int

@@ -66,7 +66,7 @@ class StagedCampaign(Job):
         self._begun = True
 
     def _doubts(self, campaign: StoredCampaign) -> list[str]:
-        """What was known about a given map when the campaign was submitted; its own analysis is new."""
+        """Returns the known errors of a given map when the campaign was submitted. A map of its own analysis has none yet."""
         reduction = self._problem.specification.reduction
         given = isinstance(self._problem.specification.sensitivity, MapReference)
         if campaign.influence_map_id is None or not given or not reduction.uses_map:

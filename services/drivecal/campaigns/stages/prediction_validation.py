@@ -11,6 +11,7 @@ from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.stages.stage import Round
 from drivecal.campaigns.stages.study import StudyStage
+from drivecal.campaigns.stages.validation import compared
 from drivecal.contracts.specification import ReductionSpecification
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
@@ -24,8 +25,6 @@ from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.results import ReleasedCell
 
-LARGEST_AGREEING = 1
-"""Points: a difference beyond it is wrong (Eq. 8)."""
 FIELD = "validation.of"
 
 
@@ -70,7 +69,7 @@ class PredictionValidation(StudyStage):
         self._reduction = ReductionSpecification.model_validate(source.spec["reduction"])
         self._released = {name: [cell for cell in stored if cell.scenario == name] for name in problem.scenarios}
         self._drawn = {name: _drawn(cells, wanted.samples, wanted.seed) for name, cells in self._released.items()}
-        self._differences: Mapping[str, Sequence[float]] | None = None
+        self._differences: Mapping[str, Sequence[int]] | None = None
 
     @staticmethod
     def is_wanted(campaign: StoredCampaign, problem: CalibrationProblem) -> bool:
@@ -94,7 +93,7 @@ class PredictionValidation(StudyStage):
 
     def _take(self, number: int, answers: Sequence[CellScore]) -> None:
         del number
-        differences: dict[str, list[float]] = {scenario: [] for scenario in self._drawn}
+        differences: dict[str, list[int]] = {scenario: [] for scenario in self._drawn}
         for answer in answers:
             if answer.score is not None:
                 differences[answer.scenario].append(self._drawn[answer.scenario][answer.individual].score - answer.score)
@@ -106,9 +105,8 @@ class PredictionValidation(StudyStage):
     def _row(self, scenario: str) -> dict[str, Any]:
         differences = [] if self._differences is None else self._differences[scenario]
         unanswered = 0 if self._differences is None else len(self._drawn[scenario]) - len(differences)
-        compared, histogram = len(differences), Counter(int(difference) for difference in differences)
-        wrong = sum(abs(difference) > LARGEST_AGREEING for difference in differences)
-        lower, upper = clopper_pearson(wrong, compared) if compared else (None, None)
+        counts = compared(Counter(differences))
+        lower, upper = clopper_pearson(counts["wrong"], counts["compared"]) if differences else (None, None)
         return {
             "scenario": scenario,
             "reducible": 0,
@@ -121,14 +119,10 @@ class PredictionValidation(StudyStage):
             "inspected": self._inspected[scenario],
             "beyond": unanswered + sum(abs(difference) > self._reduction.tolerance + ROUNDING for difference in differences),
             "limit": self._reduction.limit,
-            "compared": compared,
-            "wrong": wrong,
-            "different": compared - histogram.get(0, 0),
-            "error_rate": wrong / compared if compared else None,
+            **counts,
             "lower_95": lower,
             "upper_95": upper,
             "interval_over": "bases",
-            "histogram": {str(points): count for points, count in sorted(histogram.items())},
         }
 
 

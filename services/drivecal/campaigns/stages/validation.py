@@ -1,6 +1,6 @@
 """The validation stage: checks that answers are the same if the influence map says so (Section V of the paper)."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -38,6 +38,19 @@ def reducible_space(influence_map: InfluenceMap, scenario: str, space: Parameter
         grid[:, column] = values
         classes.append(keys.codes(grid)[:, place[parameter.name]])
     return ReducibleSpace(classes)
+
+
+def compared(histogram: Mapping[int, int]) -> dict[str, Any]:
+    """Returns the fields of a row that follow from the numbers of answers by their difference in points."""
+    total = sum(histogram.values())
+    wrong = sum(count for points, count in histogram.items() if abs(points) > LARGEST_AGREEING)
+    return {
+        "compared": total,
+        "wrong": wrong,
+        "different": total - histogram.get(0, 0),
+        "error_rate": wrong / total if total else None,
+        "histogram": {str(points): count for points, count in sorted(histogram.items())},
+    }
 
 
 class ValidationStage(StudyStage):
@@ -119,9 +132,7 @@ class ValidationStage(StudyStage):
     def _row(self, scenario: str, pairs: ValidationDesign | None) -> dict[str, Any]:
         differences = None if self._differences is None else self._differences.get(scenario)
         histogram = {} if differences is None else differences.histogram
-        compared = sum(histogram.values())
-        wrong = sum(count for points, count in histogram.items() if abs(points) > LARGEST_AGREEING)
-        shares = None if differences is None or not compared else differences.wrong_shares(LARGEST_AGREEING)
+        shares = None if differences is None or not histogram else differences.wrong_shares(LARGEST_AGREEING)
         lower, upper = (None, None) if shares is None else mean_interval(shares)
         return {
             "scenario": scenario,
@@ -131,12 +142,8 @@ class ValidationStage(StudyStage):
             "drawn": 0 if pairs is None else pairs.drawn,
             "bases": 0 if pairs is None else len(pairs.bases),
             "references": self._references,
-            "compared": compared,
-            "wrong": wrong,
-            "different": compared - histogram.get(0, 0),
-            "error_rate": wrong / compared if compared else None,
+            **compared(histogram),
             "lower_95": lower,
             "upper_95": upper,
             "interval_over": "bases",
-            "histogram": {str(points): count for points, count in histogram.items()},
         }
