@@ -1,0 +1,114 @@
+"""The manifest of a problem bundle, `problem.yaml`: parameters, constraints, simulator, scenarios, measures and scores.
+
+A simulation gives measures; a declared score turns measures into numbers.
+"""
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, StringConstraints
+
+from drivecal.contracts.specification import Identifier, Model, Number
+
+Text = Annotated[str, StringConstraints(max_length=1000)]
+Choice = Annotated[str, StringConstraints(min_length=1, max_length=64)]
+Unit = Annotated[str, StringConstraints(max_length=32)]
+File = Annotated[str, StringConstraints(min_length=1, max_length=255)]
+"""Path inside the bundle, with forward slashes."""
+Command = Annotated[list[Annotated[str, StringConstraints(min_length=1, max_length=4096)]], Field(min_length=1, max_length=100)]
+
+
+class ParameterEntry(Model):
+    """A parameter: a grid (`step`), continuous (none), integer, or a choice."""
+
+    lower: Number | None = None
+    upper: Number | None = None
+    step: Annotated[float, Field(gt=0, le=1e6)] | None = None
+    integer: bool = False
+    choices: (
+        Annotated[list[Annotated[str, StringConstraints(min_length=1, max_length=64)]], Field(min_length=2, max_length=1000)]
+        | None
+    ) = None
+    unit: Unit = "1"
+    description: Text = ""
+
+
+class SimulatorEntry(Model):
+    """Settings of every simulator that runs in child processes.
+
+    `timeout` (s, wall-clock) and `memory_mb` limit each run. `deterministic`: the simulator claims equal measures for equal inputs.
+    `probe`: a command whose output is the version of tools outside of the bundle.
+    """
+
+    timeout: Annotated[float, Field(gt=0, le=86_400)] = 60.0
+    memory_mb: Annotated[int, Field(ge=16, le=1_000_000)] = 2000
+    deterministic: bool = False
+    probe: Command | None = None
+
+
+class ProcessSimulator(SimulatorEntry):
+    """A program that answers JSON lines, started once per worker and scenario."""
+
+    kind: Literal["process"]
+    command: Command
+
+
+class CommandSimulator(SimulatorEntry):
+    """A program that is started for each cell: `{parameters}`, `{scenario}` and `{results}` are paths of JSON files."""
+
+    kind: Literal["command"]
+    command: Command
+
+
+class PythonSimulator(SimulatorEntry):
+    """A function `(parameters: dict, scenario: dict) -> dict of measures` in a file; `wheels`: folder with its packages."""
+
+    kind: Literal["python"]
+    file: File
+    function: Identifier = "evaluate"
+    wheels: File | None = None
+
+
+class FmuSimulator(SimulatorEntry):
+    """An FMI 2 or 3 co-simulation FMU of the whole system.
+
+    `measures`: `last(x)`, `min(x)`, `max(x)`, `mean(x)` or `integral(x)` of an output.
+    """
+
+    kind: Literal["fmu"]
+    file: File
+    duration: Annotated[float, Field(gt=0, le=1e6)]
+    step: Annotated[float, Field(gt=0, le=1e4)]
+    measures: Annotated[dict[Identifier, str], Field(min_length=1, max_length=1000)]
+
+
+AnySimulator = Annotated[ProcessSimulator | CommandSimulator | PythonSimulator | FmuSimulator, Field(discriminator="kind")]
+
+
+class ScoreEntry(Model):
+    """A score: arithmetic over measures.
+
+    `range`: its usual values; `failed`: the worth of a failed run, by default the worst end of the range.
+    """
+
+    formula: Annotated[str, StringConstraints(min_length=1, max_length=2000)]
+    direction: Literal["maximise", "minimise"]
+    range: Annotated[tuple[Number, Number], Field(strict=False)]
+    tolerance: Annotated[float, Field(ge=0, le=1e6)] = 0.0
+    failed: Number | None = None
+    unit: Unit = "1"
+
+
+class Manifest(Model):
+    """`problem.yaml`. `failures` and `series`: names of failures and units of time series that the simulator may report."""
+
+    problem: Identifier
+    description: Text = ""
+    parameters: Annotated[dict[Identifier, ParameterEntry], Field(min_length=1, max_length=200)]
+    constraints: Annotated[tuple[Text, ...], Field(max_length=100, strict=False)] = ()
+    baseline: dict[Identifier, Number | str] | None = None
+    simulator: AnySimulator
+    scenarios: Annotated[dict[Identifier, dict[str, Any]], Field(min_length=1, max_length=1000)]
+    measures: Annotated[dict[Identifier, Unit], Field(min_length=1, max_length=1000)]
+    failures: Annotated[tuple[Identifier, ...], Field(max_length=100, strict=False)] = ()
+    series: Annotated[dict[Identifier, Unit], Field(max_length=100, default_factory=dict)]
+    scores: Annotated[dict[Identifier, ScoreEntry], Field(min_length=1, max_length=100)]

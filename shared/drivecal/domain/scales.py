@@ -1,0 +1,75 @@
+"""Scales: what a score's numbers mean. Everything that compares scores reads the scale instead of assuming 0 to 7 with 7 best."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+from typing import Any
+
+
+class Direction(StrEnum):
+    """Whether larger or smaller scores are better."""
+
+    MAXIMISE = "maximise"
+    MINIMISE = "minimise"
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """Scale of a score, in the score's own units.
+
+    `lower` and `upper` are the ends of the usual range: the unit of relative measures (s_rel, figures), no bounds of the values.
+    `tolerance` is the largest difference that is no error: scores that differ by more are wrong (Eq. 8 of the paper). `failed` is the
+    worth of a failed run; it lies at the worst end of the range or beyond, and no score is worse. `step` is the distance of
+    neighbouring scores if only multiples of it occur, else None.
+    """
+
+    name: str
+    direction: Direction
+    lower: float
+    upper: float
+    tolerance: float
+    failed: float
+    step: float | None = None
+    unit: str = "1"
+
+    @property
+    def sign(self) -> int:
+        """1 if larger scores are better, else -1: `sign * score` is higher for better scores."""
+        return 1 if self.direction is Direction.MAXIMISE else -1
+
+    @property
+    def span(self) -> float:
+        """Width of the usual range."""
+        return self.upper - self.lower
+
+    @property
+    def worst(self) -> float:
+        """Worst end of the usual range."""
+        return self.lower if self.direction is Direction.MAXIMISE else self.upper
+
+    @property
+    def best(self) -> float:
+        """Best end of the usual range."""
+        return self.upper if self.direction is Direction.MAXIMISE else self.lower
+
+    def is_better(self, score: float, other: float) -> bool:
+        """Whether `score` is better than `other`."""
+        return self.sign * score > self.sign * other
+
+    def is_wrong(self, difference: float) -> bool:
+        """Whether scores with this difference count as wrong, with room for rounding."""
+        return abs(difference) > self.tolerance + 1e-9
+
+    def to_json(self) -> dict[str, Any]:
+        """Returns plain data."""
+        return asdict(self) | {"direction": self.direction.value}
+
+    @classmethod
+    def from_json(cls, document: dict[str, Any]) -> Scale:
+        """Inverts `to_json`."""
+        return cls(**(document | {"direction": Direction(document["direction"])}))
+
+
+COMFORT = Scale("comfort", Direction.MAXIMISE, lower=0.0, upper=7.0, tolerance=1.0, failed=0.0, step=1.0, unit="points")
+"""The paper's comfort score (Section IV-A): whole points from 0 to 7, 7 best; wrong is more than a point off (Eq. 8)."""

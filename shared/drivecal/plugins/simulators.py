@@ -1,0 +1,60 @@
+"""The simulator port: opens a session for a scenario, evaluates parameter sets, closes. A simulation gives measures, not scores."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+from drivecal.domain.errors import DrivecalError
+from drivecal.domain.evaluations import Breakdown
+
+Value = float | str
+"""A number, or the text of a choice."""
+
+
+@dataclass(frozen=True, slots=True)
+class RunOutcome:
+    """Result of one simulation: `measures` by name, the name of a `failure` of the system under test, and time series by name.
+
+    `cpu_seconds`: CPU time of child processes during the run, no part of the result.
+    """
+
+    measures: Mapping[str, float]
+    failure: str | None = None
+    series: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    cpu_seconds: float = field(default=0.0, compare=False)
+
+
+class NoMeasuresError(DrivecalError):
+    """A run has no result: its process crashed, hung, ran out of memory or answered something else. Costs this cell only."""
+
+    def __init__(self, breakdown: Breakdown, detail: str) -> None:
+        super().__init__(breakdown, detail)
+        self.breakdown, self.detail = breakdown, detail
+
+    def __str__(self) -> str:
+        return self.detail
+
+
+class SimulatorSession(Protocol):
+    """A simulator that is ready for runs of one scenario. After a NoMeasuresError it restarts itself and the next run is unaffected."""
+
+    def evaluate(self, parameters: Mapping[str, Value], *, series: bool = False) -> RunOutcome:
+        """Runs one parameter set. `series`: report time series, too. Raises NoMeasuresError without a result."""
+
+    def close(self) -> None:
+        """Ends all child processes and removes scratch files. Idempotent."""
+
+
+class Simulator(Protocol):
+    """A kind of simulator, e.g. `process`."""
+
+    @property
+    def version(self) -> str:
+        """Changes whenever equal inputs may give other results because of the adapter; part of the key of stored results."""
+
+    def open(self, section: Mapping[str, Any], scenario: str, data: Mapping[str, Any], folder: Path) -> SimulatorSession:
+        """Opens a session. `section`: the manifest's `simulator`; `data`: the scenario's; `folder`: the unpacked, read-only bundle.
+
+        Raises UnavailableError if this machine cannot run it, e.g. a command that does not exist.
+        """
