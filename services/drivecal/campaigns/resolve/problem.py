@@ -21,6 +21,7 @@ from drivecal.contracts.work import Batch, Cell, SetupRequest
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.influence import InfluenceMap
 from drivecal.domain.parameters import Indices, Parameter, ParameterSet, ParameterSpace, text
+from drivecal.domain.scales import COMFORT, Scale
 from drivecal.domain.scenarios import Scenario
 from drivecal.domain.setups import Setup
 from drivecal.plugins import registry
@@ -80,6 +81,11 @@ class Bench:
     def evaluator_id(self) -> str:
         """Name and version of the evaluator: with the run fingerprint it names a rating."""
         return evaluator_id(self.evaluator)
+
+    @property
+    def scale(self) -> Scale:
+        """Scale of the evaluator's scores."""
+        return COMFORT
 
 
 @dataclass(frozen=True)
@@ -189,6 +195,7 @@ def _resolution(bench: Bench, space: Sequence[Parameter]) -> dict[str, Any]:
     return {
         "setups": {scenario: setup.fingerprint for scenario, setup in bench.setups.items()},
         "evaluator": bench.evaluator_id,
+        "scale": bench.scale.to_json(),
         "space": space_to_document(space),
     }
 

@@ -10,6 +10,7 @@ from drivecal.campaigns.resolve.spaces import space_from_document
 from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
 from drivecal.domain.parameters import ParameterSpace
+from drivecal.domain.scales import COMFORT, Scale
 from drivecal.storage.campaigns import StoredCampaign
 
 
@@ -23,6 +24,7 @@ class ResolvedSpec:
     """Weights of the simulated scenarios in the catalogue's order, with sum 1; empty for a single evaluation."""
     setups: Mapping[str, str]
     """Their fingerprints."""
+    scale: Scale
 
 
 def problem_of(campaign: StoredCampaign) -> CalibrationProblem | EvaluationProblem:
@@ -49,4 +51,5 @@ def resolved_spec(campaign: StoredCampaign) -> ResolvedSpec:
     resolution: Mapping[str, Any] = campaign.resolution or problem_of(campaign).resolution()
     fixed = {name: Decimal(value) for name, value in resolution.get("fixed", {}).items()}
     space = ParameterSpace(space_from_document(resolution["space"]), fixed)
-    return ResolvedSpec(resolution["evaluator"], space, resolution.get("weights", {}), resolution["setups"])
+    scale = Scale.from_json(resolution["scale"]) if "scale" in resolution else COMFORT
+    return ResolvedSpec(resolution["evaluator"], space, resolution.get("weights", {}), resolution["setups"], scale)
