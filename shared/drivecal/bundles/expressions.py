@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from typing import Any, NoReturn
 
@@ -64,23 +63,32 @@ class UndefinedError(DrivecalError):
         return f"{shown(self.expression, 200)} has no value: {self.reason}" + (f" ({given})" if given else "")
 
 
-@dataclass(frozen=True, slots=True)
 class Formula:
-    """Arithmetic over named numbers. `names`: those that it uses, in order of appearance."""
+    """Arithmetic over named numbers. `names`: those that it uses."""
 
-    text: str
-    names: tuple[str, ...]
-    _scalar: Evaluation = field(repr=False, compare=False)
+    __slots__ = ("_evaluation", "names", "text")
 
-    def evaluate(self, values: Mapping[str, float]) -> float:
+    def __init__(self, text: str, known: Iterable[str] | None = None, field: str = "formula", noun: str = "measure") -> None:
+        """Parses a formula over `known` names; None allows any. Raises InvalidInputError naming `field` and the column of each fault."""
+        parser = _Parser(text, None if known is None else dict.fromkeys(known, ()), field, noun)
+        tree = parser.parsed()
+        parser.check_number(tree)
+        parser.finish()
+        self.text, self.names = text, frozenset(parser.names)
+        self._evaluation = _compiled(tree, SCALAR)
+
+    def __call__(self, values: Mapping[str, float]) -> float:
         """Returns the finite value. Raises UndefinedError, including if a name has no finite value."""
         try:
-            return float(self._scalar(values))
+            return float(self._evaluation(values))
         except (ArithmeticError, ValueError) as error:
             reason = str(error)
         except KeyError as error:
             reason = f"there is no value of {error.args[0]}"
-        raise UndefinedError(self.text, reason, {name: values[name] for name in self.names if name in values})
+        raise UndefinedError(self.text, reason, {name: values[name] for name in sorted(self.names) if name in values})
+
+    def __repr__(self) -> str:
+        return f"Formula({self.text!r})"
 
     @property
     def canonical(self) -> str:
@@ -88,14 +96,24 @@ class Formula:
         return "".join(self.text.split())
 
 
-@dataclass(frozen=True, slots=True)
 class Constraint:
     """A condition on parameters. A comparison of something undefined does not hold; numbers within 1e-12 of each other are equal."""
 
-    text: str
-    names: tuple[str, ...]
-    _scalar: Evaluation = field(repr=False, compare=False)
-    _array: Evaluation = field(repr=False, compare=False)
+    __slots__ = ("_array", "_scalar", "names", "text")
+
+    def __init__(self, text: str, known: Mapping[str, Sequence[str]] | None = None, field: str = "constraint") -> None:
+        """Parses a constraint over `known` parameters with their choices, empty for numbers; None allows any.
+
+        Raises InvalidInputError naming `field` and the column of each fault.
+        """
+        parser = _Parser(text, known, field, "parameter")
+        tree = parser.parsed()
+        parser.check_condition(tree)
+        if not parser.names and not parser.problems:
+            parser.refuse(tree, "the constraint names no parameter", f"known are {', '.join(known or ('none',))}")
+        parser.finish()
+        self.text, self.names = text, frozenset(parser.names)
+        self._scalar, self._array = _compiled(tree, SCALAR), _compiled(tree, ARRAY)
 
     def holds(self, values: Mapping[str, float | str]) -> bool:
         """Returns whether a parameter set keeps the constraint. `values`: numbers, and choices as their text."""
@@ -108,34 +126,18 @@ class Constraint:
         """
         with np.errstate(all="ignore"):
             result = self._array(columns)
-        return np.broadcast_to(np.asarray(result, dtype=bool), columns[self.names[0]].shape)
+        return np.broadcast_to(np.asarray(result, dtype=bool), next(iter(columns.values())).shape)
 
-
-def parse_formula(text: str, known: Sequence[str], field: str = "formula", noun: str = "measure") -> Formula:
-    """Returns the formula in `text`. Raises InvalidInputError naming each fault with its column."""
-    parser = _Parser(text, dict.fromkeys(known, ()), field, noun)
-    tree = parser.parsed()
-    parser.check_number(tree)
-    parser.finish()
-    return Formula(text, tuple(parser.names), _compiled(tree, SCALAR))
-
-
-def parse_constraint(text: str, known: Mapping[str, Sequence[str]], field: str = "constraint") -> Constraint:
-    """Returns the constraint in `text`. `known`: the choices of each parameter, empty for numbers. Raises InvalidInputError."""
-    parser = _Parser(text, known, field, "parameter")
-    tree = parser.parsed()
-    parser.check_condition(tree)
-    if not parser.names and not parser.problems:
-        parser.refuse(tree, "the constraint names no parameter", f"known are {', '.join(known)}")
-    parser.finish()
-    return Constraint(text, tuple(parser.names), _compiled(tree, SCALAR), _compiled(tree, ARRAY))
+    def __repr__(self) -> str:
+        return f"Constraint({self.text!r})"
 
 
 class _Parser:
     """Checks one expression and collects its problems."""
 
-    def __init__(self, text: str, known: Mapping[str, Sequence[str]], field: str, noun: str) -> None:
-        self.text, self.known, self.field, self.noun = text, known, field, noun
+    def __init__(self, text: str, known: Mapping[str, Sequence[str]] | None, field: str, noun: str) -> None:
+        self.text, self.known, self.field, self.noun = text, known or {}, field, noun
+        self.allows_any = known is None
         self.names: dict[str, None] = {}
         self.problems: list[Problem] = []
 
@@ -208,18 +210,18 @@ class _Parser:
 
     def _check_choice(self, node: ast.Compare) -> None:
         sides = [node.left, *node.comparators]
-        names = [name for name in map(_name, sides) if name and name in self.known]
+        names = [name for name in map(_name, sides) if name and (name in self.known or self.allows_any)]
         texts = [side.value for side in sides if isinstance(side, ast.Constant) and isinstance(side.value, str)]
         for side in sides:
             unknown = _name(side)
-            if unknown is not None and unknown not in self.known:
+            if unknown is not None and unknown not in self.known and not self.allows_any:
                 self._check_name(side, unknown, [])
                 return
         if not isinstance(node.ops[0], ast.Eq | ast.NotEq) or len(sides) != 2 or len(names) != 1 or len(texts) != 1:
             self.refuse(node, "a choice compares with a text by == or != only", "write e.g. mode == 'eco'")
             return
         self.names[names[0]] = None
-        if texts[0] not in self.known[names[0]]:
+        if not self.allows_any and texts[0] not in self.known[names[0]]:
             if not self.known[names[0]]:
                 self.refuse(node, f"{names[0]} is a number", "compare it with a number, without quotes")
             else:
@@ -254,7 +256,7 @@ class _Parser:
         if name in choices:
             first = self.known[name][0]
             self.refuse(node, f"{name} is a choice, no number", f"compare it, e.g. {name} == '{first}'")
-        elif name in self.known:
+        elif name in self.known or (self.allows_any and name not in FUNCTIONS):
             self.names[name] = None
         else:
             self.refuse(node, f"there is no {self.noun} {shown(name)}", self._nearest(name))

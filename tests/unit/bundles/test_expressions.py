@@ -12,7 +12,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from drivecal.bundles.expressions import UndefinedError, parse_constraint, parse_formula
+from drivecal.bundles.expressions import Constraint, Formula, UndefinedError
 from drivecal.domain.errors import InvalidInputError
 
 MEASURES = ("energy_kwh", "min_ttc_s", "x", "engine.mass", "mean-gap")
@@ -36,7 +36,7 @@ PARAMETERS: dict[str, tuple[str, ...]] = {"a": (), "b": (), "v0": (), "mode": ("
 )
 def test_a_formula_has_the_value_of_its_arithmetic(text: str, value: float) -> None:
     values = {"energy_kwh": 1.5, "min_ttc_s": 2.0, "x": 3.0, "engine.mass": 1600.0}
-    assert parse_formula(text, MEASURES).evaluate(values) == pytest.approx(value, rel=1e-15)
+    assert Formula(text, MEASURES)(values) == pytest.approx(value, rel=1e-15)
 
 
 @pytest.mark.parametrize(
@@ -98,7 +98,7 @@ def test_a_formula_has_the_value_of_its_arithmetic(text: str, value: float) -> N
 )
 def test_anything_else_is_refused_at_its_column(text: str, column: int | None) -> None:
     with pytest.raises(InvalidInputError) as refusal:
-        parse_formula(text, MEASURES, "scores.cost.formula")
+        Formula(text, MEASURES, "scores.cost.formula")
     for problem in refusal.value.problems:
         assert problem.field == "scores.cost.formula"
         assert problem.remedy
@@ -107,7 +107,7 @@ def test_anything_else_is_refused_at_its_column(text: str, column: int | None) -
 
 def test_every_fault_of_a_formula_is_named_with_the_nearest_name() -> None:
     with pytest.raises(InvalidInputError) as refusal:
-        parse_formula("energy_kw + 2*min_tcc_s + floor(y)", MEASURES)
+        Formula("energy_kw + 2*min_tcc_s + floor(y)", MEASURES)
     remedies = [problem.remedy for problem in refusal.value.problems]
     assert len(remedies) == 3
     assert "energy_kwh" in remedies[0]
@@ -133,7 +133,7 @@ def test_every_fault_of_a_formula_is_named_with_the_nearest_name() -> None:
 )
 def test_a_formula_without_a_value_says_so_with_its_values(text: str, values: dict[str, float]) -> None:
     with pytest.raises(UndefinedError) as error:
-        parse_formula(text, MEASURES).evaluate(values)
+        Formula(text, MEASURES)(values)
     assert error.value.expression == text
     assert error.value.reason
     assert error.value.values.keys() == values.keys()
@@ -142,7 +142,7 @@ def test_a_formula_without_a_value_says_so_with_its_values(text: str, values: di
 
 
 def test_white_space_does_not_change_the_canonical_text() -> None:
-    assert parse_formula(" x  +\n1 ", MEASURES).canonical == parse_formula("x+1", MEASURES).canonical
+    assert Formula(" x  +\n1 ", MEASURES).canonical == Formula("x+1", MEASURES).canonical
 
 
 @pytest.mark.parametrize(
@@ -166,7 +166,7 @@ def test_white_space_does_not_change_the_canonical_text() -> None:
     ],
 )
 def test_a_constraint_holds_or_not_in_a_set_and_in_a_population(text: str, values: dict[str, Any], holds: bool) -> None:
-    constraint = parse_constraint(text, PARAMETERS)
+    constraint = Constraint(text, PARAMETERS)
     assert constraint.holds(values) is holds
     columns = {name: np.array([value] * 3) for name, value in values.items()}
     assert constraint.holds_in(columns).tolist() == [holds] * 3
@@ -201,7 +201,7 @@ def test_a_constraint_holds_or_not_in_a_set_and_in_a_population(text: str, value
 )
 def test_a_faulty_constraint_is_refused(text: str) -> None:
     with pytest.raises(InvalidInputError) as refusal:
-        parse_constraint(text, PARAMETERS, "constraints[0]")
+        Constraint(text, PARAMETERS, "constraints[0]")
     assert all(problem.field == "constraints[0]" and problem.remedy for problem in refusal.value.problems)
 
 
@@ -217,17 +217,17 @@ texts = st.lists(words, max_size=60).map(" ".join) | st.lists(words, max_size=60
 @example("a**" * 60 + "a < 1")
 def test_whatever_is_given_is_refused_or_evaluates(text: str) -> None:
     try:
-        constraint = parse_constraint(text, PARAMETERS)
+        constraint = Constraint(text, PARAMETERS)
     except InvalidInputError:
         pass
     else:
         assert constraint.holds({"a": 2.0, "b": 0.0, "v0": -1e6, "mode": "eco", "engine.mass": 1e6}) in {True, False}
     try:
-        formula = parse_formula(text, list(PARAMETERS))
+        formula = Formula(text, list(PARAMETERS))
     except InvalidInputError:
         return
     with contextlib.suppress(UndefinedError):
-        assert math.isfinite(formula.evaluate({"a": 2.0, "b": 0.0, "v0": -1e6, "mode": 1.0, "engine.mass": 1e6}))
+        assert math.isfinite(formula({"a": 2.0, "b": 0.0, "v0": -1e6, "mode": 1.0, "engine.mass": 1e6}))
 
 
 numbers = st.sampled_from(["a", "b", "v0", "0", "1", "2.5", "1e-3", "(1e90*1e90)"])
@@ -250,7 +250,7 @@ rows = st.tuples(grid, grid, st.floats(-1e6, 1e6), st.sampled_from(["eco", "spor
 @settings(deadline=None, max_examples=300)
 @given(text=conditions, population=st.lists(rows, min_size=1, max_size=9))
 def test_a_population_is_judged_as_each_of_its_rows(text: str, population: list[tuple[float, float, float, str]]) -> None:
-    constraint = parse_constraint(f"{text} and (a <= 5 or b <= 5)", PARAMETERS)
+    constraint = Constraint(f"{text} and (a <= 5 or b <= 5)", PARAMETERS)
     keys = ("a", "b", "v0", "mode")
     columns = {key: np.array(column) for key, column in zip(keys, zip(*population, strict=True), strict=True)}
     alone = [constraint.holds(dict(zip(keys, row, strict=True))) for row in population]
