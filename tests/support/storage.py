@@ -11,7 +11,7 @@ from sqlalchemy import Connection
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.parameters import ParameterSet
-from drivecal.domain.setups import Setup
+from drivecal.domain.setups import DrivenSetup
 from drivecal.storage import campaigns, evaluations
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.evaluations import AnsweredCell, NewEvaluation
@@ -19,7 +19,7 @@ from drivecal.storage.references import parameter_sets, runs, setups
 from drivecal.storage.references.runs import NewRun
 
 EVALUATOR = "reference 1"
-SETUP = Setup(
+SETUP = DrivenSetup(
     scenario="S1",
     scenario_digest="0",
     driving_function="frenet",

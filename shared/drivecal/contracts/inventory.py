@@ -106,12 +106,12 @@ class ParameterSpacePage(Page[ParameterSpaceAnswer]):
 
 
 class ReferenceAnswer(Answer):
-    """Number of a setup's runs in the reference table."""
+    """Number of a setup's runs in the reference table. A bundle's setup has neither driving function nor vehicle."""
 
     scenario: str
     fingerprint: str
-    driving_function: str
-    vehicle: str
+    driving_function: str | None = None
+    vehicle: str | None = None
     simulator: str
     runs: int
 

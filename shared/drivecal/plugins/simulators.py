@@ -26,11 +26,14 @@ class RunOutcome:
 
 
 class NoMeasuresError(DrivecalError):
-    """A run has no result: its process crashed, hung, ran out of memory or answered something else. Costs this cell only."""
+    """A run has no result: its process crashed, hung, ran out of memory or answered something else. Costs this cell only.
 
-    def __init__(self, breakdown: Breakdown, detail: str) -> None:
-        super().__init__(breakdown, detail)
-        self.breakdown, self.detail = breakdown, detail
+    `cpu_seconds`: CPU time of its child processes.
+    """
+
+    def __init__(self, breakdown: Breakdown, detail: str, cpu_seconds: float = 0.0) -> None:
+        super().__init__(breakdown, detail, cpu_seconds)
+        self.breakdown, self.detail, self.cpu_seconds = breakdown, detail, cpu_seconds
 
     def __str__(self) -> str:
         return self.detail

@@ -26,7 +26,7 @@ from drivecal.domain.errors import NotFoundError
 from drivecal.domain.parameters import Parameter
 from drivecal.domain.roads import reference_line
 from drivecal.domain.scenarios import EgoStart, Scenario, TrafficVehicle
-from drivecal.domain.setups import Setup
+from drivecal.domain.setups import BundleSetup, DrivenSetup
 from drivecal.plugins import registry
 from drivecal.storage import processes
 from drivecal.storage.engine.types import now
@@ -131,7 +131,14 @@ def _parameter(parameter: Parameter) -> ParameterAnswer:
 
 
 def _reference(stored: SetupCount) -> ReferenceAnswer:
-    setup = Setup.from_document(stored.document)
+    if "files" in stored.document:
+        return ReferenceAnswer(
+            scenario=stored.scenario,
+            fingerprint=stored.fingerprint,
+            simulator=BundleSetup(stored.scenario, stored.document).simulator,
+            runs=stored.runs,
+        )
+    setup = DrivenSetup.from_document(stored.document)
     return ReferenceAnswer(
         scenario=stored.scenario,
         fingerprint=stored.fingerprint,

@@ -2,17 +2,32 @@
 
 from collections.abc import Mapping, Sequence
 from decimal import Decimal
-from typing import Any
+from typing import Any, Protocol
 
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.contracts.specification import CampaignSpecification, ParameterSpecification
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.parameters import Parameter, ParameterSet, ParameterSpace, billionths, decimal, text
-from drivecal.plugins.ports import DrivingFunction
+
+
+class Parameterised(Protocol):
+    """A function under test, as far as its parameters go: a driving function, or the simulator of a bundle."""
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+
+    @property
+    def spaces(self) -> Mapping[str, tuple[Parameter, ...]]:
+        """Search spaces by name, each with all parameters in order."""
+
+    @property
+    def limits(self) -> Mapping[str, tuple[float | None, float | None]]:
+        """Smallest and largest value that a user's own space may contain, by parameter; None means unlimited."""
 
 
 def search_parameters(
-    parameters: str | Sequence[ParameterSpecification], function: DrivingFunction, field: str = "parameters"
+    parameters: str | Sequence[ParameterSpecification], function: Parameterised, field: str = "parameters"
 ) -> tuple[Parameter, ...]:
     """The grid of each listed parameter. Raises InvalidInputError for unknown spaces and names, empty grids, forbidden values."""
     if isinstance(parameters, str):
@@ -47,7 +62,7 @@ def search_parameters(
     return tuple(sorted(grids, key=lambda parameter: known.index(parameter.name)))
 
 
-def function_names(function: DrivingFunction) -> tuple[str, ...]:
+def function_names(function: Parameterised) -> tuple[str, ...]:
     """The names of all parameters of a driving function, in its order."""
     return tuple(parameter.name for parameter in next(iter(function.spaces.values())))
 
@@ -75,7 +90,7 @@ def space_from_document(document: Sequence[Mapping[str, Any]]) -> tuple[Paramete
 
 
 def search_space(
-    specification: CampaignSpecification, function: DrivingFunction, diagnostics: Diagnostics
+    specification: CampaignSpecification, function: Parameterised, diagnostics: Diagnostics
 ) -> ParameterSpace | None:
     """The space of a campaign with its fixed values; None if it is invalid, with its problems in `diagnostics`."""
     try:
@@ -129,7 +144,7 @@ def given_set(
         return None
 
 
-def free_values(given: Mapping[str, float], function: DrivingFunction, diagnostics: Diagnostics) -> dict[str, Decimal]:
+def free_values(given: Mapping[str, float], function: Parameterised, diagnostics: Diagnostics) -> dict[str, Decimal]:
     """Values between grid points for a single evaluation: exact decimals by name, in the driving function's order."""
     names = function_names(function)
     for name in given:
@@ -154,7 +169,7 @@ def _exact(value: Decimal, field: str, diagnostics: Diagnostics) -> None:
         diagnostics.add(field, str(error), "round it")
 
 
-def _within_limits(function: DrivingFunction, name: str, value: Decimal, field: str, diagnostics: Diagnostics) -> None:
+def _within_limits(function: Parameterised, name: str, value: Decimal, field: str, diagnostics: Diagnostics) -> None:
     smallest, largest = function.limits.get(name, (None, None))
     if smallest is not None and value < decimal(smallest):
         diagnostics.add(field, f"{value} is too small for {name}", f"give at least {text(decimal(smallest))}")

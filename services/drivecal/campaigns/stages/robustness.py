@@ -11,6 +11,7 @@ from drivecal.analysis.optima import one_per_region_first, optima
 from drivecal.analysis.robustness import Robustness, RobustnessSettings, RobustnessStudy
 from drivecal.analysis.solutions import EQUAL, Ranking
 from drivecal.campaigns.cells.planning import View
+from drivecal.campaigns.resolve.bench import Bench, driving
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.results.optima import MOST_BEST, MOST_WORSE, unit_cube
 from drivecal.campaigns.stages.stage import Round
@@ -123,7 +124,7 @@ class RobustnessStage(StudyStage):
         return len(self._examined) * len(self._problem.scenarios) * (1 + boxes * self._settings.samples)
 
     def _ask(self) -> Round | None:
-        bench, scenarios = self._problem.bench, self._problem.scenarios
+        bench, scenarios = driving(self._problem.bench), self._problem.scenarios
         if self._study is None:
             cells = [
                 RequestedCell(index, scenario, examined.parameters)
@@ -134,7 +135,8 @@ class RobustnessStage(StudyStage):
         box = self._study.ask()
         if box is None:
             return None
-        samples, asked = self._settings.samples, []
+        samples = self._settings.samples
+        asked: list[tuple[Bench, list[RequestedCell]]] = []
         by_vehicle: dict[tuple[tuple[str, float], ...], list[RequestedCell]] = {}
         for solution, vehicles in box.vehicles.items():
             for sample, vehicle in enumerate(vehicles):
@@ -154,7 +156,7 @@ class RobustnessStage(StudyStage):
                 place = answer.individual, columns[answer.scenario]
                 self._scores[place] = np.nan if answer.score is None else answer.score
                 self._ratings[place] = np.nan if answer.rating is None else answer.rating
-            bench = self._problem.bench
+            bench = driving(self._problem.bench)
             self._study = RobustnessStudy(self._scores, bench.vehicle.parameters, bench.vehicle_parameters, self._settings)
             return
         box = None if self._study is None else self._study.ask()
