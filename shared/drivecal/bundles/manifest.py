@@ -1,6 +1,7 @@
 """The manifest of a problem bundle, `problem.yaml`: parameters, constraints, simulator, scenarios, measures and scores.
 
-A simulation gives measures; a declared score turns measures into numbers.
+A simulation gives measures; a declared score turns measures into numbers. The models check each field by itself; `checks.checked` checks
+the whole.
 """
 
 from typing import Annotated, Any, Literal
@@ -8,9 +9,10 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, StringConstraints
 
 from drivecal.contracts.specification import Identifier, Model, Number
+from drivecal.domain.scales import Direction, Scale
 
 Text = Annotated[str, StringConstraints(max_length=1000)]
-Choice = Annotated[str, StringConstraints(min_length=1, max_length=64)]
+Choice = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[^\x00-\x1f\x7f]+$")]
 Unit = Annotated[str, StringConstraints(max_length=32)]
 File = Annotated[str, StringConstraints(min_length=1, max_length=255)]
 """Path inside the bundle, with forward slashes."""
@@ -24,10 +26,7 @@ class ParameterEntry(Model):
     upper: Number | None = None
     step: Annotated[float, Field(gt=0, le=1e6)] | None = None
     integer: bool = False
-    choices: (
-        Annotated[list[Annotated[str, StringConstraints(min_length=1, max_length=64)]], Field(min_length=2, max_length=1000)]
-        | None
-    ) = None
+    choices: Annotated[list[Choice], Field(min_length=2, max_length=1000)] | None = None
     unit: Unit = "1"
     description: Text = ""
 
@@ -46,7 +45,10 @@ class SimulatorEntry(Model):
 
 
 class ProcessSimulator(SimulatorEntry):
-    """A program that answers JSON lines, started once per worker and scenario."""
+    """A program that answers JSON lines, started once per worker and scenario.
+
+    A word of `command` that starts with `./` names a file of the bundle; a program without `/` is looked up on the worker's PATH.
+    """
 
     kind: Literal["process"]
     command: Command
@@ -97,6 +99,22 @@ class ScoreEntry(Model):
     failed: Number | None = None
     unit: Unit = "1"
 
+    @property
+    def worst(self) -> float:
+        """Worst end of the range."""
+        return self.range[0] if self.direction == "maximise" else self.range[1]
+
+    @property
+    def failed_worth(self) -> float:
+        """Worth of a failed run."""
+        return self.worst if self.failed is None else self.failed
+
+    def scale(self, name: str) -> Scale:
+        """Returns the scale of the score of this name."""
+        lower, upper = self.range
+        direction = Direction(self.direction)
+        return Scale(name, direction, lower, upper, self.tolerance, self.failed_worth, unit=self.unit)
+
 
 class Manifest(Model):
     """`problem.yaml`. `failures` and `series`: names of failures and units of time series that the simulator may report."""
@@ -105,7 +123,7 @@ class Manifest(Model):
     description: Text = ""
     parameters: Annotated[dict[Identifier, ParameterEntry], Field(min_length=1, max_length=200)]
     constraints: Annotated[tuple[Text, ...], Field(max_length=100, strict=False)] = ()
-    baseline: dict[Identifier, Number | str] | None = None
+    baseline: dict[Identifier, Number | Choice] | None = None
     simulator: AnySimulator
     scenarios: Annotated[dict[Identifier, dict[str, Any]], Field(min_length=1, max_length=1000)]
     measures: Annotated[dict[Identifier, Unit], Field(min_length=1, max_length=1000)]
