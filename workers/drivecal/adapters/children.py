@@ -84,7 +84,7 @@ class Children:
         if "error" in reply:
             raise UnavailableError(f"{self._launch.command[0]} cannot be started: {reply['error']}")
         self._pid = int(reply["pid"])
-        self._family, self._next_look = (self._pid,), 0.0
+        self._family, self._next_look = (self._pid,), time.monotonic() + LOOK_SECONDS
 
     def ended(self) -> Ended:
         """Waits for the end of the child, whose descendants end with it."""

@@ -88,9 +88,10 @@ def _content(path: Path, tail: str) -> bytes:
     except OSError as error:
         messages = f"; its last messages: {tail}" if tail else ""
         raise NoMeasuresError(Breakdown.ERROR, f"it wrote no results file: {error.strerror}{messages}") from None
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise NoMeasuresError(Breakdown.ERROR, "the results file is not a regular file")
     with open(descriptor, "rb") as file:  # noqa: PTH123  # a descriptor has no path
-        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-            raise NoMeasuresError(Breakdown.ERROR, "the results file is not a regular file")
         content = file.read(LONGEST_LINE + 1)
     if len(content) > LONGEST_LINE:
         raise NoMeasuresError(Breakdown.ERROR, f"the results file has more than {LONGEST_LINE >> 20} MB")

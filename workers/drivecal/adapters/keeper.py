@@ -52,10 +52,15 @@ _PAGE = os.sysconf("SC_PAGESIZE")
 def seen(pid: int) -> Seen | None:
     """Returns what /proc says of a process, None if it is gone."""
     try:
-        with open(f"/proc/{pid}/stat", "rb") as file:  # noqa: PTH123  # several thousand times a second
-            fields = file.read().rpartition(b")")[2].split()
+        descriptor = os.open(f"/proc/{pid}/stat", os.O_RDONLY)  # twice in each run, in half the time of an open file
     except OSError:
         return None
+    try:
+        fields = os.read(descriptor, 4096).rpartition(b")")[2].split()
+    except OSError:
+        return None
+    finally:
+        os.close(descriptor)
     own, waited = int(fields[11]) + int(fields[12]), int(fields[13]) + int(fields[14])
     return Seen(pid, int(fields[1]), own / _TICK, waited / _TICK, int(fields[21]) * _PAGE)
 

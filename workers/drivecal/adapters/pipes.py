@@ -55,6 +55,11 @@ class Pipes:
             if descriptor >= 0:
                 os.set_blocking(descriptor, False)
 
+    @property
+    def has_more(self) -> bool:
+        """Whether the child wrote more than the answer, or answered before it had read the request."""
+        return bool(self._received or self._waiting)
+
     def is_fresh(self) -> bool:
         """Returns whether the child lives and has written nothing since its last answer."""
         for descriptor, _ in self._poll.poll(0):
@@ -76,11 +81,7 @@ class Pipes:
             searched = len(self._received)
             if end >= 0:
                 line = bytes(self._received[:end])
-                if len(self._received) > end + 1:
-                    raise NoMeasuresError(Breakdown.ERROR, "it wrote more than one line in answer to one request")
-                if self._waiting:
-                    raise NoMeasuresError(Breakdown.ERROR, "it answered before it had read the request")
-                self._received.clear()
+                del self._received[: end + 1]
                 return line
             if len(self._received) > LONGEST_LINE:
                 raise NoMeasuresError(Breakdown.ERROR, f"it wrote a line of more than {LONGEST_LINE >> 20} MB")

@@ -92,6 +92,8 @@ class ProcessSession:
                 raise NoMeasuresError(
                     Breakdown.ERROR, f"the answer's id is {answer.get('id')!r:.100}, the request's {self._number}"
                 )
+            if pipes.has_more:
+                raise NoMeasuresError(Breakdown.ERROR, "it wrote more than one line in answer to one request")
         except NoMeasuresError:
             self._stop()
             raise

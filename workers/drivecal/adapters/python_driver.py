@@ -5,8 +5,9 @@ import platform
 import sys
 import zipfile
 from collections.abc import Mapping
-from importlib import import_module
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from drivecal.adapters.driver import Evaluate, serve
@@ -21,7 +22,7 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
         sys.path.insert(0, str(unpack(Path(settings["wheels"]), Path(settings["packages"]))))
     file = Path(settings["file"])
     sys.path.insert(0, str(file.parent))
-    function = getattr(import_module(file.stem), settings["function"], None)
+    function = getattr(imported(file), settings["function"], None)
     if not callable(function):
         raise TypeError(f"{file.name} has no function {settings['function']}")
 
@@ -29,6 +30,17 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
         return answer(function(request["parameters"], request["data"]))
 
     return evaluate
+
+
+def imported(file: Path) -> ModuleType:
+    """Imports a file, which may be called like a module of the standard library."""
+    spec = spec_from_file_location(file.stem, file)
+    if spec is None or spec.loader is None:
+        raise ImportError(f"{file.name} is not a Python file")
+    module = module_from_spec(spec)
+    sys.modules.setdefault(file.stem, module)
+    spec.loader.exec_module(module)
+    return module
 
 
 def answer(returned: object) -> Mapping[str, Any]:
