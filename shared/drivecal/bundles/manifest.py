@@ -7,10 +7,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, StringConstraints
 
-from drivecal.contracts.specification import Identifier, Model, Number
+from drivecal.contracts.specification import Choice, Identifier, Model, Number
 
 Text = Annotated[str, StringConstraints(max_length=1000)]
-Choice = Annotated[str, StringConstraints(min_length=1, max_length=64)]
 Unit = Annotated[str, StringConstraints(max_length=32)]
 File = Annotated[str, StringConstraints(min_length=1, max_length=255)]
 """Path inside the bundle, with forward slashes."""
@@ -24,10 +23,7 @@ class ParameterEntry(Model):
     upper: Number | None = None
     step: Annotated[float, Field(gt=0, le=1e6)] | None = None
     integer: bool = False
-    choices: (
-        Annotated[list[Annotated[str, StringConstraints(min_length=1, max_length=64)]], Field(min_length=2, max_length=1000)]
-        | None
-    ) = None
+    choices: Annotated[list[Choice], Field(min_length=2, max_length=1000)] | None = None
     unit: Unit = "1"
     description: Text = ""
 
@@ -105,7 +101,7 @@ class Manifest(Model):
     description: Text = ""
     parameters: Annotated[dict[Identifier, ParameterEntry], Field(min_length=1, max_length=200)]
     constraints: Annotated[tuple[Text, ...], Field(max_length=100, strict=False)] = ()
-    baseline: dict[Identifier, Number | str] | None = None
+    baseline: dict[Identifier, Number | Choice] | None = None
     simulator: AnySimulator
     scenarios: Annotated[dict[Identifier, dict[str, Any]], Field(min_length=1, max_length=1000)]
     measures: Annotated[dict[Identifier, Unit], Field(min_length=1, max_length=1000)]

@@ -15,8 +15,10 @@ LARGEST_CONFIRM = 1_000
 Name = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]+$")]
 Identifier = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[A-Za-z][A-Za-z0-9_.-]*$")]
 Number = Annotated[float, Field(ge=-1e6, le=1e6)]
-Values = Annotated[dict[Identifier, Number], Field(max_length=200)]
-"""A value per parameter."""
+Choice = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[^\x00-\x1f\x7f]+$")]
+"""Text that names a choice."""
+Values = Annotated[dict[Identifier, Number | Choice], Field(max_length=200)]
+"""A value per parameter: a number, or the text of a choice."""
 
 
 class Model(BaseModel):
@@ -26,12 +28,14 @@ class Model(BaseModel):
 
 
 class ParameterSpecification(Model):
-    """A parameter of the user's own space."""
+    """A parameter of the user's own space: a grid (`step`), continuous (none, or 0), integer, or a choice."""
 
     name: Identifier
-    lower: Number
-    upper: Number
-    step: Annotated[float, Field(ge=0, le=1e6)]
+    lower: Number | None = None
+    upper: Number | None = None
+    step: Annotated[float, Field(ge=0, le=1e6)] | None = None
+    integer: bool = False
+    choices: Annotated[list[Choice], Field(min_length=2, max_length=1000)] | None = None
     unit: Annotated[str, StringConstraints(max_length=32)] = "1"
 
 
@@ -240,7 +244,7 @@ class InfluenceMapSpecification(Model):
 class EvaluationSpecification(Model):
     """A parameter set in a scenario, or in all scenarios of the catalogue."""
 
-    parameters: Annotated[dict[Identifier, Number], Field(min_length=1, max_length=200)]
+    parameters: Annotated[dict[Identifier, Number | Choice], Field(min_length=1, max_length=200)]
     scenario: Identifier | None = None
     catalogue: Identifier = "highway"
     driving_function: Identifier = "frenet"

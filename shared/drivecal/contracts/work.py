@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from drivecal.domain.evaluations import RunResult
 
@@ -30,16 +31,19 @@ class Probe:
     reference that costs nothing. `id`: its evaluation's."""
 
     id: int
-    parameters: Mapping[str, float]
+    parameters: Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """One parameter set to simulate: `parameters` by name; `id` is the dispatcher's own. `certify`: it may be answered by a run that it
-    provably repeats, and its own run may answer others; `check`: it is simulated even so, to see whether both agree."""
+    """One parameter set to simulate: `parameters` by name, numbers and texts of choices; `id` is the dispatcher's own.
+
+    `certify`: it may be answered by a run that it provably repeats, and its own run may answer others; `check`: it is simulated even so,
+    to see whether both agree.
+    """
 
     id: int
-    parameters: Mapping[str, float]
+    parameters: Mapping[str, Any]
     certify: bool = False
     check: bool = False
     trace: bool = False
