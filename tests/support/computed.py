@@ -22,7 +22,7 @@ def rating_of(scenario: str, cell: Cell) -> float:
         for index, (name, value) in enumerate(cell.parameters.items())
         if IGNORED.get(scenario) != name
     )
-    return 7.0 * ((spread * 0.37) % 1.0)
+    return float(7.0 * ((spread * 0.37) % 1.0))
 
 
 def computed(scenario: str, cell: Cell) -> CellResult:

@@ -54,7 +54,7 @@ def difference(rows: Sequence[RobustnessRow], others: Sequence[RobustnessRow]) -
     )
 
 
-def _key(row: RobustnessRow) -> tuple[tuple[str, float], ...]:
+def _key(row: RobustnessRow) -> tuple[tuple[str, float | str], ...]:
     return tuple(sorted(row.parameters.items()))
 
 

@@ -156,7 +156,7 @@ class Best(Answer):
     """The best parameter set so far. `alternatives` counts all sets whose objective is equal within 1e-9, this one included."""
 
     objective: float
-    parameters: dict[str, float]
+    parameters: dict[str, float | str]
     scores: dict[str, int]
     alternatives: int
 
@@ -165,7 +165,7 @@ class Baseline(Answer):
     """The parameter set that the user gave to compare with; null scores are still missing."""
 
     objective: float | None
-    parameters: dict[str, float]
+    parameters: dict[str, float | str]
     scores: dict[str, int | None]
 
 
@@ -173,7 +173,7 @@ class Narrowed(Answer):
     """A parameter whose range was narrowed to the area in which it matters in any scenario, in parameter units, inclusive.
 
     `lower` and `upper` are what is searched, `removed_values` of `values` grid points are left out. Where both are equal the parameter
-    is held: it matters in no scenario.
+    is held: it matters in no scenario. A choice is held at the text `choice`, and its bounds are positions in its list.
     """
 
     parameter: str
@@ -183,6 +183,7 @@ class Narrowed(Answer):
     full_upper: float
     values: int
     removed_values: int
+    choice: str | None = None
 
 
 class Seconds(Answer):

@@ -56,7 +56,7 @@ class Evaluation(Answer):
 
     id: str
     state: str
-    parameters: dict[str, float]
+    parameters: dict[str, float | str]
     scenario: str | None
     """Null where all scenarios of the catalogue were asked for."""
     objective: float | None

@@ -44,8 +44,8 @@ class Difference(Answer):
     where it has none on that side. `blocks`: the two values do not lie in the same non-influential region."""
 
     parameter: str
-    value: float
-    reference_value: float
+    value: float | str
+    reference_value: float | str
     region: Region
     reference_region: Region
     lower: float | None
@@ -115,7 +115,7 @@ class Neighbour(Answer):
     individual: int
     score: int
     weight: float
-    parameters: dict[str, float]
+    parameters: dict[str, float | str]
 
 
 class Prediction(Answer):

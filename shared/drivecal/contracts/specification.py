@@ -19,8 +19,10 @@ Identifier = Annotated[str, StringConstraints(min_length=1, max_length=64, patte
 ProblemName = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
 """Name of a problem, or digest of a bundle."""
 Number = Annotated[float, Field(ge=-1e6, le=1e6)]
-Values = Annotated[dict[Identifier, Number], Field(max_length=200)]
-"""A value per parameter."""
+Choice = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[^\x00-\x1f\x7f]+$")]
+"""Text that names a choice."""
+Values = Annotated[dict[Identifier, Number | Choice], Field(max_length=200)]
+"""A value per parameter: a number, or the text of a choice."""
 
 
 class Model(BaseModel):
@@ -30,12 +32,14 @@ class Model(BaseModel):
 
 
 class ParameterSpecification(Model):
-    """A parameter of the user's own space."""
+    """A parameter of the user's own space: a grid (`step`), continuous (none, or 0), integer, or a choice."""
 
     name: Identifier
-    lower: Number
-    upper: Number
-    step: Annotated[float, Field(ge=0, le=1e6)]
+    lower: Number | None = None
+    upper: Number | None = None
+    step: Annotated[float, Field(ge=0, le=1e6)] | None = None
+    integer: bool = False
+    choices: Annotated[list[Choice], Field(min_length=2, max_length=1000)] | None = None
     unit: Annotated[str, StringConstraints(max_length=32)] = "1"
 
 
@@ -248,7 +252,7 @@ class InfluenceMapSpecification(Model):
 class EvaluationSpecification(Model):
     """A parameter set in a scenario, or in all scenarios of the catalogue."""
 
-    parameters: Annotated[dict[Identifier, Number], Field(min_length=1, max_length=200)]
+    parameters: Annotated[dict[Identifier, Number | Choice], Field(min_length=1, max_length=200)]
     scenario: Identifier | None = None
     problem: ProblemName = HIGHWAY
     catalogue: Identifier = "highway"

@@ -45,13 +45,15 @@ JSON_ONLY = "JSON only"
 _JOINED = FileForm("text", " ".join)
 
 
-def columns_of(model: type[BaseModel], keys: Mapping[str, Sequence[str]] | None = None) -> list[Column]:
-    """Returns the columns of a file of such rows. `keys`: the keys of its mappings, by field."""
+def columns_of(model: type[BaseModel], keys: Mapping[str, Sequence[str] | Mapping[str, Kind]] | None = None) -> list[Column]:
+    """Returns the columns of a file of such rows. `keys`: the keys of its mappings, by field, with their kinds if they differ."""
     columns: list[Column] = []
     for name, field in model.model_fields.items():
         mark = _mark(field.metadata, field.annotation)
         if isinstance(mark, Spread):
-            columns += [Column(mark.column(key), _kind(get_args(field.annotation)[1])) for key in (keys or {})[name]]
+            listed = (keys or {})[name]
+            kinds = listed if isinstance(listed, Mapping) else dict.fromkeys(listed, _kind(get_args(field.annotation)[1]))
+            columns += [Column(mark.column(key), kind) for key, kind in kinds.items()]
         elif isinstance(mark, FileForm):
             columns.append(Column(name, mark.kind))
         elif mark is None:
@@ -112,7 +114,7 @@ class EvaluationRow(Answer):
     """
 
     model_config = ConfigDict(extra="allow")
-    __pydantic_extra__: dict[str, float]
+    __pydantic_extra__: dict[str, float | str]
 
     id: int
     stage: str
@@ -135,10 +137,10 @@ class EvaluationRow(Answer):
     sampled: bool = False
 
     @classmethod
-    def file_columns(cls, parameters: Sequence[str]) -> list[Column]:
+    def file_columns(cls, parameters: Mapping[str, Kind]) -> list[Column]:
         """Returns the columns of a file, with the parameters behind the place of the cell."""
         own = columns_of(cls)
-        return own[:PLACE] + [Column(parameter_column(name), "number") for name in parameters] + own[PLACE:]
+        return own[:PLACE] + [Column(parameter_column(name), kind) for name, kind in parameters.items()] + own[PLACE:]
 
 
 class Generation(Answer):
@@ -175,7 +177,7 @@ class Solution(Answer):
     scores: Annotated[dict[str, int], Spread("score_")]
     reused: list[str] = Field(default_factory=list)
     """Scenarios whose score is that of a reference: this very set was not simulated there."""
-    parameters: Annotated[dict[str, float], Spread()]
+    parameters: Annotated[dict[str, float | str], Spread()]
     iteration: int
     individual: int
 
@@ -245,7 +247,7 @@ class RobustnessRow(Answer):
     region: int
     to_worse: float | None
     scores: Annotated[dict[str, int | None], Spread("score_")]
-    parameters: Annotated[dict[str, float], Spread()]
+    parameters: Annotated[dict[str, float | str], Spread()]
     trials: Annotated[list[BoxTrial], JSON_ONLY]
 
 

@@ -57,6 +57,7 @@ class BundleRequest:
 
     bundle: str
     """Digest of the bundle's archive."""
+    problem: str
     scenario: str
     data: Mapping[str, Any]
     """The scenario's data."""

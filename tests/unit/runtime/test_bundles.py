@@ -15,7 +15,7 @@ from drivecal.bundles import archives
 from drivecal.contracts.work import Batch, BundleRequest, Cell
 from drivecal.domain.errors import InvalidInputError, UnavailableError
 from drivecal.domain.evaluations import Breakdown
-from drivecal.plugins.simulators import NoMeasuresError, RunOutcome, SimulatorSession
+from drivecal.plugins.simulators import Declared, NoMeasuresError, RunOutcome, SimulatorSession
 from drivecal.runtime.bundles import MOST_SESSIONS, BundleCache, BundleSessions
 from drivecal.runtime.worker import Worker
 
@@ -31,8 +31,10 @@ class ScriptedSimulator:
     closed: list[str] = field(default_factory=list)
     version: str = "1"
 
-    def open(self, section: Mapping[str, Any], scenario: str, data: Mapping[str, Any], folder: Path) -> SimulatorSession:
-        assert section["kind"] == "process"
+    def open(
+        self, section: Mapping[str, Any], scenario: str, data: Mapping[str, Any], folder: Path, declared: Declared
+    ) -> SimulatorSession:
+        assert (section["kind"], declared.measures) == ("process", ("a",))
         if data.get("missing"):
             raise UnavailableError("there is no such program")
         assert (folder / "problem.yaml").is_file()
@@ -69,6 +71,7 @@ def archive(tmp_path: Path) -> bytes:
 def request_(archive: bytes) -> BundleRequest:
     return BundleRequest(
         bundle=archives.content_digest(archive),
+        problem="p",
         scenario="city",
         data={},
         simulator={"kind": "process", "timeout": 10.0},
@@ -107,24 +110,12 @@ def test_a_simulator_that_this_machine_lacks_is_refused(tmp_path: Path, archive:
     assert result.refusal == "there is no such program"
 
 
-@pytest.mark.parametrize(
-    "outcome",
-    [
-        RunOutcome({}),
-        RunOutcome({"a": 1.0, "b": 2.0}),
-        RunOutcome({"a": float("nan")}),
-        RunOutcome({}, failure="undeclared"),
-        NoMeasuresError(Breakdown.ERROR, "no idea"),
-    ],
-)
-def test_an_answer_that_is_not_declared_costs_its_cell_only(
-    tmp_path: Path, archive: bytes, request_: BundleRequest, outcome: RunOutcome | NoMeasuresError
-) -> None:
-    works = worker(tmp_path, ScriptedSimulator({2.0: outcome}))
+def test_a_run_without_measures_costs_its_cell_only(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:
+    works = worker(tmp_path, ScriptedSimulator({2.0: NoMeasuresError(Breakdown.HANG, "too long", cpu_seconds=SECONDS)}))
     works.store(request_.bundle, archive)
     first, second = works.run(Batch(request_, (Cell(1, {"x": 2.0}), Cell(2, {"x": 3.0})))).results
-    assert first.breakdown == "error"
-    assert first.detail
+    assert (first.breakdown, first.detail) == ("hang", "too long")
+    assert first.milliseconds >= 1000 * SECONDS
     assert (second.breakdown, second.metrics) == (None, {"a": 3.0})
 
 

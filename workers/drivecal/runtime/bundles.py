@@ -2,24 +2,21 @@
 
 import gzip
 import json
-import math
 import os
 import shutil
 import tempfile
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
-from drivecal.adapters import simulator
+from drivecal.adapters.kinds import simulator
 from drivecal.bundles.archives import unpack
-
 from drivecal.contracts.work import BundleRequest, Cell, CellResult
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
-from drivecal.plugins.simulators import NoMeasuresError, RunOutcome, Simulator, SimulatorSession
+from drivecal.plugins.simulators import Declared, NoMeasuresError, RunOutcome, Simulator, SimulatorSession
 
 MOST_SESSIONS = 8
 """Open sessions of a worker, least recently used first to go: each may hold a process of the user's."""
@@ -93,11 +90,10 @@ class BundleSessions:
         session = self._session(setup)
         try:
             outcome = session.evaluate({name: cell.parameters[name] for name in setup.parameters}, series=cell.trace)
-            _check(setup, outcome)
+            trace = _compressed(outcome) if cell.trace else None
         except NoMeasuresError as error:
             milliseconds = _milliseconds(start) + 1000 * error.cpu_seconds
             return CellResult(cell.id, None, None, {}, None, milliseconds, error.breakdown.value, str(error))
-        trace = _compressed(setup, outcome) if cell.trace else None
         milliseconds = _milliseconds(start) + 1000 * outcome.cpu_seconds
         return CellResult(cell.id, None, None, dict(outcome.measures), outcome.failure, milliseconds, trace=trace)
 
@@ -116,44 +112,21 @@ class BundleSessions:
                 raise UnavailableError(f"the files of the bundle {setup.bundle} are not on this machine")
             folder = self._cache.folder(setup.bundle)
             chosen = self._simulators(setup.simulator["kind"])
-            self._sessions[setup.key] = chosen.open(setup.simulator, setup.scenario, setup.data, folder)
+            declared = Declared(setup.problem, setup.measures, setup.failures, setup.series)
+            self._sessions[setup.key] = chosen.open(setup.simulator, setup.scenario, setup.data, folder, declared)
             if len(self._sessions) > MOST_SESSIONS:
                 self._sessions.popitem(last=False)[1].close()
         self._sessions.move_to_end(setup.key)
         return self._sessions[setup.key]
 
 
-def _check(setup: BundleRequest, outcome: RunOutcome) -> None:
-    """Raises NoMeasuresError unless the outcome is what the manifest declares."""
-    if outcome.failure is not None:
-        if setup.failures and outcome.failure not in setup.failures:
-            _refuse(f"it reports the failure {outcome.failure!r}, which `failures` does not declare")
-        return
-    missing = [name for name in setup.measures if name not in outcome.measures]
-    if missing:
-        _refuse(f"it reports no {', '.join(missing)}; {_list(outcome.measures)}")
-    unknown = [name for name in outcome.measures if name not in setup.measures]
-    if unknown:
-        _refuse(f"it reports {', '.join(unknown)}, which `measures` does not declare")
-    for name, value in outcome.measures.items():
-        if not math.isfinite(value):
-            _refuse(f"{name} is {value}; measures must be finite")
-
-
-def _refuse(message: str) -> None:
-    raise NoMeasuresError(Breakdown.ERROR, message)
-
-
-def _list(measures: Mapping[str, Any]) -> str:
-    return f"it reports {', '.join(measures)}" if measures else "it reports no measure at all"
-
-
-def _compressed(setup: BundleRequest, outcome: RunOutcome) -> bytes:
-    series = {name: list(values) for name, values in outcome.series.items() if not setup.series or name in setup.series}
+def _compressed(outcome: RunOutcome) -> bytes:
+    series = {name: list(values) for name, values in outcome.series.items()}
     document = {"measures": dict(outcome.measures), "failure": outcome.failure, "series": series}
     content = gzip.compress(json.dumps(document, separators=(",", ":"), allow_nan=False).encode(), mtime=0)
     if len(content) > LARGEST_SERIES:
-        _refuse(f"the time series take {len(content):,} bytes, more than the limit of {LARGEST_SERIES:,}")
+        detail = f"the time series take {len(content):,} bytes, more than the limit of {LARGEST_SERIES:,}"
+        raise NoMeasuresError(Breakdown.ERROR, detail)
     return content
 
 

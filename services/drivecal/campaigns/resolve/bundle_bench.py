@@ -6,7 +6,6 @@ from functools import cached_property
 
 from drivecal.bundles.expressions import Formula, UndefinedError
 from drivecal.bundles.fingerprints import score_id, setup_document
-
 from drivecal.bundles.manifest import Manifest, ScoreEntry
 from drivecal.contracts.work import BundleRequest
 from drivecal.domain.evaluations import Rating
@@ -30,7 +29,7 @@ BundleSource = Callable[[str], Bundle]
 
 def parameters_of(manifest: Manifest) -> tuple[Parameter, ...]:
     """Returns all parameters of a manifest."""
-    return tuple(entry.parameter(name) for name, entry in manifest.parameters.items())
+    return tuple(Parameter.declared(name, **entry.model_dump()) for name, entry in manifest.parameters.items())
 
 
 @dataclass(frozen=True)
@@ -64,6 +63,7 @@ class BundleBench:
         return {
             name: BundleRequest(
                 bundle=self.bundle.digest,
+                problem=manifest.problem,
                 scenario=name,
                 data=manifest.scenarios[name],
                 simulator=manifest.simulator.model_dump(mode="json"),

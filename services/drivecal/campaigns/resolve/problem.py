@@ -15,14 +15,14 @@ from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.bundle_bench import BundleSource
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.resolvers import Optimization
-from drivecal.campaigns.resolve.spaces import free_values, given_set, search_space, space_to_document
+from drivecal.campaigns.resolve.spaces import fixed_to_document, free_values, given_set, search_space, space_to_document
 from drivecal.campaigns.resolve.workbench import find_workbench, no_bundles
 from drivecal.contracts.campaign import ExpectedRuns
 from drivecal.contracts.specification import HIGHWAY, CampaignSpecification, EvaluationSpecification, SensitivitySpecification
 from drivecal.contracts.work import Batch, Cell
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.influence import InfluenceMap
-from drivecal.domain.parameters import Indices, Parameter, ParameterSet, ParameterSpace, text
+from drivecal.domain.parameters import Indices, Parameter, ParameterSet, ParameterSpace
 from drivecal.domain.scenarios import Scenario
 from drivecal.reduction.narrowing import SearchArea, common_area, full_area
 from drivecal.sensitivity.analysis import SensitivityAnalysis
@@ -115,7 +115,7 @@ class CalibrationProblem:
 
         `resolved_spec.ResolvedSpec` is what it means once the campaign has been taken up.
         """
-        fixed = {name: text(value) for name, value in self.space.fixed.items()}
+        fixed = fixed_to_document(self.space.fixed)
         return _resolution(self.bench, self.space.parameters) | {"fixed": fixed, "weights": dict(self.weights)}
 
 

@@ -2,12 +2,11 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from decimal import Decimal
 from typing import Any
 
 from drivecal.campaigns.resolve.bundle_bench import BundleSource
 from drivecal.campaigns.resolve.problem import CalibrationProblem, EvaluationProblem, resolve, resolve_evaluation
-from drivecal.campaigns.resolve.spaces import space_from_document
+from drivecal.campaigns.resolve.spaces import fixed_from_document, space_from_document
 from drivecal.campaigns.resolve.workbench import no_bundles
 from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
@@ -51,7 +50,7 @@ def resolved_spec(campaign: StoredCampaign) -> ResolvedSpec:
     Raises InvalidInputError if it cannot be resolved.
     """
     resolution: Mapping[str, Any] = campaign.resolution or problem_of(campaign).resolution()
-    fixed = {name: Decimal(value) for name, value in resolution.get("fixed", {}).items()}
+    fixed = fixed_from_document(resolution.get("fixed", {}))
     space = ParameterSpace(space_from_document(resolution["space"]), fixed)
     scale = Scale.from_json(resolution["scale"]) if "scale" in resolution else COMFORT
     return ResolvedSpec(resolution["evaluator"], space, resolution.get("weights", {}), resolution["setups"], scale)

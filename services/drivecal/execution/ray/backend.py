@@ -86,7 +86,7 @@ class RayBackend(Backend):
         actor = self._named(worker)
         if not actor.room(alone=alone):
             raise RuntimeError(f"{worker} has no slot; ask `slots` first")
-        limit = (batch.setup.timeout or 0.0) * len(batch.cells)  # simulators of users end their runs themselves
+        limit = 2 * (batch.setup.timeout or 0.0) * len(batch.cells)  # simulators of users end their starts and runs themselves
         allowed = max(self._options.deadline_seconds + limit, self._options.deadline_factor * (expected_seconds or 0.0))
         self._ship(actor, batch.setup.bundle)
         unknown = 0.0 if batch.setup.timeout is None else math.inf
