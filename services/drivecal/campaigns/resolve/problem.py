@@ -153,7 +153,11 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = no_bun
     notes += resolvers.note_vehicle(found.vehicle, found.vehicle_parameters)
     notes += resolvers.note_threshold(specification)
     space = None if found.function is None else search_space(specification, found.function, diagnostics)
-    baseline = given_set(specification.baseline, space, "baseline", diagnostics)
+    if specification.baseline is None:
+        baseline, more = resolvers.own_baseline(found.baseline, space)
+        notes += more
+    else:
+        baseline = given_set(specification.baseline, space, "baseline", diagnostics)
     start_sets = resolvers.find_start_sets(specification, baseline, space, diagnostics)
     robust_sets = resolvers.find_robust_sets(
         specification, found.vehicle, found.vehicle_parameters, list(weights), space, diagnostics

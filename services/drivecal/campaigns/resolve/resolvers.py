@@ -17,7 +17,7 @@ from drivecal.contracts.specification import (
 )
 from drivecal.contracts.studies import STUDIES
 from drivecal.domain.errors import InvalidInputError
-from drivecal.domain.parameters import ParameterSet, ParameterSpace
+from drivecal.domain.parameters import ParameterSet, ParameterSpace, Setting
 from drivecal.domain.scenarios import Scenario
 from drivecal.plugins import registry
 from drivecal.plugins.ports import OptimizerPlugin, Vehicle
@@ -117,6 +117,17 @@ def choose_optimizer(specification: CampaignSpecification, diagnostics: Diagnost
                 diagnostics.problems.append(problem(field, detail))
         return None
     return Optimization(plugin, settings, wanted.population, wanted.iterations, wanted.seed)
+
+
+def own_baseline(
+    given: Mapping[str, Setting] | None, space: ParameterSpace | None
+) -> tuple[ParameterSet | None, tuple[str, ...]]:
+    """The problem's baseline, and a note if this campaign's space does not hold it."""
+    diagnostics = Diagnostics()
+    baseline = given_set(given, space, "baseline", diagnostics)
+    if not diagnostics.problems:
+        return baseline, ()
+    return None, (f"the problem's baseline is left out: {'; '.join(str(problem) for problem in diagnostics.problems)}",)
 
 
 def find_start_sets(

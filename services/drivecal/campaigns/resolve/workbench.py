@@ -11,7 +11,7 @@ from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.spaces import Parameterised
 from drivecal.contracts.specification import HIGHWAY, EvaluationSpecification, ProblemSpecification, VehicleSpecification
 from drivecal.domain.errors import NotFoundError
-from drivecal.domain.parameters import Parameter
+from drivecal.domain.parameters import Parameter, Setting
 from drivecal.plugins import registry
 from drivecal.plugins.ports import Vehicle
 
@@ -31,6 +31,8 @@ class Workbench:
     vehicle_parameters: Mapping[str, float] = field(default_factory=dict)
     make: Callable[[Collection[str]], Bench] | None = None
     """Makes the bench of some scenarios."""
+    baseline: Mapping[str, Setting] | None = None
+    """The problem's own baseline."""
 
 
 def no_bundles(name: str) -> Bundle:
@@ -101,7 +103,7 @@ def _stored(wanted: Wanted, bundle: Bundle, diagnostics: Diagnostics) -> Workben
     score = _score(wanted.evaluator, manifest, diagnostics)
     function = BundleFunction(manifest.problem, parameters_of(manifest))
     make = None if score is None else lambda chosen: BundleBench(bundle, tuple(chosen), score)
-    return Workbench(bundle.digest, scenarios, function, make=make)
+    return Workbench(bundle.digest, scenarios, function, make=make, baseline=manifest.baseline)
 
 
 def _refuse_driving_settings(wanted: Wanted, diagnostics: Diagnostics) -> None:
