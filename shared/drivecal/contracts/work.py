@@ -81,7 +81,7 @@ class CellResult:
 
     id: int
     rating: float | None
-    score: int | None
+    score: float | None
     metrics: Mapping[str, float]
     failure: str | None
     milliseconds: float

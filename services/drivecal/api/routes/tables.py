@@ -125,7 +125,8 @@ def _study(database: Database, campaign: StoredCampaign, stage: StageName, model
 
 def _columns(model: type[BaseModel], scenarios: Iterable[str], begun_with: ResolvedSpec) -> Columns:
     """Returns the columns of a file with a column for each score and parameter."""
-    return lambda: columns_of(model, {"scores": list(scenarios), "parameters": list(begun_with.space.names)})
+    keys = {"scores": list(scenarios), "parameters": list(begun_with.space.names)}
+    return lambda: columns_of(model, keys, whole_scores=begun_with.scale.is_whole)
 
 
 def _campaign(database: Database, campaign_id: str) -> StoredCampaign:
@@ -143,8 +144,9 @@ def _evaluation_columns(database: Database, campaign: StoredCampaign) -> list[Co
     """Returns the columns of a file, with the parameters of the first row, or without rows those of the coming rows."""
     with database.read() as connection:
         rows, _ = results.page(connection, campaign.sequence, limit=1)
-    names = rows[0].parameters.names if rows else resolved_spec(campaign).space.names
-    return EvaluationRow.file_columns(list(names))
+    begun_with = resolved_spec(campaign)
+    names = rows[0].parameters.names if rows else begun_with.space.names
+    return EvaluationRow.file_columns(list(names), whole_scores=begun_with.scale.is_whole)
 
 
 def _influence_rows(database: Database, campaign: StoredCampaign) -> list[InfluenceRow]:
