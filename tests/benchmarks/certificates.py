@@ -205,7 +205,7 @@ def requests() -> dict[str, DriveRequest]:
     }
 
 
-Scores = dict[tuple[str, tuple[int, ...]], tuple[int, float]]
+Scores = dict[tuple[str, tuple[int, ...]], tuple[float, float]]
 """Score and rating by scenario and grid indices."""
 
 

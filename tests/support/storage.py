@@ -62,7 +62,7 @@ def new_run(
     stage: StageName = StageName.CALIBRATION,
     iteration: int = 0,
     individual: int = 0,
-    score: int = 5,
+    score: float = 5,
     rating: float = 5.25,
     failure: str | None = None,
     evaluator: str = EVALUATOR,
@@ -87,7 +87,7 @@ def new_run(
 
 
 def simulate(
-    connection: Connection, sequence: int, cells: Sequence[NewEvaluation], *, score: int = 5, rating: float = 5.25
+    connection: Connection, sequence: int, cells: Sequence[NewEvaluation], *, score: float = 5, rating: float = 5.25
 ) -> list[int]:
     """Stores cells of a campaign, and the results of those that are to be simulated as if a worker had given them."""
     ids = evaluations.insert(connection, sequence, cells)

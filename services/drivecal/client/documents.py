@@ -128,7 +128,7 @@ def located_yaml(content: bytes) -> tuple[object, dict[str, int]]:
             node = loader.get_single_node()
             document = None if node is None else loader.construct_document(node)
         finally:
-            loader.dispose()  # type: ignore[no-untyped-call]  # PyYAML ships no type for it
+            loader.dispose()
     except UnicodeDecodeError as error:
         raise InvalidInputError(Problem("", f"byte {error.start} is no valid UTF-8", "save the file as UTF-8")) from error
     except yaml.MarkedYAMLError as error:

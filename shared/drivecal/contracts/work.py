@@ -151,7 +151,7 @@ class CellResult:
 
     id: int
     rating: float | None
-    score: int | None
+    score: float | None
     metrics: Mapping[str, float]
     failure: str | None
     milliseconds: float

@@ -19,6 +19,7 @@ from drivecal.certification.memory import Memory
 from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult, CertificateMemory, DriveRequest, Probe, RecordedRun
 from drivecal.domain.errors import ConflictError, DrivecalError, UnavailableError
 from drivecal.domain.evaluations import Breakdown
+from drivecal.domain.scales import plain
 from drivecal.runtime.bundles import BundleCache, BundleSessions, cache_folder
 from drivecal.runtime.compilation import prepare_cache
 from drivecal.runtime.runners import RefusedError, Runner, make_runner
@@ -141,7 +142,7 @@ class Worker:
             return CellResult(
                 id=cell.id,
                 rating=rating,
-                score=int(result.rating.score),
+                score=plain(_finite("the score", result.rating.score)),
                 metrics=metrics,
                 failure=failure,
                 milliseconds=_milliseconds(start),

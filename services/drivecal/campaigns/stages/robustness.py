@@ -21,6 +21,7 @@ from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
 from drivecal.domain.evaluations import CellScore
 from drivecal.domain.parameters import ParameterSet
+from drivecal.domain.scales import plain
 from drivecal.plugins.ports import Floats
 from drivecal.reduction.assignment import RequestedCell
 from drivecal.storage import campaigns, results
@@ -221,7 +222,7 @@ class RobustnessStage(StudyStage):
             "rating": None if np.isnan(rating) else rating,
             "parameters": examined.parameters.floats,
             "scores": {
-                scenario: None if np.isnan(score) else int(score)
+                scenario: None if np.isnan(score) else plain(score)
                 for scenario, score in zip(scenarios, self._scores[solution].tolist(), strict=True)
             },
             "region": examined.region,
