@@ -2,10 +2,15 @@
 
 from sqlalchemy import Connection
 
+from drivecal.bundles.archives import files_digest
 from drivecal.bundles.manifest import Manifest
 from drivecal.campaigns.resolve.bundle_bench import Bundle, BundleSource
-from drivecal.storage import bundles
 from drivecal.storage.engine.database import Database
+from drivecal.storage.problems import bundles
+
+MOST_READ = 64
+"""Bundles that a process keeps: their content never changes, and the digest of their files takes a look at all of them."""
+_read: dict[str, Bundle] = {}
 
 
 def stored_bundles(database: Database) -> BundleSource:
@@ -22,7 +27,14 @@ def bundles_of(connection: Connection) -> BundleSource:
     """Returns a source that reads through a connection."""
 
     def find(name: str) -> Bundle:
-        stored = bundles.find(connection, name)
-        return Bundle(stored.digest, stored.files, Manifest.model_validate(stored.manifest))
+        stored = bundles.named(connection, name)
+        bundle = _read.get(stored.digest)
+        if bundle is None:
+            files = files_digest(bundles.archive(connection, stored.digest))
+            bundle = Bundle(stored.digest, files, Manifest.model_validate(stored.manifest))
+            if len(_read) >= MOST_READ:
+                _read.clear()
+            _read[stored.digest] = bundle
+        return bundle
 
     return find

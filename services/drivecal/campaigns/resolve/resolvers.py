@@ -49,15 +49,18 @@ def find_scenarios(catalogue: str | list[str], diagnostics: Diagnostics) -> dict
             diagnostics.problems.extend(error.problems)
             return {}
         return {name: (loaded.name, scenario) for name, scenario in loaded.scenarios.items()}
-    every = {
-        name: (catalogue.name, scenario)
-        for catalogue in registry.catalogues()
-        for name, scenario in catalogue.scenarios.items()
-    }
+    every: dict[str, list[tuple[str, Scenario]]] = {}
+    for offered in registry.catalogues():
+        for name, scenario in offered.scenarios.items():
+            every.setdefault(name, []).append((offered.name, scenario))
     for index, name in enumerate(catalogue):
         if name not in every:
             diagnostics.add(f"catalogue[{index}]", f"there is no scenario {name!r}", f"installed: {', '.join(every)}")
-    return {name: entry for name, entry in every.items() if name in catalogue}
+        elif len(every[name]) > 1:
+            owners = [owner for owner, _ in every[name]]
+            message = f"{len(owners)} catalogues have a scenario {name!r}: {', '.join(owners)}"
+            diagnostics.add(f"catalogue[{index}]", message, f"name one of the catalogues, e.g. catalogue: {owners[0]}")
+    return {name: entries[0] for name, entries in every.items() if name in catalogue}
 
 
 def find_vehicle(specification: VehicleSpecification, diagnostics: Diagnostics) -> tuple[Vehicle | None, dict[str, float]]:

@@ -301,6 +301,20 @@ traces = Table(  # time series of single evaluations, asked for one by one and k
     Column("created_at", UtcDateTime, nullable=False),
 )
 
+bundles = Table(  # problems that users pushed, each content once; a name means the last push (`storage.problems.bundles`)
+    "bundles",
+    metadata,
+    Column("digest", Name, primary_key=True),
+    Column("name", Name, nullable=False),
+    Column("manifest", Document, nullable=False),
+    Column("size", Integer, nullable=False),
+    Column("pushed", Identity, nullable=False),
+    Column("created_at", UtcDateTime, nullable=False),
+    # Last: SQLite reads a row from its start, and lists need all columns but this one.
+    Column("archive", LargeBinary, nullable=False),
+    Index(None, "name", "pushed", unique=True),
+)
+
 events = Table(
     "events",
     metadata,
