@@ -32,6 +32,11 @@ PLANTED = {
     "Only the Ray backend and drivecal.local reach the workers": ("services/drivecal/cli", "import drivecal.runtime"),
     "The workers do not know the coordinator": ("workers/drivecal/runtime", "from drivecal.reduction import keys"),
     "Only drivecal.traffic speaks to SUMO": ("workers/drivecal/episode", "import libsumo"),
+    "Users' simulators stay in child processes, whose drivers alone import their libraries": (
+        "workers/drivecal/adapters",
+        "import numba",
+    ),
+    "Only the FMU's child imports FMPy": ("workers/drivecal/adapters", "import fmpy.fmi2"),
     "Only drivecal.training needs the multi-body model": ("workers/drivecal/vehicle", "import vehiclemodels"),
     "Only the forest and drivecal.training learn by scikit-learn": ("services/drivecal/sensitivity", "import sklearn"),
     "No database and no web server beside the simulation": (

@@ -39,7 +39,7 @@ CHUNK = 40
 """Cells of one scenario per task."""
 EQUAL = 1e-9
 
-Score = tuple[int, float]
+Score = tuple[float, float]
 """Score and rating of one cell."""
 
 
@@ -68,7 +68,7 @@ class Memory:
         new = [one for one in dict.fromkeys(sets) if one not in self.known]
         chunks = [new[start : start + CHUNK] for start in range(0, len(new), CHUNK)]
         tasks = [
-            [self.pool.submit(run, scenario, [list(one.floats.values()) for one in chunk]) for scenario in SCENARIOS]
+            [self.pool.submit(run, scenario, [list(one.numbers.values()) for one in chunk]) for scenario in SCENARIOS]
             for chunk in chunks
         ]
         for chunk, task in zip(chunks, tasks, strict=True):

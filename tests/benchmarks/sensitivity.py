@@ -29,7 +29,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drivecal.comfort.reference import REFERENCE
-from drivecal.contracts.work import Batch, Cell, SetupRequest
+from drivecal.contracts.work import Batch, Cell, DriveRequest
 from drivecal.domain.influence import Influence
 from drivecal.domain.parameters import Indices, Parameter, ParameterSpace, text
 from drivecal.planner.frenet import FRENET
@@ -50,10 +50,10 @@ CHUNK = 40
 TOLERANCE = 0.1
 
 
-def request(scenario: str) -> SetupRequest:
+def request(scenario: str) -> DriveRequest:
     """The built-in problem with the vehicle's nominal values."""
     setup = setup_of(HIGHWAY.scenarios[scenario], FRENET, SINGLE_TRACK, {})
-    return SetupRequest(
+    return DriveRequest(
         HIGHWAY.name, scenario, FRENET.name, SINGLE_TRACK.name, setup.vehicle_parameters, REFERENCE.name, setup.fingerprint
     )
 
@@ -85,7 +85,7 @@ class Memory:
         """Of grid points, shape (n,); simulates those that are not known yet."""
         keys = [(scenario, row.tobytes()) for row in points]
         new = {key: row for key, row in zip(keys, points, strict=True) if key not in self.known}
-        sets = [one.floats for one in SPACE.parameter_sets(np.array(list(new.values())).reshape(-1, points.shape[1]))]
+        sets = [one.numbers for one in SPACE.parameter_sets(np.array(list(new.values())).reshape(-1, points.shape[1]))]
         chunks = [sets[start : start + CHUNK] for start in range(0, len(sets), CHUNK)]
         tasks = [self.pool.submit(simulate, scenario, chunk) for chunk in chunks]
         self.known.update(zip(new, (score for task in tasks for score in task.result()), strict=True))

@@ -75,10 +75,10 @@ def test_every_simulated_cell_names_the_nearest_set_that_the_campaign_saw(databa
         expected = min(  # every blocking parameter differs by one or two halves of its range, 1
             visible,
             key=lambda row: (
-                _blocks(cell.scenario, cell.parameters.floats, row.parameters.floats),
+                _blocks(cell.scenario, cell.parameters.numbers, row.parameters.numbers),
                 sum(
-                    (cell.parameters.floats[name] - value) ** 2
-                    for name, value in row.parameters.floats.items()
+                    (cell.parameters.numbers[name] - value) ** 2
+                    for name, value in row.parameters.numbers.items()
                     if IGNORED.get(cell.scenario) != name
                 ),
                 row.campaign_sequence,
@@ -90,7 +90,7 @@ def test_every_simulated_cell_names_the_nearest_set_that_the_campaign_saw(databa
         assert found.reference.evaluation == expected.id
         assert (
             sum(one.blocks for one in found.differences)
-            == _blocks(cell.scenario, cell.parameters.floats, expected.parameters.floats)
+            == _blocks(cell.scenario, cell.parameters.numbers, expected.parameters.numbers)
             > 0
         )
 

@@ -11,13 +11,13 @@ from sqlalchemy import Connection
 
 from drivecal.campaigns.resolve.maps import analysis_to_document, smallest_s_rel
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve, resolve_evaluation
-from drivecal.campaigns.resolve.spaces import space_to_document
+from drivecal.campaigns.resolve.spaces import fixed_to_document, space_to_document
 from drivecal.contracts.campaign import Best, CellCounts, ErrorRate, Progress
 from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.evaluations import Outcome
-from drivecal.domain.parameters import ParameterSet, text
+from drivecal.domain.parameters import ParameterSet
 from drivecal.storage import campaigns, evaluations, generations
 from drivecal.storage.campaigns import Snapshot, StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -59,7 +59,7 @@ def carry_out(database: Database, campaign_id: str, individuals: int = 5, *, end
             optimizer_state={},
         )
         generations.finish(connection, campaign.sequence, 0, figures, [3.0] * individuals)
-        best = Best(objective=3.5, parameters=sets[-1].floats, scores=dict.fromkeys(problem.scenarios, 3), alternatives=1)
+        best = Best(objective=3.5, parameters=sets[-1].numbers, scores=dict.fromkeys(problem.scenarios, 3), alternatives=1)
         snapshot = Snapshot(
             stage=StageName.CALIBRATION,
             iteration=0,
@@ -168,7 +168,7 @@ def analyse(database: Database, campaign_id: str, score: Callable[[str, Mapping[
         assert analysis is not None
         while phase := analysis.ask():
             told = {
-                scenario: np.array([score(scenario, one.floats) for one in problem.space.parameter_sets(points)], dtype=float)
+                scenario: np.array([score(scenario, one.numbers) for one in problem.space.parameter_sets(points)], dtype=float)
                 for scenario, points in phase.points.items()
             }
             analysis.tell(told)
@@ -176,13 +176,13 @@ def analyse(database: Database, campaign_id: str, score: Callable[[str, Mapping[
             connection,
             name=campaign.name,
             source=campaign.id,
-            driving_function=problem.bench.driving_function.name,
+            driving_function=problem.bench.function,
             parameters=space_to_document(problem.space.searched),
             scenarios=analysis_to_document(analysis.result()),
             basis={
                 "sensitivity": campaign.spec["sensitivity"],
                 "smallest_s_rel": smallest_s_rel(analysis.result()),
-                "fixed": {name: text(value) for name, value in problem.space.fixed.items()},
+                "fixed": fixed_to_document(problem.space.fixed),
                 "setups": {scenario: setup.fingerprint for scenario, setup in problem.bench.setups.items()},
                 "evaluator": problem.bench.evaluator_id,
                 "runs": 0,

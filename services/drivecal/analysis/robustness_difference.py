@@ -54,9 +54,9 @@ def difference(rows: Sequence[RobustnessRow], others: Sequence[RobustnessRow]) -
     )
 
 
-def _key(row: RobustnessRow) -> tuple[tuple[str, float], ...]:
+def _key(row: RobustnessRow) -> tuple[tuple[str, float | str], ...]:
     return tuple(sorted(row.parameters.items()))
 
 
-def _changes(pairs: Sequence[tuple[int, int]]) -> tuple[int, int, int]:
+def _changes(pairs: Sequence[tuple[float, float]]) -> tuple[int, int, int]:
     return sum(a == b for a, b in pairs), sum(b < a for a, b in pairs), sum(b > a for a, b in pairs)

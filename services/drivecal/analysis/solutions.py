@@ -16,7 +16,7 @@ class EvaluatedSet:
     parameter_set: int
     objective: float
     rating: float
-    scores: Mapping[str, int]
+    scores: Mapping[str, float]
     reused: tuple[str, ...]
     """Scenarios whose score is a reference's or a prediction: this very set was not simulated there."""
     iteration: int
@@ -97,7 +97,7 @@ class Ranking:
     def _solution(self, number: int) -> EvaluatedSet | None:
         cells = self._answers[number]
         objective = rating = 0.0
-        scores: dict[str, int] = {}
+        scores: dict[str, float] = {}
         reused: list[str] = []
         for scenario, share in self._shares.items():
             cell = cells.get(scenario)

@@ -11,7 +11,8 @@ import numpy.typing as npt
 
 from drivecal.contracts.explanation import Region
 from drivecal.domain.influence import Influence, InfluenceMap
-from drivecal.domain.parameters import billionths
+from drivecal.domain.parameters import billionths, code
+from drivecal.domain.values import TEXTS
 
 Integers = npt.NDArray[np.int64]
 Floats = npt.NDArray[np.float64]
@@ -21,11 +22,9 @@ _NONE_BELOW, _NONE_ABOVE = np.iinfo(np.int64).min, np.iinfo(np.int64).max
 
 @dataclass(frozen=True, slots=True)
 class ParameterDifference:
-    """A parameter in which a cell and a stored set differ; values in billionths. It `blocks` where a change may change the score."""
+    """A parameter in which a cell and a stored set differ. It `blocks` where a change may change the score."""
 
     parameter: str
-    value: int
-    reference_value: int
     region: Region
     reference_region: Region
     influence: Influence
@@ -53,8 +52,8 @@ class CellComparison:
     def __init__(
         self, influence_map: InfluenceMap, scenario: str, names: Sequence[str], values: Integers, ranges: Integers
     ) -> None:
-        """`values`: the cell's, in billionths in the order of `names`, shape (n_p,); `ranges`: the extent of each parameter, by which
-        distances are measured, positive, in billionths, shape (n_p,)."""
+        """`values`: the cell's, as `keys.billionths_matrix` codes them, in the order of `names`, shape (n_p,); `ranges`: the extent of each
+        parameter, by which distances are measured, positive, in billionths, shape (n_p,)."""
         self._names = tuple(names)
         self._influences = [influence_map.influence(scenario, name) for name in names]
         self._values = values
@@ -62,6 +61,11 @@ class CellComparison:
         covered = [influence_map.ranges.get(name) for name in names]
         self._lowest = np.array([_NONE_BELOW if effect is None else billionths(effect[0]) for effect in covered])
         self._highest = np.array([_NONE_ABOVE if effect is None else billionths(effect[1]) for effect in covered])
+        self._choices = {
+            column: np.array([code(choice) for choice in influence_map.choices[name]], dtype=np.int64)
+            for column, name in enumerate(names)
+            if name in influence_map.choices
+        }
         self._matters = np.array([influence.influential for influence in self._influences])
         self._lower = np.array(
             [_NONE_BELOW if influence.lower is None else billionths(influence.lower) for influence in self._influences]
@@ -71,7 +75,7 @@ class CellComparison:
         )
 
     def blocking(self, stored: Integers) -> npt.NDArray[np.bool_]:
-        """Returns the parameters of stored sets that forbid reuse, shape (n, n_p), for `stored` in billionths, shape (n, n_p)."""
+        """Returns the parameters of stored sets that forbid reuse, for `stored` coded as the cell's values; both of shape (n, n_p)."""
         both_below = (stored < self._lower) & (self._values < self._lower)
         both_above = (stored > self._upper) & (self._values > self._upper)
         covered = self._covers(stored) & self._covers(self._values)
@@ -81,13 +85,20 @@ class CellComparison:
     def _covers(self, values: Integers) -> npt.NDArray[np.bool_]:
         """Returns whether values lie inside the map's space."""
         covered: npt.NDArray[np.bool_] = (values >= self._lowest) & (values <= self._highest)
+        for column, analysed in self._choices.items():
+            covered[..., column] = np.isin(values[..., column], analysed)
         return covered
 
     def distances(self, stored: Integers, blocking: npt.NDArray[np.bool_]) -> Floats:
-        """Euclidean, of the blocking parameters alone, each in units of its range, shape (n,): what differs elsewhere does not matter."""
+        """Euclidean, of the blocking parameters alone, each in units of its range, shape (n,): what differs elsewhere does not matter.
+
+        Another choice is as far away as the whole range.
+        """
         total = np.zeros(len(stored))
         for column in range(len(self._names)):  # one column after the other: the same bits whatever the number of rows
             share = (stored[:, column] - self._values[column]) / self._ranges[column]
+            if self._values[column] >= TEXTS:
+                share = np.sign(share)
             total += np.where(blocking[:, column], share * share, 0.0)
         return np.sqrt(total)
 
@@ -112,8 +123,6 @@ class CellComparison:
         return [
             ParameterDifference(
                 parameter=name,
-                value=int(self._values[column]),
-                reference_value=int(stored[column]),
                 region=self._region(column, int(self._values[column])),
                 reference_region=self._region(column, int(stored[column])),
                 influence=self._influences[column],
@@ -123,8 +132,13 @@ class CellComparison:
             if stored[column] != self._values[column]
         ]
 
+    def _is_covered(self, column: int, value: int) -> bool:
+        if column in self._choices:
+            return value in self._choices[column]
+        return bool(self._lowest[column] <= value <= self._highest[column])
+
     def _region(self, column: int, value: int) -> Region:
-        if not self._lowest[column] <= value <= self._highest[column]:
+        if not self._is_covered(column, value):
             return "outside"
         if not self._matters[column]:
             return "anywhere"

@@ -12,10 +12,10 @@ import numpy as np
 import numpy.typing as npt
 
 from drivecal.domain.influence import InfluenceMap
-from drivecal.domain.parameters import ParameterSet, billionths
+from drivecal.domain.parameters import ParameterSet, billionths, code
 
 BELOW, ANY, ABOVE = np.iinfo(np.int64).min, np.iinfo(np.int64).min + 1, np.iinfo(np.int64).max
-"""Codes that no value in billionths can take, values being bounded by `domain.parameters.LARGEST_VALUE`."""
+"""Codes that neither a value in billionths nor a text can take."""
 
 
 class ReferenceKeys:
@@ -29,6 +29,11 @@ class ReferenceKeys:
         ranges = [influence_map.ranges.get(name) for name in ordered]
         self._lowest = np.array([BELOW if bounds is None else billionths(bounds[0]) for bounds in ranges], dtype=np.int64)
         self._highest = np.array([ABOVE if bounds is None else billionths(bounds[1]) for bounds in ranges], dtype=np.int64)
+        self._choices = {
+            column: np.array([code(choice) for choice in influence_map.choices[name]], dtype=np.int64)
+            for column, name in enumerate(ordered)
+            if name in influence_map.choices
+        }
         self._matters = np.array([influence.influential for influence in influences])
         self._lower = np.array(
             [BELOW if influence.lower is None else billionths(influence.lower) for influence in influences], dtype=np.int64
@@ -38,17 +43,19 @@ class ReferenceKeys:
         )
 
     def codes(self, values: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-        """The class of every value, shape (n, n_p), for `values` in billionths in the order of `names`, shape (n, n_p).
+        """The class of every value, shape (n, n_p), for `values` as `billionths_matrix` codes them, in the order of `names`.
 
         Columns of the result are sorted by parameter name.
         """
         ordered = values[:, self._order]
         codes = np.where(ordered < self._lower, BELOW, np.where(ordered > self._upper, ABOVE, ordered))
         covered = (ordered >= self._lowest) & (ordered <= self._highest)  # of other values the map says nothing
+        for column, analysed in self._choices.items():
+            covered[:, column] = np.isin(ordered[:, column], analysed)
         return np.where(covered, np.where(self._matters, codes, ANY), ordered)
 
     def keys(self, values: npt.NDArray[np.int64]) -> list[bytes]:
-        """Returns a key of 16 bytes per row of `values`, shape (n, n_p), in billionths in the order of `names`."""
+        """Returns a key of 16 bytes per row of `values`, shape (n, n_p), as `codes` takes them."""
         start = hashlib.blake2b(self._header, digest_size=16)
         rows = np.ascontiguousarray(self.codes(values), dtype="<i8")
         width = rows.shape[1] * 8
@@ -62,7 +69,5 @@ class ReferenceKeys:
 
 
 def billionths_matrix(parameter_sets: Sequence[ParameterSet]) -> npt.NDArray[np.int64]:
-    """The values of parameter sets with the same names, shape (n, n_p)."""
-    return np.array([parameter_set.billionths for parameter_set in parameter_sets], dtype=np.int64).reshape(
-        len(parameter_sets), -1
-    )
+    """The values of parameter sets with the same names, shape (n, n_p): in billionths, texts as `domain.values.code`."""
+    return np.array([parameter_set.codes for parameter_set in parameter_sets], dtype=np.int64).reshape(len(parameter_sets), -1)

@@ -6,14 +6,13 @@ that are left out.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from decimal import Decimal
 from functools import cached_property
 
 import numpy as np
 
 from drivecal.contracts.campaign import Narrowed
 from drivecal.domain.influence import Influence, InfluenceMap
-from drivecal.domain.parameters import Indices, Parameter, ParameterSpace, billionths, text
+from drivecal.domain.parameters import Indices, Parameter, ParameterSpace, billionths, shown
 
 
 @dataclass(frozen=True)
@@ -63,6 +62,7 @@ class SearchArea:
                         full_upper=float(parameter.upper),
                         values=parameter.n_values,
                         removed_values=parameter.n_values - left,
+                        choice=parameter.choices[first] if parameter.choices else None,
                     )
                 )
         return narrowed
@@ -72,9 +72,9 @@ class SearchArea:
         parts: list[str] = []
         for parameter, first, last in zip(self.space.searched, self.first.tolist(), self.last.tolist(), strict=True):
             if first == last:
-                parts.append(f"{parameter.name} held at {text(parameter.value(first))}")
+                parts.append(f"{parameter.name} held at {shown(parameter.named(first))}")
             elif last - first + 1 < parameter.n_values:
-                parts.append(f"{parameter.name} from {text(parameter.value(first))} to {text(parameter.value(last))}")
+                parts.append(f"{parameter.name} from {shown(parameter.named(first))} to {shown(parameter.named(last))}")
         if not parts:
             return "the search space was not narrowed: there is no region that influences no scenario"
         share = float(np.prod((self.last - self.first + 1) / self.space.n_values))
@@ -98,7 +98,7 @@ def common_area(space: ParameterSpace, influence_map: InfluenceMap, scenarios: S
     for column, parameter in enumerate(space.searched):
         listed = [influence_map.influence(scenario, parameter.name) for scenario in scenarios]
         reach = [indices for entry in listed if (indices := _influential_indices(parameter, entry)) is not None]
-        reach += _uncovered_indices(parameter, influence_map.ranges.get(parameter.name))
+        reach += _uncovered_indices(parameter, influence_map)
         reach += [(index, index) for index in given[:, column].tolist()]
         middle = (parameter.n_values - 1) // 2
         first[column] = min((low for low, _ in reach), default=middle)
@@ -107,13 +107,20 @@ def common_area(space: ParameterSpace, influence_map: InfluenceMap, scenarios: S
     return area if len(area.columns) else full_area(space)
 
 
-def _uncovered_indices(parameter: Parameter, covered: tuple[Decimal, Decimal] | None) -> list[tuple[int, int]]:
-    """The grid indices of which the map says nothing, at either end, each with the next value that it covers."""
+def _uncovered_indices(parameter: Parameter, influence_map: InfluenceMap) -> list[tuple[int, int]]:
+    """The grid indices of which the map says nothing, at either end, each with the next value that it covers.
+
+    A choice has no ends: if the map lacks one of its texts, every text may matter.
+    """
+    if parameter.choices:
+        analysed = influence_map.choices.get(parameter.name, frozenset(parameter.choices))
+        return [] if analysed.issuperset(parameter.choices) else [(0, parameter.n_values - 1)]
+    covered = influence_map.ranges.get(parameter.name)
     if covered is None:
         return []
-    values, last = parameter.all_billionths, parameter.n_values - 1
-    first_covered = int(np.searchsorted(values, billionths(covered[0]), side="left"))
-    last_covered = int(np.searchsorted(values, billionths(covered[1]), side="right")) - 1
+    last = parameter.n_values - 1
+    first_covered = parameter.first_from(billionths(covered[0]))
+    last_covered = parameter.last_upto(billionths(covered[1]))
     below = [(0, min(first_covered, last))] if first_covered > 0 else []
     return [*below, (max(last_covered, 0), last)] if last_covered < last else below
 
@@ -122,11 +129,10 @@ def _influential_indices(parameter: Parameter, influence: Influence) -> tuple[in
     """The grid indices between the bounds; if the bounds lie between two values, these two; None if nothing is influential here."""
     if not influence.influential:
         return None
-    values = parameter.all_billionths
-    first = 0 if influence.lower is None else int(np.searchsorted(values, billionths(influence.lower), side="left"))
-    last = len(values) - 1
+    first = 0 if influence.lower is None else parameter.first_from(billionths(influence.lower))
+    last = parameter.n_values - 1
     if influence.upper is not None:
-        last = int(np.searchsorted(values, billionths(influence.upper), side="right")) - 1
-    if first >= len(values) or last < 0:
+        last = parameter.last_upto(billionths(influence.upper))
+    if first >= parameter.n_values or last < 0:
         return None
     return min(first, last), max(first, last)

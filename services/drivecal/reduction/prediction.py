@@ -64,13 +64,15 @@ class Predictor(Protocol):
 
 
 class FeatureSpace:
-    """Positions of parameter sets in the searched ranges; fixed parameters keep their values."""
+    """Positions of parameter sets in the searched ranges; fixed parameters keep their values. A choice is its position in the list."""
 
     def __init__(self, space: ParameterSpace, names: Sequence[str]) -> None:
         """`names`: the columns."""
         self._names = tuple(names)
         lowest = {parameter.name: billionths(parameter.lower) for parameter in space.searched}
         spans = {parameter.name: billionths(parameter.upper) - lowest[parameter.name] for parameter in space.searched}
+        # A fixed choice is the same in every set, and a constant feature decides nothing.
+        self._choices = {parameter.name: parameter for parameter in space.parameters if parameter.choices}
         self._lowest = np.array([lowest.get(name, 0) for name in names], dtype=np.float64)
         self._spans = np.array([spans.get(name, 10**9) for name in names], dtype=np.float64)
 
@@ -82,9 +84,13 @@ class FeatureSpace:
             else [dict(zip(each.names, each.billionths, strict=True))[name] for name in self._names]
             for each in sets
         ]
-        values = np.array(rows, dtype=np.float64).reshape(len(rows), len(self._names))
+        numbers = rows if not self._choices else [list(map(self._number, self._names, row)) for row in rows]
+        values = np.array(numbers, dtype=np.float64).reshape(len(rows), len(self._names))
         features: Floats = (values - self._lowest) / self._spans
         return features
+
+    def _number(self, name: str, stored: int | str) -> int | str:
+        return self._choices[name].number(stored) if name in self._choices else stored
 
 
 @dataclass(slots=True)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from drivecal.contracts.assignments import value_text
 from drivecal.contracts.explanation import Difference, Explanation, Proof, Reference
 from drivecal.domain.evaluations import AuditCount
 
@@ -113,7 +114,8 @@ def _listed(differences: Sequence[Difference]) -> str:
 
 def _difference(difference: Difference) -> str:
     return (
-        f"{difference.parameter} is {difference.value:g} here and {difference.reference_value:g} there ({_regions(difference)})"
+        f"{difference.parameter} is {value_text(difference.value)} here and {value_text(difference.reference_value)} there"
+        f" ({_regions(difference)})"
     )
 
 

@@ -52,7 +52,7 @@ class StoredEvaluation:
     parameters: ParameterSet
     plan: Outcome
     outcome: Outcome | None
-    score: int | None
+    score: float | None
     rating: float | None
     run_id: int | None
     reference: int | None
@@ -71,7 +71,7 @@ class StoredEvaluation:
     """Whether a simulation agreed with the certificate, if it was checked."""
     lot: int | None
     confidence: float | None
-    predicted_score: int | None
+    predicted_score: float | None
     predicted_rating: float | None
     sampled: bool
 
@@ -87,9 +87,9 @@ class KnownAnswer:
     iteration: int
     individual: int
     parameters: ParameterSet
-    score: int
+    score: float
     rating: float
-    predicted_score: int | None
+    predicted_score: float | None
     confidence: float | None
     stands_for: float
 
@@ -258,7 +258,7 @@ class ReleasedCell:
     id: int
     scenario: str
     parameters: ParameterSet
-    score: int
+    score: float
 
 
 def released(connection: Connection, campaign_sequence: int) -> list[ReleasedCell]:

@@ -1,14 +1,12 @@
 """Content of fingerprints: what decides a run of a bundle, and what decides a score of a run."""
 
-from collections.abc import Mapping
 from typing import Any
 
 from drivecal.bundles.expressions import Formula
 from drivecal.bundles.manifest import Manifest, ScoreEntry
 from drivecal.domain.setups import canonical_json, digest
+from drivecal.plugins.simulators import VERSIONS
 
-ADAPTERS: Mapping[str, str] = {"process": "1", "command": "1", "python": "1", "fmu": "1"}
-"""Version of each kind's adapter: changes whenever equal inputs may give other results because of the adapter."""
 _WITHOUT_EFFECT = {"timeout", "memory_mb", "deterministic"}
 """Settings that decide whether a run has a result, or say something about it, but change no measure: a run beyond a limit has none."""
 
@@ -21,7 +19,7 @@ def setup_document(manifest: Manifest, scenario: str, files: str, adapter: str |
     section = manifest.simulator.model_dump(mode="json", exclude=_WITHOUT_EFFECT, exclude_none=True)
     return {
         "simulator": section,
-        "adapter": ADAPTERS[manifest.simulator.kind] if adapter is None else adapter,
+        "adapter": VERSIONS[manifest.simulator.kind] if adapter is None else adapter,
         "scenario": scenario,
         "data": manifest.scenarios[scenario],
         "files": files,

@@ -8,11 +8,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, StringConstraints
 
-from drivecal.contracts.specification import Identifier, Model, Number
+from drivecal.contracts.specification import Choice, Identifier, Model, Number
 from drivecal.domain.scales import Direction, Scale
 
 Text = Annotated[str, StringConstraints(max_length=1000)]
-Choice = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[^\x00-\x1f\x7f]+$")]
 Unit = Annotated[str, StringConstraints(max_length=32)]
 File = Annotated[str, StringConstraints(min_length=1, max_length=255)]
 """Path inside the bundle, with forward slashes."""

@@ -1,10 +1,27 @@
-"""Reads `NAME=NUMBER`, as it stands on a command line and in a query."""
+"""Reads and writes `NAME=VALUE`, as it stands on a command line and in a query."""
 
 import math
 from collections.abc import Iterable
 
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
+
+
+def value_text(value: float | str, digits: int = 6) -> str:
+    """Returns a number with so many significant digits, or the text of a choice."""
+    return value if isinstance(value, str) else f"{value:.{digits}g}"
+
+
+def settings(parts: Iterable[str], field: str) -> dict[str, float | str]:
+    """Returns `P1=0.5`, `mode=eco` by name: numbers, and everything else as text. Raises InvalidInputError as `assignments`."""
+    listed = list(parts)
+    texts = {}
+    for part in listed:
+        name, _, given = (piece.strip() for piece in part.partition("="))
+        if name and given and _number(given) is None:
+            texts[part] = given
+    numbers = assignments([f"{part.partition('=')[0]}=0" if part in texts else part for part in listed], field)
+    return numbers | {part.partition("=")[0].strip(): given for part, given in texts.items()}
 
 
 def assignments(parts: Iterable[str], field: str) -> dict[str, float]:

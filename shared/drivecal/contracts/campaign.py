@@ -7,6 +7,9 @@ from pydantic import BaseModel, ConfigDict, computed_field, model_validator
 
 RowModel = TypeVar("RowModel", bound=BaseModel)
 
+Score = int | float
+"""A score in units of the campaign's scale; an integer if it is whole (`domain.scales.plain`)."""
+
 
 class Answer(BaseModel):
     """The base of all answers: immutable; a client of an older version ignores what it does not know."""
@@ -156,8 +159,8 @@ class Best(Answer):
     """The best parameter set so far. `alternatives` counts all sets whose objective is equal within 1e-9, this one included."""
 
     objective: float
-    parameters: dict[str, float]
-    scores: dict[str, int]
+    parameters: dict[str, float | str]
+    scores: dict[str, Score]
     alternatives: int
 
 
@@ -165,15 +168,15 @@ class Baseline(Answer):
     """The parameter set that the user gave to compare with; null scores are still missing."""
 
     objective: float | None
-    parameters: dict[str, float]
-    scores: dict[str, int | None]
+    parameters: dict[str, float | str]
+    scores: dict[str, Score | None]
 
 
 class Narrowed(Answer):
     """A parameter whose range was narrowed to the area in which it matters in any scenario, in parameter units, inclusive.
 
     `lower` and `upper` are what is searched, `removed_values` of `values` grid points are left out. Where both are equal the parameter
-    is held: it matters in no scenario.
+    is held: it matters in no scenario. A choice is held at the text `choice`, and its bounds are positions in its list.
     """
 
     parameter: str
@@ -183,6 +186,7 @@ class Narrowed(Answer):
     full_upper: float
     values: int
     removed_values: int
+    choice: str | None = None
 
 
 class Seconds(Answer):

@@ -4,7 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from drivecal.contracts.campaign import Answer
+from drivecal.contracts.campaign import Answer, Score
 
 Region = Literal["below", "influential", "above", "anywhere", "outside"]
 """Region of a value under the influence map: beyond the influential bounds, between them, `anywhere` where none exist, or `outside` of
@@ -44,8 +44,8 @@ class Difference(Answer):
     where it has none on that side. `blocks`: the two values do not lie in the same non-influential region."""
 
     parameter: str
-    value: float
-    reference_value: float
+    value: float | str
+    reference_value: float | str
     region: Region
     reference_region: Region
     lower: float | None
@@ -61,7 +61,7 @@ class Reference(Answer):
     stage: str
     iteration: int
     individual: int
-    score: int | None
+    score: Score | None
     failure: str | None
 
 
@@ -69,8 +69,8 @@ class Audit(Answer):
     """Comparison with the reference that would have answered the cell (audited), or had (confirmation). `agrees`: equal scores;
     `wrong`: they differ by more than 1 (Eq. 8). Null where one of the two has no result."""
 
-    score: int | None
-    reference_score: int | None
+    score: Score | None
+    reference_score: Score | None
     agrees: bool | None
     wrong: bool | None
 
@@ -83,7 +83,7 @@ class Proof(Answer):
     """
 
     reference: Reference
-    score: int | None
+    score: Score | None
     agrees: bool | None
     wrong: bool | None
 
@@ -113,16 +113,16 @@ class Neighbour(Answer):
     stage: str
     iteration: int
     individual: int
-    score: int
+    score: Score
     weight: float
-    parameters: dict[str, float]
+    parameters: dict[str, float | str]
 
 
 class Prediction(Answer):
     """A prediction. `confidence`: the share of votes for scores within the tolerance, 0 to 1. `agrees`: whether the simulation
     of a sampled cell confirmed it. `neighbours`: the stored answers with most weight, heaviest first."""
 
-    score: int
+    score: Score
     confidence: float
     sampled: bool
     agrees: bool | None
@@ -146,7 +146,7 @@ class Explanation(Answer):
     individual: int
     scenario: str
     outcome: str | None
-    score: int | None
+    score: Score | None
     failure: str | None
     reason: Reason
     sentence: str

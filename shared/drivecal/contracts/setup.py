@@ -1,17 +1,24 @@
 """Answers about a campaign's setup: its problem and all that decides its runs."""
 
+from pydantic import Field
+
 from drivecal.contracts.campaign import Answer
 
 
 class SearchedParameter(Answer):
-    """A parameter on its grid of `n_values` from `lower` to `upper`; `fixed`: the value at which it is held, null if it is searched."""
+    """A parameter with `n_values` values from `lower` to `upper`; `fixed`: the value at which it is held, null if it is searched.
+
+    `kind`: grid, continuous, integer or choice. `lower` and `upper` of a choice are positions in `choices`.
+    """
 
     name: str
     unit: str
     lower: float
     upper: float
     n_values: int
-    fixed: float | None
+    fixed: float | str | None
+    kind: str = "grid"
+    choices: list[str] = Field(default_factory=list)
 
 
 class ScenarioSetup(Answer):
@@ -26,6 +33,8 @@ class ScenarioSetup(Answer):
     vehicle: str | None = None
     vehicle_parameters: dict[str, float] | None = None
     simulator: str | None = None
+    files: str | None = None
+    """Digest of a bundle's files except `problem.yaml`."""
     step_seconds: float | None = None
     seed: int | None = None
 

@@ -8,15 +8,21 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, StringConstraints, Tag, field_validator
 
+HIGHWAY = "highway"
+"""Name of the built-in problem, its catalogue, and its parameters."""
 LARGEST_POPULATION = 100_000
 LARGEST_ITERATIONS = 10_000
 LARGEST_CONFIRM = 1_000
 
 Name = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]+$")]
 Identifier = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[A-Za-z][A-Za-z0-9_.-]*$")]
+ProblemName = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
+"""Name of a problem, or digest of a bundle."""
 Number = Annotated[float, Field(ge=-1e6, le=1e6)]
-Values = Annotated[dict[Identifier, Number], Field(max_length=200)]
-"""A value per parameter."""
+Choice = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[^\x00-\x1f\x7f]+$")]
+"""Text that names a choice."""
+Values = Annotated[dict[Identifier, Number | Choice], Field(max_length=200)]
+"""A value per parameter: a number, or the text of a choice."""
 
 
 class Model(BaseModel):
@@ -26,12 +32,14 @@ class Model(BaseModel):
 
 
 class ParameterSpecification(Model):
-    """A parameter of the user's own space."""
+    """A parameter of the user's own space: a grid (`step`), continuous (none, or 0), integer, or a choice."""
 
     name: Identifier
-    lower: Number
-    upper: Number
-    step: Annotated[float, Field(ge=0, le=1e6)]
+    lower: Number | None = None
+    upper: Number | None = None
+    step: Annotated[float, Field(ge=0, le=1e6)] | None = None
+    integer: bool = False
+    choices: Annotated[list[Choice], Field(min_length=2, max_length=1000)] | None = None
     unit: Annotated[str, StringConstraints(max_length=32)] = "1"
 
 
@@ -174,6 +182,8 @@ class ProblemSpecification(Model):
     name: Name = "campaign"
     priority: Annotated[int, Field(ge=-100, le=100)] = 0
     """Cells of a higher priority go first; campaigns of the same one share the workers."""
+    problem: ProblemName = HIGHWAY
+    """The built-in problem, or the name or digest of a pushed bundle; a name means its latest push."""
     catalogue: Identifier | Annotated[list[Identifier], Field(min_length=1, max_length=1000)] = "highway"
     parameters: Identifier | Annotated[list[ParameterSpecification], Field(min_length=1, max_length=200)] = "highway"
     fixed: Values = {}
@@ -211,6 +221,8 @@ class RerunSpecification(Model):
 
     weights: Annotated[dict[Identifier, Annotated[float, Field(ge=0, le=1e6)]], Field(max_length=1000)]
     name: Name | None = None
+    problem: ProblemName | None = None
+    """Another push of the first campaign's problem, e.g. with another score: runs of unchanged files are rated anew."""
     evaluator: Identifier | None = None
     optimizer: OptimizerSpecification | None = None
     reduction: ReductionSpecification | None = None
@@ -240,8 +252,9 @@ class InfluenceMapSpecification(Model):
 class EvaluationSpecification(Model):
     """A parameter set in a scenario, or in all scenarios of the catalogue."""
 
-    parameters: Annotated[dict[Identifier, Number], Field(min_length=1, max_length=200)]
+    parameters: Annotated[dict[Identifier, Number | Choice], Field(min_length=1, max_length=200)]
     scenario: Identifier | None = None
+    problem: ProblemName = HIGHWAY
     catalogue: Identifier = "highway"
     driving_function: Identifier = "frenet"
     vehicle: VehicleSpecification = VehicleSpecification()

@@ -1,15 +1,16 @@
 """Row models of all tables; columns, files, JSON and OpenAPI schemas follow from them."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from drivecal.contracts.campaign import Answer, Page
+from drivecal.contracts.campaign import Answer, Page, Score
 
-Kind = Literal["integer", "number", "text", "truth", "numbers"]
+Kind = Literal["integer", "number", "score", "text", "truth", "numbers"]
+"""A `score` is an integer or a number, depending on the campaign's scale."""
 _KINDS: dict[object, Kind] = {bool: "truth", int: "integer", float: "number", str: "text"}
 
 
@@ -45,13 +46,26 @@ JSON_ONLY = "JSON only"
 _JOINED = FileForm("text", " ".join)
 
 
-def columns_of(model: type[BaseModel], keys: Mapping[str, Sequence[str]] | None = None) -> list[Column]:
+Keys = Mapping[str, Sequence[str] | Mapping[str, "Kind"]]
+"""Keys of a row's mappings by field, with their kinds if they differ."""
+
+
+def columns_of(model: type[BaseModel], keys: Keys | None = None, *, whole_scores: bool = True) -> list[Column]:
     """Returns the columns of a file of such rows. `keys`: the keys of its mappings, by field."""
+    return [
+        replace(column, kind="integer" if whole_scores else "number") if column.kind == "score" else column
+        for column in _columns_of(model, keys or {})
+    ]
+
+
+def _columns_of(model: type[BaseModel], keys: Keys) -> list[Column]:
     columns: list[Column] = []
     for name, field in model.model_fields.items():
         mark = _mark(field.metadata, field.annotation)
         if isinstance(mark, Spread):
-            columns += [Column(mark.column(key), _kind(get_args(field.annotation)[1])) for key in (keys or {})[name]]
+            listed = keys[name]
+            kinds = listed if isinstance(listed, Mapping) else dict.fromkeys(listed, _kind(get_args(field.annotation)[1]))
+            columns += [Column(mark.column(key), kind) for key, kind in kinds.items()]
         elif isinstance(mark, FileForm):
             columns.append(Column(name, mark.kind))
         elif mark is None:
@@ -85,6 +99,8 @@ def _mark(metadata: Sequence[Any], annotation: Any) -> Spread | FileForm | str |
 
 def _kind(annotation: Any) -> Kind:
     options = get_args(annotation) if get_origin(annotation) is UnionType else (annotation,)
+    if {int, float} <= set(options):
+        return "score"
     [plain] = [option for option in options if option is not NoneType]
     return "numbers" if get_origin(plain) is list else _KINDS[plain]
 
@@ -112,7 +128,7 @@ class EvaluationRow(Answer):
     """
 
     model_config = ConfigDict(extra="allow")
-    __pydantic_extra__: dict[str, float]
+    __pydantic_extra__: dict[str, float | str]
 
     id: int
     stage: str
@@ -120,7 +136,7 @@ class EvaluationRow(Answer):
     individual: int
     scenario: str
     outcome: str | None
-    score: int | None
+    score: Score | None
     rating: float | None
     reference: int | None
     audited: bool
@@ -135,10 +151,10 @@ class EvaluationRow(Answer):
     sampled: bool = False
 
     @classmethod
-    def file_columns(cls, parameters: Sequence[str]) -> list[Column]:
+    def file_columns(cls, parameters: Mapping[str, Kind], *, whole_scores: bool = True) -> list[Column]:
         """Returns the columns of a file, with the parameters behind the place of the cell."""
-        own = columns_of(cls)
-        return own[:PLACE] + [Column(parameter_column(name), "number") for name in parameters] + own[PLACE:]
+        own = columns_of(cls, whole_scores=whole_scores)
+        return own[:PLACE] + [Column(parameter_column(name), kind) for name, kind in parameters.items()] + own[PLACE:]
 
 
 class Generation(Answer):
@@ -172,10 +188,10 @@ class Solution(Answer):
     rank: int
     objective: float
     rating: float
-    scores: Annotated[dict[str, int], Spread("score_")]
+    scores: Annotated[dict[str, Score], Spread("score_")]
     reused: list[str] = Field(default_factory=list)
     """Scenarios whose score is that of a reference: this very set was not simulated there."""
-    parameters: Annotated[dict[str, float], Spread()]
+    parameters: Annotated[dict[str, float | str], Spread()]
     iteration: int
     individual: int
 
@@ -244,8 +260,8 @@ class RobustnessRow(Answer):
     """The reason for the recommendation."""
     region: int
     to_worse: float | None
-    scores: Annotated[dict[str, int | None], Spread("score_")]
-    parameters: Annotated[dict[str, float], Spread()]
+    scores: Annotated[dict[str, Score | None], Spread("score_")]
+    parameters: Annotated[dict[str, float | str], Spread()]
     trials: Annotated[list[BoxTrial], JSON_ONLY]
 
 

@@ -26,12 +26,13 @@ EVERYWHERE = Influence(influential=True)
 class InfluenceMap:
     """Influences by scenario id, then by parameter name. Unlisted parameters count as influential everywhere.
 
-    `ranges`: lowest and highest analysed value by parameter. Outside its range any change of a parameter may matter. A parameter
-    without an entry has no limits.
+    `ranges`: lowest and highest analysed value by parameter; `choices`: the analysed texts of a choice. Outside of them any change of a
+    parameter may matter. A parameter without an entry has no limits.
     """
 
     scenarios: Mapping[str, Mapping[str, Influence]]
     ranges: Mapping[str, tuple[Decimal, Decimal]] = field(default_factory=dict)
+    choices: Mapping[str, frozenset[str]] = field(default_factory=dict)
 
     def influence(self, scenario: str, parameter: str) -> Influence:
         """Returns the influence of one parameter in one scenario, `EVERYWHERE` if the map does not list it."""

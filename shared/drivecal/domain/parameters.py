@@ -1,63 +1,64 @@
 """Calibration parameters on integer grids.
 
-A value is an exact decimal with at most nine decimals. Inside drivecal it is a grid index (relative to one campaign's bounds) or an
-integer number of billionths (absolute). Both are exact; only the driving function computes with floats. The key of a stored parameter
-set is therefore independent of bounds and steps, so that campaigns with narrower bounds reuse old results.
+A value is an exact decimal with at most nine decimals, or a text that names a choice. Inside drivecal it is a grid index (relative to one
+campaign's bounds or list of choices), or an integer number of billionths or the text (absolute). All are exact; only the driving function
+computes with floats. The key of a stored parameter set is therefore independent of bounds, steps and lists of choices, so that campaigns
+with narrower bounds reuse old results.
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from decimal import Decimal
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.domain.parameter_sets import ParameterSet
+from drivecal.domain.values import (
+    BILLION,
+    LARGEST_VALUE,
+    Setting,
+    Value,
+    billionths,
+    code,
+    decimal,
+    entry,
+    from_billionths,
+    shown,
+    text,
+)
 
-BILLION = 1_000_000_000
-LARGEST_VALUE = Decimal(1_000_000)
-"""Largest magnitude of a bound: its billionths are exact in a float64, which keeps the JSON form of a value exact too."""
+__all__ = [
+    "BILLION",
+    "LARGEST_GRID",
+    "LARGEST_VALUE",
+    "Indices",
+    "Kind",
+    "Parameter",
+    "ParameterSet",
+    "ParameterSpace",
+    "Setting",
+    "Value",
+    "billionths",
+    "code",
+    "decimal",
+    "entry",
+    "from_billionths",
+    "shown",
+    "text",
+]
+
 LARGEST_GRID = 1_000_000
-"""Most values of a grid: each of them is tabulated."""
-
+"""Most values of a grid. Continuous parameters have up to 2e15: no code may make a table of all values."""
 Indices = npt.NDArray[np.int64]
-
-
-def decimal(value: float | str | Decimal) -> Decimal:
-    """Returns the exact decimal that the user typed: 0.1 means 1/10, not the nearest binary fraction."""
-    return value if isinstance(value, Decimal) else Decimal(str(value))
-
-
-def billionths(value: Decimal) -> int:
-    """Returns `value` as an integer number of billionths. Raises ValueError if it is not finite or has more than nine decimals."""
-    if not value.is_finite():
-        raise ValueError(f"{value} is not a finite number")
-    numerator, denominator = value.as_integer_ratio()  # exact; Decimal's own product would round to 28 digits
-    scaled, rest = divmod(numerator * BILLION, denominator)
-    if rest:
-        raise ValueError(f"{value} has more than nine decimals")
-    return scaled
-
-
-def from_billionths(value: int) -> Decimal:
-    """Inverts `billionths`, in lowest terms (0.5, not 0.500000000)."""
-    return Decimal(value).scaleb(-9).normalize() + Decimal(0)
-
-
-def text(value: Decimal) -> str:
-    """Formats a value without exponent, trailing zeros or negative zero; equal values give equal texts."""
-    return _text(billionths(value))
-
-
-def _text(value: int) -> str:
-    whole, rest = divmod(abs(value), BILLION)
-    sign, decimals = "-" * (value < 0), f"{rest:09d}".rstrip("0")
-    return f"{sign}{whole}.{decimals}" if decimals else f"{sign}{whole}"
+Kind = Literal["grid", "continuous", "integer", "choice"]
 
 
 def _refused(name: str, attribute: str, message: str, remedy: str) -> InvalidInputError:
@@ -80,7 +81,10 @@ def _check_bounds(name: str, lower: Decimal, upper: Decimal, **others: Decimal) 
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """A calibration parameter: `n_values` equally spaced values from `lower` to `upper`, both included, in `unit`."""
+    """A calibration parameter: `n_values` equally spaced values from `lower` to `upper`, both included, in `unit`.
+
+    The values of a choice are its texts; a grid index is a position in `choices`, and so are `lower` and `upper`.
+    """
 
     name: str
     lower: Decimal
@@ -88,15 +92,52 @@ class Parameter:
     n_values: int
     unit: str = "1"
     description: str = ""
+    kind: Kind = "grid"
+    choices: tuple[str, ...] = ()
+
+    @classmethod
+    def declared(
+        cls,
+        name: str,
+        *,
+        lower: float | None,
+        upper: float | None,
+        step: float | None = None,
+        integer: bool = False,
+        choices: Sequence[str] | None = None,
+        unit: str = "1",
+        description: str = "",
+    ) -> Parameter:
+        """Creates a parameter as files declare it: a grid (`step`), continuous (no step or 0), integer, or a choice.
+
+        Raises InvalidInputError naming the faulty field.
+        """
+        if choices is not None:
+            if integer or not lower is upper is step is None:
+                raise _refused(name, "choices", "a choice is no number", "leave lower, upper, step and integer out")
+            return cls.choice(name, choices, unit, description)
+        if lower is None or upper is None:
+            missing = "lower" if lower is None else "upper"
+            raise _refused(name, missing, "the value is missing", "give lower and upper, or choices")
+        if not integer:
+            return cls.from_step(name, decimal(lower), decimal(upper), decimal(step or 0), unit, description)
+        if step not in {None, 0, 1}:
+            raise _refused(name, "step", "the step of an integer is 1", "leave `step` or `integer` out")
+        return cls.integer(name, decimal(lower), decimal(upper), unit, description)
 
     @classmethod
     def from_step(
-        cls, name: str, lower: Decimal, upper: Decimal, step: Decimal, unit: str = "1", description: str = ""
+        cls, name: str, lower: Decimal, upper: Decimal, step: Decimal | None, unit: str = "1", description: str = ""
     ) -> Parameter:
-        """Creates the grid lower, lower + step, ... upper. Raises InvalidInputError naming the faulty field."""
+        """Creates the grid lower, lower + step, ... upper; without a step, or with 0, a continuous parameter: all decimals of nine places.
+
+        Raises InvalidInputError naming the faulty field.
+        """
+        if not step:
+            _check_bounds(name, lower, upper)
+            n_values = billionths(upper) - billionths(lower) + 1
+            return cls(name, lower, upper, n_values, unit, description, "continuous")
         _check_bounds(name, lower, upper, step=step)
-        if step == 0:
-            raise _refused(name, "step", "continuous parameters are not supported yet", "give the step of the grid, e.g. 0.01")
         if step < 0:
             raise _refused(name, "step", f"{step} is negative", "give a positive step")
         if (upper - lower) % step != 0:
@@ -108,6 +149,22 @@ class Parameter:
         if n_values > LARGEST_GRID:
             raise _refused(name, "step", f"{n_values} values are too many", f"give a step that makes at most {LARGEST_GRID:,}")
         return cls(name, lower, upper, n_values, unit, description)
+
+    @classmethod
+    def integer(cls, name: str, lower: Decimal, upper: Decimal, unit: str = "1", description: str = "") -> Parameter:
+        """Creates the whole numbers from `lower` to `upper`. Raises InvalidInputError naming the faulty field."""
+        _check_bounds(name, lower, upper)
+        for attribute, value in (("lower", lower), ("upper", upper)):
+            if value != value.to_integral_value():
+                raise _refused(name, attribute, f"{value} is not a whole number", "give a whole number, or a step")
+        return cls(name, lower, upper, int(upper - lower) + 1, unit, description, "integer")
+
+    @classmethod
+    def choice(cls, name: str, choices: Sequence[str], unit: str = "1", description: str = "") -> Parameter:
+        """Creates an unordered choice between texts. Raises InvalidInputError if there are fewer than two different ones."""
+        if len(choices) < 2 or len(set(map(code, choices))) < len(choices):
+            raise _refused(name, "choices", f"{list(choices)} is no list of choices", "give two or more different texts")
+        return cls(name, Decimal(0), Decimal(len(choices) - 1), len(choices), unit, description, "choice", tuple(choices))
 
     @classmethod
     def from_bits(
@@ -126,28 +183,73 @@ class Parameter:
         return cls(name, lower, upper, 2**bits, unit, description)
 
     def billionths(self, index: int) -> int:
-        """Returns the value at a grid index, in billionths. Raises IndexError off the grid."""
+        """Returns the value at a grid index, in billionths; of a choice the position. Raises IndexError off the grid."""
         if not 0 <= index < self.n_values:
             raise IndexError(f"{self.name} has grid indices 0 to {self.n_values - 1}, not {index}")
-        return self._table(range(index, index + 1))[0]
+        low, span, last = billionths(self.lower), billionths(self.upper) - billionths(self.lower), self.n_values - 1
+        return low + (2 * span * index + last) // (2 * last)
 
-    def _table(self, indices: range) -> list[int]:
-        low, high = billionths(self.lower), billionths(self.upper)
-        last = self.n_values - 1
-        return [low + (2 * (high - low) * index + last) // (2 * last) for index in indices]
+    def billionths_at(self, indices: Indices) -> Indices:
+        """Returns the values at grid indices, in billionths, shaped as `indices`; of a choice the positions."""
+        low, last = billionths(self.lower), self.n_values - 1
+        whole, rest = divmod(billionths(self.upper) - low, last)
+        # The rest is 0 except on lattices of bits, which are small: no product exceeds 64 bits.
+        values: Indices = low + whole * indices + (2 * rest * indices + last) // (2 * last)
+        return values
 
     @property
     def all_billionths(self) -> npt.NDArray[np.int64]:
-        """All values of the grid in billionths, shape (n_values,)."""
-        return np.array(self._table(range(self.n_values)), dtype=np.int64)
+        """All values of a grid in billionths, shape (n_values,). Raises ValueError if they are too many for a table."""
+        if self.n_values > 2 * LARGEST_GRID + 1:
+            raise ValueError(f"{self.name} has {self.n_values} values, too many for a table")
+        return self.billionths_at(np.arange(self.n_values))
+
+    def first_from(self, value: int) -> int:
+        """Returns the first grid index whose value is at least `value`, in billionths; `n_values` if there is none."""
+        return bisect_left(range(self.n_values), value, key=self.billionths)
+
+    def last_upto(self, value: int) -> int:
+        """Returns the last grid index whose value is at most `value`, in billionths; -1 if there is none."""
+        return bisect_right(range(self.n_values), value, key=self.billionths) - 1
+
+    def entries(self, indices: Indices) -> list[int] | list[str]:
+        """Returns what parameter sets store for grid indices, shape (n,): billionths, or the texts of a choice."""
+        if self.choices:
+            return [self.choices[index] for index in indices.tolist()]
+        values: list[int] = self.billionths_at(indices).tolist()
+        return values
+
+    @property
+    def extent(self) -> str:
+        """The values in words: `from 0 to 1`, `in eco, sport`."""
+        return f"in {', '.join(self.choices)}" if self.choices else f"from {text(self.lower)} to {text(self.upper)}"
+
+    def number(self, stored: int | str) -> int:
+        """Returns a stored value in billionths, a text as its position in `choices`; texts that are not listed lie below them all."""
+        if isinstance(stored, str):
+            return BILLION * (self.choices.index(stored) if stored in self.choices else -1)
+        return stored
 
     def value(self, index: int) -> Decimal:
-        """Returns the value at a grid index. Raises IndexError off the grid."""
+        """Returns the number at a grid index, of a choice the position. Raises IndexError off the grid."""
         return from_billionths(self.billionths(index))
 
-    def index(self, value: Decimal, field_name: str | None = None) -> int:
-        """Returns the grid index of a value. Raises InvalidInputError naming the nearest values if it is off the grid."""
+    def named(self, index: int) -> Value:
+        """Returns the value at a grid index as users know it: a number, or the text of a choice. Raises IndexError off the grid."""
+        number = self.value(index)
+        return self.choices[index] if self.choices else number
+
+    def index(self, value: Value, field_name: str | None = None) -> int:
+        """Returns the grid index of a value. Raises InvalidInputError naming the nearest values or the choices if it is none."""
         path = field_name or self.name
+        if self.choices:
+            if value not in self.choices:
+                message = f"{json.dumps(shown(value))} is not a choice"
+                raise InvalidInputError(Problem(path, message, f"one of {', '.join(self.choices)}"))
+            return self.choices.index(str(value))
+        if isinstance(value, str):
+            remedy = f"give a number from {text(self.lower)} to {text(self.upper)}"
+            raise InvalidInputError(Problem(path, f"{json.dumps(value)} is not a number", remedy))
         if not value.is_finite() or not self.lower <= value <= self.upper:
             remedy = f"give a value from {text(self.lower)} to {text(self.upper)}"
             raise InvalidInputError(Problem(path, f"{value} lies outside the range", remedy))
@@ -160,47 +262,6 @@ class Parameter:
         return index
 
 
-@dataclass(frozen=True, slots=True)
-class ParameterSet:
-    """A value per parameter, in billionths, in the driving function's order of names."""
-
-    names: tuple[str, ...]
-    billionths: tuple[int, ...]
-
-    @classmethod
-    def of(cls, values: Mapping[str, Decimal]) -> ParameterSet:
-        """Creates a parameter set from exact decimals by name."""
-        return cls(tuple(values), tuple(billionths(value) for value in values.values()))
-
-    @classmethod
-    def from_json(cls, document: str) -> ParameterSet:
-        """Inverts `to_json`."""
-        values: dict[str, Decimal] = json.loads(document, parse_float=Decimal, parse_int=Decimal)
-        return cls.of(values)
-
-    @property
-    def values(self) -> dict[str, Decimal]:
-        """Exact decimals by name."""
-        return {name: from_billionths(value) for name, value in zip(self.names, self.billionths, strict=True)}
-
-    @property
-    def floats(self) -> dict[str, float]:
-        """Nearest floats by name, as used by the driving function, JSON and tables."""
-        # A quotient of integers is rounded once, like the decimal, in a tenth of the time.
-        return {name: value / BILLION for name, value in zip(self.names, self.billionths, strict=True)}
-
-    def to_json(self) -> str:
-        """Returns exact, readable JSON: `{"P1": 0.5, ...}`."""
-        pairs = zip(self.names, self.billionths, strict=True)
-        return "{" + ", ".join(f"{json.dumps(name)}: {_text(value)}" for name, value in pairs) + "}"
-
-    @property
-    def key(self) -> bytes:
-        """Key of 16 bytes that identifies the set, independent of bounds, steps and order of names."""
-        canonical = ";".join(f"{name}={value}" for name, value in sorted(zip(self.names, self.billionths, strict=True)))
-        return hashlib.blake2b(canonical.encode(), digest_size=16).digest()
-
-
 @dataclass(frozen=True)
 class ParameterSpace:
     """Search space of a campaign: `parameters` on their grids; parameters in `fixed` keep their value and are not searched.
@@ -209,7 +270,7 @@ class ParameterSpace:
     """
 
     parameters: tuple[Parameter, ...]
-    fixed: Mapping[str, Decimal] = field(default_factory=dict)
+    fixed: Mapping[str, Value] = field(default_factory=dict)
 
     @cached_property
     def searched(self) -> tuple[Parameter, ...]:
@@ -227,16 +288,14 @@ class ParameterSpace:
         return np.array([parameter.n_values for parameter in self.searched], dtype=np.int64)
 
     @cached_property
-    def _tables(self) -> dict[str, list[int]]:
-        return {parameter.name: parameter.all_billionths.tolist() for parameter in self.searched}
+    def kinds(self) -> tuple[Kind, ...]:
+        """Kinds of the searched parameters."""
+        return tuple(parameter.kind for parameter in self.searched)
 
     def parameter_set(self, indices: Iterable[int]) -> ParameterSet:
-        """Returns the parameter set at one row of grid indices, shape (n_searched,)."""
-        searched = {
-            parameter.name: self._tables[parameter.name][index] for parameter, index in zip(self.searched, indices, strict=True)
-        }
-        fixed = {name: billionths(value) for name, value in self.fixed.items()}
-        return ParameterSet(self.names, tuple(searched[name] if name in searched else fixed[name] for name in self.names))
+        """Returns the parameter set at one row of grid indices, shape (n_searched,). Raises IndexError if an index is off its grid."""
+        (only,) = self.parameter_sets(np.array([list(indices)], dtype=np.int64).reshape(1, -1))
+        return only
 
     def parameter_sets(self, population: Indices) -> list[ParameterSet]:
         """Returns the parameter sets of a population, shape (n, n_searched). Raises IndexError if an index is off its grid."""
@@ -246,9 +305,14 @@ class ParameterSpace:
             parameter = self.searched[column]
             index = population[row, column]
             raise IndexError(f"{parameter.name} has grid indices 0 to {parameter.n_values - 1}, not {index} (individual {row})")
-        return [self.parameter_set(row) for row in population.tolist()]
+        columns: dict[str, Sequence[int | str]] = {
+            name: [entry(value)] * len(population) for name, value in self.fixed.items() if name in self.names
+        }
+        for column, parameter in enumerate(self.searched):
+            columns[parameter.name] = parameter.entries(population[:, column])
+        return [ParameterSet(self.names, row) for row in zip(*(columns[name] for name in self.names), strict=True)]
 
-    def indices(self, values: Mapping[str, Decimal], field_name: str = "parameters") -> Indices:
+    def indices(self, values: Mapping[str, Value], field_name: str = "parameters") -> Indices:
         """Returns grid indices of the searched parameters, shape (n_searched,). Raises InvalidInputError naming each faulty value."""
         problems = [
             Problem(f"{field_name}.{name}", "there is no such parameter", f"one of {', '.join(self.names)}")
@@ -268,7 +332,7 @@ class ParameterSpace:
         for name, fixed in self.fixed.items():
             if name in values and values[name] != fixed:
                 problems.append(
-                    Problem(f"{field_name}.{name}", f"{values[name]} differs from the fixed value", f"give {text(fixed)}")
+                    Problem(f"{field_name}.{name}", f"{values[name]} differs from the fixed value", f"give {shown(fixed)}")
                 )
         if problems:
             raise InvalidInputError(*problems)

@@ -6,6 +6,9 @@ from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import Any
 
+LARGEST_EXACT = 2**53
+"""Whole numbers below it are the same as floats."""
+
 
 class Direction(StrEnum):
     """Whether larger or smaller scores are better."""
@@ -53,6 +56,11 @@ class Scale:
         """Best end of the usual range."""
         return self.upper if self.direction is Direction.MAXIMISE else self.lower
 
+    @property
+    def is_whole(self) -> bool:
+        """Whether every score is a whole number."""
+        return self.step is not None and self.step.is_integer()
+
     def is_better(self, score: float, other: float) -> bool:
         """Whether `score` is better than `other`."""
         return self.sign * score > self.sign * other
@@ -69,6 +77,11 @@ class Scale:
     def from_json(cls, document: dict[str, Any]) -> Scale:
         """Inverts `to_json`."""
         return cls(**(document | {"direction": Direction(document["direction"])}))
+
+
+def plain(score: float) -> float:
+    """Returns whole scores as integers: 6 and not 6.0, whatever stored or computed them."""
+    return int(score) if float(score).is_integer() and abs(score) < LARGEST_EXACT else float(score)
 
 
 COMFORT = Scale("comfort", Direction.MAXIMISE, lower=0.0, upper=7.0, tolerance=1.0, failed=0.0, step=1.0, unit="points")

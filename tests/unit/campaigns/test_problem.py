@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from drivecal.campaigns.resolve.bench import driving
 from drivecal.campaigns.resolve.maps import map_from_document, map_to_document, resolve_map
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve, resolve_evaluation
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, InfluenceMapSpecification
@@ -43,7 +44,7 @@ def test_weights_and_bounds_are_not_in_the_fingerprint_but_the_vehicle_is() -> N
 
 
 def _vehicle_parameter() -> str:
-    return next(iter(_resolve().bench.vehicle_parameters))
+    return next(iter(driving(_resolve().bench).vehicle_parameters))
 
 
 def test_a_weight_of_zero_leaves_the_scenario_out_and_says_so() -> None:
@@ -84,7 +85,13 @@ def test_a_vehicle_beyond_the_bounds_of_its_model_is_driven_and_noted() -> None:
         ({"parameters": [{"name": "P12", "lower": 0, "upper": 1, "step": 1}]}, "parameters[0].name", "P11"),
         ({"parameters": [{"name": "P1", "lower": 1, "upper": 1, "step": 1}]}, "parameters[0].upper", "empty"),
         ({"parameters": [{"name": "P2", "lower": -1, "upper": 1, "step": 1}]}, "parameters[0].lower", "at least 0"),
-        ({"parameters": [{"name": "P1", "lower": 0, "upper": 1, "step": 0}]}, "parameters[0].step", "continuous"),
+        ({"parameters": [{"name": "P1", "upper": 1}]}, "parameters[0].lower", "give lower and upper"),
+        ({"parameters": [{"name": "P1", "lower": 0}]}, "parameters[0].upper", "give lower and upper"),
+        ({"parameters": [{"name": "P1", "lower": 0, "upper": 1, "step": 0.5, "integer": True}]}, "parameters[0].step", "1"),
+        ({"parameters": [{"name": "P1", "lower": 0, "upper": 1, "choices": ["a", "b"]}]}, "parameters[0].choices", "leave"),
+        ({"parameters": [{"name": "P1", "choices": ["a", "b"]}]}, "parameters[0].choices", "from -15 to 14"),
+        ({"fixed": {"P1": "eco"}}, "fixed.P1", "number from -15 to 14"),
+        ({"baseline": dict.fromkeys([f"P{i}" for i in range(1, 12)], "eco")}, "baseline.P1", "number from -15 to 14"),
         ({"parameters": [{"name": "P1", "lower": 0, "upper": 1, "step": 0.3}]}, "parameters[0].step", "multiple"),
         ({"sensitivity": {"intervals": 59}}, "sensitivity.intervals", "at most 58"),
         ({"sensitivity": None, "optimizer": None}, "optimizer", "nothing to do"),
@@ -115,13 +122,14 @@ def test_a_list_of_parameters_needs_a_value_for_every_other_one() -> None:
 
 
 def test_a_single_evaluation_takes_values_between_the_grid_points() -> None:
-    problem = resolve_evaluation(EvaluationSpecification(parameters=MIDDLE | {"P9": 5.05}, scenario="S3"))
+    problem = resolve_evaluation(EvaluationSpecification(parameters={**MIDDLE, "P9": 5.05}, scenario="S3"))
     assert list(problem.bench.scenarios) == ["S3"]
     assert problem.parameter_set.floats["P9"] == 5.05
 
 
 def test_a_single_evaluation_names_what_is_missing_unknown_or_forbidden() -> None:
-    given = {name: value for name, value in MIDDLE.items() if name != "P4"} | {"P2": -1.0, "P12": 3.0}
+    given: dict[str, float | str] = {name: value for name, value in MIDDLE.items() if name != "P4"}
+    given |= {"P2": -1.0, "P12": 3.0}
     with pytest.raises(InvalidInputError) as caught:
         resolve_evaluation(EvaluationSpecification(parameters=given, scenario="S9"))
     assert {problem.field for problem in caught.value.problems} == {

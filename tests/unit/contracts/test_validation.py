@@ -45,7 +45,7 @@ def complaints(document: object, model: type[BaseModel] = CampaignSpecification)
         ),
         ({"reduction": {"audt": 1}}, "reduction.audt: there is no such field; did you mean audit?"),
         ({"name": "a\0"}, "name: 'a\\x00' is no valid name; leave out control characters"),
-        ({"parameters": [{"name": "P1", "lower": 0, "upper": 1}]}, "parameters[0].step: the value is missing; give it"),
+        ({"parameters": [{"lower": 0, "upper": 1}]}, "parameters[0].name: the value is missing; give it"),
         ([], "a list does not fit; give an object"),
     ],
 )
@@ -54,11 +54,10 @@ def test_each_finding_names_field_fault_and_remedy(document: object, said: str) 
 
 
 def test_everything_wrong_is_said_at_once() -> None:
-    found = complaints({"parameters": [{"name": "P1", "step": "1"}], "name": "", "evaluator": None})
+    found = complaints({"parameters": [{"step": "1"}], "name": "", "evaluator": None})
     assert found == [
         "name: '' is too short; give at least 1 characters",
-        "parameters[0].lower: the value is missing; give it",
-        "parameters[0].upper: the value is missing; give it",
+        "parameters[0].name: the value is missing; give it",
         "parameters[0].step: 1 does not fit; give a number",
         "evaluator: null does not fit; give text",
     ]

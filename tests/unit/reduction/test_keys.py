@@ -20,6 +20,11 @@ def is_valid_reference(stored: ParameterSet, new: ParameterSet, influence_map: I
     for name, value in new.values.items():
         influence = influence_map.influence(scenario, name)
         other = stored.values[name]
+        if isinstance(value, str) or isinstance(other, str):
+            analysed = {value, other} <= influence_map.choices.get(name, frozenset())
+            if not (other == value or (analysed and not influence.influential)):
+                return False
+            continue
         below = influence.lower is not None and value < influence.lower and other < influence.lower
         above = influence.upper is not None and value > influence.upper and other > influence.upper
         lowest, highest = influence_map.ranges.get(name, (min(value, other), max(value, other)))

@@ -1,7 +1,6 @@
 """Setups of a campaign, and studies of its results."""
 
 from collections.abc import Mapping
-from decimal import Decimal
 from importlib.metadata import version
 from typing import Any
 
@@ -13,8 +12,8 @@ from drivecal.api.responses import calibration
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec
 from drivecal.contracts.setup import CampaignSetup, ScenarioSetup, SearchedParameter
 from drivecal.contracts.studies import Study, StudyPage
-from drivecal.domain.parameters import Parameter
-from drivecal.domain.setups import Setup
+from drivecal.domain.parameters import Parameter, Value
+from drivecal.domain.setups import BundleSetup, DrivenSetup
 from drivecal.storage import campaigns, studies
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.references import setups
@@ -50,16 +49,21 @@ def list_studies(campaign_id: str, database: DatabaseDependency) -> StudyPage:
     return StudyPage(items=[_study(study) for study in made if _of_the_same(study, campaign)])
 
 
-def _searched(parameter: Parameter, fixed: Mapping[str, Decimal]) -> SearchedParameter:
+def _searched(parameter: Parameter, fixed: Mapping[str, Value]) -> SearchedParameter:
     as_it_is = {name: getattr(parameter, name) for name in SearchedParameter.model_fields if name != "fixed"}
-    return SearchedParameter(**as_it_is, fixed=fixed.get(parameter.name))
+    held = fixed.get(parameter.name)
+    value = held if held is None or isinstance(held, str) else float(held)
+    return SearchedParameter.model_validate(as_it_is | {"fixed": value})
 
 
 def _scenario(name: str, begun_with: ResolvedSpec, documents: Mapping[str, Mapping[str, Any]]) -> ScenarioSetup:
     fingerprint = begun_with.setups[name]
     known: dict[str, Any] = {}
-    if fingerprint in documents:
-        made_of = Setup.from_document(documents[fingerprint])
+    document = documents.get(fingerprint, {})
+    if "files" in document:
+        known = {"simulator": BundleSetup(name, document).simulator, "files": document["files"]}
+    elif document:
+        made_of = DrivenSetup.from_document(document)
         known = {field: getattr(made_of, field) for field in ("scenario_digest", "simulator", "step_seconds", "seed")}
         known["driving_function"] = f"{made_of.driving_function} {made_of.driving_function_version}"
         known["vehicle"] = f"{made_of.vehicle} {made_of.vehicle_version}"

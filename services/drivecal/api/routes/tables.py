@@ -21,6 +21,7 @@ from drivecal.contracts.tables import (
     EvaluationRow,
     Generation,
     InfluenceRow,
+    Kind,
     OptimumRow,
     RobustnessRow,
     Solution,
@@ -28,6 +29,7 @@ from drivecal.contracts.tables import (
     columns_of,
 )
 from drivecal.domain.campaigns import StageName
+from drivecal.domain.parameters import ParameterSpace
 from drivecal.storage import campaigns, generations, results, studies
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -125,7 +127,13 @@ def _study(database: Database, campaign: StoredCampaign, stage: StageName, model
 
 def _columns(model: type[BaseModel], scenarios: Iterable[str], begun_with: ResolvedSpec) -> Columns:
     """Returns the columns of a file with a column for each score and parameter."""
-    return lambda: columns_of(model, {"scores": list(scenarios), "parameters": list(begun_with.space.names)})
+    keys: dict[str, list[str] | dict[str, Kind]] = {"scores": list(scenarios), "parameters": _kinds(begun_with.space)}
+    return lambda: columns_of(model, keys, whole_scores=begun_with.scale.is_whole)
+
+
+def _kinds(space: ParameterSpace) -> dict[str, Kind]:
+    """Returns what the columns of parameters hold."""
+    return {parameter.name: "text" if parameter.choices else "number" for parameter in space.parameters}
 
 
 def _campaign(database: Database, campaign_id: str) -> StoredCampaign:
@@ -143,8 +151,12 @@ def _evaluation_columns(database: Database, campaign: StoredCampaign) -> list[Co
     """Returns the columns of a file, with the parameters of the first row, or without rows those of the coming rows."""
     with database.read() as connection:
         rows, _ = results.page(connection, campaign.sequence, limit=1)
-    names = rows[0].parameters.names if rows else resolved_spec(campaign).space.names
-    return EvaluationRow.file_columns(list(names))
+    begun_with = resolved_spec(campaign)
+    kinds = _kinds(begun_with.space)
+    if rows:
+        values = rows[0].parameters.floats
+        kinds = {name: "text" if isinstance(value, str) else "number" for name, value in values.items()}
+    return EvaluationRow.file_columns(kinds, whole_scores=begun_with.scale.is_whole)
 
 
 def _influence_rows(database: Database, campaign: StoredCampaign) -> list[InfluenceRow]:

@@ -13,14 +13,13 @@ from sqlalchemy import Connection
 
 from drivecal.campaigns.cells.inspection import Inspection
 from drivecal.campaigns.cells.planning import View, ensure_setups
-from drivecal.campaigns.resolve.problem import Bench
+from drivecal.campaigns.resolve.bench import Bench
 from drivecal.contracts.work import Cell, Probe, SetupRequest
 from drivecal.domain.errors import RefutedError
 from drivecal.domain.evaluations import Donor, Outcome
 from drivecal.execution.measures import MEASURES
 from drivecal.execution.scheduling.in_flight import Work
 from drivecal.execution.scheduling.scheduler import Completed
-from drivecal.plugins.ports import SeriesEvaluator
 from drivecal.reduction.audit import is_checked
 from drivecal.storage import evaluations, leases, results, traces
 from drivecal.storage.evaluations import COPIES, DONORS, AnsweredCell, NewEvaluation
@@ -54,7 +53,7 @@ class CellTracker:
         self._refuted_setups: set[int] = set()
         self._exclusive = False
         self._evaluator_id = view.bench.evaluator_id
-        self._from_series = isinstance(view.bench.evaluator, SeriesEvaluator)
+        self._from_series = view.bench.needs_series
         self.simulating_seconds = simulating_seconds
 
     @property
@@ -128,7 +127,7 @@ class CellTracker:
             if completion.result.id in late:
                 again.append(cell)
             elif completion.result.breakdown is None:
-                finished.append((cell, completion))
+                finished.append((cell, self._rated(cell, completion)))
             else:
                 orphans += self._break_down(cell, completion, answers)
         proofs = dict(pair for _, simulation in finished for pair in simulation.result.probed)
@@ -233,6 +232,16 @@ class CellTracker:
             for cell in cells:
                 if cell.parameter_set_id in stored:
                     self._answer(cell, stored[cell.parameter_set_id], answers)
+
+    def _rated(self, cell: StoredEvaluation, completion: Completed) -> Completed:
+        """Returns a result with its score, which workers do not know for bundles."""
+        result = completion.result
+        if not self._view.bench.rates:
+            return completion
+        rating = self._view.bench.rate(cell.scenario, result.metrics, result.failure)
+        if rating is None:
+            raise ValueError(f"evaluation {cell.id} lacks a measure that its score needs")
+        return replace(completion, result=replace(result, score=rating.score, rating=rating.rating))
 
     def _simulated(self, cell: StoredEvaluation, completion: Completed, run: StoredRun, answers: list[AnsweredCell]) -> None:
         if completion.result.score is None or completion.result.rating is None:

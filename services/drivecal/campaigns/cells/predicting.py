@@ -23,6 +23,7 @@ from drivecal.contracts.specification import ReductionSpecification
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.parameters import ParameterSet, ParameterSpace
+from drivecal.domain.scales import plain
 from drivecal.reduction.lots import SamplingPlan, most_released
 from drivecal.reduction.prediction import (
     MOST_KNOWN,
@@ -201,7 +202,7 @@ class LotPlanner:
                 row = self._rows[cells[place].individual]
                 planned[place] = replace(
                     cells[place],
-                    predicted_score=int(forecast.predictions.scores[row]),
+                    predicted_score=plain(forecast.predictions.scores[row]),
                     predicted_rating=float(forecast.predictions.ratings[row]),
                     confidence=float(forecast.predictions.confidence[row]),
                 )

@@ -9,11 +9,17 @@ from typing import Any
 from sqlalchemy import Connection
 
 from drivecal.campaigns.resolve.problem import CalibrationProblem, catalogue_scenarios
-from drivecal.campaigns.resolve.spaces import search_parameters, space_from_document, space_to_document
+from drivecal.campaigns.resolve.spaces import (
+    covers,
+    fixed_from_document,
+    search_parameters,
+    space_from_document,
+    space_to_document,
+)
 from drivecal.contracts.specification import InfluenceMapSpecification, InfluenceSpecification
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.influence import Influence, InfluenceMap
-from drivecal.domain.parameters import Parameter, decimal, text
+from drivecal.domain.parameters import Parameter, decimal, shown, text
 from drivecal.plugins import registry
 from drivecal.sensitivity.scenario import ScenarioInfluence
 from drivecal.storage.engine.types import finite
@@ -79,6 +85,8 @@ def _influence(given: InfluenceSpecification, parameter: Parameter, where: str) 
         if given.lower is not None or given.upper is not None:
             raise InvalidInputError(Problem(where, "bounds need an influential parameter", "leave lower and upper out"))
         return Influence(influential=False)
+    if parameter.choices and not given.lower is given.upper is None:
+        raise InvalidInputError(Problem(where, "a choice has no bounds", "leave lower and upper out"))
     lower = None if given.lower is None else decimal(given.lower)
     upper = None if given.upper is None else decimal(given.upper)
     problems: list[Problem] = []
@@ -112,14 +120,15 @@ def check_basis(stored: StoredInfluenceMap, problem: CalibrationProblem) -> None
         reasons.append(f"it was made with another setup (version, vehicle or simulator) of {', '.join(other)}")
     if basis["evaluator"] != problem.bench.evaluator_id:
         reasons.append(f"it was made for the evaluator {basis['evaluator']}, not {problem.bench.evaluator_id}")
-    for name, value in basis["fixed"].items():
-        if name not in problem.space.fixed or text(problem.space.fixed[name]) != value:
-            reasons.append(f"it was made with {name} held at {value}")
-    ranges = _ranges(stored)
-    for parameter in problem.space.searched:
-        lower, upper = ranges.get(parameter.name, (parameter.lower, parameter.upper))
-        if parameter.lower < lower or parameter.upper > upper:
-            reasons.append(f"it covers {parameter.name} from {text(lower)} to {text(upper)} only")
+    for name, value in fixed_from_document(basis["fixed"]).items():
+        if problem.space.fixed.get(name) != value:
+            reasons.append(f"it was made with {name} held at {shown(value)}")
+    covered = {parameter.name: parameter for parameter in space_from_document(stored.parameters)}
+    reasons += [
+        f"it covers {parameter.name} {covered[parameter.name].extent} only"
+        for parameter in problem.space.searched
+        if parameter.name in covered and not covers(covered[parameter.name], parameter)
+    ]
     if reasons:
         remedy = "name another map, or leave `map` out to have one made"
         raise InvalidInputError(
@@ -197,13 +206,15 @@ def smallest_s_rel(analysis: Mapping[str, ScenarioInfluence]) -> dict[str, dict[
 
 def stored_map(stored: StoredInfluenceMap) -> InfluenceMap:
     """A stored map with the ranges that it was made in or checked against."""
-    held = {} if stored.basis is None else stored.basis["fixed"]
-    ranges = _ranges(stored) | {name: (Decimal(value), Decimal(value)) for name, value in held.items()}
-    return InfluenceMap(map_from_document(stored.scenarios).scenarios, ranges)
-
-
-def _ranges(stored: StoredInfluenceMap) -> dict[str, tuple[Decimal, Decimal]]:
-    return {parameter.name: (parameter.lower, parameter.upper) for parameter in space_from_document(stored.parameters)}
+    space = space_from_document(stored.parameters)
+    ranges = {parameter.name: (parameter.lower, parameter.upper) for parameter in space if not parameter.choices}
+    choices = {parameter.name: frozenset(parameter.choices) for parameter in space if parameter.choices}
+    for name, value in fixed_from_document({} if stored.basis is None else stored.basis["fixed"]).items():
+        if isinstance(value, str):
+            choices[name] = frozenset({value})
+        else:
+            ranges[name] = value, value
+    return InfluenceMap(map_from_document(stored.scenarios).scenarios, ranges, choices)
 
 
 def map_from_document(document: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> InfluenceMap:

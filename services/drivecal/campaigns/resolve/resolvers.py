@@ -17,7 +17,7 @@ from drivecal.contracts.specification import (
 )
 from drivecal.contracts.studies import STUDIES
 from drivecal.domain.errors import InvalidInputError
-from drivecal.domain.parameters import ParameterSet, ParameterSpace
+from drivecal.domain.parameters import ParameterSet, ParameterSpace, Setting
 from drivecal.domain.scenarios import Scenario
 from drivecal.plugins import registry
 from drivecal.plugins.ports import OptimizerPlugin, Vehicle
@@ -49,15 +49,18 @@ def find_scenarios(catalogue: str | list[str], diagnostics: Diagnostics) -> dict
             diagnostics.problems.extend(error.problems)
             return {}
         return {name: (loaded.name, scenario) for name, scenario in loaded.scenarios.items()}
-    every = {
-        name: (catalogue.name, scenario)
-        for catalogue in registry.catalogues()
-        for name, scenario in catalogue.scenarios.items()
-    }
+    every: dict[str, list[tuple[str, Scenario]]] = {}
+    for offered in registry.catalogues():
+        for name, scenario in offered.scenarios.items():
+            every.setdefault(name, []).append((offered.name, scenario))
     for index, name in enumerate(catalogue):
         if name not in every:
             diagnostics.add(f"catalogue[{index}]", f"there is no scenario {name!r}", f"installed: {', '.join(every)}")
-    return {name: entry for name, entry in every.items() if name in catalogue}
+        elif len(every[name]) > 1:
+            owners = [owner for owner, _ in every[name]]
+            message = f"{len(owners)} catalogues have a scenario {name!r}: {', '.join(owners)}"
+            diagnostics.add(f"catalogue[{index}]", message, f"name one of the catalogues, e.g. catalogue: {owners[0]}")
+    return {name: entries[0] for name, entries in every.items() if name in catalogue}
 
 
 def find_vehicle(specification: VehicleSpecification, diagnostics: Diagnostics) -> tuple[Vehicle | None, dict[str, float]]:
@@ -117,6 +120,17 @@ def choose_optimizer(specification: CampaignSpecification, diagnostics: Diagnost
                 diagnostics.problems.append(problem(field, detail))
         return None
     return Optimization(plugin, settings, wanted.population, wanted.iterations, wanted.seed)
+
+
+def own_baseline(
+    given: Mapping[str, Setting] | None, space: ParameterSpace | None
+) -> tuple[ParameterSet | None, tuple[str, ...]]:
+    """The problem's baseline, and a note if this campaign's space does not hold it."""
+    diagnostics = Diagnostics()
+    baseline = given_set(given, space, "baseline", diagnostics)
+    if not diagnostics.problems:
+        return baseline, ()
+    return None, (f"the problem's baseline is left out: {'; '.join(str(problem) for problem in diagnostics.problems)}",)
 
 
 def find_start_sets(

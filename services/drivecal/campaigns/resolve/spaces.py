@@ -2,17 +2,32 @@
 
 from collections.abc import Mapping, Sequence
 from decimal import Decimal
-from typing import Any
+from typing import Any, Protocol
 
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.contracts.specification import CampaignSpecification, ParameterSpecification
 from drivecal.domain.errors import InvalidInputError, Problem
-from drivecal.domain.parameters import Parameter, ParameterSet, ParameterSpace, billionths, decimal, text
-from drivecal.plugins.ports import DrivingFunction
+from drivecal.domain.parameters import Parameter, ParameterSet, ParameterSpace, Setting, Value, billionths, decimal, text
+
+
+class Parameterised(Protocol):
+    """A function under test, as far as its parameters go: a driving function, or the simulator of a bundle."""
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+
+    @property
+    def spaces(self) -> Mapping[str, tuple[Parameter, ...]]:
+        """Search spaces by name, each with all parameters in order."""
+
+    @property
+    def limits(self) -> Mapping[str, tuple[float | None, float | None]]:
+        """Smallest and largest value that a user's own space may contain, by parameter; None means unlimited."""
 
 
 def search_parameters(
-    parameters: str | Sequence[ParameterSpecification], function: DrivingFunction, field: str = "parameters"
+    parameters: str | Sequence[ParameterSpecification], function: Parameterised, field: str = "parameters"
 ) -> tuple[Parameter, ...]:
     """The grid of each listed parameter. Raises InvalidInputError for unknown spaces and names, empty grids, forbidden values."""
     if isinstance(parameters, str):
@@ -32,24 +47,37 @@ def search_parameters(
             diagnostics.add(f"{where}.name", f"{listed.name} is listed twice", "list each parameter once")
             continue
         try:
-            parameter = Parameter.from_step(
-                listed.name, decimal(listed.lower), decimal(listed.upper), decimal(listed.step), listed.unit
-            )
+            parameter = Parameter.declared(**listed.model_dump())
         except InvalidInputError as error:
             for problem in error.problems:
                 attribute = problem.field.removeprefix(f"{listed.name}.")
                 diagnostics.add(f"{where}.{attribute}", problem.message, problem.remedy)
             continue
-        _within_limits(function, listed.name, parameter.lower, f"{where}.lower", diagnostics)
-        _within_limits(function, listed.name, parameter.upper, f"{where}.upper", diagnostics)
         grids.append(parameter)
+        usual = _default_space(function)[listed.name]
+        if bool(parameter.choices) != bool(usual.choices) or not set(parameter.choices) <= set(usual.choices):
+            diagnostics.add(f"{where}.choices", f"{function.name} takes {listed.name} {usual.extent}", "list such values")
+        elif not parameter.choices:
+            _within_limits(function, listed.name, parameter.lower, f"{where}.lower", diagnostics)
+            _within_limits(function, listed.name, parameter.upper, f"{where}.upper", diagnostics)
     diagnostics.raise_if_any()
     return tuple(sorted(grids, key=lambda parameter: known.index(parameter.name)))
 
 
-def function_names(function: DrivingFunction) -> tuple[str, ...]:
+def function_names(function: Parameterised) -> tuple[str, ...]:
     """The names of all parameters of a driving function, in its order."""
-    return tuple(parameter.name for parameter in next(iter(function.spaces.values())))
+    return tuple(_default_space(function))
+
+
+def _default_space(function: Parameterised) -> dict[str, Parameter]:
+    return {parameter.name: parameter for parameter in next(iter(function.spaces.values()))}
+
+
+def covers(outer: Parameter, inner: Parameter) -> bool:
+    """Returns whether all values of a parameter lie within the range or among the choices of another one."""
+    if outer.choices or inner.choices:
+        return bool(inner.choices) and set(inner.choices) <= set(outer.choices)
+    return outer.lower <= inner.lower and inner.upper <= outer.upper
 
 
 def space_to_document(space: Sequence[Parameter]) -> list[dict[str, Any]]:
@@ -62,20 +90,40 @@ def space_to_document(space: Sequence[Parameter]) -> list[dict[str, Any]]:
             "n_values": parameter.n_values,
             "unit": parameter.unit,
         }
+        | ({} if parameter.kind == "grid" else {"kind": parameter.kind})
+        | ({"choices": list(parameter.choices)} if parameter.choices else {})
         for parameter in space
     ]
 
 
 def space_from_document(document: Sequence[Mapping[str, Any]]) -> tuple[Parameter, ...]:
-    """The inverse of `space_to_document`."""
+    """The inverse of `space_to_document`. Documents without a kind hold grids."""
     return tuple(
-        Parameter(entry["name"], Decimal(entry["lower"]), Decimal(entry["upper"]), entry["n_values"], entry["unit"])
+        Parameter(
+            entry["name"],
+            Decimal(entry["lower"]),
+            Decimal(entry["upper"]),
+            entry["n_values"],
+            entry["unit"],
+            kind=entry.get("kind", "grid"),
+            choices=tuple(entry.get("choices", ())),
+        )
         for entry in document
     )
 
 
+def fixed_to_document(fixed: Mapping[str, Value]) -> dict[str, str | dict[str, str]]:
+    """JSON-ready and exact: numbers as decimal texts, choices as `{"choice": text}`."""
+    return {name: {"choice": value} if isinstance(value, str) else text(value) for name, value in fixed.items()}
+
+
+def fixed_from_document(document: Mapping[str, str | Mapping[str, str]]) -> dict[str, Value]:
+    """The inverse of `fixed_to_document`."""
+    return {name: Decimal(value) if isinstance(value, str) else value["choice"] for name, value in document.items()}
+
+
 def search_space(
-    specification: CampaignSpecification, function: DrivingFunction, diagnostics: Diagnostics
+    specification: CampaignSpecification, function: Parameterised, diagnostics: Diagnostics
 ) -> ParameterSpace | None:
     """The space of a campaign with its fixed values; None if it is invalid, with its problems in `diagnostics`."""
     try:
@@ -84,11 +132,12 @@ def search_space(
         diagnostics.problems.extend(error.problems)
         return None
     by_name = {parameter.name: parameter for parameter in listed}
-    fixed: dict[str, Decimal] = {}
-    names = function_names(function)
+    fixed: dict[str, Value] = {}
+    defaults = _default_space(function)
+    names = tuple(defaults)
     for name, given in specification.fixed.items():
         where = f"fixed.{name}"
-        value = decimal(given)
+        value = _value(given)
         if name not in names:
             diagnostics.add(where, f"{function.name} has no parameter {name!r}", f"one of {', '.join(names)}")
         elif name in by_name:
@@ -97,8 +146,7 @@ def search_space(
             except InvalidInputError as error:
                 diagnostics.problems.extend(error.problems)
         else:
-            _exact(value, where, diagnostics)
-            _within_limits(function, name, value, where, diagnostics)
+            _check_free(function, defaults[name], value, where, diagnostics)
         fixed[name] = value
     missing = [name for name in names if name not in by_name and name not in fixed]
     if missing:
@@ -112,49 +160,57 @@ def search_space(
         diagnostics.add("fixed", "every parameter is held, so there is nothing to search", "leave at least one parameter free")
     if diagnostics.problems:
         return None
-    defaults = {parameter.name: parameter for parameter in next(iter(function.spaces.values()))}
     return ParameterSpace(tuple(by_name.get(name, defaults[name]) for name in names), fixed)
 
 
 def given_set(
-    given: Mapping[str, float] | None, space: ParameterSpace | None, field: str, diagnostics: Diagnostics
+    given: Mapping[str, Setting] | None, space: ParameterSpace | None, field: str, diagnostics: Diagnostics
 ) -> ParameterSet | None:
     """A user's set on the grid; None if it is missing or invalid, with its problems in `diagnostics`."""
     if given is None or space is None:
         return None
     try:
-        return space.parameter_set(space.indices({name: decimal(value) for name, value in given.items()}, field).tolist())
+        return space.parameter_set(space.indices({name: _value(value) for name, value in given.items()}, field).tolist())
     except InvalidInputError as error:
         diagnostics.problems.extend(error.problems)
         return None
 
 
-def free_values(given: Mapping[str, float], function: DrivingFunction, diagnostics: Diagnostics) -> dict[str, Decimal]:
-    """Values between grid points for a single evaluation: exact decimals by name, in the driving function's order."""
-    names = function_names(function)
+def free_values(given: Mapping[str, Setting], function: Parameterised, diagnostics: Diagnostics) -> dict[str, Value]:
+    """Values between grid points for a single evaluation: exact decimals and texts by name, in the driving function's order."""
+    defaults = _default_space(function)
+    names = tuple(defaults)
     for name in given:
         if name not in names:
             diagnostics.add(f"parameters.{name}", f"{function.name} has no parameter {name!r}", f"one of {', '.join(names)}")
-    values: dict[str, Decimal] = {}
+    values: dict[str, Value] = {}
     for name in names:
         where = f"parameters.{name}"
         if name not in given:
             diagnostics.add(where, "the value is missing", "give one value per parameter")
             continue
-        values[name] = decimal(given[name])
-        _exact(values[name], where, diagnostics)
-        _within_limits(function, name, values[name], where, diagnostics)
+        values[name] = _value(given[name])
+        _check_free(function, defaults[name], values[name], where, diagnostics)
     return values
 
 
-def _exact(value: Decimal, field: str, diagnostics: Diagnostics) -> None:
+def _value(given: Setting) -> Value:
+    return given if isinstance(given, str) else decimal(given)
+
+
+def _check_free(function: Parameterised, usual: Parameter, value: Value, field: str, diagnostics: Diagnostics) -> None:
+    """Adds a problem if a value is no choice of `usual`, or no exact number within the limits of the driving function."""
+    if usual.choices or isinstance(value, str):
+        diagnostics.attempt(lambda: usual.index(value, field))
+        return
     try:
         billionths(value)
     except ValueError as error:
         diagnostics.add(field, str(error), "round it")
+    _within_limits(function, usual.name, value, field, diagnostics)
 
 
-def _within_limits(function: DrivingFunction, name: str, value: Decimal, field: str, diagnostics: Diagnostics) -> None:
+def _within_limits(function: Parameterised, name: str, value: Decimal, field: str, diagnostics: Diagnostics) -> None:
     smallest, largest = function.limits.get(name, (None, None))
     if smallest is not None and value < decimal(smallest):
         diagnostics.add(field, f"{value} is too small for {name}", f"give at least {text(decimal(smallest))}")

@@ -15,7 +15,7 @@ from drivecal.contracts.specification import CampaignSpecification
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import AuditCount, Outcome
 from drivecal.domain.influence import InfluenceMap
-from drivecal.domain.parameters import billionths, from_billionths
+from drivecal.domain.parameters import billionths
 from drivecal.reduction import explanation
 from drivecal.reduction.audit import stopped_after
 from drivecal.reduction.explanation import CellComparison, Nearest
@@ -60,7 +60,7 @@ class _Case:
             self.influence_map or InfluenceMap({}),
             self.cell.scenario,
             parameters.names,
-            np.array(parameters.billionths, dtype=np.int64),
+            np.array(parameters.codes, dtype=np.int64),
             np.array([ranges[name] for name in parameters.names], dtype=np.int64),
         )
 
@@ -186,7 +186,7 @@ def _nearest(case: _Case) -> tuple[Nearest | None, int]:
 
 def _reference(case: _Case, evaluation_id: int) -> tuple[Reference, list[Difference]]:
     donor = results.by_id(case.connection, evaluation_id)
-    by_name = dict(zip(donor.parameters.names, donor.parameters.billionths, strict=True))
+    by_name = dict(zip(donor.parameters.names, donor.parameters.codes, strict=True))
     values = np.array([by_name[name] for name in case.cell.parameters.names], dtype=np.int64)
     score = donor.score
     if donor.run_id is not None and donor.campaign_sequence != case.campaign.sequence:
@@ -202,15 +202,15 @@ def _reference(case: _Case, evaluation_id: int) -> tuple[Reference, list[Differe
         score=score,
         failure=donor.failure,
     )
-    return reference, [_difference(difference) for difference in case.comparison.differences(values)]
+    return reference, [_difference(case, donor, difference) for difference in case.comparison.differences(values)]
 
 
-def _difference(difference: explanation.ParameterDifference) -> Difference:
-    influence = difference.influence
+def _difference(case: _Case, donor: StoredEvaluation, difference: explanation.ParameterDifference) -> Difference:
+    influence, name = difference.influence, difference.parameter
     return Difference(
-        parameter=difference.parameter,
-        value=float(from_billionths(difference.value)),
-        reference_value=float(from_billionths(difference.reference_value)),
+        parameter=name,
+        value=case.cell.parameters.floats[name],
+        reference_value=donor.parameters.floats[name],
         region=difference.region,
         reference_region=difference.reference_region,
         lower=None if influence.lower is None else float(influence.lower),

@@ -21,7 +21,7 @@ from drivecal.contracts.comparison import ComparisonSpecification
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
 from drivecal.domain.errors import DrivecalError
 from drivecal.domain.influence import InfluenceMap
-from drivecal.domain.setups import Setup
+from drivecal.domain.setups import fingerprint_of
 from drivecal.reduction.keys import ReferenceKeys
 from drivecal.storage import campaigns, comparisons
 from drivecal.storage.campaigns import StoredCampaign
@@ -102,7 +102,7 @@ def _check_meanings(connection: Connection) -> Iterator[str]:
     yield from _unreadable("influence map", ids, lambda identifier: stored_map(influence_maps.get(connection, identifier)))
     for row in connection.execute(select(setups)):
         try:
-            fingerprint = Setup.from_document(row.document).fingerprint
+            fingerprint = fingerprint_of(row.document)
         except _UNREADABLE as error:
             yield f"setup {row.id} cannot be read: {_first_line(error)}"
         else:

@@ -11,6 +11,7 @@ from drivecal.analysis.optima import one_per_region_first, optima
 from drivecal.analysis.robustness import Robustness, RobustnessSettings, RobustnessStudy
 from drivecal.analysis.solutions import EQUAL, Ranking
 from drivecal.campaigns.cells.planning import View
+from drivecal.campaigns.resolve.bench import Bench, driving
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.results.optima import MOST_BEST, MOST_WORSE, unit_cube
 from drivecal.campaigns.stages.stage import Round
@@ -20,6 +21,7 @@ from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
 from drivecal.domain.evaluations import CellScore
 from drivecal.domain.parameters import ParameterSet
+from drivecal.domain.scales import plain
 from drivecal.plugins.ports import Floats
 from drivecal.reduction.assignment import RequestedCell
 from drivecal.storage import campaigns, results
@@ -123,7 +125,7 @@ class RobustnessStage(StudyStage):
         return len(self._examined) * len(self._problem.scenarios) * (1 + boxes * self._settings.samples)
 
     def _ask(self) -> Round | None:
-        bench, scenarios = self._problem.bench, self._problem.scenarios
+        bench, scenarios = driving(self._problem.bench), self._problem.scenarios
         if self._study is None:
             cells = [
                 RequestedCell(index, scenario, examined.parameters)
@@ -134,7 +136,8 @@ class RobustnessStage(StudyStage):
         box = self._study.ask()
         if box is None:
             return None
-        samples, asked = self._settings.samples, []
+        samples = self._settings.samples
+        asked: list[tuple[Bench, list[RequestedCell]]] = []
         by_vehicle: dict[tuple[tuple[str, float], ...], list[RequestedCell]] = {}
         for solution, vehicles in box.vehicles.items():
             for sample, vehicle in enumerate(vehicles):
@@ -154,7 +157,7 @@ class RobustnessStage(StudyStage):
                 place = answer.individual, columns[answer.scenario]
                 self._scores[place] = np.nan if answer.score is None else answer.score
                 self._ratings[place] = np.nan if answer.rating is None else answer.rating
-            bench = self._problem.bench
+            bench = driving(self._problem.bench)
             self._study = RobustnessStudy(self._scores, bench.vehicle.parameters, bench.vehicle_parameters, self._settings)
             return
         box = None if self._study is None else self._study.ask()
@@ -219,7 +222,7 @@ class RobustnessStage(StudyStage):
             "rating": None if np.isnan(rating) else rating,
             "parameters": examined.parameters.floats,
             "scores": {
-                scenario: None if np.isnan(score) else int(score)
+                scenario: None if np.isnan(score) else plain(score)
                 for scenario, score in zip(scenarios, self._scores[solution].tolist(), strict=True)
             },
             "region": examined.region,

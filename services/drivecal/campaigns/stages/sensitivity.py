@@ -11,13 +11,13 @@ from sqlalchemy import Connection
 from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.resolve.maps import analysis_to_document, smallest_s_rel, stored_map
 from drivecal.campaigns.resolve.problem import CalibrationProblem
-from drivecal.campaigns.resolve.spaces import space_to_document
+from drivecal.campaigns.resolve.spaces import fixed_to_document, space_to_document
 from drivecal.campaigns.stages.stage import CampaignStage, Round
 from drivecal.contracts.campaign import StageCellCounts
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.events import EventKind
 from drivecal.domain.influence import InfluenceMap
-from drivecal.domain.parameters import ParameterSet, text
+from drivecal.domain.parameters import ParameterSet
 from drivecal.plugins.ports import Floats
 from drivecal.reduction.assignment import RequestedCell
 from drivecal.reduction.keys import ReferenceKeys, billionths_matrix
@@ -119,7 +119,7 @@ class Sensitivity(CampaignStage):
                 connection,
                 name=self._campaign.name,
                 source=self._campaign.id,
-                driving_function=self._problem.bench.driving_function.name,
+                driving_function=self._problem.bench.function,
                 parameters=space_to_document(self._problem.space.searched),
                 scenarios=analysis_to_document(analysis),
                 basis=self._basis(analysis),
@@ -149,7 +149,7 @@ class Sensitivity(CampaignStage):
         bench, space = self._problem.bench, self._problem.space
         return {
             "sensitivity": self._problem.specification.model_dump(mode="json")["sensitivity"],
-            "fixed": {name: text(value) for name, value in space.fixed.items()},
+            "fixed": fixed_to_document(space.fixed),
             "setups": {scenario: setup.fingerprint for scenario, setup in bench.setups.items()},
             "evaluator": bench.evaluator_id,
             "smallest_s_rel": smallest_s_rel(analysis),

@@ -11,7 +11,7 @@ from drivecal.cli.application import ExitCode, JsonOption, UrlOption, WaitTimedO
 from drivecal.cli.views import traces
 from drivecal.cli.views.output import parameters_text, print_answer, print_columns
 from drivecal.client.client import Client
-from drivecal.contracts.assignments import assignments
+from drivecal.contracts.assignments import assignments, settings
 from drivecal.contracts.evaluation import Evaluation, TraceAnswer
 from drivecal.domain.campaigns import CampaignState
 
@@ -41,7 +41,7 @@ def evaluate(
     """Drive one parameter set and show how comfortable it was."""
     differing = {} if vehicle_parameters is None else assignments(vehicle_parameters.split(","), "--vehicle-parameters")
     specification: dict[str, object] = {
-        "parameters": assignments(parameters, "parameters"),
+        "parameters": settings(parameters, "parameters"),
         "catalogue": catalogue,
         "driving_function": driving_function,
         "vehicle": {"model": vehicle, "parameters": differing},

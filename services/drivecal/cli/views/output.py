@@ -9,6 +9,7 @@ import typer
 from pydantic import BaseModel
 
 from drivecal.cli.application import tell
+from drivecal.contracts.assignments import value_text
 from drivecal.contracts.campaign import Baseline, Best, Campaign, CellCounts, StageCellCounts
 from drivecal.contracts.tables import Solution
 from drivecal.domain.events import ASKED
@@ -184,9 +185,9 @@ def saved(cells: CellCounts) -> float:
     return answered / cells.requested if cells.requested else 0.0
 
 
-def parameters_text(parameters: Mapping[str, float]) -> str:
-    """Returns values as `P1=0.5 P2=1`."""
-    return " ".join(f"{name}={value:g}" for name, value in parameters.items())
+def parameters_text(parameters: Mapping[str, float | str]) -> str:
+    """Returns values as `P1=0.5 mode=eco`."""
+    return " ".join(f"{name}={value_text(value)}" for name, value in parameters.items())
 
 
 def duration(seconds: float) -> str:

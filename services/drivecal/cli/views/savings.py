@@ -96,7 +96,7 @@ def print_narrowed(narrowed: list[Narrowed] | None) -> None:
     header = ["parameter", "lower", "upper", "of lower", "of upper", "values left out", "of"]
     rows = [
         [
-            *(cut.parameter, cut.lower, cut.upper),
+            *(cut.parameter, cut.choice or cut.lower, cut.choice or cut.upper),
             *(cut.full_lower, cut.full_upper, cut.removed_values, cut.values),
         ]
         for cut in narrowed

@@ -10,6 +10,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from drivecal.contracts.assignments import value_text
 from drivecal.contracts.setup import SearchedParameter
 from drivecal.contracts.tables import OptimumRow, Solution
 from drivecal.plugins.ports import Floats
@@ -28,15 +29,21 @@ def positions(sets: Sequence[Solution], parameters: Sequence[SearchedParameter])
     return np.array(rows, dtype=np.float64).reshape(len(sets), len(parameters))
 
 
-def _shares(values: Mapping[str, float], parameters: Sequence[SearchedParameter]) -> list[float]:
-    return [(values[each.name] - each.lower) / (each.upper - each.lower) for each in parameters]
+def _shares(values: Mapping[str, float | str], parameters: Sequence[SearchedParameter]) -> list[float]:
+    return [_share(values[each.name], each) for each in parameters]
+
+
+def _share(value: float | str, parameter: SearchedParameter) -> float:
+    """Returns the height of a value; choices are spread evenly, in the order of their list."""
+    number = parameter.choices.index(value) if isinstance(value, str) else value
+    return (number - parameter.lower) / (parameter.upper - parameter.lower)
 
 
 def drawn(
     optima: Sequence[OptimumRow],
     solutions: Sequence[Solution],
     parameters: Sequence[SearchedParameter],
-    recommended: Mapping[str, float] | None = None,
+    recommended: Mapping[str, float | str] | None = None,
 ) -> Drawn:
     """Returns Figure 12, left.
 
@@ -58,7 +65,7 @@ def drawn(
         caption += " Black with dots: the set that the robustness study recommends."
     alt = f"Parallel coordinates of {summary(optima)}"
     if same:
-        alt += " All have " + ", ".join(f"{name} = {value:g}" for name, value in same.items()) + "."
+        alt += " All have " + ", ".join(f"{name} = {value_text(value)}" for name, value in same.items()) + "."
     return Drawn("figure-12-optima", caption, optima_figure(optima[:MOST_BEST], worse, axes, same, recommended), alt=alt)
 
 
@@ -66,8 +73,8 @@ def optima_figure(
     best: Sequence[OptimumRow],
     worse: Sequence[Solution],
     parameters: Sequence[SearchedParameter],
-    same: Mapping[str, float],
-    recommended: Mapping[str, float] | None = None,
+    same: Mapping[str, float | str],
+    recommended: Mapping[str, float | str] | None = None,
 ) -> Figure:
     """Draws parallel coordinates over the searched `parameters`. `same`: the value that all best sets share, by parameter."""
     places = np.arange(len(parameters))
@@ -96,12 +103,13 @@ def optima_figure(
     return figure
 
 
-def _axis(axes: Axes, place: int, parameter: SearchedParameter, same: float | None) -> None:
+def _axis(axes: Axes, place: int, parameter: SearchedParameter, same: float | str | None) -> None:
     """Draws the bounds of a parameter, and a diamond if all best sets have the `same` value."""
-    for height, value, side in ((1.03, parameter.upper, "bottom"), (-0.03, parameter.lower, "top")):
+    upper, lower = (parameter.choices[-1], parameter.choices[0]) if parameter.choices else (parameter.upper, parameter.lower)
+    for height, value, side in ((1.03, upper, "bottom"), (-0.03, lower, "top")):
         axes.text(place, height, _value(value), ha="center", va=side, fontsize=6.5, color="#555555")
     if same is not None:
-        height = (same - parameter.lower) / (parameter.upper - parameter.lower)
+        height = _share(same, parameter)
         axes.vlines(place, 0, 1, color=INK, linewidth=2.2, zorder=4)
         axes.plot(place, height, "D", color="white", markeredgecolor=INK, markersize=6, zorder=6, gid=f"same.{parameter.name}")
 
@@ -132,11 +140,11 @@ def _lines(axes: Axes, heights: Floats, colour: str, dashes: object, width: floa
     axes.add_collection(lines)
 
 
-def _name(parameter: SearchedParameter, same: float | None) -> str:
+def _name(parameter: SearchedParameter, same: float | str | None) -> str:
     unit = "" if parameter.unit in {"", "1"} else parameter.unit
     below = unit if same is None else f"= {_value(same)} {unit}".rstrip()
     return f"{parameter.name}\n{below}"
 
 
-def _value(value: float) -> str:
-    return f"{value:g}".replace("-", "\N{MINUS SIGN}")
+def _value(value: float | str) -> str:
+    return value if isinstance(value, str) else f"{value:g}".replace("-", "\N{MINUS SIGN}")

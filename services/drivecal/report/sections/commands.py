@@ -1,13 +1,15 @@
 """Complete commands that repeat the runs of a campaign."""
 
+import shlex
 from collections.abc import Collection, Mapping
 from typing import Any
 
+from drivecal.contracts.assignments import value_text
 from drivecal.contracts.specification import EvaluationSpecification, VehicleSpecification
 
 
 def evaluation(
-    parameters: Mapping[str, float], spec: Mapping[str, Any], scenarios: Collection[str], vehicle: str | None = None
+    parameters: Mapping[str, float | str], spec: Mapping[str, Any], scenarios: Collection[str], vehicle: str | None = None
 ) -> str:
     """Returns the command that drives a parameter set as the campaign of `spec` did in its `scenarios`, or in another `vehicle` model.
 
@@ -15,7 +17,7 @@ def evaluation(
     """
     usual = EvaluationSpecification.model_fields
     given = ((name, spec.get(name)) for name in ("catalogue", "driving_function", "evaluator"))
-    words = [f"{name}={value:.10g}" for name, value in parameters.items()]
+    words = [shlex.quote(f"{name}={value_text(value, 10)}") for name, value in parameters.items()]
     words += [
         f"--{name.replace('_', '-')} {value}"
         for name, value in given

@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Sequence
 
 from drivecal.analysis.optima import NEIGHBOURS
+from drivecal.contracts.assignments import value_text
 from drivecal.contracts.setup import SearchedParameter
 from drivecal.contracts.tables import OptimumRow, Solution
 from drivecal.report.markup import paragraph, table
@@ -17,7 +18,7 @@ def searched(parameters: Iterable[SearchedParameter]) -> list[SearchedParameter]
     return [parameter for parameter in parameters if parameter.fixed is None]
 
 
-def constant(sets: Sequence[Solution], parameters: Iterable[SearchedParameter]) -> dict[str, float]:
+def constant(sets: Sequence[Solution], parameters: Iterable[SearchedParameter]) -> dict[str, float | str]:
     """Returns the parameters that have one value in all of the sets; empty for a single set."""
     if len(sets) < 2:
         return {}
@@ -47,7 +48,7 @@ def parts(
         text = f"The search found {total:,} sets that share the best objective. Of these here: {summary(optima)}"
     if len(optima) > 1:
         if same:
-            text += f" In all of them {', '.join(f'{name} = {value:g}' for name, value in same.items())}."
+            text += f" In all of them {', '.join(f'{name} = {value_text(value)}' for name, value in same.items())}."
         else:
             text += " No searched parameter has the same value in all of them."
     return [paragraph(text), *drawings, regions_table(optima)]

@@ -4,6 +4,7 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
+from drivecal.contracts.assignments import value_text
 from drivecal.contracts.setup import CampaignSetup
 from drivecal.report.data import ReportData
 from drivecal.report.markup import paragraph, subheading, table, verbatim
@@ -36,7 +37,7 @@ def setting(findings: ReportData) -> list[str]:
             parameter.lower,
             parameter.upper,
             parameter.n_values,
-            "searched" if parameter.fixed is None else f"held at {parameter.fixed:g}",
+            "searched" if parameter.fixed is None else f"held at {value_text(parameter.fixed)}",
         ]
         for parameter in setup.parameters
     ]

@@ -141,5 +141,5 @@ def _limited(row: RobustnessRow, settings: Mapping[str, Any]) -> str | None:
     return ", ".join(f"{name} ({'no result' if away is None else f'{away:.2g}'})" for name, away in distances.items()) or None
 
 
-def _key(parameters: Mapping[str, float]) -> tuple[tuple[str, float], ...]:
+def _key(parameters: Mapping[str, float | str]) -> tuple[tuple[str, float | str], ...]:
     return tuple(sorted(parameters.items()))

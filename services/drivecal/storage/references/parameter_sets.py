@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 from sqlalchemy import Connection, select
 
-from drivecal.domain.parameters import BILLION, ParameterSet
+from drivecal.domain.parameters import BILLION, ParameterSet, code
 from drivecal.storage.engine.bulk import insert, rows_among
 from drivecal.storage.engine.tables import parameter_sets
 
@@ -38,16 +38,23 @@ def load(connection: Connection, ids: Sequence[int]) -> dict[int, ParameterSet]:
 def parse(texts: Sequence[str]) -> Iterator[tuple[tuple[str, ...], list[int], npt.NDArray[np.int64]]]:
     """Stored `parameter_values` as numbers, fast, in groups of the same parameters in the same order.
 
-    Gives for each group the names, the positions in `texts`, and the values in billionths, shape (n, n_p). Reading the decimals as
-    floats is exact: with |v| <= 1e6, v * 1e9 is off by less than a quarter, which rounding removes.
+    Returns for each group the names, the positions in `texts`, and the values in billionths, texts of choices as `domain.values.code`,
+    shape (n, n_p). Reading the decimals as floats is exact: with |v| <= 1e6, v * 1e9 is off by less than a quarter, which rounding removes.
     """
-    groups: dict[tuple[str, ...], tuple[list[int], list[list[float]]]] = {}
+    groups: dict[tuple[str, ...], tuple[list[int], list[list[float | str]]]] = {}
     for position, document in enumerate(json.loads(f"[{','.join(texts)}]")):
         positions, values = groups.setdefault(tuple(document), ([], []))
         positions.append(position)
         values.append(list(document.values()))
     for names, (positions, values) in groups.items():
-        yield names, positions, np.rint(np.array(values, dtype=np.float64) * BILLION).astype(np.int64)
+        yield names, positions, np.column_stack([_column(column) for column in zip(*values, strict=True)])
+
+
+def _column(values: Sequence[float | str]) -> npt.NDArray[np.int64]:
+    """Returns the values of a parameter as integers, shape (n,). A name may stand for a number in one problem and a choice in another."""
+    if any(isinstance(value, str) for value in values):
+        return np.array([code(value) if isinstance(value, str) else round(value * BILLION) for value in values], dtype=np.int64)
+    return np.rint(np.array(values, dtype=np.float64) * BILLION).astype(np.int64)
 
 
 def _ids(connection: Connection, keys: Sequence[bytes]) -> dict[bytes, int]:

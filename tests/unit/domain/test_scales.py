@@ -1,0 +1,31 @@
+"""What a score's numbers mean."""
+
+from __future__ import annotations
+
+import pytest
+from tests.support.scales import COST
+
+from drivecal.domain.scales import COMFORT, Scale, plain
+
+
+@pytest.mark.parametrize("scale", [COMFORT, COST])
+def test_a_scale_survives_its_document(scale: Scale) -> None:
+    assert Scale.from_json(scale.to_json()) == scale
+
+
+def test_better_scores_have_a_higher_signed_value() -> None:
+    assert COMFORT.is_better(6, 5.5)
+    assert COST.is_better(5.5, 6)
+    assert (COMFORT.best, COMFORT.worst, COMFORT.span) == (7, 0, 7)
+    assert (COST.best, COST.worst, COST.span) == (0, 100, 100)
+
+
+def test_whole_scores_are_integers_and_others_stay_what_they_are() -> None:
+    assert [repr(plain(score)) for score in (6, 6.0, -0.0, 0.1 + 0.2, 1e300)] == [
+        "6",
+        "6",
+        "0",
+        repr(0.1 + 0.2),
+        "1e+300",
+    ]
+    assert (COMFORT.is_whole, COST.is_whole) == (True, False)
