@@ -6,6 +6,7 @@ from dataclasses import replace
 from difflib import get_close_matches
 from typing import Any
 
+from drivecal.bundles.archives import MANIFEST
 from drivecal.bundles.expressions import Constraint, Formula
 from drivecal.bundles.manifest import (
     CommandSimulator,
@@ -25,7 +26,6 @@ from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.evaluations import Breakdown
 from drivecal.domain.parameters import Parameter, decimal
 
-MANIFEST = "problem.yaml"
 Executables = Mapping[str, bool]
 """Files of a bundle by path, and whether each is executable."""
 _DIGEST = re.compile(r"[0-9a-f]{64}")
