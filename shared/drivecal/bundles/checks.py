@@ -56,7 +56,7 @@ def checked(document: object, files: Executables | None = None) -> Manifest:
         manifest = validated(Manifest, document)
         problems, faulty = [], set[str]()
     except InvalidInputError as error:
-        problems = list(error.problems)
+        problems = [_cut_formula(problem) for problem in error.problems]
         faulty = {re.split(r"[.\[]", problem.field)[0] for problem in problems}
         if not isinstance(document, dict) or not faulty <= _PLACEHOLDERS.keys() | document.keys():
             raise
@@ -66,6 +66,12 @@ def checked(document: object, files: Executables | None = None) -> Manifest:
     if problems:
         raise InvalidInputError(*dict.fromkeys(problems))
     return manifest
+
+
+def _cut_formula(problem: Problem) -> Problem:
+    """Returns a better remedy if YAML has cut a formula at its comma, as in `{formula: max(a, b), ...}`."""
+    is_cut = problem.field.startswith("scores.") and problem.field.endswith(")") and problem.message == "there is no such field"
+    return replace(problem, remedy="put a formula with commas into quotes") if is_cut else problem
 
 
 def _semantic_problems(manifest: Manifest, faulty: set[str], files: Executables | None) -> Iterator[Problem]:

@@ -200,6 +200,15 @@ def test_all_faults_of_all_sections_are_named_at_once() -> None:
     assert faults(given) == (wanted - {"measures.min_ttc_s"}) | {"scores.cost.formula"}
 
 
+def test_a_formula_that_yaml_cut_at_a_comma_is_recognised() -> None:
+    score = yaml.safe_load("{formula: max(energy_kwh, min_ttc_s), direction: maximise, range: [0, 1]}")
+    with pytest.raises(InvalidInputError) as refusal:
+        checked(document(scores={"cost": score}))
+    [problem] = refusal.value.problems
+    assert problem.field == "scores.cost.min_ttc_s)"
+    assert "quotes" in problem.remedy
+
+
 def test_files_are_not_looked_for_if_they_are_not_known() -> None:
     assert checked(changed("simulator/command/0", "./sim")).problem == "my-acc"
 
