@@ -7,11 +7,12 @@ import zipfile
 from pathlib import Path
 
 import pytest
-from tests.support.simulators import Declared, lost, opened
+from tests.support.simulators import lost, opened
 
 from drivecal.adapters.python_driver import answer, fits
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
+from drivecal.plugins.simulators import Declared
 
 
 def write(folder: Path, body: str, head: str = "") -> None:
