@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-import os
 import pickle
 from pathlib import Path
 
 import pytest
-from tests.support.simulators import DECLARED, PYTHON, lost, opened, served, write_script, write_server
+from tests.support.simulators import DECLARED, PYTHON, eventually, lost, opened, served, write_script, write_server
 
 from drivecal.adapters import pipes, process
 from drivecal.adapters.scratch import environment
@@ -138,14 +137,14 @@ def test_a_line_that_nobody_asked_for_costs_no_run(tmp_path: Path) -> None:
     with served(tmp_path, body) as session:
         for _ in range(3):
             assert session.evaluate({"x": 1.0}).measures == {"y": 1.0}
-            session._pipes._poll.poll()  # waits for the goodbye
+            eventually(lambda: not session._pipes.is_fresh())
 
 
 def test_a_process_that_ended_between_two_runs_costs_no_run(tmp_path: Path) -> None:
     with served(tmp_path, "answer(id=request['id'], measures=dict(y=1.0))\nos._exit(0)") as session:
         for _ in range(3):
             assert session.evaluate({"x": 1.0}).measures == {"y": 1.0}
-            session._pipes._poll.poll()  # waits for the end
+            eventually(lambda: not session._pipes.is_fresh())
 
 
 def test_a_process_that_does_not_read_a_large_request_is_a_hang(tmp_path: Path) -> None:
@@ -206,11 +205,11 @@ def test_a_process_works_beside_links_to_the_bundle_and_leaves_it_as_it_is(tmp_p
 
 
 def test_closing_twice_and_after_faults_leaves_nothing(tmp_path: Path) -> None:
-    before = set(os.listdir("/proc/self/fd"))
+    before = {path.name for path in Path("/proc/self/fd").iterdir()}
     with served(tmp_path, "os.abort()", quit="while True: pass") as session:
         lost(session, {"x": 1.0}, Breakdown.CRASH)
         session.close()
-    assert set(os.listdir("/proc/self/fd")) == before
+    assert {path.name for path in Path("/proc/self/fd").iterdir()} == before
 
 
 def test_a_process_may_end_by_itself(tmp_path: Path) -> None:

@@ -4,8 +4,8 @@ It starts a child on request, limits it, and ends all its descendants: when the 
 gone. As a subreaper it inherits orphans, including those in sessions of their own, so none is missed. A worker cannot do this itself:
 `preexec_fn` is unsafe beside threads, the signal of a parent's death follows the starting thread, and orphans would mix with others.
 
-Runs by path, `python -I -S keeper.py FD`, with the standard library only. FD is a socket of messages (SOCK_SEQPACKET): the worker sends `s` with three
-descriptors (standard input, output, error) for a start and `t` for an end; the keeper answers in JSON, see `Keeper`.
+Runs by path, `python -I -S keeper.py FD`, with the standard library only. FD is a socket of messages (SOCK_SEQPACKET): the worker sends
+`s` with three descriptors (standard input, output, error) for a start and `t` for an end; the keeper answers in JSON, see `Keeper`.
 """
 
 import contextlib
@@ -94,7 +94,8 @@ class Keeper:
         self._statuses: dict[int, int] = {}
 
     def serve(self) -> None:
-        """Serves until the worker closes the socket or dies."""
+        """Reports its own number as `{"keeper": n}` and serves until the worker closes the socket or dies."""
+        self._say({"keeper": os.getpid()})
         reader, writer = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
         signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
         signal.signal(signal.SIGCHLD, lambda *_: None)
@@ -232,10 +233,15 @@ def remove(folder: Path) -> None:
 
 
 def main() -> None:
-    """Reads the settings from standard input and serves; removes the scratch folder at the end."""
+    """Reads the settings from standard input and serves; removes the scratch folder at the end.
+
+    Serves in a process that is not a child of the worker: Ray kills a worker's children before the keeper could end theirs.
+    """
     for number in IGNORED:
         signal.signal(number, signal.SIG_IGN)
     settings = json.load(sys.stdin)
+    if os.fork():
+        os._exit(0)
     keeper = Keeper(socket.socket(fileno=int(sys.argv[1])), settings)
     try:
         keeper.serve()
