@@ -18,6 +18,7 @@ from drivecal.campaigns.resolve.spaces import fixed_to_document, free_values, gi
 from drivecal.contracts.campaign import ExpectedRuns
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, SensitivitySpecification
 from drivecal.contracts.work import Batch, Cell, SetupRequest
+from drivecal.domain.constraints import Constraints
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.influence import InfluenceMap
 from drivecal.domain.parameters import Indices, Parameter, ParameterSet, ParameterSpace
@@ -105,13 +106,15 @@ class CalibrationProblem:
     robust_sets: tuple[ParameterSet, ...]
     """The sets that the robustness stage always examines."""
     notes: tuple[str, ...]
+    constraints: Constraints
+    """Constraints over the parameters; none for a plug-in without."""
 
     def analysis(self) -> SensitivityAnalysis | None:
         """A new sensitivity analysis; None if the specification names a map or wants no analysis."""
         wanted = self.specification.sensitivity
         if not isinstance(wanted, SensitivitySpecification):
             return None
-        return resolvers.plan_analysis(wanted, self.space, self.scenarios)
+        return resolvers.plan_analysis(wanted, self.constraints, self.scenarios)
 
     @property
     def checked_certificates(self) -> float | None:
@@ -132,10 +135,11 @@ class CalibrationProblem:
 
     def search_area(self, influence_map: InfluenceMap | None) -> SearchArea:
         """Returns the common area if `reduction.narrow` requests it, widened to hold the start sets; else the whole space. It depends only
-        on specification and influence map, so a campaign can resume."""
+        on specification and influence map, so a campaign can resume. A common area without a set that keeps all constraints is not used."""
         if influence_map is None or not self.specification.reduction.narrow:
             return full_area(self.space)
-        return common_area(self.space, influence_map, self.scenarios, self.start_indices)
+        area = common_area(self.space, influence_map, self.scenarios, self.start_indices)
+        return area if self.constraints.allow_any(area.first, area.last) else full_area(self.space)
 
     def expected_runs(self) -> ExpectedRuns:
         """The number of simulations if no cell can be answered without one."""
@@ -212,23 +216,29 @@ def resolve(specification: CampaignSpecification) -> CalibrationProblem:
     notes += resolvers.note_vehicle(vehicle, vehicle_parameters)
     notes += resolvers.note_threshold(specification)
     space = None if function is None else search_space(specification, function, diagnostics)
-    baseline = given_set(specification.baseline, space, "baseline", diagnostics)
-    start_sets = resolvers.find_start_sets(specification, baseline, space, diagnostics)
-    robust_sets = resolvers.find_robust_sets(specification, vehicle, vehicle_parameters, list(weights), space, diagnostics)
+    constraints = None if space is None else resolvers.find_constraints(function, space, diagnostics)
+    resolvers.check_abilities(optimization, constraints, diagnostics)
+    baseline = given_set(specification.baseline, constraints, "baseline", diagnostics)
+    start_sets = resolvers.find_start_sets(specification, baseline, constraints, diagnostics)
+    robust_sets = resolvers.find_robust_sets(
+        specification, vehicle, vehicle_parameters, list(weights), constraints, diagnostics
+    )
     resolvers.check_validation(specification, diagnostics)
     if specification.reduction.narrow and specification.sensitivity is None:
         remedy = "ask for a sensitivity analysis, name a map, or leave `narrow` out"
         diagnostics.add("reduction.narrow", "there is no influence map by which the search space could be narrowed", remedy)
-    if space is not None and isinstance(specification.sensitivity, SensitivitySpecification):
+    if constraints is not None and isinstance(specification.sensitivity, SensitivitySpecification):
         try:
-            resolvers.plan_analysis(specification.sensitivity, space, tuple(weights))
+            resolvers.plan_analysis(specification.sensitivity, constraints, tuple(weights))
         except InvalidInputError as error:
             diagnostics.problems.extend(error.problems)
     diagnostics.raise_if_any()
-    if function is None or vehicle is None or evaluator is None or space is None:
+    if function is None or vehicle is None or evaluator is None or space is None or constraints is None:
         raise AssertionError("a part is missing without a finding")
     bench = Bench({name: scenarios[name] for name in weights}, function, vehicle, vehicle_parameters, evaluator)
-    return CalibrationProblem(specification, bench, space, weights, optimization, baseline, start_sets, robust_sets, notes)
+    return CalibrationProblem(
+        specification, bench, space, weights, optimization, baseline, start_sets, robust_sets, notes, constraints
+    )
 
 
 def resolve_evaluation(specification: EvaluationSpecification) -> EvaluationProblem:
@@ -247,8 +257,10 @@ def resolve_evaluation(specification: EvaluationSpecification) -> EvaluationProb
     diagnostics.raise_if_any()
     if function is None or vehicle is None or evaluator is None:
         raise AssertionError("a part is missing without a finding")
+    parameter_set = ParameterSet.of(values)
+    resolvers.constraints_of(function, ParameterSpace(next(iter(function.spaces.values())))).check(parameter_set, "parameters")
     bench = Bench(scenarios, function, vehicle, vehicle_parameters, evaluator)
-    return EvaluationProblem(bench, ParameterSet.of(values))
+    return EvaluationProblem(bench, parameter_set)
 
 
 def catalogue_scenarios(catalogue: str | list[str]) -> dict[str, tuple[str, Scenario]]:
