@@ -9,12 +9,13 @@ from __future__ import annotations
 import struct
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from drivecal.contracts.work import Cell, SetupRequest
 
 SetupKey = tuple[str, str, str, str]
 """Key shared by requests that run and rate the same."""
-Identity = tuple[SetupKey, tuple[str, ...], bytes]
+Identity = tuple[SetupKey, tuple[str, ...], bytes | tuple[Any, ...]]
 """Key shared by cells whose results are the same, bit by bit."""
 
 WITNESSES = 2
@@ -139,4 +140,7 @@ class InFlightCells:
 
 def _identity(key: SetupKey, cell: Cell) -> Identity:
     names = tuple(sorted(cell.parameters))
-    return key, names, struct.pack(f"{len(names)}d", *(cell.parameters[name] for name in names))
+    values = tuple(cell.parameters[name] for name in names)
+    if any(isinstance(value, str) for value in values):
+        return key, names, values
+    return key, names, struct.pack(f"{len(names)}d", *values)
