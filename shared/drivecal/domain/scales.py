@@ -65,6 +65,10 @@ class Scale:
         """Whether `score` is better than `other`."""
         return self.sign * score > self.sign * other
 
+    def worth(self, score: float, *, failed: bool = False) -> float:
+        """Returns what a run counts: a failed run is worth `failed`, and no run is worth less."""
+        return self.failed if failed or self.is_better(self.failed, score) else score
+
     def is_wrong(self, difference: float) -> bool:
         """Whether scores with this difference count as wrong, with room for rounding."""
         return abs(difference) > self.tolerance + 1e-9

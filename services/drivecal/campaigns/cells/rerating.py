@@ -4,8 +4,9 @@ import logging
 from math import isfinite, nan
 
 from drivecal.campaigns.cells.planning import View, ensure_setups
-from drivecal.domain.evaluations import FAILED_RATING, Rating
+from drivecal.domain.evaluations import Rating
 from drivecal.domain.parameters import ParameterSet
+from drivecal.domain.scales import Scale
 from drivecal.domain.scenarios import Manoeuvre
 from drivecal.plugins.ports import Evaluator, SeriesEvaluator
 from drivecal.storage.engine.database import Database
@@ -22,15 +23,15 @@ def rate_stored_runs(database: Database, view: View, only: ParameterSet | None =
     """Rates every visible run that the campaign's evaluator has not rated; returns the number of new ratings.
 
     `only` limits this to one parameter set. Call it before planning: the campaign then sees every possible rating, and other campaigns add
-    none. Failed runs score 0 with every evaluator. Runs that lack the evaluator's metrics stay unrated and are simulated when needed; so do
-    successful runs if it needs time series. Resumable: rated runs are skipped.
+    none. Failed runs are worth the scale's `failed` with every evaluator. Runs that lack the evaluator's metrics stay unrated and are
+    simulated when needed; so do successful runs if it needs time series. Resumable: rated runs are skipped.
     """
     with database.transaction() as connection:
         if ratings.are_all_by(connection, view.bench.evaluator_id):
             return 0
         setup_ids = ensure_setups(connection, view.bench)
         number = None if only is None else parameter_sets.ensure(connection, [only])[0]
-    evaluator, evaluator_id = view.bench.evaluator, view.bench.evaluator_id
+    evaluator, evaluator_id, scale = view.bench.evaluator, view.bench.evaluator_id, view.bench.scale
     total = missing = 0
     for scenario, setup_id in setup_ids.items():
         manoeuvre = view.bench.scenarios[scenario][1].manoeuvre
@@ -49,7 +50,7 @@ def rate_stored_runs(database: Database, view: View, only: ParameterSet | None =
                 )
             if not unrated:
                 break
-            rated = [(run.id, rating) for run in unrated if (rating := _rating(evaluator, manoeuvre, run)) is not None]
+            rated = [(run.id, rating) for run in unrated if (rating := _rating(evaluator, manoeuvre, run, scale)) is not None]
             with database.transaction() as connection:
                 ratings.insert(connection, evaluator_id, rated)
             total, missing, reached = total + len(rated), missing + len(unrated) - len(rated), unrated[-1].id
@@ -88,12 +89,12 @@ def note_of(database: Database, view: View) -> str | None:
     return f"all campaigns together left {count} of these setups that {bench.evaluator_id} did not rate at first: {'; '.join(parts)}"
 
 
-def _rating(evaluator: Evaluator, manoeuvre: Manoeuvre, run: UnratedRun) -> Rating | None:
+def _rating(evaluator: Evaluator, manoeuvre: Manoeuvre, run: UnratedRun, scale: Scale) -> Rating | None:
     if run.failure is not None:
-        return FAILED_RATING
+        return Rating(scale.failed, scale.failed)
     metrics = {name: nan if value is None else value for name, value in run.metrics.items()}
     try:
         rating = evaluator.rate(manoeuvre, metrics)
     except (KeyError, ValueError):  # a metric that was not measured then, or not finite
         return None
-    return rating if isfinite(rating.rating) else None
+    return Rating(scale.worth(rating.rating), scale.worth(rating.score)) if isfinite(rating.rating) else None
