@@ -111,7 +111,7 @@ class CalibrationProblem:
         wanted = self.specification.sensitivity
         if not isinstance(wanted, SensitivitySpecification):
             return None
-        return resolvers.plan_analysis(wanted, self.space, self.scenarios)
+        return resolvers.plan_analysis(wanted, self.space, self.scenarios, self.bench.scale)
 
     @property
     def checked_certificates(self) -> float | None:

@@ -18,6 +18,7 @@ from drivecal.contracts.specification import (
 from drivecal.contracts.studies import STUDIES
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.parameters import ParameterSet, ParameterSpace
+from drivecal.domain.scales import COMFORT, Scale
 from drivecal.domain.scenarios import Scenario
 from drivecal.plugins import registry
 from drivecal.plugins.ports import OptimizerPlugin, Vehicle
@@ -175,7 +176,9 @@ def check_validation(specification: CampaignSpecification, diagnostics: Diagnost
         diagnostics.add("validation.largest", message, "give at least as many")
 
 
-def plan_analysis(wanted: SensitivitySpecification, space: ParameterSpace, scenarios: Sequence[str]) -> SensitivityAnalysis:
+def plan_analysis(
+    wanted: SensitivitySpecification, space: ParameterSpace, scenarios: Sequence[str], scale: Scale = COMFORT
+) -> SensitivityAnalysis:
     """Plans a new sensitivity analysis. Raises InvalidInputError if the space does not allow it."""
     threshold = wanted.threshold
     settings = SensitivitySettings(
@@ -188,7 +191,7 @@ def plan_analysis(wanted: SensitivitySpecification, space: ParameterSpace, scena
         seed=wanted.seed,
         sequential=wanted.sequential,
     )
-    return SensitivityAnalysis(space, scenarios, settings)
+    return SensitivityAnalysis(space, scenarios, settings, scale)
 
 
 def normalise_weights(
