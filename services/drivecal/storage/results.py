@@ -208,12 +208,13 @@ def answers(
         yield CellScore(*row)
 
 
-def best_simulated(connection: Connection, campaign_sequence: int, weights: Mapping[str, float]) -> float | None:
+def best_simulated(connection: Connection, campaign_sequence: int, weights: Mapping[str, float], sign: int = 1) -> float | None:
     """The best weighted objective among the sets of a calibration that have a score of their own in every scenario: simulated, certified or
-    repeated, none from a reference. None if there is no such set."""
+    repeated, none from a reference. None if there is no such set. `sign`: -1 if lower objectives are better."""
+    best = func.max if sign > 0 else func.min
     table = evaluations.c
     of_its_own = (
-        select(table.parameter_set_id, table.scenario, func.max(table.score).label("score"))
+        select(table.parameter_set_id, table.scenario, best(table.score).label("score"))
         .where(
             table.campaign_sequence == campaign_sequence,
             table.stage == StageName.CALIBRATION,
@@ -230,8 +231,8 @@ def best_simulated(connection: Connection, campaign_sequence: int, weights: Mapp
         .having(func.count() == len(weights))
         .subquery()
     )
-    maximum: float | None = connection.scalar(select(func.max(objectives.c.objective)))
-    return maximum
+    objective: float | None = connection.scalar(select(best(objectives.c.objective)))
+    return objective
 
 
 def sets_since(connection: Connection, campaign_sequence: int, stage: StageName, iteration: int) -> list[int]:

@@ -8,6 +8,8 @@ from typing import Any
 
 LARGEST_EXACT = 2**53
 """Whole numbers below it are the same as floats."""
+ROUNDING_SHARE = 1e-9
+"""Share of the span up to which scores without steps count as equal."""
 
 
 class Direction(StrEnum):
@@ -64,6 +66,15 @@ class Scale:
     def is_better(self, score: float, other: float) -> bool:
         """Whether `score` is better than `other`."""
         return self.sign * score > self.sign * other
+
+    def worth(self, score: float, *, failed: bool = False) -> float:
+        """Returns what a run counts: a failed run is worth `failed`, and no run is worth less."""
+        return self.failed if failed or self.is_better(self.failed, score) else score
+
+    @property
+    def rounding(self) -> float:
+        """Largest difference of scores that count as equal."""
+        return 0.0 if self.step is not None else ROUNDING_SHARE * self.span
 
     def is_wrong(self, difference: float) -> bool:
         """Whether scores with this difference count as wrong, with room for rounding."""

@@ -29,3 +29,9 @@ def test_whole_scores_are_integers_and_others_stay_what_they_are() -> None:
         "1e+300",
     ]
     assert (COMFORT.is_whole, COST.is_whole) == (True, False)
+
+
+def test_no_run_is_worth_less_than_a_failed_one() -> None:
+    assert [COMFORT.worth(score) for score in (6, 0, -3)] == [6, 0, 0]
+    assert [COST.worth(score) for score in (6.5, 100, 170.25)] == [6.5, 100, 100]
+    assert (COMFORT.worth(7, failed=True), COST.worth(0.0, failed=True)) == (0, 100)

@@ -17,6 +17,7 @@ from drivecal.campaigns.resolve.bench import Bench
 from drivecal.contracts.work import Cell, Probe, SetupRequest
 from drivecal.domain.errors import RefutedError
 from drivecal.domain.evaluations import Donor, Outcome
+from drivecal.domain.scales import plain
 from drivecal.execution.measures import MEASURES
 from drivecal.execution.scheduling.in_flight import Work
 from drivecal.execution.scheduling.scheduler import Completed
@@ -132,6 +133,7 @@ class CellTracker:
                 orphans += self._break_down(cell, completion, answers)
         proofs = dict(pair for _, simulation in finished for pair in simulation.result.probed)
         self._proofs |= proofs
+        finished = [(cell, self._valued(completion)) for cell, completion in finished]
         stored = runs.insert_results(connection, [self._new_run(cell, simulation) for cell, simulation in finished])
         for (cell, simulation), run in zip(finished, stored, strict=True):
             self._simulated(cell, simulation, run, answers)
@@ -144,6 +146,14 @@ class CellTracker:
             withdrawn = withdraw_certified(connection, self._refuted_setups)
             log.error("%s; %d answers of its setup by certificates are withdrawn", self._refuted, withdrawn)
         return self._work([*again, *orphans])
+
+    def _valued(self, completion: Completed) -> Completed:
+        """Returns a result whose score a failed run cannot beat (`Scale.worth`)."""
+        result, scale = completion.result, self._view.bench.scale
+        if result.score is None or result.rating is None:
+            return completion
+        score, rating = (scale.worth(value, failed=result.failure is not None) for value in (result.score, result.rating))
+        return replace(completion, result=replace(result, score=plain(score), rating=float(rating)))
 
     def _settle(self, connection: Connection, answers: list[AnsweredCell]) -> list[StoredEvaluation]:
         """Stores answers and the verdicts that follow from them; returns the cells of rejected lots, to be simulated."""

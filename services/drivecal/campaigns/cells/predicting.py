@@ -49,7 +49,7 @@ GROWTH = 1.25
 LIKELY = 0.25
 """Share of a batch that a predictor is expected to save if it has saved nothing yet."""
 REACH = 0.5
-"""Standard deviations above its believed objective at which a set is within reach of the best one."""
+"""Standard deviations on the better side of its believed objective at which a set is within reach of the best one."""
 
 
 def slice_size(population: int) -> int:
@@ -238,9 +238,10 @@ class LotPlanner:
 
     def _promoted(self, cells: Sequence[NewEvaluation], best: float | None) -> set[int]:
         """Individuals whose predicted objective reaches the best simulated one, or whose mean one is less than `REACH` standard deviations
-        below it. Without a prediction, the newest known scores of the scenario tell mean and deviation."""
+        worse. Without a prediction, the newest known scores of the scenario tell mean and deviation."""
         if best is None:
             return set()
+        sign = self._view.bench.scale.sign
         predicted: dict[int, float] = defaultdict(float)
         means: dict[int, float] = defaultdict(float)
         variances: dict[int, float] = defaultdict(float)
@@ -263,7 +264,8 @@ class LotPlanner:
         return {
             individual
             for individual, mean in means.items()
-            if max(predicted[individual], mean + REACH * math.sqrt(variances[individual])) >= best - ROUNDING
+            if max(sign * predicted[individual], sign * mean + REACH * math.sqrt(variances[individual]))
+            >= sign * best - ROUNDING
         }
 
 

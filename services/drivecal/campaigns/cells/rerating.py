@@ -17,8 +17,8 @@ def rate_stored_runs(database: Database, view: View, only: ParameterSet | None =
     """Rates every visible run that the campaign's evaluator has not rated; returns the number of new ratings.
 
     `only` limits this to one parameter set. Call it before planning: the campaign then sees every possible rating, and other campaigns add
-    none. Failed runs score 0 with every evaluator. Runs that lack the evaluator's metrics stay unrated and are simulated when needed; so do
-    successful runs if it needs time series. Resumable: rated runs are skipped.
+    none. Failed runs are worth the scale's `failed` with every evaluator. Runs that lack the evaluator's metrics stay unrated and are
+    simulated when needed; so do successful runs if it needs time series. Resumable: rated runs are skipped.
     """
     with database.transaction() as connection:
         if ratings.are_all_by(connection, view.bench.evaluator_id):

@@ -8,7 +8,7 @@ from typing import Protocol
 
 from drivecal.contracts.work import DriveRequest, SetupRequest
 from drivecal.domain.errors import ConflictError
-from drivecal.domain.evaluations import FAILED_RATING, Rating
+from drivecal.domain.evaluations import Rating
 from drivecal.domain.parameters import Parameter
 from drivecal.domain.scales import COMFORT, Scale
 from drivecal.domain.scenarios import Scenario
@@ -147,14 +147,15 @@ class DrivingBench:
 
     def rate(self, scenario: str, metrics: Mapping[str, float | None], failure: str | None) -> Rating | None:
         """Rates a run by its metrics; a failed run scores 0 with every evaluator."""
+        scale = self.scale
         if failure is not None:
-            return FAILED_RATING
+            return Rating(scale.failed, scale.failed)
         known = {name: nan if value is None else value for name, value in metrics.items()}
         try:
             rating = self.evaluator.rate(self.catalogued[scenario][1].manoeuvre, known)
         except (KeyError, ValueError):  # a metric that was not measured then, or not finite
             return None
-        return rating if isfinite(rating.rating) else None
+        return Rating(scale.worth(rating.rating), scale.worth(rating.score)) if isfinite(rating.rating) else None
 
 
 def driving(bench: Bench) -> DrivingBench:

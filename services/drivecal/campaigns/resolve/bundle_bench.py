@@ -126,7 +126,7 @@ class BundleBench:
             value = self._formula(known)
         except UndefinedError:
             value = scale.failed
-        worth = scale.failed if scale.is_better(scale.failed, value) else value
+        worth = scale.worth(value)
         return Rating(worth, worth)
 
     @property

@@ -54,7 +54,7 @@ class CalibrationProblem:
         wanted = self.specification.sensitivity
         if not isinstance(wanted, SensitivitySpecification):
             return None
-        return resolvers.plan_analysis(wanted, self.constraints, self.scenarios)
+        return resolvers.plan_analysis(wanted, self.constraints, self.scenarios, self.bench.scale)
 
     @property
     def checked_certificates(self) -> float | None:

@@ -20,6 +20,7 @@ from drivecal.contracts.studies import STUDIES
 from drivecal.domain.constraints import Constraints
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.parameters import Indices, ParameterSet, ParameterSpace, Setting
+from drivecal.domain.scales import COMFORT, Scale
 from drivecal.domain.scenarios import Scenario
 from drivecal.optimizers import abilities
 from drivecal.optimizers.repair import Repair, RepairingOptimizer
@@ -247,7 +248,9 @@ def check_abilities(optimization: Optimization | None, constraints: Constraints 
         diagnostics.add("optimizer.kind", message, remedy)
 
 
-def plan_analysis(wanted: SensitivitySpecification, constraints: Constraints, scenarios: Sequence[str]) -> SensitivityAnalysis:
+def plan_analysis(
+    wanted: SensitivitySpecification, constraints: Constraints, scenarios: Sequence[str], scale: Scale = COMFORT
+) -> SensitivityAnalysis:
     """Plans a new sensitivity analysis. Raises InvalidInputError if the space does not allow it."""
     threshold = wanted.threshold
     settings = SensitivitySettings(
@@ -260,7 +263,8 @@ def plan_analysis(wanted: SensitivitySpecification, constraints: Constraints, sc
         seed=wanted.seed,
         sequential=wanted.sequential,
     )
-    return SensitivityAnalysis(constraints.space, scenarios, settings, constraints.feasible if constraints else None)
+    feasible = constraints.feasible if constraints else None
+    return SensitivityAnalysis(constraints.space, scenarios, settings, scale, feasible)
 
 
 def normalise_weights(

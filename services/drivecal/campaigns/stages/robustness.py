@@ -21,7 +21,7 @@ from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
 from drivecal.domain.evaluations import CellScore
 from drivecal.domain.parameters import ParameterSet
-from drivecal.domain.scales import plain
+from drivecal.domain.scales import Scale, plain
 from drivecal.plugins.ports import Floats
 from drivecal.reduction.assignment import RequestedCell
 from drivecal.storage import campaigns, results
@@ -39,7 +39,7 @@ class Examined:
     to_worse: float | None
 
 
-def settings_of(wanted: RobustnessSpecification) -> RobustnessSettings:
+def settings_of(wanted: RobustnessSpecification, scale: Scale) -> RobustnessSettings:
     """The settings of the pure study."""
     return RobustnessSettings(
         delta=wanted.delta,
@@ -49,6 +49,7 @@ def settings_of(wanted: RobustnessSpecification) -> RobustnessSettings:
         condition=wanted.condition,
         refinements=wanted.refinements,
         seed=wanted.seed,
+        least=scale.tolerance,
     )
 
 
@@ -85,7 +86,8 @@ class RobustnessStage(StudyStage):
         wanted = problem.specification.robustness
         if wanted is None:
             raise ValueError("the campaign has no robustness stage")
-        self._wanted, self._settings = wanted, settings_of(wanted)
+        self._wanted, self._settings = wanted, settings_of(wanted, problem.bench.scale)
+        self._sign = problem.bench.scale.sign
         self._examined = self._choose()
         self._scores = np.full((len(self._examined), len(problem.scenarios)), np.nan)
         self._ratings = self._scores.copy()
@@ -93,13 +95,13 @@ class RobustnessStage(StudyStage):
 
     def _choose(self) -> list[Examined]:
         """The named sets, then the best sets of the calibration, one of each region first."""
-        standing, of = Ranking(self._problem.weights), self._wanted.of
+        standing, of = Ranking(self._problem.weights, self._sign), self._wanted.of
         with self._database.read() as connection:
             source = self._campaign if of is None else campaigns.get(connection, of)
             standing.add(results.answers(connection, source.sequence, StageName.CALIBRATION))
             ranking = standing.ranking()
-            least = ranking[0].objective - self._wanted.within - EQUAL if ranking else 0.0
-            enough = sum(1 for solution in ranking if solution.objective >= least)
+            least = self._sign * ranking[0].objective - self._wanted.within - EQUAL if ranking else 0.0
+            enough = sum(1 for solution in ranking if self._sign * solution.objective >= least)
             best, worse = ranking[: min(enough, MOST_BEST)], ranking[enough : enough + MOST_WORSE]
             sets = parameter_sets.load(connection, [solution.parameter_set for solution in (*best, *worse)])
         named = list(self._problem.robust_sets)
@@ -179,9 +181,9 @@ class RobustnessStage(StudyStage):
             range(len(known)),
             key=lambda number: (
                 -known[number].degree,
-                -_known(objectives[number]),
+                -_known(self._sign * objectives[number]),
                 -known[number].radius,
-                -_known(ratings[number]),
+                -_known(self._sign * ratings[number]),
                 number,
             ),
         )
@@ -196,9 +198,11 @@ class RobustnessStage(StudyStage):
         """The most robust of the sets with the best objective, and the reason."""
         if self._study is None or np.isnan(objectives).all():
             return None
-        best = float(np.nanmax(objectives))
-        equal = [position for position in range(len(known)) if objectives[position] >= best - EQUAL]
-        chosen = max(equal, key=lambda number: (known[number].degree, known[number].radius, ratings[number], -number))
+        best = self._sign * float(np.nanmax(self._sign * objectives))
+        equal = [position for position in range(len(known)) if abs(objectives[position] - best) <= EQUAL]
+        chosen = max(
+            equal, key=lambda number: (known[number].degree, known[number].radius, self._sign * ratings[number], -number)
+        )
         degree = f"{known[chosen].degree}{' or more' if known[chosen].at_least else ''}"
         return (
             chosen,
@@ -248,4 +252,4 @@ class RobustnessStage(StudyStage):
 
 
 def _known(value: float) -> float:
-    return -1.0 if np.isnan(value) else float(value)
+    return -np.inf if np.isnan(value) else float(value)

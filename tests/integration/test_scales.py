@@ -1,0 +1,58 @@
+"""Campaigns whose scores have another scale than comfort: less is better, 0 to 100, no steps, a failed run is worth 100."""
+
+from __future__ import annotations
+
+import pytest
+from tests.support.computed import ComputedBackend, rating_of
+from tests.support.runs import run, submit
+from tests.support.scales import COST
+
+from drivecal.analysis.solutions import Ranking
+from drivecal.campaigns.resolve.bench import DrivingBench
+from drivecal.contracts.work import Cell, CellResult
+from drivecal.domain.campaigns import StageName
+from drivecal.storage import events, generations, results
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.engine.database import Database
+
+
+@pytest.fixture(autouse=True)
+def costs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every evaluator's scale is `COST`."""
+    monkeypatch.setattr(DrivingBench, "scale", property(lambda _: COST))
+
+
+def costly(scenario: str, cell: Cell) -> CellResult:
+    """Costs beyond 100, and failures that the worker believes to be the best of all."""
+    cost = 17.0 * rating_of(scenario, cell)
+    failed = cost < 8.5
+    return CellResult(
+        cell.id, 0.0 if failed else cost, 0 if failed else cost, {"cost": cost}, "collision" if failed else None, 7.0
+    )
+
+
+def rows_of(database: Database, campaign: StoredCampaign) -> list[results.StoredEvaluation]:
+    with database.read() as connection:
+        return list(results.stream(connection, campaign.sequence))
+
+
+def test_the_search_minimises_and_a_failed_run_never_wins(database: Database) -> None:
+    ended = run(database, submit(database), ComputedBackend(answer=costly))
+    rows = rows_of(database, ended)
+    assert {row.score for row in rows if row.failure} == {100}
+    assert max(row.score or 0 for row in rows) == 100, "no score is worse than that of a failed run"
+    assert any(isinstance(row.score, float) for row in rows)
+    with database.read() as connection:
+        ranking = Ranking({"S1": 1.0, "S2": 1.0, "S3": 1.0}, COST.sign)
+        ranking.add(results.answers(connection, ended.sequence, StageName.CALIBRATION))
+        ranked = ranking.ranking()
+        figures = [each for _, each in generations.page(connection, ended.sequence)[0]]
+        told = [event.data["objective"] for event in events.since(connection, ended.sequence, 0, 1_000) if event.kind == "best"]
+    assert ended.best is not None
+    assert [each.objective for each in ranked] == sorted(each.objective for each in ranked)
+    assert ended.best.objective == pytest.approx(ranked[0].objective)
+    best = [each.best or 0.0 for each in figures]
+    assert best == sorted(best, reverse=True)
+    assert told == sorted(told, reverse=True)
+    means = [each.mean or 0.0 for each in figures]
+    assert means[-1] < means[0]
