@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import stat
+import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -12,12 +13,14 @@ from pathlib import Path
 from typing import Any
 
 import psutil
+import pytest
 
 from drivecal.adapters.kinds import simulator
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins.simulators import Declared, NoMeasuresError, SimulatorSession, Value
 
 DECLARED = Declared("trial", ("y",), series=("t",))
+DATA = {"k": 3}
 PYTHON = sys.executable
 
 SERVER = """
@@ -68,10 +71,12 @@ def write_script(path: Path, text: str) -> Path:
 
 
 @contextmanager
-def opened(kind: str, folder: Path, declared: Declared = DECLARED, **section: Any) -> Iterator[SimulatorSession]:
-    """Opens a session of scenario `S` with the data {"k": 3}."""
+def opened(
+    kind: str, folder: Path, declared: Declared = DECLARED, data: Mapping[str, Any] = DATA, **section: Any
+) -> Iterator[SimulatorSession]:
+    """Opens a session of scenario `S`."""
     settings = {"timeout": 60.0, "memory_mb": 1000} | section
-    session = simulator(kind).open(settings, "S", {"k": 3}, folder, declared)
+    session = simulator(kind).open(settings, "S", data, folder, declared)
     try:
         yield session
     finally:
@@ -85,18 +90,14 @@ def served(folder: Path, body: str = "", start: str = "", quit: str = "", **sect
 
 def lost(session: SimulatorSession, parameters: Mapping[str, Value], breakdown: Breakdown) -> str:
     """Runs a parameter set that has no result for this reason; returns the detail."""
-    try:
-        outcome = session.evaluate(parameters)
-    except NoMeasuresError as error:
-        assert error.breakdown is breakdown, error.detail
-        return error.detail
-    raise AssertionError(f"it answered {outcome}")
+    with pytest.raises(NoMeasuresError) as error:
+        session.evaluate(parameters)
+    assert error.value.breakdown is breakdown, error.value.detail
+    return error.value.detail
 
 
 def compiled(compiler: str, source: Path, target: Path, *options: str) -> Path:
     """Compiles a C or C++ file."""
-    import subprocess
-
     assert shutil.which(compiler), f"the tests need a compiler: {compiler}"
     subprocess.run([compiler, "-O1", *options, "-o", str(target), str(source)], check=True, capture_output=True)
     return target

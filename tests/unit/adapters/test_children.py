@@ -149,17 +149,21 @@ def test_a_program_in_c_that_runs_out_of_memory_is_told_from_a_crash(tmp_path: P
 
 
 def test_a_child_cannot_dump_core_or_fill_the_disk_with_one_file(tmp_path: Path) -> None:
-    body = "import resource\nx = float(resource.getrlimit(resource.RLIMIT_CORE)[0] == 0 < resource.getrlimit(resource.RLIMIT_FSIZE)[0] < 1 << 40)"
+    body = """
+import resource
+core, size = (resource.getrlimit(limit)[0] for limit in (resource.RLIMIT_CORE, resource.RLIMIT_FSIZE))
+x = float(core == 0 < size < 1 << 40)
+"""
     with served(tmp_path, body) as session:
         assert session.evaluate({"x": 0.0}).measures == {"y": 2.0}
 
 
-def test_a_child_stands_in_its_own_session_with_default_signals(tmp_path: Path) -> None:
-    body = (
-        "handlers = [signal.getsignal(number) for number in (1, 15)]\n"
-        "x = float(os.getsid(0) == os.getpid() and handlers == [signal.SIG_DFL] * 2 and sorted(os.listdir('/proc/self/fd'))[:3] == ['0', '1', '2'])"
-        "\nx += 10.0 * (len(os.listdir('/proc/self/fd')) - 4)"
-    )
+def test_a_child_leads_a_session_with_default_signals_and_no_foreign_descriptors(tmp_path: Path) -> None:
+    body = """
+handlers = [signal.getsignal(number) for number in (1, 15)]
+descriptors = sorted(os.listdir('/proc/self/fd'))  # the last is that of the folder itself
+x = float(os.getsid(0) == os.getpid() and handlers == [signal.SIG_DFL] * 2 and descriptors == ['0', '1', '2', '3'])
+"""
     with served(tmp_path, body) as session:
         assert session.evaluate({"x": 0.0}).measures == {"y": 2.0}
 
@@ -182,7 +186,7 @@ def test_cpu_time_behind_a_shell_script_and_of_short_lived_programs_counts(tmp_p
     write_script(tmp_path / "run.sh", f"#!/bin/sh\n{PYTHON} -S sim.py\nexit 0\n")
     with opened("process", tmp_path, command=["./run.sh"]) as session:
         assert session.evaluate({"x": 1.0}).cpu_seconds >= 0.2
-        assert session.evaluate({"x": 0.0}).cpu_seconds >= 0.3
+        assert session.evaluate({"x": 0.0}).cpu_seconds >= 0.25
 
 
 @pytest.mark.parametrize("body", ["os.abort()", "time.sleep(600)"])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import pickle
 from pathlib import Path
 
@@ -206,11 +205,11 @@ def test_a_process_works_beside_links_to_the_bundle_and_leaves_it_as_it_is(tmp_p
 
 
 def test_closing_twice_and_after_faults_leaves_nothing(tmp_path: Path) -> None:
-    before = set(os.listdir("/proc/self/fd"))
+    before = {path.name for path in Path("/proc/self/fd").iterdir()}
     with served(tmp_path, "os.abort()", quit="while True: pass") as session:
         lost(session, {"x": 1.0}, Breakdown.CRASH)
         session.close()
-    assert set(os.listdir("/proc/self/fd")) == before
+    assert {path.name for path in Path("/proc/self/fd").iterdir()} == before
 
 
 def test_a_process_may_end_by_itself(tmp_path: Path) -> None:

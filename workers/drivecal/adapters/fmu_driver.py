@@ -8,10 +8,12 @@ import math
 import os
 import re
 import sys
+import zipfile
 from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree as ET
 
 from drivecal.adapters.driver import Evaluate, described, serve
 
@@ -39,15 +41,16 @@ class Fmu:
 
     def __init__(self, file: Path, unpacked: Path) -> None:
         """Unpacks the FMU if it is not, and instantiates it. Raises UnusableError."""
-        import fmpy  # 0.3 s; only here, so that the checks above it in `prepare` come at once
+        version = described_version(file)
+        if version[:1] not in {"2", "3"}:
+            raise UnusableError(f"{file.name} is of FMI {version}; export it as FMI 2 or 3 co-simulation")
+        self.is_third = version.startswith("3")
+        import fmpy  # 0.3 s
 
         try:
             self.model = fmpy.read_model_description(str(file), validate=False)
         except Exception as error:
-            raise UnusableError(f"{file.name} has no readable modelDescription.xml: {error}") from error
-        self.is_third = str(self.model.fmiVersion).startswith("3")
-        if not (self.is_third or str(self.model.fmiVersion).startswith("2")):
-            raise UnusableError(f"{file.name} is of FMI {self.model.fmiVersion}; export it as FMI 2 or 3 co-simulation")
+            raise UnusableError(f"FMPy cannot read the modelDescription.xml of {file.name}: {error}") from error
         if self.model.coSimulation is None:
             raise UnusableError(f"{file.name} is for model exchange only; export it for co-simulation")
         platforms = fmpy.supported_platforms(str(file))
@@ -86,6 +89,8 @@ class Fmu:
         """Returns a reader of these variables."""
         groups: dict[str, list[str]] = {}
         for name in names:
+            if self._access(name) == "String":
+                raise UnusableError(f"the variable {name} is a text and cannot be measured")
             groups.setdefault(self._access(name), []).append(name)
         return Reader(
             self._slave,
@@ -101,6 +106,8 @@ class Fmu:
 
     def _access(self, name: str) -> str:
         kind = self.variables[name].type
+        if self.variables[name].dimensions:
+            raise UnusableError(f"the variable {name} is an array, which is not supported")
         access = ("Int64" if self.is_third else "Integer") if kind == "Enumeration" else _ACCESS.get(kind)
         if access is None:
             raise UnusableError(f"the variable {name} is of type {kind}, which is not supported")
@@ -175,6 +182,15 @@ class Statistics:
     def mean(self) -> float:
         """Integral by time."""
         return self.integral / self._time
+
+
+def described_version(file: Path) -> str:
+    """Returns the version of FMI that an FMU names. Raises UnusableError if it is none."""
+    try:
+        with zipfile.ZipFile(file) as archive, archive.open("modelDescription.xml") as content:
+            return str(ET.parse(content).getroot().attrib["fmiVersion"])  # noqa: S314  # in a throw-away process
+    except (KeyError, zipfile.BadZipFile, ET.ParseError) as error:
+        raise UnusableError(f"{file.name} is not an FMU with a modelDescription.xml: {error}") from error
 
 
 def prepare(settings: Mapping[str, Any]) -> Evaluate:

@@ -4,8 +4,8 @@ It starts a child on request, limits it, and ends all its descendants: when the 
 gone. As a subreaper it inherits orphans, including those in sessions of their own, so none is missed. A worker cannot do this itself:
 `preexec_fn` is unsafe beside threads, the signal of a parent's death follows the starting thread, and orphans would mix with others.
 
-Runs by path, `python -I -S keeper.py FD`, with the standard library only. FD is a socket of messages (SOCK_SEQPACKET): the worker sends `s` with three
-descriptors (standard input, output, error) for a start and `t` for an end; the keeper answers in JSON, see `Keeper`.
+Runs by path, `python -I -S keeper.py FD`, with the standard library only. FD is a socket of messages (SOCK_SEQPACKET): the worker sends
+`s` with three descriptors (standard input, output, error) for a start and `t` for an end; the keeper answers in JSON, see `Keeper`.
 """
 
 import contextlib
