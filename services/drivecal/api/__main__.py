@@ -13,6 +13,7 @@ from drivecal.api.http.protocol import Server, configuration
 from drivecal.api.http.startup_log import tell_of_database
 from drivecal.configuration import logs
 from drivecal.configuration.access import check_exposure
+from drivecal.configuration.pushing import Pushing
 from drivecal.configuration.settings import load_settings
 from drivecal.domain.errors import DrivecalError
 
@@ -38,7 +39,8 @@ def main() -> int:
             family = socket.AF_INET6 if ":" in arguments.host else socket.AF_INET
             listener = socket.create_server((arguments.host, arguments.port), family=family)
         check_exposure(listener.getsockname()[0], settings)
-        server = Server(configuration(create_app(settings)))
+        pushing = Pushing.of(settings, listener.getsockname()[0])
+        server = Server(configuration(create_app(settings, pushing)))
     except (DrivecalError, OSError) as error:
         log.error("%s", error)  # noqa: TRY400  # the sentence says it all; a traceback would bury it
         return 1

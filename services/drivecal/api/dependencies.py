@@ -25,6 +25,9 @@ LARGE_BODIES = 1
 WAITING_BODIES = 16
 """Large bodies that may wait or be read."""
 
+WAITING_PUSHES = 4
+"""Pushed problems that may arrive or be read at the same time."""
+
 
 @dataclass(frozen=True, slots=True)
 class Limits:
@@ -33,17 +36,30 @@ class Limits:
     queued_campaigns: int
     largest_campaign: int
     posted_maps: int
+    pushed_problems: int
+    problem_bytes: int
     event_streams: Places
     large_bodies: CapacityLimiter
     waiting_bodies: Places
+    pushes: Places
 
     @classmethod
     def of(cls, settings: Settings) -> Self:
         """Creates the limits of the settings, with no place taken. Call it in the event loop that uses them."""
         streams = Places(settings.event_streams, "event streams are open", retry_seconds=10)
         bodies = Places(WAITING_BODIES, "large documents are being read", retry_seconds=5)
-        given = settings.queued_campaigns, settings.largest_campaign, settings.posted_maps
-        return cls(*given, streams, CapacityLimiter(LARGE_BODIES), bodies)
+        pushes = Places(WAITING_PUSHES, "problems are being pushed", retry_seconds=5)
+        return cls(
+            queued_campaigns=settings.queued_campaigns,
+            largest_campaign=settings.largest_campaign,
+            posted_maps=settings.posted_maps,
+            pushed_problems=settings.pushed_problems,
+            problem_bytes=settings.problem_mb * 2**20,
+            event_streams=streams,
+            large_bodies=CapacityLimiter(LARGE_BODIES),
+            waiting_bodies=bodies,
+            pushes=pushes,
+        )
 
 
 async def _limits(request: Request) -> Limits:
