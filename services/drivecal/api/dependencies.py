@@ -25,8 +25,8 @@ LARGE_BODIES = 1
 WAITING_BODIES = 16
 """Large bodies that may wait or be read."""
 
-WAITING_PUSHES = 4
-"""Pushed problems that may arrive or be read at the same time."""
+OPEN_ARCHIVES = 4
+"""Archives of problems that may be received or sent at the same time, each whole in memory."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,14 +41,14 @@ class Limits:
     event_streams: Places
     large_bodies: CapacityLimiter
     waiting_bodies: Places
-    pushes: Places
+    archives: Places
 
     @classmethod
     def of(cls, settings: Settings) -> Self:
         """Creates the limits of the settings, with no place taken. Call it in the event loop that uses them."""
         streams = Places(settings.event_streams, "event streams are open", retry_seconds=10)
         bodies = Places(WAITING_BODIES, "large documents are being read", retry_seconds=5)
-        pushes = Places(WAITING_PUSHES, "problems are being pushed", retry_seconds=5)
+        archives = Places(OPEN_ARCHIVES, "archives of problems are being received or sent", retry_seconds=5)
         return cls(
             queued_campaigns=settings.queued_campaigns,
             largest_campaign=settings.largest_campaign,
@@ -58,7 +58,7 @@ class Limits:
             event_streams=streams,
             large_bodies=CapacityLimiter(LARGE_BODIES),
             waiting_bodies=bodies,
-            pushes=pushes,
+            archives=archives,
         )
 
 
@@ -80,6 +80,15 @@ EventStreamPlace = Annotated[None, Depends(_event_stream)]
 """Place of a route that streams events: one among the open streams until the stream ends, instead of one among the requests.
 
 Raises OverloadError (429) if there is none."""
+
+
+async def _archive(limits: LimitsDependency) -> AsyncIterator[None]:
+    with limits.archives.take():
+        yield
+
+
+ArchivePlace = Annotated[None, Depends(_archive)]
+"""Place of a route that sends an archive, until it is sent. Raises OverloadError (429) if there is none."""
 
 IdempotencyKey = Annotated[
     str | None,

@@ -51,8 +51,8 @@ class Settings(BaseSettings):
     """Influence maps of users that are kept before further ones are refused (413)."""
     pushed_problems: Annotated[int, Field(ge=1, le=1_000_000)] = 1000
     """Pushed problems that are kept before further ones are refused (413); each content counts."""
-    problem_mb: Annotated[int, Field(ge=1, le=1000)] = 64
-    """Largest size of a pushed problem in megabytes, packed and unpacked."""
+    problem_mb: Annotated[int, Field(ge=1, le=64)] = 64
+    """Largest size of a pushed problem in megabytes, packed and unpacked; workers take no larger ones."""
     allow_push: bool | None = None
     """Whether problems, which carry code, may be pushed; none: on loopback addresses only."""
     event_streams: Annotated[int, Field(ge=1, le=10_000)] = 100

@@ -14,6 +14,7 @@ from fastapi.testclient import TestClient
 from httpx import Response
 
 from drivecal.api.app import create_app
+from drivecal.api.dependencies import OPEN_ARCHIVES, Limits
 from drivecal.configuration.pushing import HEADER, Pushing, read_secret, sign
 from drivecal.configuration.settings import load_settings
 from drivecal.storage.engine.database import Database
@@ -226,3 +227,15 @@ def test_no_more_than_the_limit_are_kept(serve: Serve) -> None:
     client = serve(tokens=True, pushed_problems=1)
     client.headers.update(bearer("author"))
     assert [push(client).status_code, push(client).status_code, push(client, packed("b")).status_code] == [201, 200, 413]
+
+
+def test_only_a_few_archives_are_in_memory_at_a_time(serve: Serve) -> None:
+    client = serve(tokens=True)
+    client.headers.update(bearer("author"))
+    push(client)
+    limits: Limits = client.app.state.limits  # type: ignore[attr-defined]  # it is a FastAPI application
+    with ExitStack() as stack:
+        for _ in range(OPEN_ARCHIVES):
+            stack.enter_context(limits.archives.take())
+        assert [client.get(f"{PROBLEMS}/acc/archive").status_code, push(client).status_code] == [429, 429]
+    assert [client.get(f"{PROBLEMS}/acc/archive").status_code for _ in range(OPEN_ARCHIVES + 1)] == [200] * (OPEN_ARCHIVES + 1)

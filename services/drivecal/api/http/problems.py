@@ -73,7 +73,7 @@ RESPONSES: dict[int | str, dict[str, Any]] = {
         415: "The body is not declared as JSON (of a problem: application/zip), or is compressed",
         421: "The Host is none that a server without tokens answers to",
         422: "Fields do not fit; `errors` names each",
-        429: "The queue is full, or too many event streams are open",
+        429: "The queue is full, or too many event streams or archives of problems are open",
         431: "The headers are too large",
         503: "The database does not answer, or too many requests are being answered",
     }.items()

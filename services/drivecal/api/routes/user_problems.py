@@ -9,7 +9,7 @@ from fastapi import APIRouter, Header, Request, Response
 from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
 
-from drivecal.api.dependencies import DatabaseDependency, Limits, LimitsDependency
+from drivecal.api.dependencies import ArchivePlace, DatabaseDependency, Limits, LimitsDependency
 from drivecal.api.http.auth import refuse_push
 from drivecal.api.http.bodies import body_of, check_encoding
 from drivecal.api.http.memory import give_back
@@ -52,7 +52,7 @@ async def push(
     check_encoding(request)
     if request.headers.get("content-type", "").partition(";")[0].strip().lower() != MEDIA_TYPE:
         raise HTTPException(415, f"the body is not declared as an archive; send Content-Type: {MEDIA_TYPE}")
-    with limits.pushes.take():
+    with limits.archives.take():
         content = await body_of(request)
         async with limits.large_bodies:
             try:
@@ -79,7 +79,9 @@ def read(problem: str, database: DatabaseDependency) -> ProblemAnswer:
 
 
 @router.get("/{problem}/archive", response_class=Response, responses={200: _ARCHIVE, 304: {"description": "It is unchanged"}})
-def read_archive(problem: str, database: DatabaseDependency, if_none_match: Annotated[str | None, Header()] = None) -> Response:
+def read_archive(
+    problem: str, database: DatabaseDependency, _place: ArchivePlace, if_none_match: Annotated[str | None, Header()] = None
+) -> Response:
     """The archive of a problem, as it was pushed."""
     with database.read() as connection:
         stored = bundles.named(connection, problem)
