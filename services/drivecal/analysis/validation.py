@@ -4,7 +4,7 @@ Sets are drawn over the whole space until those that lie in some non-influential
 parameters that can be reduced; each is compared with variants that differ from it inside those regions only.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,39 +25,47 @@ HYPERCUBE, VARIANTS = 0, 1
 """Purposes of the stream."""
 
 
-class ReducibleSpace:
-    """Regions in which a scenario's map lets the searched parameters vary: classes of equal grid values."""
+Region = range | tuple[int, ...]
+"""Grid indices, ascending: an interval, or some texts of a choice."""
 
-    def __init__(self, classes: Sequence[npt.NDArray[np.int64]]) -> None:
-        """`classes`: for each parameter the class of every grid value, shape (n_values,), as the reference keys code them: values of one
-        class answer for each other."""
-        self.n_values: Indices = np.array([len(class_) for class_ in classes], dtype=np.int64)
-        self._members: list[list[Indices]] = []
-        for class_ in classes:
-            _, inverse = np.unique(class_, return_inverse=True)
-            order = np.argsort(inverse, kind="stable")
-            groups = np.split(order, np.cumsum(np.bincount(inverse))[:-1])
-            self._members.append([groups[number] for number in inverse])
+
+class ReducibleSpace:
+    """Regions in which a scenario's map lets the searched parameters vary: grid indices that answer for each other."""
+
+    def __init__(self, n_values: Indices, regions: Sequence[Sequence[Region]]) -> None:
+        """`n_values`: grid sizes, shape (n_searched,); `regions`: of each parameter, disjoint; those of one value are left out."""
+        self.n_values = n_values
+        self._regions = [[region for region in listed if len(region) > 1] for listed in regions]
 
     @property
     def reducible(self) -> Indices:
         """The columns of the parameters with a region of more than one value."""
-        columns: Indices = np.flatnonzero([max(map(len, members)) > 1 for members in self._members])
+        columns: Indices = np.flatnonzero([len(regions) > 0 for regions in self._regions])
         return columns
 
     def variable(self, points: Indices) -> npt.NDArray[np.bool_]:
         """Returns the values with others in their region, shape (n, n_searched)."""
-        sizes = [np.array([len(member) for member in members]) for members in self._members]
-        return np.column_stack([size[column] > 1 for size, column in zip(sizes, points.T, strict=True)])
+        variable = np.zeros(points.shape, dtype=np.bool_)
+        for column, regions in enumerate(self._regions):
+            for region in regions:
+                variable[:, column] |= _lies_in(points[:, column], region)
+        return variable
 
     def variant(self, point: Indices, columns: Indices, generator: np.random.Generator) -> Indices:
         """`point`, shape (n_searched,), with another value of the same region in each of `columns`."""
         changed = point.copy()
         for column in columns.tolist():
-            members = self._members[column][point[column]]
+            own = int(point[column])
+            members = next(region for region in self._regions[column] if own in region)
             other = members[int(generator.integers(0, len(members) - 1))]
-            changed[column] = members[-1] if other == point[column] else other
+            changed[column] = members[-1] if other == own else other
         return changed
+
+
+def _lies_in(indices: Indices, region: Region) -> npt.NDArray[np.bool_]:
+    if isinstance(region, range):
+        return (indices >= region.start) & (indices < region.stop)
+    return np.isin(indices, region)
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,26 +119,36 @@ class ValidationDesign:
 
 
 def design(
-    space: ReducibleSpace, samples: int, references: int, seed: int, largest: int, stream: int = STREAM
+    space: ReducibleSpace,
+    samples: int,
+    references: int,
+    seed: int,
+    largest: int,
+    stream: int = STREAM,
+    feasible: Callable[[Indices], npt.NDArray[np.bool_]] | None = None,
 ) -> ValidationDesign | None:
     """The validation of one scenario; None if nothing can be reduced.
 
     Latin hypercubes of `samples`, 2 `samples`, 4 `samples` ... points are drawn until their qualifying sets cover all effects, at most
     `largest`: the coverage reports what is left uncovered then. Of those sets as many are kept as it takes to cover the same, and in the
     order of the draw up to `samples`: a large hypercube finds the few sets in which small regions meet, and is full of others. Each variant
-    changes a random non-empty subset of what can vary. A study that began with an earlier version of the random `stream` names it; raises
-    ConflictError for an unknown one.
+    changes a random non-empty subset of what can vary. Bases that are not `feasible` are left out; variants may break constraints, and must
+    not be run then. A study that began with an earlier version of the random `stream` names it; raises ConflictError for an unknown one.
     """
     reducible = space.reducible
     if not reducible.size:
         return None
     for size in _sizes(samples, largest):
         points = _latin_hypercube(space.n_values, size, _generator(stream, seed, HYPERCUBE))
+        if feasible is not None:
+            points = points[feasible(points)]
         varies = space.variable(points)
         qualified, masks = points[varies.any(axis=1)], varies[varies.any(axis=1)][:, reducible]
         covered = coverage(masks)
         if covered.complete:
             break
+    if not len(qualified):
+        return None
     qualified = qualified[_kept(masks, samples)]
     drawing = _generator(stream, seed, VARIANTS)
     variants = np.array(

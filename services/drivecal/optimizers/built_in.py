@@ -1,20 +1,21 @@
 """The built-in optimizers as plug-ins, with the settings that a campaign's `optimizer` section may hold."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from typing import Annotated, Any, Generic, Literal, Protocol, TypeVar
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, Generic, Literal, Protocol, TypeVar, get_args
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from drivecal.contracts.specification import OptimizerSpecification
-from drivecal.domain.parameters import Indices
+from drivecal.domain.parameters import Indices, Kind
 from drivecal.optimizers.genetic import GeneticAlgorithm, pairs_per_generation
 from drivecal.optimizers.random_search import RandomSearch
 from drivecal.optimizers.start import start_population
 from drivecal.optimizers.swarm import ParticleSwarm
-from drivecal.plugins.ports import Optimizer, OptimizerPlugin
+from drivecal.plugins.ports import Ability, DeclaringOptimizerPlugin, Optimizer
 
+EVERYTHING: frozenset[Ability] = frozenset(get_args(Ability))
 Share = Annotated[float, Field(gt=0, le=1)]
 
 
@@ -82,26 +83,38 @@ class BuiltIn(ABC, Generic[Chosen]):
         """Returns the largest number of individuals that an iteration after the first requests."""
 
     @abstractmethod
-    def _optimizer(self, settings: Chosen, first: Indices, n_values: Indices, generator: np.random.Generator) -> Resumable:
+    def _optimizer(
+        self, settings: Chosen, first: Indices, n_values: Indices, kinds: Sequence[Kind], generator: np.random.Generator
+    ) -> Resumable:
         """Returns an optimizer that starts from the population `first`."""
+
+    @property
+    def supports(self) -> frozenset[Ability]:
+        """See `drivecal.plugins.ports.DeclaringOptimizerPlugin`."""
+        return EVERYTHING
 
     def requested_individuals(self, settings: BaseModel) -> int:
         """The first population and those that each further iteration renews."""
         chosen = self._checked(settings)
         return chosen.population + (chosen.iterations - 1) * self._renewed(chosen)
 
-    def create(self, settings: BaseModel, n_values: Indices, start: Indices | None = None) -> Optimizer:
-        """See `drivecal.plugins.ports.OptimizerPlugin`."""
+    def create(
+        self, settings: BaseModel, n_values: Indices, start: Indices | None = None, kinds: Sequence[Kind] | None = None
+    ) -> Optimizer:
+        """See `drivecal.plugins.ports.DeclaringOptimizerPlugin`."""
         chosen = self._checked(settings)
         generator = np.random.Generator(np.random.PCG64(chosen.seed))
         first = start_population(chosen.start, chosen.population, n_values, generator, start)
-        return self._optimizer(chosen, first, n_values, generator)
+        return self._optimizer(chosen, first, n_values, kinds or ["grid"] * len(n_values), generator)
 
-    def restore(self, settings: BaseModel, n_values: Indices, state: Mapping[str, Any]) -> Optimizer:
-        """See `drivecal.plugins.ports.OptimizerPlugin`. Raises InvalidInputError if the state does not fit."""
+    def restore(
+        self, settings: BaseModel, n_values: Indices, state: Mapping[str, Any], kinds: Sequence[Kind] | None = None
+    ) -> Optimizer:
+        """See `drivecal.plugins.ports.DeclaringOptimizerPlugin`. Raises InvalidInputError if the state does not fit."""
         chosen = self._checked(settings)
         blank = np.zeros((chosen.population, len(n_values)), dtype=np.int64)
-        optimizer = self._optimizer(chosen, blank, n_values, np.random.Generator(np.random.PCG64(chosen.seed)))
+        generator = np.random.Generator(np.random.PCG64(chosen.seed))
+        optimizer = self._optimizer(chosen, blank, n_values, kinds or ["grid"] * len(n_values), generator)
         optimizer.resume(state)
         return optimizer
 
@@ -121,8 +134,14 @@ class GeneticPlugin(BuiltIn[GeneticSettings]):
         return pairs_per_generation(settings.population, settings.selection, settings.recombination)  # one child per pair
 
     def _optimizer(
-        self, settings: GeneticSettings, first: Indices, n_values: Indices, generator: np.random.Generator
+        self,
+        settings: GeneticSettings,
+        first: Indices,
+        n_values: Indices,
+        kinds: Sequence[Kind],
+        generator: np.random.Generator,
     ) -> GeneticAlgorithm:
+        del kinds  # bits are bits
         return GeneticAlgorithm(
             first,
             n_values,
@@ -143,8 +162,9 @@ class RandomPlugin(BuiltIn[RandomSettings]):
         return settings.renewed
 
     def _optimizer(
-        self, settings: RandomSettings, first: Indices, n_values: Indices, generator: np.random.Generator
+        self, settings: RandomSettings, first: Indices, n_values: Indices, kinds: Sequence[Kind], generator: np.random.Generator
     ) -> RandomSearch:
+        del kinds  # every index is equally likely
         return RandomSearch(first, n_values, renewed=settings.renewed, generator=generator)
 
 
@@ -158,11 +178,12 @@ class SwarmPlugin(BuiltIn[SwarmSettings]):
         return settings.population  # all of them move
 
     def _optimizer(
-        self, settings: SwarmSettings, first: Indices, n_values: Indices, generator: np.random.Generator
+        self, settings: SwarmSettings, first: Indices, n_values: Indices, kinds: Sequence[Kind], generator: np.random.Generator
     ) -> ParticleSwarm:
+        del kinds  # positions are shares of the ranges; choices lie in the order of their list
         return ParticleSwarm(first, n_values, c1=settings.c1, c2=settings.c2, inertia=settings.inertia, generator=generator)
 
 
-GENETIC: OptimizerPlugin = GeneticPlugin()
-RANDOM: OptimizerPlugin = RandomPlugin()
-SWARM: OptimizerPlugin = SwarmPlugin()
+GENETIC: DeclaringOptimizerPlugin = GeneticPlugin()
+RANDOM: DeclaringOptimizerPlugin = RandomPlugin()
+SWARM: DeclaringOptimizerPlugin = SwarmPlugin()

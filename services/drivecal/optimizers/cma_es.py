@@ -1,17 +1,18 @@
 """CMA-ES (Hansen's package `cma`) as an optimizer: `optimizer: {kind: cma_es}`, with the extra [cma]."""
 
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import ConfigDict, Field
 
 from drivecal.contracts.specification import OptimizerSpecification
-from drivecal.domain.parameters import Indices
+from drivecal.domain.parameters import Indices, Kind
 from drivecal.optimizers.built_in import BuiltIn
 from drivecal.optimizers.checks import searchable
 from drivecal.optimizers.ranking import ranking
 from drivecal.optimizers.replayed import Replayed, named, require
-from drivecal.plugins.ports import Floats, OptimizerPlugin
+from drivecal.plugins.ports import DeclaringOptimizerPlugin, Floats
 
 require("cma", extra="cma")
 
@@ -77,9 +78,14 @@ class CmaPlugin(BuiltIn[CmaSettings]):
     def _renewed(self, settings: CmaSettings) -> int:
         return settings.population
 
-    def _optimizer(self, settings: CmaSettings, first: Indices, n_values: Indices, generator: np.random.Generator) -> Replayed:
-        del generator  # the engine's own, which a replay finds as it was
+    def _optimizer(
+        self, settings: CmaSettings, first: Indices, n_values: Indices, kinds: Sequence[Kind], generator: np.random.Generator
+    ) -> Replayed:
+        del (
+            kinds,
+            generator,
+        )  # choices lie in the order of their list; the engine has a generator of its own, which a replay finds as it was
         return Replayed(first, CmaEngine(settings, n_values))
 
 
-CMA_ES: OptimizerPlugin = CmaPlugin()
+CMA_ES: DeclaringOptimizerPlugin = CmaPlugin()

@@ -3,6 +3,9 @@
 A parameter with n values gets the fewest bits k with 2**k >= n; its bit pattern b, most significant bit first, means the grid index
 round(b (n - 1) / (2**k - 1)). That quotient never ends in exactly one half, 2**k - 1 being odd, so its rounding needs no rule. Every
 index has at least one pattern; where 2**k > n some have two.
+
+Continuous parameters have up to 51 bits, integers up to 21: a flip of a random bit is a step of a random order of magnitude. The patterns
+of choices have no meaning beyond their identity.
 """
 
 from functools import cached_property
@@ -14,6 +17,8 @@ from drivecal.domain.parameters import Indices
 from drivecal.optimizers.checks import searchable
 
 Bits = npt.NDArray[np.bool_]
+LARGEST = 2**63 - 1
+"""Largest product that 64 bits hold."""
 
 
 class BitEncoding:
@@ -44,11 +49,11 @@ class BitEncoding:
 
     def indices(self, patterns: Indices) -> Indices:
         """The grid indices that bit patterns mean; both of shape (n, n_searched)."""
-        return (2 * patterns * (self.n_values - 1) + self._largest) // (2 * self._largest)
+        return _scaled(patterns, self.n_values - 1, self._largest)
 
     def patterns(self, indices: Indices) -> Indices:
         """Returns the bit pattern of each grid index, the middle of its patterns; both of shape (n, n_searched)."""
-        return (2 * indices * self._largest + (self.n_values - 1)) // (2 * (self.n_values - 1))
+        return _scaled(indices, self._largest, self.n_values - 1)
 
     def chromosomes(self, patterns: Indices) -> Bits:
         """The bits of `patterns`, shape (n, n_searched), as one array per individual, shape (n, n_bits)."""
@@ -59,3 +64,12 @@ class BitEncoding:
         place_values = chromosomes.astype(np.int64) << self._shifts
         patterns: Indices = np.add.reduceat(place_values, self._starts, axis=1)
         return patterns
+
+
+def _scaled(values: Indices, factors: Indices, divisors: Indices) -> Indices:
+    """Returns values x factors / divisors, rounded to the nearest integer, exactly; shapes (n, n_searched) and twice (n_searched,)."""
+    scaled = (2 * values * factors + divisors) // (2 * divisors)
+    for column, (factor, divisor) in enumerate(zip(factors.tolist(), divisors.tolist(), strict=True)):
+        if (2 * factor + 1) * divisor > LARGEST or (2 * divisor + 1) * factor > LARGEST:  # a continuous parameter
+            scaled[:, column] = [(2 * value * factor + divisor) // (2 * divisor) for value in values[:, column].tolist()]
+    return scaled

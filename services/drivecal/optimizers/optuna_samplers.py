@@ -1,16 +1,17 @@
 """Optuna's samplers as optimizers: `optimizer: {kind: optuna, sampler: tpe}`, with the extra [optuna]."""
 
+from collections.abc import Sequence
 from typing import Any, Literal
 
 import numpy as np
 from pydantic import ConfigDict
 
 from drivecal.contracts.specification import OptimizerSpecification
-from drivecal.domain.parameters import Indices
+from drivecal.domain.parameters import Indices, Kind
 from drivecal.optimizers.built_in import BuiltIn
 from drivecal.optimizers.checks import searchable
 from drivecal.optimizers.replayed import Replayed, named, require
-from drivecal.plugins.ports import Floats, OptimizerPlugin
+from drivecal.plugins.ports import DeclaringOptimizerPlugin, Floats
 
 require("optuna", extra="optuna")
 
@@ -31,17 +32,22 @@ class OptunaSettings(OptimizerSpecification):
 
 
 class OptunaEngine:
-    """A study in memory over integer parameters, asked for a whole population at a time."""
+    """A study in memory, asked for a whole population at a time.
 
-    def __init__(self, settings: OptunaSettings, n_values: Indices) -> None:
+    Grids and integers are integers of the study, continuous parameters are floats from 0 to 1, choices are categories.
+    """
+
+    def __init__(self, settings: OptunaSettings, n_values: Indices, kinds: Sequence[Kind]) -> None:
         import optuna
 
         optuna.logging.set_verbosity(optuna.logging.WARNING)
         self.library = named("optuna")
         self._population = settings.population
+        self._last = searchable(n_values) - 1
+        self._continuous = np.array([kind == "continuous" for kind in kinds])
         self._distributions: dict[str, Any] = {
-            f"x{column}": optuna.distributions.IntDistribution(0, last)
-            for column, last in enumerate((searchable(n_values) - 1).tolist())
+            f"x{column}": _distribution(kind, last)
+            for column, (kind, last) in enumerate(zip(kinds, self._last.tolist(), strict=True))
         }
         self._study = optuna.create_study(direction="maximize", sampler=_sampler(settings))
         self._asked: list[Any] = []
@@ -49,7 +55,13 @@ class OptunaEngine:
     def propose(self) -> Indices:
         """See `replayed.Engine`."""
         self._asked = [self._study.ask(self._distributions) for _ in range(self._population)]
-        return np.array([[trial.params[name] for name in self._distributions] for trial in self._asked], dtype=np.int64)
+        rows = [[trial.params[name] for name in self._distributions] for trial in self._asked]
+        return np.column_stack(
+            [
+                np.rint(np.array(column) * last).astype(np.int64) if is_float else np.array(column, dtype=np.int64)
+                for column, last, is_float in zip(zip(*rows, strict=True), self._last, self._continuous, strict=True)
+            ]
+        )
 
     def learn(self, population: Indices, objectives: Floats, tie_breakers: Floats) -> None:
         """See `replayed.Engine`."""
@@ -60,7 +72,7 @@ class OptunaEngine:
         if not self._asked:  # the start population, which Optuna has not proposed
             self._study.add_trials(
                 optuna.trial.create_trial(
-                    params=dict(zip(self._distributions, row, strict=True)),
+                    params=dict(zip(self._distributions, self._params(row), strict=True)),
                     distributions=self._distributions,
                     **({"state": failed} if np.isnan(value) else {"value": value}),
                 )
@@ -69,6 +81,23 @@ class OptunaEngine:
             return
         for trial, value in zip(self._asked, values, strict=True):
             self._study.tell(trial, None if np.isnan(value) else value, state=failed if np.isnan(value) else complete)
+
+    def _params(self, row: Sequence[int]) -> list[int | float]:
+        """Returns the study's values for a row of grid indices."""
+        listed = zip(row, self._last.tolist(), self._continuous, strict=True)
+        return [index / last if is_float else index for index, last, is_float in listed]
+
+
+def _distribution(kind: Kind, last: int) -> Any:
+    from optuna import distributions
+
+    match kind:
+        case "continuous":
+            return distributions.FloatDistribution(0.0, 1.0)
+        case "choice":
+            return distributions.CategoricalDistribution(range(last + 1))
+        case _:
+            return distributions.IntDistribution(0, last)
 
 
 def _sampler(settings: OptunaSettings) -> Any:
@@ -94,10 +123,10 @@ class OptunaPlugin(BuiltIn[OptunaSettings]):
         return settings.population
 
     def _optimizer(
-        self, settings: OptunaSettings, first: Indices, n_values: Indices, generator: np.random.Generator
+        self, settings: OptunaSettings, first: Indices, n_values: Indices, kinds: Sequence[Kind], generator: np.random.Generator
     ) -> Replayed:
         del generator  # the engine's own, which a replay finds as it was
-        return Replayed(first, OptunaEngine(settings, n_values))
+        return Replayed(first, OptunaEngine(settings, n_values, kinds))
 
 
-OPTUNA: OptimizerPlugin = OptunaPlugin()
+OPTUNA: DeclaringOptimizerPlugin = OptunaPlugin()

@@ -12,7 +12,7 @@ import numpy as np
 
 from drivecal.contracts.campaign import Narrowed
 from drivecal.domain.influence import Influence, InfluenceMap
-from drivecal.domain.parameters import Indices, Parameter, ParameterSpace, billionths, shown
+from drivecal.domain.parameters import Indices, Kind, Parameter, ParameterSpace, billionths, shown
 
 
 @dataclass(frozen=True)
@@ -36,6 +36,11 @@ class SearchArea:
     def n_values(self) -> Indices:
         """Grid sizes for the optimizer, shape (n_left,)."""
         return (self.last - self.first + 1)[self.columns]
+
+    @property
+    def kinds(self) -> tuple[Kind, ...]:
+        """Kinds of the parameters that are left to the optimizer."""
+        return tuple(self.space.kinds[column] for column in self.columns.tolist())
 
     def expand(self, population: Indices) -> Indices:
         """Grid indices of the space, shape (n, n_searched), of an optimizer's population, shape (n, n_left)."""

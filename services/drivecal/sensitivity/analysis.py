@@ -5,16 +5,17 @@ Nothing is saved: an analysis recreated from the same arguments that receives th
 exactly as this one would.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.influence import InfluenceMap
 from drivecal.domain.parameters import Indices, ParameterSpace
-from drivecal.sensitivity.cutting import check_intervals, interval_edges, most_confirmations
+from drivecal.sensitivity.cutting import check_intervals, interval_edges, intervals_of, most_confirmations
 from drivecal.sensitivity.effects import LARGEST_SCORE, Design, Floats
 from drivecal.sensitivity.lines import lines_design, regions_design
 from drivecal.sensitivity.paper import paper_design
@@ -51,14 +52,26 @@ class Phase:
 class SensitivityAnalysis:
     """An analysis of all scenarios, a deterministic function of its arguments and of the scores."""
 
-    def __init__(self, space: ParameterSpace, scenarios: Sequence[str], settings: SensitivitySettings) -> None:
-        """Raises InvalidInputError if nothing is searched or the intervals are finer than a parameter's grid."""
+    def __init__(
+        self,
+        space: ParameterSpace,
+        scenarios: Sequence[str],
+        settings: SensitivitySettings,
+        feasible: Callable[[Indices], npt.NDArray[np.bool_]] | None = None,
+    ) -> None:
+        """Raises InvalidInputError if nothing is searched or the intervals are finer than a parameter's grid.
+
+        `feasible`: which points, shape (n, n_searched), keep the constraints. Others are never asked, and count as failed runs: what is
+        said rests on the steps between feasible points.
+        """
         if not space.searched:
             raise InvalidInputError(Problem("fixed", "every parameter is fixed", "leave at least one to be searched"))
         check_intervals(space, settings.intervals)
         self._space = space
         self._settings = settings
-        self._edges = [interval_edges(n, settings.intervals) for n in space.n_values.tolist()]
+        self._feasible = feasible
+        self._unordered = np.array([kind == "choice" for kind in space.kinds], dtype=np.bool_)
+        self._edges = [interval_edges(n, count) for n, count in zip(space.n_values.tolist(), self._counts(), strict=True)]
         self._states = {scenario: ScenarioState(space, self._edges, settings.threshold) for scenario in scenarios}
         self._number = 0
         self._confirmed = 0
@@ -66,23 +79,37 @@ class SensitivityAnalysis:
         self._intervals: dict[str, IntervalRuns] = {}
         self._designs: dict[str, Design] = {}
         self._points: dict[str, Indices] | None = None
+        """All points of the phase."""
+        self._asked: dict[str, npt.NDArray[np.bool_]] = {}
+        """Which of them are run, by scenario."""
+
+    def _counts(self) -> list[int]:
+        return [intervals_of(parameter, self._settings.intervals) for parameter in self._space.searched]
 
     def expected_runs(self) -> dict[PhaseName, int]:
         """Runs per scenario and phase at most; exact for the intervals unless they are chosen sequentially (Equation 3 for `paper`).
 
         Confirmation is cheaper by far where few regions are given back, and repeats are answered without a run.
         """
-        n_p, r, intervals = len(self._space.searched), self._settings.samples, self._settings.intervals
-        first = n_p * intervals * r * (n_p + 1) if self._settings.design == "paper" else r * (1 + n_p * (2 * intervals - 1))
-        return {"intervals": first, "confirmation": 2 * r * n_p * most_confirmations(intervals), "global": r * (n_p + 1)}
+        n_p, r, counts = len(self._space.searched), self._settings.samples, self._counts()
+        paper = self._settings.design == "paper"
+        first = sum(counts) * r * (n_p + 1) if paper else r * (1 + sum(2 * count - 1 for count in counts))
+        return {
+            "intervals": first,
+            "confirmation": 2 * r * sum(map(most_confirmations, counts)),
+            "global": r * (n_p + 1),
+        }
 
     def ask(self) -> Phase | None:
         """The phase whose scores are to be told next, the same until they are; None when the analysis is finished."""
-        if self._name is None:
-            return None
-        if self._points is None:
-            self._points = self._drawn()
-        return Phase(self._number, self._name, self._points)
+        while self._name is not None:
+            if self._points is None:
+                self._points = self._drawn()
+                self._asked = self._allowed(self._points)
+            if any(mask.any() for mask in self._asked.values()):
+                return Phase(self._number, self._name, self._to_run(self._points))
+            self._take({scenario: np.full(len(points), np.nan) for scenario, points in self._points.items()})
+        return None
 
     def tell(self, scores: Mapping[str, Floats]) -> None:
         """The scores 0..7 of the points of the phase asked last, by scenario, shape (n,); NaN if a run failed.
@@ -91,11 +118,19 @@ class SensitivityAnalysis:
         """
         if self._points is None or self._name is None:
             raise RuntimeError("there is nothing to tell: ask for a phase first")
-        if set(scores) != set(self._points):
-            raise ValueError(f"scores must be of {', '.join(self._points)}, not of {', '.join(scores)}")
-        for scenario, points in self._points.items():
-            _check(scenario, scores[scenario], len(points))
-        for scenario in self._points:
+        expected = {scenario: int(mask.sum()) for scenario, mask in self._asked.items() if mask.any()}
+        if set(scores) != set(expected):
+            raise ValueError(f"scores must be of {', '.join(expected)}, not of {', '.join(scores)}")
+        for scenario, count in expected.items():
+            _check(scenario, scores[scenario], count)
+        complete = {scenario: np.full(len(points), np.nan) for scenario, points in self._points.items()}
+        for scenario, known in scores.items():
+            complete[scenario][self._asked[scenario]] = known
+        self._take(complete)
+
+    def _take(self, scores: Mapping[str, Floats]) -> None:
+        """Takes the scores of all points of the phase, NaN for those that were not run."""
+        for scenario in scores:
             state, answers = self._states[scenario], scores[scenario]
             if self._name == "intervals":
                 self._tell_interval_runs(scenario, answers)
@@ -110,6 +145,21 @@ class SensitivityAnalysis:
         self._points = None
         self._number += 1
         self._name = self._next()
+
+    def _allowed(self, points: Mapping[str, Indices]) -> dict[str, npt.NDArray[np.bool_]]:
+        masks: dict[int, npt.NDArray[np.bool_]] = {}
+        for drawn in points.values():
+            if id(drawn) not in masks:
+                masks[id(drawn)] = np.ones(len(drawn), dtype=np.bool_) if self._feasible is None else self._feasible(drawn)
+        return {scenario: masks[id(drawn)] for scenario, drawn in points.items()}
+
+    def _to_run(self, points: Mapping[str, Indices]) -> dict[str, Indices]:
+        """Returns the points that are run; equal arrays stay one object."""
+        kept: dict[int, Indices] = {}
+        for scenario, drawn in points.items():
+            if id(drawn) not in kept:
+                kept[id(drawn)] = drawn if self._asked[scenario].all() else drawn[self._asked[scenario]]
+        return {scenario: kept[id(drawn)] for scenario, drawn in points.items() if self._asked[scenario].any()}
 
     def result(self) -> dict[str, ScenarioInfluence]:
         """Returns the results by scenario. Raises RuntimeError before the analysis is finished."""
@@ -149,7 +199,8 @@ class SensitivityAnalysis:
     def _interval_points(self) -> dict[str, Indices]:
         if not self._intervals:
             make = paper_design if self._settings.design == "paper" else lines_design
-            shared = make(self._space.n_values, self._edges, self._settings.samples, self._settings.seed, _INTERVALS)
+            samples, seed = self._settings.samples, self._settings.seed
+            shared = make(self._space.n_values, self._edges, samples, seed, _INTERVALS, self._unordered)
             sequential = self._settings.sequential and self._settings.design == "lines"
             self._intervals = {
                 scenario: IntervalRuns(shared, self._settings.threshold, sequential=sequential) for scenario in self._states
@@ -171,13 +222,19 @@ class SensitivityAnalysis:
             if state.waiting
         }
         n_values, samples, seed = self._space.n_values, self._settings.samples, self._settings.seed
-        return {scenario: regions_design(n_values, region, samples, seed, tag) for scenario, region in regions.items()}
+        return {
+            scenario: regions_design(n_values, region, samples, seed, tag, self._unordered)
+            for scenario, region in regions.items()
+        }
 
     def _global_designs(self) -> dict[str, Design]:
         n_values = self._space.n_values
         rows = SobolRows(COLUMNS * len(n_values), self._settings.seed, _GLOBAL, 1)
         boxes = {scenario: state.box() for scenario, state in self._states.items() if not state.unknown}
-        return {scenario: radial_design(n_values, rows, *box, self._settings.samples) for scenario, box in boxes.items()}
+        return {
+            scenario: radial_design(n_values, rows, *box, self._settings.samples, unordered=self._unordered)
+            for scenario, box in boxes.items()
+        }
 
 
 def _check(scenario: str, scores: Floats, count: int) -> None:

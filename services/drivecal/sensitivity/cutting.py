@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from drivecal.domain.errors import InvalidInputError, Problem
-from drivecal.domain.parameters import Indices, ParameterSpace
+from drivecal.domain.parameters import Indices, Parameter, ParameterSpace
 
 
 def interval_edges(n_values: int, intervals: int) -> Indices:
@@ -21,9 +21,18 @@ def interval_edges(n_values: int, intervals: int) -> Indices:
     return (2 * np.arange(intervals + 1) * (n_values - 1) + intervals) // (2 * intervals)
 
 
+def intervals_of(parameter: Parameter, intervals: int) -> int:
+    """Returns the number of intervals of a parameter: of an integer at most its steps; of a choice one, for it is cut as a whole or not at
+    all: its values have no order.
+    """
+    if parameter.kind == "choice":
+        return 1
+    return min(intervals, parameter.n_values - 1) if parameter.kind == "integer" else intervals
+
+
 def check_intervals(space: ParameterSpace, intervals: int) -> None:
     """Raises InvalidInputError naming every parameter whose grid has fewer steps than there would be intervals, and what would fit."""
-    fitting = int(space.n_values.min()) - 1
+    fitting = min((each.n_values - 1 for each in space.searched if each.kind in {"grid", "continuous"}), default=1)
     problems = [
         Problem(
             "sensitivity.intervals",
@@ -31,7 +40,7 @@ def check_intervals(space: ParameterSpace, intervals: int) -> None:
             f"give at most {fitting}",
         )
         for parameter in space.searched
-        if parameter.n_values - 1 < intervals
+        if parameter.n_values - 1 < intervals_of(parameter, intervals)
     ]
     if problems:
         raise InvalidInputError(*problems)

@@ -10,6 +10,8 @@ import numpy.typing as npt
 from drivecal.domain.parameters import Indices
 
 Floats = npt.NDArray[np.float64]
+Unordered = npt.NDArray[np.bool_]
+"""Which parameters are choices, shape (n_searched,)."""
 
 LARGEST_SCORE = 7
 """Changes of the score are divided by it, so that an effect of 1 is the whole scale over the whole range."""
@@ -20,7 +22,8 @@ class Design:
     """Points to run and which two of them make each elementary effect.
 
     `points`: grid indices, shape (n, n_searched). `first`, `second`: rows of `points`, and `steps`: the signed step from one to the
-    other in units of the parameter's full range, never 0; all of one shape, whose last axis is the samples.
+    other in units of the parameter's full range, never 0; all of one shape, whose last axis is the samples. A change between choices, which
+    have no order, is a step of the full range. Parameters with fewer intervals than others have NaN steps in the rest.
     """
 
     points: Indices
@@ -37,9 +40,10 @@ class Design:
 class DesignBuilder:
     """Collects the points and pairs of a design."""
 
-    def __init__(self, n_values: Indices) -> None:
-        """`n_values`: grid sizes of the searched parameters, shape (n_searched,)."""
+    def __init__(self, n_values: Indices, unordered: Unordered | None = None) -> None:
+        """`n_values`: grid sizes of the searched parameters; `unordered`: which of them are choices; shape (n_searched,)."""
         self._n_values = n_values
+        self._unordered = np.zeros(len(n_values), dtype=np.bool_) if unordered is None else unordered
         self._points: list[Indices] = []
         self._pairs: list[tuple[int, Indices, Indices]] = []
         self._count = 0
@@ -55,6 +59,11 @@ class DesignBuilder:
         """Adds one analysis of r effects of the parameter in `column`: rows of points, shape (r,), of which only that column differs."""
         self._pairs.append((column, first, second))
 
+    def add_gaps(self, column: int, samples: int, count: int) -> None:
+        """Adds `count` analyses without effects, in place of intervals that the parameter in `column` does not have."""
+        nothing = np.zeros(samples, dtype=np.int64)
+        self._pairs += [(column, nothing, nothing)] * count
+
     def design(self, *shape: int) -> Design:
         """The design, its analyses in the order in which they were added, shaped (*shape, r)."""
         points = np.concatenate(self._points)
@@ -62,7 +71,9 @@ class DesignBuilder:
         first = np.stack([pair for _, pair, _ in self._pairs])
         second = np.stack([pair for _, _, pair in self._pairs])
         columns = np.array([column for column, _, _ in self._pairs])[:, np.newaxis]
-        steps = (points[second, columns] - points[first, columns]) / (self._n_values[columns] - 1)
+        moves = points[second, columns] - points[first, columns]
+        steps = np.where(self._unordered[columns], np.sign(moves), moves / (self._n_values[columns] - 1))
+        steps[first == second] = np.nan
         full = (*shape, first.shape[-1])
         return Design(points, first.reshape(full), second.reshape(full), steps.reshape(full))
 

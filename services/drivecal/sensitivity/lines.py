@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drivecal.domain.parameters import Indices
-from drivecal.sensitivity.effects import Design, DesignBuilder
+from drivecal.sensitivity.effects import Design, DesignBuilder, Unordered
 from drivecal.sensitivity.radial import COLUMNS, SHORTEST, SobolRows, auxiliary_points, snapped
 
 BASE, PAIRS = 1, 2
@@ -38,41 +38,58 @@ def pairs_inside(
     return first, auxiliary_points(rows, 1, first[:, np.newaxis], *box, shortest)[:, 0]
 
 
-def lines_design(n_values: Indices, edges: Sequence[Indices], samples: int, seed: int, tag: int) -> Design:
+def lines_design(
+    n_values: Indices, edges: Sequence[Indices], samples: int, seed: int, tag: int, unordered: Unordered | None = None
+) -> Design:
     """The intervals between `edges` of every parameter on shared base points: r (1 + n_p (2 n_Int - 1)) runs.
 
-    Effects have shape (n_p, n_Int, r). In the interval where a base point lies, it is one of the two; on a shared edge it belongs to
-    the upper interval.
+    Effects have shape (n_p, n_Int, r); parameters may have fewer intervals than others. In the interval where a base point lies, it is
+    one of the two; on a shared edge it belongs to the upper interval.
     """
     base = base_points(n_values, samples, seed, tag)
-    builder = DesignBuilder(n_values)
+    builder, most = DesignBuilder(n_values, unordered), max(map(len, edges)) - 1
     base_rows = builder.add_points(base)
     for column, marks in enumerate(edges):
         home = np.minimum(np.searchsorted(marks, base[:, column], side="right") - 1, len(marks) - 2)
         for interval, (lower, upper) in enumerate(pairwise(marks.tolist())):
             mine = home == interval
-            first, second = pairs_inside(base[:, column], mine, lower, upper, seed, tag, column, interval)
+            shortest = _shortest(column, unordered)
+            key = (seed, tag, column, interval)
+            first, second = pairs_inside(base[:, column], mine, lower, upper, *key, shortest=shortest)
             first_rows = base_rows.copy()
             first_rows[~mine] = builder.add_points(_moved(base[~mine], column, first[~mine]))
             builder.add_pairs(column, first_rows, builder.add_points(_moved(base, column, second)))
-    return builder.design(len(n_values), len(edges[0]) - 1)
+        builder.add_gaps(column, samples, most - len(marks) + 1)
+    return builder.design(len(n_values), most)
 
 
-def regions_design(n_values: Indices, regions: Sequence[tuple[int, int, int]], samples: int, seed: int, tag: int) -> Design:
+def regions_design(
+    n_values: Indices,
+    regions: Sequence[tuple[int, int, int]],
+    samples: int,
+    seed: int,
+    tag: int,
+    unordered: Unordered | None = None,
+) -> Design:
     """Returns an analysis per (column, lower, upper) in `regions`, on shared base points: 2 r runs each; effects (n_regions, r).
 
     Where a base point lies inside a region it is the first of the two, so that regions share these runs; what is asked twice is
     answered by the reference table. Equal regions have equal points, whatever else is in the list.
     """
     base = base_points(n_values, samples, seed, tag)
-    builder = DesignBuilder(n_values)
+    builder = DesignBuilder(n_values, unordered)
     for column, lower, upper in regions:
         own = base[:, column]
         mine = (own >= lower) & (own <= upper)
-        first, second = pairs_inside(own, mine, lower, upper, seed, tag, column)
+        first, second = pairs_inside(own, mine, lower, upper, seed, tag, column, shortest=_shortest(column, unordered))
         rows = builder.add_points(_moved(base, column, first))
         builder.add_pairs(column, rows, builder.add_points(_moved(base, column, second)))
     return builder.design(len(regions))
+
+
+def _shortest(column: int, unordered: Unordered | None) -> float:
+    """Returns the shortest step of a parameter as a share of a box; between choices every change is as long."""
+    return 0.0 if unordered is not None and unordered[column] else SHORTEST
 
 
 def _moved(points: Indices, column: int, values: Indices) -> Indices:

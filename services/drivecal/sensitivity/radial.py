@@ -13,7 +13,7 @@ that what is drawn again would depend on what was rejected (and with it the mean
 import numpy as np
 
 from drivecal.domain.parameters import Indices
-from drivecal.sensitivity.effects import Design, DesignBuilder, Floats
+from drivecal.sensitivity.effects import Design, DesignBuilder, Floats, Unordered
 
 SHIFT = 4
 """Rows between a base point and its auxiliary point."""
@@ -49,14 +49,19 @@ def snapped(unit: Floats, lower: Indices, upper: Indices) -> Indices:
     return indices
 
 
-def shortest_steps(lower: Indices, upper: Indices, shortest: float = SHORTEST) -> Indices:
+def shortest_shares(unordered: Unordered | None, shortest: float = SHORTEST) -> float | Floats:
+    """Returns the shortest step as a share of the box; by parameter if there are choices, between which every change is as long."""
+    return shortest if unordered is None else np.where(unordered, 0.0, shortest)
+
+
+def shortest_steps(lower: Indices, upper: Indices, shortest: float | Floats = SHORTEST) -> Indices:
     """The shortest step in grid steps, at least one."""
     steps: Indices = np.maximum(1, np.ceil(shortest * (upper - lower)).astype(np.int64))
     return steps
 
 
 def auxiliary_points(
-    rows: SobolRows, offset: int, base: Indices, lower: Indices, upper: Indices, shortest: float = SHORTEST
+    rows: SobolRows, offset: int, base: Indices, lower: Indices, upper: Indices, shortest: float | Floats = SHORTEST
 ) -> Indices:
     """End points of each base point's step along each parameter, shape (r, d), as `base`.
 
@@ -78,7 +83,7 @@ def auxiliary_points(
 
 
 def radial_points(
-    rows: SobolRows, lower: Indices, upper: Indices, samples: int, shortest: float = SHORTEST
+    rows: SobolRows, lower: Indices, upper: Indices, samples: int, shortest: float | Floats = SHORTEST
 ) -> tuple[Indices, Indices]:
     """Base and auxiliary points in a box, both of shape (samples, d), from `rows` of `COLUMNS` d dimensions."""
     base = snapped(rows.upto(samples)[:samples, : len(lower)], lower, upper)
@@ -86,17 +91,28 @@ def radial_points(
 
 
 def radial_design(
-    n_values: Indices, rows: SobolRows, lower: Indices, upper: Indices, samples: int, shortest: float = SHORTEST
+    n_values: Indices,
+    rows: SobolRows,
+    lower: Indices,
+    upper: Indices,
+    samples: int,
+    shortest: float = SHORTEST,
+    unordered: Unordered | None = None,
 ) -> Design:
     """r (n_p + 1) runs in the box from `lower` to `upper`, shape (n_p,); effects of shape (n_p, r)."""
-    builder = DesignBuilder(n_values)
-    for column, first, second in add_radial(builder, rows, lower, upper, samples, shortest):
+    builder = DesignBuilder(n_values, unordered)
+    for column, first, second in add_radial(builder, rows, lower, upper, samples, shortest_shares(unordered, shortest)):
         builder.add_pairs(column, first, second)
     return builder.design(len(n_values))
 
 
 def add_radial(
-    builder: DesignBuilder, rows: SobolRows, lower: Indices, upper: Indices, samples: int, shortest: float = SHORTEST
+    builder: DesignBuilder,
+    rows: SobolRows,
+    lower: Indices,
+    upper: Indices,
+    samples: int,
+    shortest: float | Floats = SHORTEST,
 ) -> list[tuple[int, Indices, Indices]]:
     """Adds the runs of a radial design; gives per parameter its column and the rows of its pairs, each of shape (samples,)."""
     base, auxiliary = radial_points(rows, lower, upper, samples, shortest)

@@ -64,7 +64,7 @@ class ScenarioState:
     """Takes in the effects of each phase and says what is to be analysed next."""
 
     def __init__(self, space: ParameterSpace, edges: Sequence[Indices], threshold: Threshold) -> None:
-        """`edges`: of each searched parameter's intervals, shape (n_Int + 1,) each."""
+        """`edges`: of each searched parameter's intervals; their numbers may differ."""
         self._space = space
         self._edges = edges
         self._threshold = threshold
@@ -79,7 +79,8 @@ class ScenarioState:
     def take_intervals(self, scores: Floats, effects: Floats, steps: Floats) -> None:
         """Cuts. `scores`: of all runs; `effects`, `steps`: shape (n_p, n_Int, r)."""
         for column in range(len(self._edges)):
-            rows = zip(effects[column], steps[column], strict=True)
+            count = len(self._edges[column]) - 1
+            rows = zip(effects[column][:count], steps[column][:count], strict=True)
             self._intervals[column] = tuple(self._verdict(*row) for row in rows)
         self.unknown = tells_nothing(scores)
         if not self.unknown:

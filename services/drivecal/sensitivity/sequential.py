@@ -33,7 +33,8 @@ class IntervalRuns:
         self._threshold = threshold
         self._sequential = sequential
         self._made = np.zeros(len(design.points), dtype=bool)
-        self._verdicts: list[list[bool | None]] = [[None] * design.steps.shape[1] for _ in design.steps]
+        counts = (~np.isnan(design.steps[..., 0])).sum(axis=1).tolist()
+        self._verdicts: list[list[bool | None]] = [[None] * count for count in counts]
         self._samples = np.zeros(design.steps.shape[:2], dtype=np.int64)
         self._rows: Indices | None = None
         self.scores: Floats = np.full(len(design.points), np.nan)

@@ -2,10 +2,11 @@
 
 import re
 from collections.abc import Iterator, Mapping
-from decimal import Decimal
+from dataclasses import replace
 from difflib import get_close_matches
 from typing import Any
 
+from drivecal.bundles.archives import MANIFEST
 from drivecal.bundles.expressions import Constraint, Formula
 from drivecal.bundles.manifest import (
     CommandSimulator,
@@ -18,15 +19,13 @@ from drivecal.bundles.manifest import (
 )
 from drivecal.contracts import strict_json
 from drivecal.contracts.input_errors import nearest, validated
+from drivecal.contracts.specification import HIGHWAY
 from drivecal.contracts.strict_json import shown
 from drivecal.contracts.tables import parameter_column
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.evaluations import Breakdown
-from drivecal.domain.parameters import Parameter, billionths, decimal, text
+from drivecal.domain.parameters import Parameter, decimal
 
-MANIFEST = "problem.yaml"
-HIGHWAY = "highway"
-"""Name of the built-in problem."""
 Executables = Mapping[str, bool]
 """Files of a bundle by path, and whether each is executable."""
 _DIGEST = re.compile(r"[0-9a-f]{64}")
@@ -57,7 +56,7 @@ def checked(document: object, files: Executables | None = None) -> Manifest:
         manifest = validated(Manifest, document)
         problems, faulty = [], set[str]()
     except InvalidInputError as error:
-        problems = list(error.problems)
+        problems = [_cut_formula(problem) for problem in error.problems]
         faulty = {re.split(r"[.\[]", problem.field)[0] for problem in problems}
         if not isinstance(document, dict) or not faulty <= _PLACEHOLDERS.keys() | document.keys():
             raise
@@ -67,6 +66,12 @@ def checked(document: object, files: Executables | None = None) -> Manifest:
     if problems:
         raise InvalidInputError(*dict.fromkeys(problems))
     return manifest
+
+
+def _cut_formula(problem: Problem) -> Problem:
+    """Returns a better remedy if YAML has cut a formula at its comma, as in `{formula: max(a, b), ...}`."""
+    is_cut = problem.field.startswith("scores.") and problem.field.endswith(")") and problem.message == "there is no such field"
+    return replace(problem, remedy="put a formula with commas into quotes") if is_cut else problem
 
 
 def _semantic_problems(manifest: Manifest, faulty: set[str], files: Executables | None) -> Iterator[Problem]:
@@ -97,7 +102,9 @@ def _problem_name(name: str) -> Iterator[Problem]:
 def _parameters(entries: Mapping[str, ParameterEntry]) -> Iterator[Problem]:
     columns: dict[str, str] = {}
     for name, entry in entries.items():
-        yield from _kind(f"parameters.{name}", entry)
+        parameter = _declared(name, entry)
+        if isinstance(parameter, InvalidInputError):
+            yield from (replace(problem, field=f"parameters.{problem.field}") for problem in parameter.problems)
         column = parameter_column(name)
         if column in columns:
             message = f"{name} and {columns[column]} would share the column {column} of the table of evaluations"
@@ -105,63 +112,11 @@ def _parameters(entries: Mapping[str, ParameterEntry]) -> Iterator[Problem]:
         columns[column] = name
 
 
-def _kind(field: str, entry: ParameterEntry) -> Iterator[Problem]:
-    if entry.choices is not None:
-        for attribute in ("lower", "upper", "step"):
-            if getattr(entry, attribute) is not None:
-                yield Problem(
-                    f"{field}.{attribute}", "a choice has no bounds and no step", "leave it out, or leave `choices` out"
-                )
-        if entry.integer:
-            yield Problem(f"{field}.integer", "a choice is no number", "leave it out, or leave `choices` out")
-        twice = sorted({choice for choice in entry.choices if entry.choices.count(choice) > 1})
-        if twice:
-            yield Problem(f"{field}.choices", f"{shown(twice[0])} is there twice", "give each choice once")
-        return
-    missing = [attribute for attribute in ("lower", "upper") if getattr(entry, attribute) is None]
-    for attribute in missing:
-        yield Problem(f"{field}.{attribute}", "the value is missing", "give lower and upper, or choices")
-    if not missing:
-        yield from _numeric(field, entry)
-
-
-def _numeric(field: str, entry: ParameterEntry) -> Iterator[Problem]:
-    bounds = {"lower": _exact(entry.lower), "upper": _exact(entry.upper)}
-    for attribute, value in bounds.items():
-        if entry.integer and value != value.to_integral_value():
-            yield Problem(f"{field}.{attribute}", f"{value} is no whole number", "give a whole number, or leave `integer` out")
-        elif not _fits(value):
-            yield Problem(f"{field}.{attribute}", f"{value} has more than nine decimals", "round it")
-    if bounds["upper"] <= bounds["lower"]:
-        message = f"upper {text_of(bounds['upper'])} is not above lower {text_of(bounds['lower'])}"
-        yield Problem(f"{field}.upper", message, "give a larger one, or move a constant into the scenarios")
-        return
-    if entry.integer:
-        if entry.step not in {None, 1.0}:
-            yield Problem(f"{field}.step", "the step of an integer is 1", "leave `step` out, or leave `integer` out")
-    elif entry.step is not None and all(map(_fits, bounds.values())):
-        try:
-            Parameter.from_step("", bounds["lower"], bounds["upper"], _exact(entry.step))
-        except InvalidInputError as error:
-            for problem in error.problems:
-                yield Problem(field + problem.field, problem.message, problem.remedy)
-
-
-def _exact(value: float | None) -> Decimal:
-    return decimal(value or 0.0)
-
-
-def _fits(value: Decimal) -> bool:
+def _declared(name: str, entry: ParameterEntry) -> Parameter | InvalidInputError:
     try:
-        billionths(value)
-    except ValueError:
-        return False
-    return True
-
-
-def text_of(value: Decimal) -> str:
-    """Returns a number without exponent and trailing zeros if it has at most nine decimals."""
-    return text(value) if _fits(value) else str(value)
+        return Parameter.declared(name, **entry.model_dump())
+    except InvalidInputError as error:
+        return error
 
 
 def choices_of(manifest: Manifest) -> dict[str, tuple[str, ...]]:
@@ -192,33 +147,19 @@ def _baseline(manifest: Manifest) -> Iterator[Problem]:
         if name not in manifest.parameters:
             yield Problem(f"baseline.{name}", "there is no such parameter", nearest(name, list(manifest.parameters)))
         else:
-            yield from _value(f"baseline.{name}", manifest.parameters[name], value)
+            yield from _value(f"baseline.{name}", _declared(name, manifest.parameters[name]), value)
     for name in manifest.parameters:
         if name not in manifest.baseline:
             yield Problem(f"baseline.{name}", "the value is missing", "give one value per parameter")
 
 
-def _value(field: str, entry: ParameterEntry, value: float | str) -> Iterator[Problem]:
-    if entry.choices is not None:
-        if value not in entry.choices:
-            yield Problem(field, f"{shown(value)} is no choice", nearest(str(value), entry.choices))
-        return
-    if isinstance(value, str):
-        yield Problem(field, f"{shown(value)} does not fit", "give a number")
-        return
-    number, lower, upper = _exact(value), _exact(entry.lower), _exact(entry.upper)
-    if list(_numeric(field, entry)):
+def _value(field: str, parameter: Parameter | InvalidInputError, value: float | str) -> Iterator[Problem]:
+    if isinstance(parameter, InvalidInputError):
         return  # its own problems are reported
-    if not lower <= number <= upper:
-        yield Problem(field, f"{text_of(number)} lies outside the range", f"give a value from {text(lower)} to {text(upper)}")
-    elif not _fits(number):
-        yield Problem(field, f"{number} has more than nine decimals", "round it")
-    elif entry.integer or entry.step is not None:
-        step = Decimal(1) if entry.integer else _exact(entry.step)
-        below = lower + (number - lower) // step * step
-        if below != number:
-            remedy = f"the nearest values are {text(below)} or {text(below + step)}"
-            yield Problem(field, f"{text_of(number)} is not on the grid", remedy)
+    try:
+        parameter.index(value if isinstance(value, str) else decimal(value), field)
+    except InvalidInputError as error:
+        yield from error.problems
 
 
 def _feasibility(manifest: Manifest) -> Iterator[Problem]:

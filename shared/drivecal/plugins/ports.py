@@ -7,14 +7,15 @@ kernels, model arrays), inside `create`.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel
 
+from drivecal.domain.constraints import Constraint
 from drivecal.domain.evaluations import Rating
-from drivecal.domain.parameters import Indices, Parameter
+from drivecal.domain.parameters import Indices, Kind, Parameter
 from drivecal.domain.scenarios import Manoeuvre, Scenario
 from drivecal.domain.vehicles import VehicleParameter
 
@@ -213,6 +214,15 @@ class SeriesEvaluator(Protocol):
         """Rates a run that did not fail. The next run overwrites the arrays of `series`."""
 
 
+@runtime_checkable
+class ConstrainedFunction(Protocol):
+    """Optional protocol of a driving function that allows only some combinations of values."""
+
+    @property
+    def constraints(self) -> Mapping[str, Constraint]:
+        """Constraints over all parameters by their text, e.g. `{"a <= b": lambda values: values["a"] <= values["b"]}`."""
+
+
 class Catalogue(Named, Protocol):
     """A catalogue of scenarios."""
 
@@ -267,3 +277,33 @@ class OptimizerPlugin(Named, Protocol):
 
     def restore(self, settings: BaseModel, n_values: Indices, state: Mapping[str, Any]) -> Optimizer:
         """Creates an optimizer that continues from `state`."""
+
+
+Ability = Literal["grid", "continuous", "integer", "choice", "constraints"]
+"""Kinds of parameters that an optimizer searches, and `constraints`: repaired individuals."""
+UNDECLARED: frozenset[Ability] = frozenset({"grid", "integer"})
+"""Abilities of an optimizer that declares none."""
+
+
+@runtime_checkable
+class DeclaringOptimizerPlugin(OptimizerPlugin, Protocol):
+    """Optional protocol of an optimizer that searches more than grids and integers.
+
+    `create` and `restore` also get the kind of each parameter, in the order of `n_values`. Indices of a continuous parameter are up to 2e15
+    steps of 1e-9; indices of a choice have no order. `constraints` says that the optimizer copes with repair: an infeasible individual is
+    replaced by a feasible one after `ask`, by a pure function of the individual, and `tell` gives the replacement's result.
+    """
+
+    @property
+    def supports(self) -> frozenset[Ability]:
+        """All abilities, `grid` included."""
+
+    def create(
+        self, settings: BaseModel, n_values: Indices, start: Indices | None = None, kinds: Sequence[Kind] | None = None
+    ) -> Optimizer:
+        """See `OptimizerPlugin`. `kinds`: grids if left out."""
+
+    def restore(
+        self, settings: BaseModel, n_values: Indices, state: Mapping[str, Any], kinds: Sequence[Kind] | None = None
+    ) -> Optimizer:
+        """See `OptimizerPlugin`. `kinds`: grids if left out."""

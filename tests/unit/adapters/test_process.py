@@ -7,7 +7,7 @@ import pickle
 from pathlib import Path
 
 import pytest
-from tests.support.simulators import DECLARED, PYTHON, lost, opened, served, write_script, write_server
+from tests.support.simulators import DECLARED, PYTHON, eventually, lost, opened, served, write_script, write_server
 
 from drivecal.adapters import pipes, process
 from drivecal.adapters.scratch import environment
@@ -137,14 +137,14 @@ def test_a_line_that_nobody_asked_for_costs_no_run(tmp_path: Path) -> None:
     with served(tmp_path, body) as session:
         for _ in range(3):
             assert session.evaluate({"x": 1.0}).measures == {"y": 1.0}
-            session._pipes._poll.poll()  # waits for the goodbye
+            eventually(lambda: not session._pipes.is_fresh())
 
 
 def test_a_process_that_ended_between_two_runs_costs_no_run(tmp_path: Path) -> None:
     with served(tmp_path, "answer(id=request['id'], measures=dict(y=1.0))\nos._exit(0)") as session:
         for _ in range(3):
             assert session.evaluate({"x": 1.0}).measures == {"y": 1.0}
-            session._pipes._poll.poll()  # waits for the end
+            eventually(lambda: not session._pipes.is_fresh())
 
 
 def test_a_process_that_does_not_read_a_large_request_is_a_hang(tmp_path: Path) -> None:

@@ -6,9 +6,10 @@ from itertools import product
 
 import numpy as np
 import pytest
+from tests.support.classified import classified
 
 from drivecal.analysis.streams import generator
-from drivecal.analysis.validation import ReducibleSpace, design
+from drivecal.analysis.validation import design
 from drivecal.domain.errors import ConflictError
 
 SEEDS = (0, 1, 2, 2**32, 2**63 - 1)
@@ -31,7 +32,7 @@ def test_a_list_that_ends_with_zeros_is_the_stream_of_the_plain_seed() -> None:
 
 
 def test_a_validation_draws_its_earlier_stream_on_request_and_refuses_one_of_the_future() -> None:
-    space = ReducibleSpace([np.zeros(100, dtype=np.int64)] * 3)
+    space = classified([np.zeros(100, dtype=np.int64)] * 3)
     today, again, earlier = (design(space, 20, 2, 1, 20, *stream) for stream in ((), (2,), (1,)))
     assert today is not None
     assert again is not None

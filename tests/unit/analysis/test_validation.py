@@ -9,8 +9,9 @@ import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.support.classified import classified
 
-from drivecal.analysis.validation import MOST_EXACT, Differences, ReducibleSpace, _kept, coverage, design
+from drivecal.analysis.validation import MOST_EXACT, Differences, _kept, coverage, design
 from drivecal.optimizers.built_in import GENETIC, GeneticSettings
 
 EVERY = np.arange(10)
@@ -43,18 +44,18 @@ def test_beyond_sixteen_parameters_effects_of_up_to_three_are_counted(seed: int)
 
 
 def test_a_parameter_is_reducible_where_a_region_has_more_than_one_value() -> None:
-    assert ReducibleSpace([EVERY, LOW, BOTH, SINGLE, FREE]).reducible.tolist() == [1, 2, 4]
+    assert classified([EVERY, LOW, BOTH, SINGLE, FREE]).reducible.tolist() == [1, 2, 4]
 
 
 def test_where_nothing_can_be_reduced_there_is_nothing_to_validate() -> None:
-    assert design(ReducibleSpace([EVERY, SINGLE]), 20, 5, 1, 1000) is None
+    assert design(classified([EVERY, SINGLE]), 20, 5, 1, 1000) is None
 
 
 @given(seed=st.integers(0, 1000), references=st.integers(1, 6))
 @settings(max_examples=30)
 def test_variants_differ_inside_their_regions_only(seed: int, references: int) -> None:
     classes = [EVERY, LOW, BOTH, FREE]
-    found = design(ReducibleSpace(classes), 16, references, seed, 4096)
+    found = design(classified(classes), 16, references, seed, 4096)
     assert found is not None
     assert found.variants.shape == (len(found.bases), references, 4)
     for base, variants in zip(found.bases, found.variants, strict=True):
@@ -65,18 +66,18 @@ def test_variants_differ_inside_their_regions_only(seed: int, references: int) -
 
 
 def test_samples_grow_until_every_effect_is_covered() -> None:
-    found = design(ReducibleSpace([LOW, LOW, LOW, LOW]), 4, 3, 1, 100_000)
+    found = design(classified([LOW, LOW, LOW, LOW]), 4, 3, 1, 100_000)
     assert found is not None
     assert found.coverage.complete
     assert found.coverage.effects == 15
     assert found.drawn > 4
-    smaller = design(ReducibleSpace([LOW, LOW, LOW, LOW]), found.drawn // 2, 3, 1, found.drawn // 2)
+    smaller = design(classified([LOW, LOW, LOW, LOW]), found.drawn // 2, 3, 1, found.drawn // 2)
     assert smaller is not None
     assert not smaller.coverage.complete
 
 
 def test_a_large_hypercube_is_kept_as_far_as_it_is_needed() -> None:
-    space = ReducibleSpace([LOW, LOW, LOW, LOW])
+    space = classified([LOW, LOW, LOW, LOW])
     found = design(space, 4, 3, 1, 100_000)
     assert found is not None
     assert found.drawn > 4
@@ -95,14 +96,14 @@ def test_what_is_kept_covers_what_all_did(rows: list[list[bool]]) -> None:
 
 
 def test_the_cap_is_kept_and_what_is_missing_is_told() -> None:
-    found = design(ReducibleSpace([LOW] * 10), 8, 1, 1, 20)
+    found = design(classified([LOW] * 10), 8, 1, 1, 20)
     assert found is not None
     assert found.drawn == 20
     assert found.coverage.covered < found.coverage.effects == 1023
 
 
 def test_the_same_seed_gives_the_same_sets_and_another_one_others() -> None:
-    one, same, other = (design(ReducibleSpace([LOW, BOTH, FREE]), 16, 3, seed, 4096) for seed in (5, 5, 6))
+    one, same, other = (design(classified([LOW, BOTH, FREE]), 16, 3, seed, 4096) for seed in (5, 5, 6))
     assert one is not None
     assert same is not None
     assert other is not None
@@ -119,7 +120,7 @@ def test_differences_without_a_score_count_for_no_base() -> None:
 
 
 def test_every_other_value_of_a_region_is_equally_likely() -> None:
-    space, generator = ReducibleSpace([FREE]), np.random.default_rng(3)
+    space, generator = classified([FREE]), np.random.default_rng(3)
     drawn = [int(space.variant(np.array([4]), np.array([0]), generator)[0]) for _ in range(9000)]
     counts = np.bincount(drawn, minlength=10)
     assert counts[4] == 0
@@ -130,7 +131,7 @@ def test_every_other_value_of_a_region_is_equally_likely() -> None:
 def test_the_sets_are_others_than_those_of_a_start_population_with_the_same_seed(seed: int) -> None:
     """A hypercube of the search's own start would find its answers there, and test nothing new."""
     searched = [np.arange(100)] * 3 + [np.zeros(100, dtype=np.int64)]
-    drawn = design(ReducibleSpace(searched), 50, 2, seed, 50)
+    drawn = design(classified(searched), 50, 2, seed, 50)
     assert drawn is not None
     settings = GeneticSettings(population=50, seed=seed)
     start = GENETIC.create(settings, np.full(4, 100)).ask().population

@@ -110,7 +110,7 @@ def test_the_examples_pass_with_their_files(name: str) -> None:
         ("parameters/v0/step", 0.3, "parameters.v0.step"),
         ("parameters/v0/step", 1e-8, "parameters.v0.step"),
         ("parameters/v0/step", 0, "parameters.v0.step"),
-        ("parameters/v0/choices", ["a", "b"], "parameters.v0.lower"),
+        ("parameters/v0/choices", ["a", "b"], "parameters.v0.choices"),
         ("parameters/T/lower", 0.12345678901, "parameters.T.lower"),
         ("parameters/T/lower", "1", "parameters.T.lower"),
         ("parameters/n/lower", 1.5, "parameters.n.lower"),
@@ -119,7 +119,7 @@ def test_the_examples_pass_with_their_files(name: str) -> None:
         ("parameters/mode/choices", ["eco"], "parameters.mode.choices"),
         ("parameters/mode/choices", [1, 2], "parameters.mode.choices[0]"),
         ("parameters/mode/choices", ["eco", "\n"], "parameters.mode.choices[1]"),
-        ("parameters/mode/integer", True, "parameters.mode.integer"),
+        ("parameters/mode/integer", True, "parameters.mode.choices"),
         ("parameters/mode/choices", None, "parameters.mode.lower"),
         ("parameters/score", {"lower": 0, "upper": 1}, "baseline.score"),
         ("constraints/0", "v0 >= 10*S", "constraints[0]"),
@@ -198,6 +198,15 @@ def test_all_faults_of_all_sections_are_named_at_once() -> None:
     assert faults(given) == wanted
     given["measures"]["min_ttc_s"] = "s"
     assert faults(given) == (wanted - {"measures.min_ttc_s"}) | {"scores.cost.formula"}
+
+
+def test_a_formula_that_yaml_cut_at_a_comma_is_recognised() -> None:
+    score = yaml.safe_load("{formula: max(energy_kwh, min_ttc_s), direction: maximise, range: [0, 1]}")
+    with pytest.raises(InvalidInputError) as refusal:
+        checked(document(scores={"cost": score}))
+    [problem] = refusal.value.problems
+    assert problem.field == "scores.cost.min_ttc_s)"
+    assert "quotes" in problem.remedy
 
 
 def test_files_are_not_looked_for_if_they_are_not_known() -> None:

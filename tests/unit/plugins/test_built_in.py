@@ -17,7 +17,7 @@ PORTS: dict[str, type] = {
     "drivecal.driving_functions": ports.DrivingFunction,
     "drivecal.vehicles": ports.Vehicle,
     "drivecal.evaluators": ports.Evaluator,
-    "drivecal.optimizers": ports.OptimizerPlugin,
+    "drivecal.optimizers": ports.DeclaringOptimizerPlugin,
     "drivecal.scenarios": ports.Catalogue,
 }
 

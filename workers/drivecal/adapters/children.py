@@ -53,7 +53,7 @@ class Children:
     def __init__(self, launch: Launch, scratch: Scratch) -> None:
         """Starts nothing."""
         self._launch, self._scratch = launch, scratch
-        self._keeper: subprocess.Popen[bytes] | None = None
+        self._keeper: int | None = None
         self._control: socket.socket | None = None
         self._pid: int | None = None
         self._family: tuple[int, ...] = ()
@@ -69,15 +69,13 @@ class Children:
 
     def start(self, stdin: int, stdout: int, stderr: int) -> None:
         """Starts the child with these descriptors. Raises UnavailableError if its command cannot be run."""
-        if self._keeper is None or self._keeper.poll() is not None:
-            self._lose()
+        if self._control is None:
             self._start_keeper()
-        assert self._control is not None  # noqa: S101
-        try:
-            socket.send_fds(self._control, [keeper.START], [stdin, stdout, stderr])
-            reply = self._reply()
-        except OSError:
-            reply = None
+        reply = None
+        if self._control is not None:
+            with contextlib.suppress(OSError):
+                socket.send_fds(self._control, [keeper.START], [stdin, stdout, stderr])
+                reply = self._reply()
         if reply is None:
             self._lose()
             raise NoMeasuresError(Breakdown.CRASH, "the child's keeper was killed")
@@ -125,7 +123,7 @@ class Children:
         if self._keeper is None:
             return
         start = time.monotonic()
-        family = keeper.descendants(self._keeper.pid)
+        family = keeper.descendants(self._keeper)
         self._family = tuple(process.pid for process in family)
         now = time.monotonic()
         self._next_look = now + max(LOOK_SECONDS, 50 * (now - start))
@@ -139,15 +137,12 @@ class Children:
     def close(self) -> None:
         """Ends everything. Idempotent."""
         if self._control is not None:
-            self._control.close()
-            self._control = None
-        if self._keeper is not None:
-            try:
-                self._keeper.wait(REPLY_SECONDS)
-            except subprocess.TimeoutExpired:
-                self._lose()
-            self._keeper = None
-        self._pid, self._family = None, ()
+            with contextlib.suppress(OSError):
+                self._control.shutdown(socket.SHUT_WR)
+                while self._control.recv(65536):  # until the keeper has ended everything
+                    pass
+                self._keeper = None
+            self._lose()
 
     def _start_keeper(self) -> None:
         ours, theirs = socket.socketpair(type=socket.SOCK_SEQPACKET)  # a message is received as it was sent
@@ -163,11 +158,17 @@ class Children:
             "scratch": str(self._scratch.folder),
             "memory": self._launch.memory_mb << 20,
         }
-        assert process.stdin is not None  # noqa: S101
-        with contextlib.suppress(OSError), process.stdin:
-            process.stdin.write(json.dumps(settings).encode())
+        with process:
+            assert process.stdin is not None  # noqa: S101
+            with contextlib.suppress(OSError):
+                process.stdin.write(json.dumps(settings).encode())
         ours.settimeout(REPLY_SECONDS)
-        self._keeper, self._control = process, ours
+        self._control = ours
+        reply = self._reply()
+        if reply is None:
+            self._lose()
+        else:
+            self._keeper = reply["keeper"]
 
     def _reply(self) -> dict[str, Any] | None:
         """Returns the keeper's next message, None if it is gone."""
@@ -180,18 +181,15 @@ class Children:
         return reply
 
     def _lose(self) -> None:
-        """Kills what is left of a keeper that was killed or does not answer. Its child dies with it; others may have left its group."""
-        if self._keeper is None:
-            return
-        self._lost_seconds = self.cpu_seconds()
-        for pid in self._family:
-            with contextlib.suppress(OSError):
-                os.kill(pid, signal.SIGKILL)
-        if self._pid is not None:
-            with contextlib.suppress(OSError):
-                os.killpg(self._pid, signal.SIGKILL)
-        self._keeper.kill()
-        self._keeper.wait()
+        """Forgets the keeper, and kills what is left of one that was killed or does not answer."""
+        if self._keeper is not None:
+            self._lost_seconds = self.cpu_seconds()
+            for pid in self._family:
+                with contextlib.suppress(OSError):
+                    os.kill(pid, signal.SIGKILL)
+            if self._pid is not None:
+                with contextlib.suppress(OSError):
+                    os.killpg(self._pid, signal.SIGKILL)
         if self._control is not None:
             self._control.close()
         self._keeper, self._control, self._pid, self._family, self._ended_seconds = None, None, None, (), 0.0

@@ -94,7 +94,8 @@ class Keeper:
         self._statuses: dict[int, int] = {}
 
     def serve(self) -> None:
-        """Serves until the worker closes the socket or dies."""
+        """Reports its own number as `{"keeper": n}` and serves until the worker closes the socket or dies."""
+        self._say({"keeper": os.getpid()})
         reader, writer = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
         signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
         signal.signal(signal.SIGCHLD, lambda *_: None)
@@ -232,10 +233,15 @@ def remove(folder: Path) -> None:
 
 
 def main() -> None:
-    """Reads the settings from standard input and serves; removes the scratch folder at the end."""
+    """Reads the settings from standard input and serves; removes the scratch folder at the end.
+
+    Serves in a process that is not a child of the worker: Ray kills a worker's children before the keeper could end theirs.
+    """
     for number in IGNORED:
         signal.signal(number, signal.SIG_IGN)
     settings = json.load(sys.stdin)
+    if os.fork():
+        os._exit(0)
     keeper = Keeper(socket.socket(fileno=int(sys.argv[1])), settings)
     try:
         keeper.serve()

@@ -3,12 +3,10 @@
 import gzip
 import json
 import os
-import shutil
 import tempfile
 import time
 from collections import OrderedDict
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 
 from drivecal.adapters.kinds import simulator
@@ -63,13 +61,11 @@ class BundleCache:
         if self.has(digest):
             return
         self._folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-        made = Path(tempfile.mkdtemp(prefix="unpacking-", dir=self._folder))
         try:
-            unpack(archive, made / "bundle", digest)
-            with suppress(OSError):  # another worker was faster
-                (made / "bundle").rename(self._folder / digest)
-        finally:
-            shutil.rmtree(made, ignore_errors=True)
+            unpack(archive, self._folder / digest, digest)
+        except OSError:
+            if not self.has(digest):  # else another worker was faster
+                raise
 
 
 class BundleSessions:

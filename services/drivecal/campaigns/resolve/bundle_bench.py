@@ -4,10 +4,12 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
-from drivecal.bundles.expressions import Formula, UndefinedError
+from drivecal.bundles.checks import choices_of
+from drivecal.bundles.expressions import Constraint, Formula, UndefinedError
 from drivecal.bundles.fingerprints import score_id, setup_document
 from drivecal.bundles.manifest import Manifest, ScoreEntry
 from drivecal.contracts.work import BundleRequest
+from drivecal.domain.constraints import Constraint as Allows
 from drivecal.domain.evaluations import Rating
 from drivecal.domain.parameters import Parameter
 from drivecal.domain.scales import Scale
@@ -30,6 +32,12 @@ BundleSource = Callable[[str], Bundle]
 def parameters_of(manifest: Manifest) -> tuple[Parameter, ...]:
     """Returns all parameters of a manifest."""
     return tuple(Parameter.declared(name, **entry.model_dump()) for name, entry in manifest.parameters.items())
+
+
+def constraints_of(manifest: Manifest) -> dict[str, Allows]:
+    """Returns the constraints of a manifest by their text."""
+    known = choices_of(manifest)
+    return {text: Constraint(text, known).holds_in for text in manifest.constraints}
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from drivecal.campaigns.resolve.workbench import find_workbench, no_bundles
 from drivecal.contracts.campaign import ExpectedRuns
 from drivecal.contracts.specification import HIGHWAY, CampaignSpecification, EvaluationSpecification, SensitivitySpecification
 from drivecal.contracts.work import Batch, Cell
+from drivecal.domain.constraints import Constraints
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.influence import InfluenceMap
 from drivecal.domain.parameters import Indices, Parameter, ParameterSet, ParameterSpace
@@ -45,13 +46,15 @@ class CalibrationProblem:
     robust_sets: tuple[ParameterSet, ...]
     """The sets that the robustness stage always examines."""
     notes: tuple[str, ...]
+    constraints: Constraints
+    """Constraints over the parameters; none for a plug-in without."""
 
     def analysis(self) -> SensitivityAnalysis | None:
         """A new sensitivity analysis; None if the specification names a map or wants no analysis."""
         wanted = self.specification.sensitivity
         if not isinstance(wanted, SensitivitySpecification):
             return None
-        return resolvers.plan_analysis(wanted, self.space, self.scenarios)
+        return resolvers.plan_analysis(wanted, self.constraints, self.scenarios)
 
     @property
     def checked_certificates(self) -> float | None:
@@ -72,10 +75,11 @@ class CalibrationProblem:
 
     def search_area(self, influence_map: InfluenceMap | None) -> SearchArea:
         """Returns the common area if `reduction.narrow` requests it, widened to hold the start sets; else the whole space. It depends only
-        on specification and influence map, so a campaign can resume."""
+        on specification and influence map, so a campaign can resume. A common area without a set that keeps all constraints is not used."""
         if influence_map is None or not self.specification.reduction.narrow:
             return full_area(self.space)
-        return common_area(self.space, influence_map, self.scenarios, self.start_indices)
+        area = common_area(self.space, influence_map, self.scenarios, self.start_indices)
+        return area if self.constraints.allow_any(area.first, area.last) else full_area(self.space)
 
     def expected_runs(self) -> ExpectedRuns:
         """The number of simulations if no cell can be answered without one."""
@@ -153,14 +157,16 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = no_bun
     notes += resolvers.note_vehicle(found.vehicle, found.vehicle_parameters)
     notes += resolvers.note_threshold(specification)
     space = None if found.function is None else search_space(specification, found.function, diagnostics)
+    constraints = None if space is None else resolvers.find_constraints(found.function, space, diagnostics)
+    resolvers.check_abilities(optimization, constraints, diagnostics)
     if specification.baseline is None:
-        baseline, more = resolvers.own_baseline(found.baseline, space)
+        baseline, more = resolvers.own_baseline(found.baseline, constraints)
         notes += more
     else:
-        baseline = given_set(specification.baseline, space, "baseline", diagnostics)
-    start_sets = resolvers.find_start_sets(specification, baseline, space, diagnostics)
+        baseline = given_set(specification.baseline, constraints, "baseline", diagnostics)
+    start_sets = resolvers.find_start_sets(specification, baseline, constraints, diagnostics)
     robust_sets = resolvers.find_robust_sets(
-        specification, found.vehicle, found.vehicle_parameters, list(weights), space, diagnostics
+        specification, found.vehicle, found.vehicle_parameters, list(weights), constraints, diagnostics
     )
     if specification.robustness is not None and found.problem != HIGHWAY:
         diagnostics.add("robustness", f"the problem {specification.problem} has no vehicle parameters", "leave it out")
@@ -168,17 +174,18 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = no_bun
     if specification.reduction.narrow and specification.sensitivity is None:
         remedy = "ask for a sensitivity analysis, name a map, or leave `narrow` out"
         diagnostics.add("reduction.narrow", "there is no influence map by which the search space could be narrowed", remedy)
-    if space is not None and isinstance(specification.sensitivity, SensitivitySpecification):
+    if constraints is not None and isinstance(specification.sensitivity, SensitivitySpecification):
         try:
-            resolvers.plan_analysis(specification.sensitivity, space, tuple(weights))
+            resolvers.plan_analysis(specification.sensitivity, constraints, tuple(weights))
         except InvalidInputError as error:
             diagnostics.problems.extend(error.problems)
     diagnostics.raise_if_any()
-    if found.make is None or space is None:
+    if found.make is None or space is None or constraints is None:
         raise AssertionError("a part is missing without a finding")
     specification = specification.model_copy(update={"problem": found.problem})
-    bench = found.make(weights)
-    return CalibrationProblem(specification, bench, space, weights, optimization, baseline, start_sets, robust_sets, notes)
+    return CalibrationProblem(
+        specification, found.make(weights), space, weights, optimization, baseline, start_sets, robust_sets, notes, constraints
+    )
 
 
 def resolve_evaluation(specification: EvaluationSpecification, bundles: BundleSource = no_bundles) -> EvaluationProblem:
@@ -193,10 +200,14 @@ def resolve_evaluation(specification: EvaluationSpecification, bundles: BundleSo
             diagnostics.add("scenario", f"there is no scenario {specification.scenario!r}", f"one of {', '.join(scenarios)}")
     values = {} if found.function is None else free_values(specification.parameters, found.function, diagnostics)
     diagnostics.raise_if_any()
-    if found.make is None:
+    if found.make is None or found.function is None:
         raise AssertionError("a part is missing without a finding")
+    parameter_set = ParameterSet.of(values)
+    resolvers.constraints_of(found.function, ParameterSpace(next(iter(found.function.spaces.values())))).check(
+        parameter_set, "parameters"
+    )
     specification = specification.model_copy(update={"problem": found.problem})
-    return EvaluationProblem(specification, found.make(scenarios), ParameterSet.of(values))
+    return EvaluationProblem(specification, found.make(scenarios), parameter_set)
 
 
 def catalogue_scenarios(catalogue: str | list[str]) -> dict[str, tuple[str, Scenario]]:

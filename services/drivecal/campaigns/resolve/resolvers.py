@@ -2,12 +2,13 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
 from drivecal.analysis.robustness import check_nominal
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
-from drivecal.campaigns.resolve.spaces import given_set
+from drivecal.campaigns.resolve.spaces import Parameterised, given_set
 from drivecal.contracts.input_errors import nearest, problem
 from drivecal.contracts.specification import (
     CampaignSpecification,
@@ -16,11 +17,15 @@ from drivecal.contracts.specification import (
     VehicleSpecification,
 )
 from drivecal.contracts.studies import STUDIES
+from drivecal.domain.constraints import Constraints
 from drivecal.domain.errors import InvalidInputError
-from drivecal.domain.parameters import ParameterSet, ParameterSpace, Setting
+from drivecal.domain.parameters import Indices, ParameterSet, ParameterSpace, Setting
 from drivecal.domain.scenarios import Scenario
+from drivecal.optimizers import abilities
+from drivecal.optimizers.repair import Repair, RepairingOptimizer
 from drivecal.plugins import registry
-from drivecal.plugins.ports import OptimizerPlugin, Vehicle
+from drivecal.plugins.ports import Ability, ConstrainedFunction, Optimizer, OptimizerPlugin, Vehicle
+from drivecal.reduction.narrowing import SearchArea
 from drivecal.sensitivity import thresholds
 from drivecal.sensitivity.analysis import SensitivityAnalysis
 from drivecal.sensitivity.settings import SensitivitySettings
@@ -38,6 +43,24 @@ class Optimization:
     population: int
     iterations: int
     seed: int
+
+    def begin(self, area: SearchArea, constraints: Constraints, start: Indices | None) -> Optimizer:
+        """Returns a new optimizer of an area whose proposals keep the constraints; `start`: rows of its first population."""
+        optimizer = abilities.create(self.plugin, self.settings, area.n_values, area.kinds, start)
+        return _repairing(optimizer, area, constraints)
+
+    def restore(self, area: SearchArea, constraints: Constraints, state: Mapping[str, Any]) -> Optimizer:
+        """Returns the optimizer that continues from `state`."""
+        optimizer = abilities.restore(self.plugin, self.settings, area.n_values, area.kinds, state)
+        return _repairing(optimizer, area, constraints)
+
+
+def _repairing(optimizer: Optimizer, area: SearchArea, constraints: Constraints) -> Optimizer:
+    if not constraints:
+        return optimizer
+    anchors = area.contract(constraints.anchors(area.first, area.last))
+    repair = Repair(area.n_values, area.kinds, lambda population: constraints.feasible(area.expand(population)), anchors)
+    return RepairingOptimizer(optimizer, repair)
 
 
 def find_scenarios(catalogue: str | list[str], diagnostics: Diagnostics) -> dict[str, tuple[str, Scenario]]:
@@ -123,18 +146,21 @@ def choose_optimizer(specification: CampaignSpecification, diagnostics: Diagnost
 
 
 def own_baseline(
-    given: Mapping[str, Setting] | None, space: ParameterSpace | None
+    given: Mapping[str, Setting] | None, constraints: Constraints | None
 ) -> tuple[ParameterSet | None, tuple[str, ...]]:
     """The problem's baseline, and a note if this campaign's space does not hold it."""
     diagnostics = Diagnostics()
-    baseline = given_set(given, space, "baseline", diagnostics)
+    baseline = given_set(given, constraints, "baseline", diagnostics)
     if not diagnostics.problems:
         return baseline, ()
     return None, (f"the problem's baseline is left out: {'; '.join(str(problem) for problem in diagnostics.problems)}",)
 
 
 def find_start_sets(
-    specification: CampaignSpecification, baseline: ParameterSet | None, space: ParameterSpace | None, diagnostics: Diagnostics
+    specification: CampaignSpecification,
+    baseline: ParameterSet | None,
+    constraints: Constraints | None,
+    diagnostics: Diagnostics,
 ) -> tuple[ParameterSet, ...]:
     """The sets that the start population must hold, each once: the baseline, then sets from expert knowledge."""
     wanted = specification.optimizer
@@ -143,7 +169,7 @@ def find_start_sets(
     for index, given in enumerate(listed):
         if len(diagnostics.problems) > MOST_WRONG_SETS:
             break  # who has so many to mend begins with them
-        start_sets.append(given_set(given, space, f"optimizer.start_sets[{index}]", diagnostics))
+        start_sets.append(given_set(given, constraints, f"optimizer.start_sets[{index}]", diagnostics))
     together = tuple(dict.fromkeys(parameter_set for parameter_set in (baseline, *start_sets) if parameter_set is not None))
     if wanted is not None and len(together) > wanted.population:
         message = f"{len(together)} sets, the baseline included, do not fit into a population of {wanted.population}"
@@ -156,7 +182,7 @@ def find_robust_sets(
     vehicle: Vehicle | None,
     nominal: Mapping[str, float],
     scenarios: Sequence[str],
-    space: ParameterSpace | None,
+    constraints: Constraints | None,
     diagnostics: Diagnostics,
 ) -> tuple[ParameterSet, ...]:
     """The sets that the robustness stage always examines; adds the stage's problems."""
@@ -173,7 +199,7 @@ def find_robust_sets(
         diagnostics.add("robustness.eta", message, f"one number, or one for each of {', '.join(scenarios)}")
     if vehicle is not None:
         diagnostics.attempt(lambda: check_nominal(vehicle.parameters, nominal))
-    named = [given_set(given, space, f"robustness.sets[{index}]", diagnostics) for index, given in enumerate(wanted.sets)]
+    named = [given_set(given, constraints, f"robustness.sets[{index}]", diagnostics) for index, given in enumerate(wanted.sets)]
     return tuple(dict.fromkeys(parameter_set for parameter_set in named if parameter_set is not None))
 
 
@@ -189,7 +215,39 @@ def check_validation(specification: CampaignSpecification, diagnostics: Diagnost
         diagnostics.add("validation.largest", message, "give at least as many")
 
 
-def plan_analysis(wanted: SensitivitySpecification, space: ParameterSpace, scenarios: Sequence[str]) -> SensitivityAnalysis:
+def constraints_of(function: Parameterised, space: ParameterSpace) -> Constraints:
+    """Returns the constraints of a driving function; none for a plug-in without."""
+    return Constraints(space, function.constraints if isinstance(function, ConstrainedFunction) else {})
+
+
+def find_constraints(function: Parameterised | None, space: ParameterSpace, diagnostics: Diagnostics) -> Constraints | None:
+    """The constraints of the search; None if they leave nothing, with the problem in `diagnostics`."""
+    if function is None:
+        return None
+    constraints = constraints_of(function, space)
+    if constraints:
+        last = space.n_values - 1
+        if diagnostics.attempt(lambda: constraints.anchors(0 * last, last)) is None:
+            return None
+    return constraints
+
+
+def check_abilities(optimization: Optimization | None, constraints: Constraints | None, diagnostics: Diagnostics) -> None:
+    """Adds a problem for each kind of parameter that the optimizer does not search, and for constraints that it does not cope with."""
+    if optimization is None or constraints is None:
+        return
+    wanted: set[Ability] = {*constraints.space.kinds, *(("constraints",) if constraints else ())}
+    name = optimization.plugin.name
+    for ability in abilities.lacking(optimization.plugin, wanted):
+        concerned = [parameter.name for parameter in constraints.space.searched if parameter.kind == ability]
+        message = f"{name} does not support {ability} parameters ({', '.join(concerned)})"
+        if ability == "constraints":
+            message = f"{name} does not support constraints"
+        remedy = f"choose another optimizer, or let the plug-in declare {ability!r} in `supports`"
+        diagnostics.add("optimizer.kind", message, remedy)
+
+
+def plan_analysis(wanted: SensitivitySpecification, constraints: Constraints, scenarios: Sequence[str]) -> SensitivityAnalysis:
     """Plans a new sensitivity analysis. Raises InvalidInputError if the space does not allow it."""
     threshold = wanted.threshold
     settings = SensitivitySettings(
@@ -202,7 +260,7 @@ def plan_analysis(wanted: SensitivitySpecification, space: ParameterSpace, scena
         seed=wanted.seed,
         sequential=wanted.sequential,
     )
-    return SensitivityAnalysis(space, scenarios, settings)
+    return SensitivityAnalysis(constraints.space, scenarios, settings, constraints.feasible if constraints else None)
 
 
 def normalise_weights(

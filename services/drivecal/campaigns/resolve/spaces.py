@@ -6,6 +6,7 @@ from typing import Any, Protocol
 
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.contracts.specification import CampaignSpecification, ParameterSpecification
+from drivecal.domain.constraints import Constraints
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.parameters import Parameter, ParameterSet, ParameterSpace, Setting, Value, billionths, decimal, text
 
@@ -164,16 +165,19 @@ def search_space(
 
 
 def given_set(
-    given: Mapping[str, Setting] | None, space: ParameterSpace | None, field: str, diagnostics: Diagnostics
+    given: Mapping[str, Setting] | None, constraints: Constraints | None, field: str, diagnostics: Diagnostics
 ) -> ParameterSet | None:
-    """A user's set on the grid; None if it is missing or invalid, with its problems in `diagnostics`."""
-    if given is None or space is None:
+    """A user's set on the grid that keeps the constraints; None if it is missing or invalid, with its problems in `diagnostics`."""
+    if given is None or constraints is None:
         return None
+    space = constraints.space
     try:
-        return space.parameter_set(space.indices({name: _value(value) for name, value in given.items()}, field).tolist())
+        made = space.parameter_set(space.indices({name: _value(value) for name, value in given.items()}, field).tolist())
+        constraints.check(made, field)
     except InvalidInputError as error:
         diagnostics.problems.extend(error.problems)
         return None
+    return made
 
 
 def free_values(given: Mapping[str, Setting], function: Parameterised, diagnostics: Diagnostics) -> dict[str, Value]:

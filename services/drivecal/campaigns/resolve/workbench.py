@@ -6,10 +6,11 @@ from dataclasses import dataclass, field
 from drivecal.bundles.manifest import Manifest
 from drivecal.campaigns.resolve import resolvers
 from drivecal.campaigns.resolve.bench import Bench, DrivingBench, evaluator_id
-from drivecal.campaigns.resolve.bundle_bench import Bundle, BundleBench, BundleSource, parameters_of
+from drivecal.campaigns.resolve.bundle_bench import Bundle, BundleBench, BundleSource, constraints_of, parameters_of
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.spaces import Parameterised
 from drivecal.contracts.specification import HIGHWAY, EvaluationSpecification, ProblemSpecification, VehicleSpecification
+from drivecal.domain.constraints import Constraint as Allows
 from drivecal.domain.errors import NotFoundError
 from drivecal.domain.parameters import Parameter, Setting
 from drivecal.plugins import registry
@@ -84,6 +85,8 @@ class BundleFunction:
 
     name: str
     parameters: tuple[Parameter, ...]
+    constraints: Mapping[str, Allows]
+    """By their text."""
 
     @property
     def spaces(self) -> Mapping[str, tuple[Parameter, ...]]:
@@ -101,7 +104,7 @@ def _stored(wanted: Wanted, bundle: Bundle, diagnostics: Diagnostics) -> Workben
     _refuse_driving_settings(wanted, diagnostics)
     scenarios = _scenarios(wanted.catalogue, manifest, diagnostics)
     score = _score(wanted.evaluator, manifest, diagnostics)
-    function = BundleFunction(manifest.problem, parameters_of(manifest))
+    function = BundleFunction(manifest.problem, parameters_of(manifest), constraints_of(manifest))
     make = None if score is None else lambda chosen: BundleBench(bundle, tuple(chosen), score)
     return Workbench(bundle.digest, scenarios, function, make=make, baseline=manifest.baseline)
 

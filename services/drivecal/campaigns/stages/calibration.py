@@ -137,13 +137,13 @@ class Calibration(CampaignStage):
 
     def _restored(self, last: StoredGeneration | None) -> Optimizer:
         """The optimizer as it was after the last generation, or a new one. Takes as long as the optimizer's computations."""
-        plugin, settings, n_values = self._optimization.plugin, self._optimization.settings, self._area.n_values
+        constraints, area = self._problem.constraints, self._area
         if last is None:
-            start = self._area.contract(self._problem.start_indices) if self._problem.start_sets else None
-            return plugin.create(settings, n_values, start)
+            start = area.contract(self._problem.start_indices) if self._problem.start_sets else None
+            return self._optimization.begin(area, constraints, start)
         if last.optimizer_state is None:
             raise RuntimeError(f"generation {last.iteration} has no optimizer state")
-        optimizer = plugin.restore(settings, n_values, last.optimizer_state)
+        optimizer = self._optimization.restore(area, constraints, last.optimizer_state)
         self._iteration = last.iteration
         if last.finished:
             optimizer.tell(self._weighted(self._scores), self._weighted(self._ratings))

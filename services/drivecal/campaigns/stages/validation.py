@@ -4,10 +4,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from drivecal.analysis.intervals import mean_interval
-from drivecal.analysis.validation import STREAM, Differences, ReducibleSpace, ValidationDesign, design
+from drivecal.analysis.validation import STREAM, Differences, ReducibleSpace, Region, ValidationDesign, design
 from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.stages.stage import Round
@@ -15,9 +14,8 @@ from drivecal.campaigns.stages.study import StudyStage
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import CellScore
 from drivecal.domain.influence import InfluenceMap
-from drivecal.domain.parameters import ParameterSpace
+from drivecal.domain.parameters import Parameter, ParameterSpace, billionths
 from drivecal.reduction.assignment import RequestedCell
-from drivecal.reduction.keys import ReferenceKeys
 from drivecal.storage import studies
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -28,16 +26,28 @@ LARGEST_AGREEING = 1
 
 def reducible_space(influence_map: InfluenceMap, scenario: str, space: ParameterSpace) -> ReducibleSpace:
     """The values that the map treats as the same in a scenario, as in the reference keys."""
-    names = [parameter.name for parameter in space.searched]
-    keys = ReferenceKeys(influence_map, scenario, names)
-    place = {name: column for column, name in enumerate(sorted(names))}
-    classes = []
-    for column, parameter in enumerate(space.searched):
-        values = parameter.all_billionths
-        grid: npt.NDArray[np.int64] = np.zeros((len(values), len(names)), dtype=np.int64)
-        grid[:, column] = values
-        classes.append(keys.codes(grid)[:, place[parameter.name]])
-    return ReducibleSpace(classes)
+    return ReducibleSpace(space.n_values, [_regions(influence_map, scenario, parameter) for parameter in space.searched])
+
+
+def _regions(influence_map: InfluenceMap, scenario: str, parameter: Parameter) -> list[Region]:
+    """Returns grid indices whose values have one reference key, as far as the map covers them."""
+    influence, name = influence_map.influence(scenario, parameter.name), parameter.name
+    if parameter.choices:
+        analysed = influence_map.choices.get(name, frozenset(parameter.choices))
+        members = tuple(index for index, text in enumerate(parameter.choices) if text in analysed)
+        return [] if influence.influential else [members]
+    start, stop = 0, parameter.n_values
+    if name in influence_map.ranges:
+        lowest, highest = influence_map.ranges[name]
+        start, stop = parameter.first_from(billionths(lowest)), parameter.last_upto(billionths(highest)) + 1
+    if not influence.influential:
+        return [range(start, stop)]
+    regions: list[Region] = []
+    if influence.lower is not None:
+        regions.append(range(start, min(stop, parameter.first_from(billionths(influence.lower)))))
+    if influence.upper is not None:
+        regions.append(range(max(start, parameter.last_upto(billionths(influence.upper)) + 1), stop))
+    return regions
 
 
 def compared(histogram: Mapping[int, int]) -> dict[str, Any]:
@@ -75,6 +85,7 @@ class ValidationStage(StudyStage):
                 wanted.seed,
                 wanted.largest,
                 self._stream,
+                problem.constraints.feasible if problem.constraints else None,
             )
             for scenario in problem.scenarios
         }
@@ -104,7 +115,12 @@ class ValidationStage(StudyStage):
             if pairs is None:
                 continue
             together = np.concatenate([pairs.bases[:, None], pairs.variants], axis=1).reshape(-1, pairs.bases.shape[1])
-            cells += [RequestedCell(number, scenario, each) for number, each in enumerate(space.parameter_sets(together))]
+            allowed = self._problem.constraints.feasible(together)
+            cells += [
+                RequestedCell(number, scenario, each)
+                for number, each in enumerate(space.parameter_sets(together))
+                if allowed[number]
+            ]
         return Round(0, [(self._problem.bench, cells)], self._exact) if cells else None
 
     def _take(self, number: int, answers: Sequence[CellScore]) -> None:

@@ -1,0 +1,33 @@
+"""What optimizers can search, and how plug-ins with and without declared abilities are called."""
+
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
+
+from pydantic import BaseModel
+
+from drivecal.domain.parameters import Indices, Kind
+from drivecal.plugins.ports import UNDECLARED, Ability, DeclaringOptimizerPlugin, Optimizer, OptimizerPlugin
+
+
+def lacking(plugin: OptimizerPlugin, wanted: Collection[Ability]) -> list[Ability]:
+    """Returns the wanted abilities that a plug-in does not have; a plug-in that declares none has `UNDECLARED`."""
+    supported = plugin.supports if isinstance(plugin, DeclaringOptimizerPlugin) else UNDECLARED
+    return sorted(set(wanted) - supported)
+
+
+def create(
+    plugin: OptimizerPlugin, settings: BaseModel, n_values: Indices, kinds: Sequence[Kind], start: Indices | None = None
+) -> Optimizer:
+    """Creates an optimizer; see `drivecal.plugins.ports.OptimizerPlugin`."""
+    if isinstance(plugin, DeclaringOptimizerPlugin):
+        return plugin.create(settings, n_values, start, kinds)
+    return plugin.create(settings, n_values, start)
+
+
+def restore(
+    plugin: OptimizerPlugin, settings: BaseModel, n_values: Indices, kinds: Sequence[Kind], state: Mapping[str, Any]
+) -> Optimizer:
+    """Restores an optimizer; see `drivecal.plugins.ports.OptimizerPlugin`."""
+    if isinstance(plugin, DeclaringOptimizerPlugin):
+        return plugin.restore(settings, n_values, state, kinds)
+    return plugin.restore(settings, n_values, state)

@@ -1,0 +1,102 @@
+"""Constraints of a search space: combinations of values that must not be simulated."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.domain.parameters import BILLION, Indices, ParameterSet, ParameterSpace
+
+Columns = Mapping[str, npt.NDArray[Any]]
+"""Values of n sets by parameter, shape (n,): floats, or the texts of choices."""
+Constraint = Callable[[Columns], npt.NDArray[np.bool_]]
+"""Returns which of n sets it allows, shape (n,)."""
+
+DRAWN = 2**16
+"""Points among which feasible ones are searched."""
+BATCH = 2**12
+ANCHORS = 32
+"""Feasible points to which infeasible ones are moved: the nearest is chosen."""
+SEED = 20261121
+
+
+@dataclass(frozen=True)
+class Constraints:
+    """Constraints over all parameters of a space, fixed ones included, by their text."""
+
+    space: ParameterSpace
+    listed: Mapping[str, Constraint] = field(default_factory=dict)
+
+    def __bool__(self) -> bool:
+        return bool(self.listed)
+
+    def feasible(self, population: Indices) -> npt.NDArray[np.bool_]:
+        """Returns which rows of grid indices, shape (n, n_searched), keep all constraints, shape (n,)."""
+        allowed = np.ones(len(population), dtype=np.bool_)
+        if not self or not len(population):
+            return allowed
+        columns = self._columns(population)
+        for constraint in self.listed.values():
+            allowed &= _allowed(constraint, columns)
+        return allowed
+
+    def anchors(self, lower: Indices, upper: Indices) -> Indices:
+        """Returns feasible rows of grid indices in the box from `lower` to `upper`, shape (n, n_searched), at most ANCHORS: the middle, the
+        corners and points drawn with a fixed seed. Raises InvalidInputError naming the constraints that leave nothing.
+        """
+        drawing, allowed = np.random.Generator(np.random.PCG64(SEED)), np.zeros(len(self.listed), dtype=np.int64)
+        kept = np.empty((0, len(lower)), dtype=np.int64)
+        batch = np.stack([(lower + upper) // 2, lower, upper])
+        for _ in range(DRAWN // BATCH + 1):
+            columns = self._columns(batch)
+            rows = np.stack([_allowed(constraint, columns) for constraint in self.listed.values()])
+            allowed += rows.sum(axis=1)
+            kept = np.concatenate([kept, batch[rows.all(axis=0)]])
+            if len(kept) >= ANCHORS:
+                break
+            batch = drawing.integers(lower, upper + 1, size=(BATCH, len(lower)))
+        if not len(kept):
+            raise self._nothing_left([text for text, count in zip(self.listed, allowed, strict=True) if count == 0])
+        return kept[:ANCHORS]
+
+    def allow_any(self, lower: Indices, upper: Indices) -> bool:
+        """Returns whether feasible points are found in a box, see `anchors`."""
+        try:
+            return not self or len(self.anchors(lower, upper)) > 0
+        except InvalidInputError:
+            return False
+
+    def check(self, parameters: ParameterSet, field_name: str) -> None:
+        """Raises InvalidInputError naming the constraints that a set breaks."""
+        columns = {name: np.array([value]) for name, value in parameters.floats.items()}
+        broken = [text for text, constraint in self.listed.items() if not _allowed(constraint, columns)[0]]
+        if broken:
+            values = ", ".join(f"{name} = {value}" for name, value in parameters.floats.items())
+            raise InvalidInputError(
+                *(Problem(field_name, f"{text} does not hold for {values}", "change it") for text in broken)
+            )
+
+    def _nothing_left(self, never: Sequence[str]) -> InvalidInputError:
+        together = "no set keeps" if never or len(self.listed) == 1 else "no set keeps all of"
+        named = ", ".join(never or self.listed)
+        remedy = "widen the bounds, or change the constraints"
+        return InvalidInputError(Problem("constraints", f"{together} {named}, among {DRAWN:,} drawn within the bounds", remedy))
+
+    def _columns(self, population: Indices) -> dict[str, npt.NDArray[Any]]:
+        columns: dict[str, npt.NDArray[Any]] = {}
+        for name, value in self.space.fixed.items():
+            columns[name] = np.full(len(population), value if isinstance(value, str) else float(value))
+        for parameter, indices in zip(self.space.searched, population.T, strict=True):
+            choices = np.array(parameter.choices)
+            columns[parameter.name] = choices[indices] if parameter.choices else parameter.billionths_at(indices) / BILLION
+        return columns
+
+
+def _allowed(constraint: Constraint, columns: Columns) -> npt.NDArray[np.bool_]:
+    """Returns what a constraint allows; a set for which it has no value, e.g. by a division by zero, is not allowed."""
+    with np.errstate(all="ignore"):
+        allowed: npt.NDArray[np.bool_] = np.asarray(constraint(columns), dtype=np.bool_)
+    return allowed

@@ -1,0 +1,146 @@
+"""Campaigns over continuous parameters, integers and choices within constraints, through database and dispatcher."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from tests.support.computed import ComputedBackend
+from tests.support.mixed import MIXED, rated
+from tests.support.runs import dispatcher, everything, get, run, submit
+
+from drivecal.campaigns.resolve.problem import resolve, resolve_evaluation
+from drivecal.campaigns.resolve.resolved_spec import resolved_spec
+from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
+from drivecal.domain.campaigns import StageName
+from drivecal.domain.errors import InvalidInputError
+from drivecal.plugins import registry
+from drivecal.storage import results, studies
+from drivecal.storage.engine.database import Database
+
+WANTED: dict[str, Any] = {"driving_function": "mixed", "parameters": "all", "catalogue": ["S1", "S2"], "name": "mixed"}
+BASELINE = {"speed": 12.123456789, "limit": 50, "gears": 2, "mode": "eco", "tyre": "a"}
+ANALYSIS = {"intervals": 4, "samples": 12, "threshold": "auto"}
+
+
+@pytest.fixture(autouse=True)
+def _installed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(registry, "driving_function", lambda *_: MIXED)
+
+
+@pytest.mark.parametrize(
+    "optimizer",
+    [{"kind": "genetic"}, {"kind": "swarm"}, {"kind": "random"}, {"kind": "cma_es"}, {"kind": "optuna", "sampler": "tpe"}],
+    ids=lambda optimizer: str(optimizer["kind"]),
+)
+def test_every_optimizer_keeps_constraints_and_resumes_exactly(database: Database, optimizer: dict[str, Any]) -> None:
+    wanted = WANTED | {
+        "sensitivity": None,
+        "optimizer": optimizer | {"population": 12, "iterations": 4, "seed": 3},
+        "baseline": BASELINE,
+        "reduction": {"mode": "off"},
+    }
+    whole = run(database, submit(database, **wanted), ComputedBackend(answer=rated))
+    assert whole.best is not None
+    assert whole.baseline is not None
+    assert whole.baseline.parameters == BASELINE
+    assert whole.best.objective >= (whole.baseline.objective or 0)
+    assert isinstance(whole.best.parameters["mode"], str)
+    broken = submit(database, **wanted)
+    for _ in range(200):  # every step is that of another process, which takes up what the one before left
+        if get(database, broken).state.ended:
+            break
+        one = dispatcher(database, ComputedBackend(answer=rated))
+        for _ in range(7):
+            one.step()
+    ended = run(database, broken, ComputedBackend(answer=rated))
+    assert everything(database, ended)[0] == everything(database, whole)[0]
+
+
+def test_a_map_of_every_kind_narrows_answers_and_is_validated(database: Database) -> None:
+    wanted = WANTED | {
+        "sensitivity": ANALYSIS,
+        "optimizer": {"kind": "genetic", "population": 30, "iterations": 4, "seed": 2},
+        "reduction": {"narrow": True, "audit": 0.2},
+        "validation": {"samples": 30, "references": 4, "largest": 200},
+    }
+    ended = run(database, submit(database, **wanted), ComputedBackend(answer=rated))
+    assert ended.narrowed is not None
+    held = {cut.parameter: cut.choice for cut in ended.narrowed}
+    assert held["tyre"] in {"a", "b"}
+    assert ended.cells.reused > 0
+    assert all(not rate.wrong for rate in ended.error_rate.values())
+    with database.read() as connection:
+        rows = list(results.stream(connection, ended.sequence))
+        validated = studies.get(connection, ended.sequence, StageName.VALIDATION)
+    assert {row.parameters.floats["mode"] for row in rows} == {"eco", "sport", "winter"}
+    assert validated is not None
+    assert sum(row["compared"] for row in validated["items"]) > 0
+    assert [row["wrong"] for row in validated["items"]] == [0, 0]
+    space = resolved_spec(ended).space
+    assert [parameter.kind for parameter in space.parameters] == ["continuous", "grid", "integer", "choice", "choice"]
+    assert space.parameters[3].choices == ("eco", "sport", "winter")
+
+
+def test_results_survive_a_longer_and_reordered_list_of_choices(database: Database) -> None:
+    listed: list[dict[str, Any]] = [
+        {"name": "speed", "lower": 0, "upper": 20},
+        {"name": "limit", "lower": 60, "upper": 100, "step": 20},
+        {"name": "gears", "lower": 1, "upper": 2, "integer": True},
+        {"name": "mode", "choices": ["eco", "sport"]},
+    ]
+    sets = [{"speed": 5.000000001, "limit": 80, "gears": 2, "mode": mode, "tyre": "b"} for mode in ("eco", "sport")]
+    optimizer = {"kind": "random", "population": 2, "iterations": 1, "start_sets": sets}
+    wanted = WANTED | {"sensitivity": None, "parameters": listed, "fixed": {"tyre": "b"}, "optimizer": optimizer}
+    first = run(database, submit(database, **wanted), ComputedBackend(answer=rated))
+    assert first.cells.simulated == 4
+    listed[-1] = {"name": "mode", "choices": ["winter", "sport", "eco"]}
+    second = run(database, submit(database, **wanted | {"parameters": listed}), ComputedBackend(answer=rated))
+    assert (second.cells.repeated, second.cells.simulated) == (4, 0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "field", "said"),
+    [
+        ({"baseline": BASELINE | {"mode": "fast"}}, "baseline.mode", "eco, sport, winter"),
+        ({"baseline": BASELINE | {"mode": 1}}, "baseline.mode", "eco, sport, winter"),
+        ({"baseline": BASELINE | {"speed": "eco"}}, "baseline.speed", "number"),
+        ({"baseline": BASELINE | {"speed": 50.5}}, "baseline", "speed <= limit"),
+        ({"optimizer": {"start_sets": [BASELINE, BASELINE | {"gears": 6}]}}, "optimizer.start_sets[1]", "gears * 10 <= limit"),
+        ({"robustness": {"sets": [BASELINE | {"gears": 6}]}}, "robustness.sets[0]", "gears * 10 <= limit"),
+        ({"fixed": {"mode": "fast"}}, "fixed.mode", "eco, sport, winter"),
+        ({"fixed": {"limit": 5}}, "constraints", "gears * 10 <= limit"),
+        ({"parameters": [{"name": "mode", "choices": ["eco", "fast"]}]}, "parameters[0].choices", "eco, sport, winter"),
+        ({"parameters": [{"name": "mode", "lower": 0, "upper": 2, "step": 1}]}, "parameters[0].choices", "eco, sport, winter"),
+        ({"sensitivity": {"intervals": 500}}, "sensitivity.intervals", "limit"),
+    ],
+)
+def test_what_does_not_fit_is_refused_at_its_field(changes: dict[str, Any], field: str, said: str) -> None:
+    with pytest.raises(InvalidInputError) as refused:
+        resolve(CampaignSpecification.model_validate(WANTED | changes))
+    texts = {problem.field: f"{problem.message}; {problem.remedy}" for problem in refused.value.problems}
+    assert said in texts[field]
+
+
+def test_an_optimizer_that_declares_nothing_is_refused_for_what_it_may_not_know(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Undeclared:
+        name = "undeclared"
+        settings = registry.optimizer("genetic").settings
+
+    monkeypatch.setattr(registry, "optimizer", lambda *_: Undeclared())
+    with pytest.raises(InvalidInputError) as refused:
+        resolve(CampaignSpecification.model_validate(WANTED))
+    assert [problem.field for problem in refused.value.problems] == ["optimizer.kind"] * 3
+    said = " ".join(problem.message for problem in refused.value.problems)
+    assert all(word in said for word in ("continuous parameters (speed)", "choice parameters (mode, tyre)", "constraints"))
+
+
+def test_a_single_evaluation_takes_texts_and_keeps_constraints() -> None:
+    problem = resolve_evaluation(EvaluationSpecification.model_validate({"parameters": BASELINE, "driving_function": "mixed"}))
+    assert problem.parameter_set.floats == BASELINE
+    for wrong, field in (({"mode": "fast"}, "parameters.mode"), ({"limit": 1}, "parameters")):
+        with pytest.raises(InvalidInputError) as refused:
+            resolve_evaluation(
+                EvaluationSpecification.model_validate({"parameters": BASELINE | wrong, "driving_function": "mixed"})
+            )
+        assert {problem.field for problem in refused.value.problems} == {field}

@@ -1,0 +1,112 @@
+"""Every optimizer on continuous parameters, integers and choices."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivecal.domain.parameters import Indices, Kind
+from drivecal.optimizers import abilities
+from drivecal.optimizers.built_in import GENETIC, RANDOM, SWARM
+from drivecal.optimizers.cma_es import CMA_ES
+from drivecal.optimizers.encoding import BitEncoding
+from drivecal.optimizers.optuna_samplers import OPTUNA
+from drivecal.plugins.ports import DeclaringOptimizerPlugin, Floats, Optimizer
+
+N_VALUES = np.array([2 * 10**15 + 1, 10**9 + 1, 2, 7, 201])
+KINDS: tuple[Kind, ...] = ("continuous", "continuous", "choice", "choice", "integer")
+TARGET = np.array([0.31, 0.77, 1, 0.5, 0.2])
+START = np.array([[2 * 10**15, 123_456_789, 1, 3, 17], [1_999_999_999_999_999, 0, 0, 6, 200]])
+
+CASES: list[tuple[DeclaringOptimizerPlugin, dict[str, Any]]] = [
+    *((plugin, {}) for plugin in (GENETIC, RANDOM, SWARM, CMA_ES)),
+    *((OPTUNA, {"sampler": sampler}) for sampler in ("tpe", "nsga2")),
+]
+every = pytest.mark.parametrize(("plugin", "chosen"), CASES, ids=["genetic", "random", "swarm", "cma_es", "tpe", "nsga2"])
+
+
+def closeness(population: Indices) -> Floats:
+    away: Floats = np.abs(population / (N_VALUES - 1) - TARGET)
+    away[:, 2] = population[:, 2] != 1
+    away[:, 3] = population[:, 3] != 3
+    return np.asarray(-away.sum(axis=1), dtype=np.float64)
+
+
+def drive(optimizer: Optimizer, iterations: int) -> list[Indices]:
+    told = []
+    for _ in range(iterations):
+        told.append(optimizer.ask().population)
+        optimizer.tell(closeness(told[-1]), closeness(told[-1]))
+    return told
+
+
+@every
+def test_it_starts_with_given_sets_stays_in_the_space_and_resumes_exactly(
+    plugin: DeclaringOptimizerPlugin, chosen: dict[str, Any]
+) -> None:
+    settings = plugin.settings.model_validate({"kind": plugin.name, "population": 12, "seed": 3, **chosen})
+    whole = drive(abilities.create(plugin, settings, N_VALUES, KINDS, START), 6)
+    assert whole[0][:2].tolist() == START.tolist()
+    for population in whole:
+        assert population.min() >= 0
+        assert (population < N_VALUES).all()
+    first = abilities.create(plugin, settings, N_VALUES, KINDS, START)
+    drive(first, 3)
+    state = json.loads(json.dumps(first.state(), allow_nan=False))
+    rest = drive(abilities.restore(plugin, settings, N_VALUES, KINDS, state), 3)
+    assert [population.tolist() for population in rest] == [population.tolist() for population in whole[3:]]
+
+
+@every
+def test_it_gets_closer_than_its_start(plugin: DeclaringOptimizerPlugin, chosen: dict[str, Any]) -> None:
+    settings = plugin.settings.model_validate({"kind": plugin.name, "population": 20, "seed": 1, **chosen})
+    told = drive(abilities.create(plugin, settings, N_VALUES, KINDS), 40)
+    assert max(closeness(population).max() for population in told[1:]) > closeness(told[0]).max()
+
+
+@given(st.integers(2, 2 * 10**15 + 1), st.data())
+def test_every_index_of_a_huge_grid_has_a_pattern_and_survives_it(n_values: int, data: st.DataObject) -> None:
+    encoding = BitEncoding(np.array([n_values, 101]))
+    index = data.draw(st.integers(0, n_values - 1))
+    given_indices = np.array([[index, 55]])
+    patterns = encoding.patterns(given_indices)
+    assert encoding.indices(patterns).tolist() == given_indices.tolist()
+    assert encoding.from_chromosomes(encoding.chromosomes(patterns)).tolist() == patterns.tolist()
+    pattern = data.draw(st.integers(0, 2 ** int(encoding.bits[0]) - 1))
+    (meant,) = encoding.indices(np.array([[pattern, 0]]))[:, 0].tolist()
+    assert meant == (2 * pattern * (n_values - 1) + 2 ** int(encoding.bits[0]) - 1) // (2 * (2 ** int(encoding.bits[0]) - 1))
+
+
+class Plain:
+    """A plug-in of a user that declares nothing."""
+
+    name = "plain"
+    settings = GENETIC.settings
+
+    def requested_individuals(self, settings: Any) -> int:
+        return GENETIC.requested_individuals(settings)
+
+    def create(self, settings: Any, n_values: Indices, start: Indices | None = None) -> Optimizer:
+        return GENETIC.create(settings, n_values, start)
+
+    def restore(self, settings: Any, n_values: Indices, state: Any) -> Optimizer:
+        return GENETIC.restore(settings, n_values, state)
+
+
+def test_an_optimizer_that_declares_nothing_searches_grids_and_integers() -> None:
+    assert abilities.lacking(Plain(), {"grid", "integer"}) == []
+    assert abilities.lacking(Plain(), {"continuous", "choice", "constraints", "grid"}) == [
+        "choice",
+        "constraints",
+        "continuous",
+    ]
+    assert abilities.lacking(GENETIC, {"continuous", "choice", "constraints", "grid"}) == []
+    optimizer = abilities.create(Plain(), GENETIC.settings(population=4), np.array([5, 5]), ["grid", "integer"])
+    state = optimizer.state()
+    restored = abilities.restore(Plain(), GENETIC.settings(population=4), np.array([5, 5]), ["grid", "integer"], state)
+    assert restored.ask().population.tolist() == optimizer.ask().population.tolist()

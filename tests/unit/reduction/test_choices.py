@@ -1,0 +1,93 @@
+"""Choices in reference keys, comparisons, common areas and features: by their text, whatever the list."""
+
+from __future__ import annotations
+
+from decimal import Decimal
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivecal.campaigns.results.optima import unit_cube
+from drivecal.domain.influence import Influence, InfluenceMap
+from drivecal.domain.parameters import Parameter, ParameterSet, ParameterSpace
+from drivecal.reduction.explanation import CellComparison
+from drivecal.reduction.keys import ReferenceKeys, billionths_matrix
+from drivecal.reduction.narrowing import common_area
+from drivecal.reduction.prediction import FeatureSpace
+from drivecal.storage.references.parameter_sets import parse
+
+MODES = ["eco", "sport", "winter", "tow"]
+FREE = Influence(influential=False)
+MATTERS = Influence(influential=True)
+SPACE = ParameterSpace((Parameter.choice("mode", MODES), Parameter.from_step("P", Decimal(0), Decimal(1), None)))
+
+
+def made(mode: str, number: str = "0.5") -> ParameterSet:
+    return ParameterSet.of({"mode": mode, "P": Decimal(number)})
+
+
+def keys_of(influence: Influence, analysed: set[str], sets: list[ParameterSet]) -> list[bytes]:
+    influence_map = InfluenceMap({"S1": {"mode": influence}}, {}, {"mode": frozenset(analysed)})
+    return ReferenceKeys(influence_map, "S1", ("mode", "P")).keys(billionths_matrix(sets))
+
+
+def test_choices_answer_for_each_other_where_the_map_knows_that_they_do_not_matter() -> None:
+    sets = [made(mode) for mode in MODES]
+    assert len(set(keys_of(MATTERS, set(MODES), sets))) == 4
+    assert len(set(keys_of(FREE, set(MODES), sets))) == 1
+    eco, sport, winter, tow = keys_of(FREE, {"eco", "sport"}, sets)
+    assert eco == sport
+    assert len({eco, winter, tow}) == 3
+
+
+@given(st.lists(st.sampled_from(MODES) | st.integers(-(10**15), 10**15), min_size=1, max_size=6))
+def test_stored_texts_read_in_bulk_have_the_codes_of_their_sets(values: list[int | str]) -> None:
+    sets = [ParameterSet(("mode", "P"), (value, 5)) for value in values]
+    ((names, positions, codes),) = parse([each.to_json() for each in sets])
+    assert names == ("mode", "P")
+    assert positions == list(range(len(sets)))
+    assert codes.tolist() == billionths_matrix(sets).tolist()
+
+
+def test_another_choice_blocks_unless_it_does_not_matter_and_is_a_whole_range_away() -> None:
+    stored = billionths_matrix([made("sport"), made("eco", "0.75"), made("tow")])
+    for influence, blocked in ((MATTERS, [True, False, True]), (FREE, [False, False, True])):
+        influence_map = InfluenceMap({"S1": {"mode": influence}}, {}, {"mode": frozenset({"eco", "sport"})})
+        comparison = CellComparison(
+            influence_map, "S1", ("mode", "P"), np.array(made("eco").codes), np.array([3 * 10**9, 10**9])
+        )
+        blocking = comparison.blocking(stored)
+        assert blocking[:, 0].tolist() == blocked
+        assert comparison.distances(stored, np.ones_like(blocking)).tolist() == [1.0, 0.25, 1.0]
+        (difference,) = comparison.differences(stored[2])
+        assert (difference.parameter, difference.reference_region) == ("mode", "outside")
+
+
+def test_a_common_area_keeps_a_choice_or_holds_it() -> None:
+    nothing = np.empty((0, 2), dtype=np.int64)
+    everywhere = InfluenceMap({"S1": {"mode": MATTERS, "P": FREE}})
+    assert common_area(SPACE, everywhere, ["S1"], nothing).n_values.tolist() == [4]
+    free = InfluenceMap({"S1": {"mode": FREE}})
+    held = common_area(SPACE, free, ["S1"], nothing)
+    assert held.n_values.tolist() == [SPACE.n_values[1]]
+    assert held.kinds == ("continuous",)
+    assert [(cut.parameter, cut.choice) for cut in held.narrowed()] == [("mode", "sport")]
+    partly = InfluenceMap({"S1": {"mode": FREE}}, {}, {"mode": frozenset({"eco", "sport"})})
+    assert common_area(SPACE, partly, ["S1"], nothing).n_values.tolist() == SPACE.n_values.tolist()
+
+
+def test_a_continuous_area_is_narrowed_by_its_bounds_exactly() -> None:
+    bounds = Influence(influential=True, lower=Decimal("0.250000001"), upper=Decimal("0.5"))
+    area = common_area(SPACE, InfluenceMap({"S1": {"P": bounds}}), ["S1"], np.empty((0, 2), dtype=np.int64))
+    assert (int(area.first[1]), int(area.last[1])) == (250_000_001, 500_000_000)
+    assert area.contract(area.expand(np.array([[2, 17]]))).tolist() == [[2, 17]]
+
+
+def test_features_and_places_are_positions_in_the_campaigns_list() -> None:
+    sets = [made("eco", "0.25"), made("tow", "1"), ParameterSet.of({"P": Decimal(0), "mode": "winter"})]
+    expected = [[0.0, 0.25], [1.0, 1.0], [2 / 3, 0.0]]
+    assert FeatureSpace(SPACE, ("mode", "P"))(sets).tolist() == expected
+    assert unit_cube(SPACE, sets).tolist() == expected
+    held = ParameterSpace(SPACE.parameters, {"mode": "tow"})
+    assert FeatureSpace(held, ("mode", "P"))([made("tow", "0.25")])[0, 1] == 0.25

@@ -1,0 +1,127 @@
+"""Analyses of continuous parameters, integers and choices, and within constraints."""
+
+from __future__ import annotations
+
+from decimal import Decimal
+from typing import Literal
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tests.unit.sensitivity.synthetic import drive
+
+from drivecal.domain.influence import Influence
+from drivecal.domain.parameters import Indices, Parameter, ParameterSpace
+from drivecal.sensitivity.analysis import SensitivityAnalysis
+from drivecal.sensitivity.effects import Floats
+from drivecal.sensitivity.lines import lines_design
+from drivecal.sensitivity.radial import COLUMNS, SobolRows, radial_design
+from drivecal.sensitivity.settings import SensitivitySettings
+
+SPACE = ParameterSpace(
+    (
+        Parameter.from_step("speed", Decimal(0), Decimal(1000), None),
+        Parameter.integer("gears", Decimal(1), Decimal(4)),
+        Parameter.choice("mode", ["eco", "sport"]),
+        Parameter.choice("tyre", ["a", "b", "c", "d", "e"]),
+    )
+)
+SETTINGS = SensitivitySettings("lines", 8, 16, "auto", 5)
+LAST = SPACE.n_values - 1
+
+designs = pytest.mark.parametrize("design", ["lines", "paper"])
+sequentially = pytest.mark.parametrize("sequential", [True, False])
+
+
+def score(points: Indices) -> Floats:
+    """Depends on speed below 0.4 of its range, on gears and on mode, not on tyre."""
+    speed = np.minimum(points[:, 0] / LAST[0], 0.4) / 0.4
+    return np.asarray(1 + np.floor(4 * speed) % 3 + points[:, 1] % 2 + 2 * points[:, 2], dtype=np.float64)
+
+
+def analysed(design: Literal["lines", "paper"], *, sequential: bool) -> SensitivityAnalysis:
+    return SensitivityAnalysis(SPACE, ["S1"], SensitivitySettings(design, 8, 16, "auto", 5, sequential))
+
+
+@designs
+@sequentially
+def test_bounds_of_numbers_are_cut_and_choices_matter_as_a_whole_or_not_at_all(
+    design: Literal["lines", "paper"], sequential: bool
+) -> None:
+    analysis = analysed(design, sequential=sequential)
+    drive(analysis, {"S1": score})
+    result = analysis.result()["S1"].parameters
+    speed = result["speed"].influence
+    assert speed.influential
+    assert speed.lower is None
+    assert speed.upper is not None
+    assert Decimal(375) <= speed.upper <= Decimal(500)
+    assert result["gears"].influence == Influence(influential=True)
+    assert result["mode"].influence == Influence(influential=True)
+    assert result["tyre"].influence == Influence(influential=False)
+    assert [len(parameter.intervals) for parameter in result.values()] == [8, 3, 1, 1]
+
+
+@designs
+def test_announced_runs_count_each_parameters_own_intervals(design: Literal["lines", "paper"]) -> None:
+    analysis = analysed(design, sequential=False)
+    announced = analysis.expected_runs()
+    assert announced["intervals"] == {"lines": 16 * (1 + 15 + 5 + 1 + 1), "paper": 13 * 16 * 5}[design]
+    told = drive(analysis, {"S1": score})
+    for name, runs in announced.items():
+        assert sum(made["S1"] for phase, made in told if phase == name) <= runs
+    assert sum(made["S1"] for phase, made in told if phase == "intervals") == announced["intervals"]
+
+
+@given(st.integers(0, 1000))
+@settings(max_examples=25, deadline=None)
+def test_every_change_of_a_choice_is_a_step_of_the_whole_range(seed: int) -> None:
+    unordered = np.array([False, False, True, True])
+    rows = SobolRows(COLUMNS * 4, seed)
+    radial = radial_design(SPACE.n_values, rows, np.zeros_like(LAST), LAST, 16, unordered=unordered)
+    assert np.abs(radial.steps[2:]).tolist() == np.ones((2, 16)).tolist()
+    assert np.abs(radial.steps[0]).min() >= 0.25
+    edges = [np.array([0, LAST[0] // 2, LAST[0]]), np.array([0, 1, 3]), np.array([0, 1]), np.array([0, 4])]
+    lines = lines_design(SPACE.n_values, edges, 16, seed, 0, unordered)
+    assert np.isnan(lines.steps[2:, 1]).all()
+    assert np.abs(lines.steps[2:, 0]).tolist() == np.ones((2, 16)).tolist()
+    changes = lines.points[lines.second[3, 0], 3] - lines.points[lines.first[3, 0], 3]
+    assert (changes != 0).all()
+
+
+def test_each_other_choice_is_about_equally_likely() -> None:
+    unordered = np.array([True])
+    design = radial_design(np.array([5]), SobolRows(COLUMNS, 3), np.array([0]), np.array([4]), 4096, unordered=unordered)
+    first, second = design.points[design.first[0], 0], design.points[design.second[0], 0]
+    pairs = np.bincount(5 * first + second, minlength=25).reshape(5, 5)
+    assert np.diag(pairs).tolist() == [0] * 5
+    assert pairs[~np.eye(5, dtype=np.bool_)] == pytest.approx(np.full(20, 4096 / 20), rel=0.35)
+
+
+@designs
+@sequentially
+def test_points_that_break_constraints_are_never_asked(design: Literal["lines", "paper"], sequential: bool) -> None:
+    def feasible(points: Indices) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+        return np.asarray((points[:, 0] / LAST[0] <= 0.8) | (points[:, 1] > 1), dtype=np.bool_)
+
+    chosen = SensitivitySettings(design, 8, 24, "auto", 5, sequential)
+    analysis = SensitivityAnalysis(SPACE, ["S1", "S2"], chosen, feasible)
+
+    def kept(points: Indices) -> Floats:
+        assert feasible(points).all()
+        return score(points)
+
+    drive(analysis, {"S1": kept, "S2": kept})
+    result = analysis.result()["S1"].parameters
+    assert result["mode"].influence == Influence(influential=True)
+    assert result["tyre"].influence == Influence(influential=False)
+    assert result["speed"].influence.upper is not None
+
+
+def test_an_analysis_that_may_ask_nothing_knows_nothing() -> None:
+    analysis = SensitivityAnalysis(SPACE, ["S1"], SETTINGS, lambda points: np.zeros(len(points), dtype=np.bool_))
+    assert analysis.ask() is None
+    result = analysis.result()["S1"]
+    assert result.unknown
+    assert all(parameter.influence.influential for parameter in result.parameters.values())
