@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import zipfile
+from io import BytesIO
 from pathlib import Path
 
 import pytest
+from sqlalchemy import text
 
+from drivecal.bundles.archives import content_digest
+from drivecal.campaigns.results.verification import verify
 from drivecal.domain.errors import InvalidInputError, NotFoundError, TooLargeError
 from drivecal.storage import admission
 from drivecal.storage.engine.database import Database
@@ -107,6 +112,46 @@ def test_archives_are_backed_up_byte_by_byte(database: Database, tmp_path: Path)
         assert bundles.by_name(connection, "acc") == stored
         assert bundles.archive(connection, A) == archive
     opened.dispose()
+
+
+def pushed(database: Database) -> str:
+    """Stores a problem as the API does. Returns its digest."""
+    buffer = BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        archive.writestr("problem.yaml", "whatever")
+    manifest = {
+        "problem": "acc",
+        "parameters": {"x": {"lower": 0.0, "upper": 1.0}},
+        "simulator": {"kind": "python", "file": "model.py"},
+        "scenarios": {"city": {}},
+        "measures": {"energy": "kWh"},
+        "scores": {"cost": {"formula": "energy", "direction": "minimise", "range": [0.0, 1.0]}},
+    }
+    digest = content_digest(buffer.getvalue())
+    with database.transaction() as connection:
+        bundles.add(connection, digest=digest, name="acc", manifest=manifest, archive=buffer.getvalue())
+    return digest
+
+
+@pytest.mark.parametrize(
+    ("statement", "said"),
+    [
+        ("UPDATE bundles SET archive = :other, size = 4", "cannot be read"),
+        ("UPDATE bundles SET size = size + 1", "is not stored under"),
+        ("UPDATE bundles SET digest = '" + A + "'", "is not stored under"),
+        ("UPDATE bundles SET name = 'other'", "calls itself acc"),
+        ("UPDATE bundles SET manifest = '{\"problem\": 7}'", "cannot be read"),
+    ],
+)
+def test_the_check_of_a_database_reads_every_problem(database: Database, statement: str, said: str) -> None:
+    pushed(database)
+    assert [verdict.problems for verdict in verify(database, full=False) if verdict.problems] == []
+    with database.transaction() as connection:
+        given = {"other": b"none"} if ":other" in statement else {}
+        connection.execute(text(statement), given)
+    (verdict,) = [verdict for verdict in verify(database, full=False) if verdict.problems]
+    assert verdict.name == "problems"
+    assert said in verdict.problems[0]
 
 
 def test_large_archives_are_copied_in_portions_of_bounded_size(

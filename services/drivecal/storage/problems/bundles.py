@@ -18,23 +18,29 @@ KIND = "problem"
 _DIGEST = re.compile(r"[0-9a-f]{64}")
 _later = bundles.alias("later")
 _latest = ~exists().where(_later.c.name == bundles.c.name, _later.c.pushed > bundles.c.pushed)
-_COLUMNS = [column for column in bundles.c if column.name != "archive"]
+_HEADING: list[Any] = [column for column in bundles.c if column.name not in {"archive", "manifest"}]
 
 
 @dataclass(frozen=True, slots=True)
-class StoredBundle:
-    """A bundle without its archive. `digest`: of its content; `size`: of the archive, in bytes."""
+class BundleHeading:
+    """A bundle in a list. `digest`: of its content; `size`: of the archive, in bytes."""
 
     digest: str
     name: str
-    manifest: Mapping[str, Any]
-    """The checked `problem.yaml`, as a JSON document."""
     size: int
     pushed: int
     """Its place in the order of pushes: pushing the same content again moves it to the end."""
     created_at: datetime
     latest: bool
     """True if its name means it."""
+
+
+@dataclass(frozen=True, slots=True)
+class StoredBundle(BundleHeading):
+    """A bundle without its archive."""
+
+    manifest: Mapping[str, Any]
+    """The checked `problem.yaml`, as a JSON document."""
 
 
 def add(
@@ -86,19 +92,19 @@ def archive(connection: Connection, digest: str) -> bytes:
 
 def listing(
     connection: Connection, *, name: str | None = None, limit: int = 50, cursor: str | None = None
-) -> tuple[list[StoredBundle], str | None]:
+) -> tuple[list[BundleHeading], str | None]:
     """Returns at most `limit` bundles, last pushed first, and the cursor of the next page (None on the last).
 
     Lists what each name means, or everything that was pushed under one `name`. Raises InvalidInputError.
     """
     if name is not None and not name.isprintable():
         return [], None
-    query = _select().where(_latest if name is None else bundles.c.name == name)
+    query: Select[Any] = select(*_HEADING, _latest.label("latest")).where(_latest if name is None else bundles.c.name == name)
     query = query.order_by(bundles.c.pushed.desc()).limit(limit + 1)
     if cursor is not None:
         (before,) = cursors.decode(cursor, int)
         query = query.where(bundles.c.pushed < before)
-    page = [record(StoredBundle, row) for row in connection.execute(query)]
+    page = [record(BundleHeading, row) for row in connection.execute(query)]
     following = cursors.encode(page[limit - 1].pushed) if len(page) > limit else None
     return page[:limit], following
 
@@ -108,13 +114,10 @@ def digests(connection: Connection) -> Iterator[str]:
     yield from connection.scalars(select(bundles.c.digest).order_by(bundles.c.pushed)).all()
 
 
-def _select() -> Select[Any]:
-    return select(*_COLUMNS, _latest.label("latest"))
-
-
 def _only(connection: Connection, condition: ColumnElement[bool], given: str, *, possible: bool) -> StoredBundle:
     """Returns the bundle of a condition on `given`. Anything may come in a URL: PostgreSQL refuses to compare a NUL."""
-    row = connection.execute(_select().where(condition), {"given": given}).one_or_none() if possible else None
+    query: Select[Any] = select(*_HEADING, bundles.c.manifest, _latest.label("latest")).where(condition)
+    row = connection.execute(query, {"given": given}).one_or_none() if possible else None
     if row is None:
         raise NotFoundError(KIND, given)
     return record(StoredBundle, row)
