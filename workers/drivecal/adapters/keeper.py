@@ -68,7 +68,7 @@ def seen(pid: int) -> Seen | None:
 def descendants(root: int) -> list[Seen]:
     """Returns all living descendants of a process, parents first."""
     children: dict[int, list[Seen]] = {}
-    for name in os.listdir("/proc"):  # noqa: PTH208  # as above
+    for name in os.listdir("/proc"):  # noqa: PTH208  # as often as above
         if name.isdigit() and (process := seen(int(name))) is not None:
             children.setdefault(process.parent, []).append(process)
     family = list(children.get(root, ()))
@@ -114,7 +114,7 @@ class Keeper:
             if message == START:
                 self._start(descriptors)
             elif self._child is not None:
-                self._end()
+                self._end(self._child)
 
     def finish(self) -> None:
         """Ends the child without a report."""
@@ -172,9 +172,7 @@ class Keeper:
         else:
             self._report(child, self._stop(child))
 
-    def _end(self) -> None:
-        child = self._child
-        assert child is not None  # noqa: S101
+    def _end(self, child: int) -> None:
         with contextlib.suppress(OSError):
             os.killpg(child, signal.SIGTERM)
         deadline = time.monotonic() + GRACE_SECONDS
