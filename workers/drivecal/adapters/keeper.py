@@ -223,11 +223,11 @@ def remove(folder: Path) -> None:
     """Removes a scratch folder, including folders that were made unreadable."""
     for _ in range(2):
         shutil.rmtree(folder, ignore_errors=True)
-        for path, folders, _files in os.walk(folder):
-            for name in [path, *(os.path.join(path, name) for name in folders)]:  # noqa: PTH118
+        for parent, folders, _files in os.walk(folder):
+            for path in (Path(parent), *(Path(parent, name) for name in folders)):
                 with contextlib.suppress(OSError):
-                    if not Path(name).is_symlink():
-                        Path(name).chmod(0o700)
+                    if not path.is_symlink():
+                        path.chmod(0o700)
 
 
 def main() -> None:
