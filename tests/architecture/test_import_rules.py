@@ -32,7 +32,7 @@ PLANTED = {
     "Only the Ray backend and drivecal.local reach the workers": ("services/drivecal/cli", "import drivecal.runtime"),
     "The workers do not know the coordinator": ("workers/drivecal/runtime", "from drivecal.reduction import keys"),
     "Only drivecal.traffic speaks to SUMO": ("workers/drivecal/episode", "import libsumo"),
-    "Users' simulators stay in child processes, whose drivers alone import their libraries": (
+    "The adapters import no simulator": (
         "workers/drivecal/adapters",
         "import numba",
     ),

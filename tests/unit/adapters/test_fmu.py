@@ -10,7 +10,7 @@ from tests.support.fmus import SECOND_DESCRIPTION, archive, build
 from tests.support.simulators import lost, opened
 
 from drivecal.adapters import fmu
-from drivecal.adapters.fmu_driver import Statistics
+from drivecal.adapters.fmu_driver import OutputStatistics
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins.simulators import Declared
@@ -150,7 +150,7 @@ def test_a_machine_without_fmpy_cannot_open_one(folder: Path, monkeypatch: pytes
 
 
 def test_a_value_that_is_no_number_spoils_its_statistics() -> None:
-    statistics = Statistics(1.0)
+    statistics = OutputStatistics(1.0)
     for value in (2.0, float("nan"), 3.0):
         statistics.add(value, 0.5)
     assert str(statistics.min) == str(statistics.max) == str(statistics.mean) == "nan"

@@ -64,8 +64,7 @@ class Children:
     @property
     def control(self) -> int:
         """Descriptor that is readable when the child has ended: then call `ended`."""
-        assert self._control is not None  # noqa: S101
-        return self._control.fileno()
+        return -1 if self._control is None else self._control.fileno()
 
     def start(self, stdin: int, stdout: int, stderr: int) -> None:
         """Starts the child with these descriptors. Raises UnavailableError if its command cannot be run."""
@@ -146,11 +145,6 @@ class Children:
 
     def _start_keeper(self) -> None:
         ours, theirs = socket.socketpair(type=socket.SOCK_SEQPACKET)  # a message is received as it was sent
-        with theirs:
-            script = [sys.executable, "-I", "-S", keeper.__file__, str(theirs.fileno())]
-            process = subprocess.Popen(  # noqa: S603  # our own program
-                script, stdin=subprocess.PIPE, pass_fds=[theirs.fileno()], start_new_session=True, cwd="/"
-            )
         settings = {
             "command": list(self._launch.command),
             "environment": environment(self._scratch.home),
@@ -158,10 +152,15 @@ class Children:
             "scratch": str(self._scratch.folder),
             "memory": self._launch.memory_mb << 20,
         }
-        with process:
-            assert process.stdin is not None  # noqa: S101
-            with contextlib.suppress(OSError):
-                process.stdin.write(json.dumps(settings).encode())
+        with theirs:
+            subprocess.run(  # noqa: S603  # our own program, which goes on in another process
+                [sys.executable, "-I", "-S", keeper.__file__, str(theirs.fileno())],
+                input=json.dumps(settings).encode(),
+                pass_fds=[theirs.fileno()],
+                start_new_session=True,
+                cwd="/",
+                check=False,
+            )
         ours.settimeout(REPLY_SECONDS)
         self._control = ours
         reply = self._reply()
@@ -172,7 +171,8 @@ class Children:
 
     def _reply(self) -> dict[str, Any] | None:
         """Returns the keeper's next message, None if it is gone."""
-        assert self._control is not None  # noqa: S101
+        if self._control is None:
+            return None
         try:
             received = self._control.recv(65536)
         except OSError:

@@ -161,7 +161,7 @@ class Reader:
         return [float(value) for function, references in self._calls for value in function(references)]
 
 
-class Statistics:
+class OutputStatistics:
     """Last, least, greatest, mean and integral of one output; the integral is that of straight lines between steps."""
 
     def __init__(self, first: float) -> None:
@@ -209,7 +209,7 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
         try:
             fmu.begin({**settings["data"], **request["parameters"]}, duration)
             values = reader.read()
-            statistics = [Statistics(value) for value in values]
+            statistics = [OutputStatistics(value) for value in values]
             rows = [values]
             for number in range(steps):
                 time = number * step

@@ -68,7 +68,7 @@ def seen(pid: int) -> Seen | None:
 def descendants(root: int) -> list[Seen]:
     """Returns all living descendants of a process, parents first."""
     children: dict[int, list[Seen]] = {}
-    for name in os.listdir("/proc"):  # noqa: PTH208  # as above
+    for name in os.listdir("/proc"):  # noqa: PTH208  # as often as above
         if name.isdigit() and (process := seen(int(name))) is not None:
             children.setdefault(process.parent, []).append(process)
     family = list(children.get(root, ()))
@@ -114,7 +114,7 @@ class Keeper:
             if message == START:
                 self._start(descriptors)
             elif self._child is not None:
-                self._end()
+                self._end(self._child)
 
     def finish(self) -> None:
         """Ends the child without a report."""
@@ -172,9 +172,7 @@ class Keeper:
         else:
             self._report(child, self._stop(child))
 
-    def _end(self) -> None:
-        child = self._child
-        assert child is not None  # noqa: S101
+    def _end(self, child: int) -> None:
         with contextlib.suppress(OSError):
             os.killpg(child, signal.SIGTERM)
         deadline = time.monotonic() + GRACE_SECONDS
@@ -225,11 +223,11 @@ def remove(folder: Path) -> None:
     """Removes a scratch folder, including folders that were made unreadable."""
     for _ in range(2):
         shutil.rmtree(folder, ignore_errors=True)
-        for path, folders, _files in os.walk(folder):
-            for name in [path, *(os.path.join(path, name) for name in folders)]:  # noqa: PTH118
+        for parent, folders, _files in os.walk(folder):
+            for path in (Path(parent), *(Path(parent, name) for name in folders)):
                 with contextlib.suppress(OSError):
-                    if not Path(name).is_symlink():
-                        Path(name).chmod(0o700)
+                    if not path.is_symlink():
+                        path.chmod(0o700)
 
 
 def main() -> None:
