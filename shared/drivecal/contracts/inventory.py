@@ -93,7 +93,7 @@ class ScenarioPage(Page[ScenarioAnswer]):
 
 
 class ParameterAnswer(Answer):
-    """A parameter on its grid of `n_values` equally spaced values."""
+    """A parameter with `n_values` equally spaced values; bounds of a choice are positions in `choices`."""
 
     name: str
     unit: str
@@ -102,6 +102,8 @@ class ParameterAnswer(Answer):
     step: float
     n_values: int
     description: str
+    kind: str = "grid"
+    choices: list[str] = Field(default_factory=list)
 
 
 class ParameterSpaceAnswer(Answer):

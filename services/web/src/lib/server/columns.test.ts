@@ -31,6 +31,13 @@ describe("a table", () => {
     expect(extent(table, "failure")).toBeNull();
   });
 
+  test("has choices as words, also where the first ones look like numbers", () => {
+    const table = read(["mode,P1\n,1\n2,2\n", "eco,\n2,3\n"]);
+    expect([0, 1, 2, 3].map((row) => cell(table, "mode", row))).toEqual([null, "2", "eco", "2"]);
+    expect([0, 1, 2, 3].map((row) => cell(table, "P1", row))).toEqual([1, 2, null, 3]);
+    expect(extent(table, "mode")).toBeNull();
+  });
+
   test("grows", () => {
     const table = read(["id,scenario\n", ...Array.from({ length: 5000 }, (_, at) => `${at},S${at % 3}\n`)]);
     expect(table.length).toBe(5000);

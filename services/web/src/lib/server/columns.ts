@@ -27,7 +27,7 @@ export const EMPTY: Table = { length: 0, names: [], columns: {} };
 
 const FIRST_CAPACITY = 1024;
 
-/** Reads CSV as it comes in. `text`: the names of the columns that hold no numbers. */
+/** Reads CSV as it comes in. `text`: the names of the columns that hold no numbers. Others become text at their first word: a choice. */
 export class CsvReader {
   private names: string[] | null = null;
   private readonly columns: Column[] = [];
@@ -91,8 +91,9 @@ export class CsvReader {
 
   private add(fields: string[]): void {
     const row = this.rows++;
-    this.columns.forEach((column, index) => {
+    this.columns.forEach((kept, index) => {
       const field = fields[index] ?? "";
+      const column = kept.kind === "number" && field !== "" && Number.isNaN(Number(field)) ? this.inWords(kept, index, row) : kept;
       if (column.kind === "number") {
         if (row >= column.values.length) column.values = grown(column.values, new Float64Array(2 * row));
         column.values[row] = field === "" ? Number.NaN : Number(field);
@@ -101,6 +102,17 @@ export class CsvReader {
         column.codes[row] = field === "" ? -1 : this.code(column, index, field);
       }
     });
+  }
+
+  /** Turns a column of numbers into text. */
+  private inWords(column: NumberColumn, index: number, rows: number): TextColumn {
+    const text: TextColumn = { kind: "text", name: column.name, codes: new Int32Array(column.values.length), words: [] };
+    for (let row = 0; row < rows; row++) {
+      const value = column.values[row] as number;
+      text.codes[row] = Number.isNaN(value) ? -1 : this.code(text, index, String(value));
+    }
+    this.columns[index] = text;
+    return text;
   }
 
   private code(column: TextColumn, index: number, word: string): number {

@@ -7,7 +7,8 @@ export function count(value: number): string {
 }
 
 /** A number with as many decimals as it needs, at most `digits`. */
-export function number(value: number | null | undefined, digits = 3): string {
+export function number(value: number | string | null | undefined, digits = 3): string {
+  if (typeof value === "string") return value;
   if (value === null || value === undefined || Number.isNaN(value)) return "–";
   if (Number.isInteger(value)) return Math.abs(value) >= 10_000 ? grouped.format(value) : String(value);
   return String(Number(value.toFixed(digits)));
