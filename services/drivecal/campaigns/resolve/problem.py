@@ -228,6 +228,8 @@ def resolve(specification: CampaignSpecification) -> CalibrationProblem:
     if function is None or vehicle is None or evaluator is None or space is None:
         raise AssertionError("a part is missing without a finding")
     bench = Bench({name: scenarios[name] for name in weights}, function, vehicle, vehicle_parameters, evaluator)
+    resolvers.check_units(specification, bench.scale, diagnostics)
+    diagnostics.raise_if_any()
     return CalibrationProblem(specification, bench, space, weights, optimization, baseline, start_sets, robust_sets, notes)
 
 
