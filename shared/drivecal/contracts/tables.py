@@ -41,6 +41,8 @@ class FileForm:
     convert: Callable[[Any], object]
 
 
+LEAST_BINS = 7
+"""Bins on both sides of 0 that every file has: those of the comfort score."""
 JSON_ONLY = "JSON only"
 """Mark of a field that no file has."""
 _JOINED = FileForm("text", " ".join)
@@ -105,8 +107,9 @@ def _kind(annotation: Any) -> Kind:
     return "numbers" if get_origin(plain) is list else _KINDS[plain]
 
 
-def _counts_by_points(histogram: Mapping[int, int]) -> list[float]:
-    return [float(histogram.get(points, 0)) for points in range(-7, 8)]
+def _counts_by_bin(histogram: Mapping[int, int]) -> list[float]:
+    last = max([LEAST_BINS, *map(abs, histogram)])
+    return [float(histogram.get(number, 0)) for number in range(-last, last + 1)]
 
 
 CampaignTable = Literal["evaluations", "generations", "solutions", "optima", "influence", "robustness", "validation"]
@@ -271,9 +274,9 @@ class ValidationRow(Answer):
 
     `reducible` parameters have a region in which they do not matter; of their `effects` (main effects and interactions) so many were
     `covered`. `drawn`: the size of the Latin hypercube, of which `bases` that qualify were kept (n*_LHS), each compared with
-    `references` variants (n_ref). `wrong`: |dF| > 1; R_err = wrong / compared (Eq. 8); `different`: any change. `lower_95` and
-    `upper_95` limit the mean over base sets of the share of wrong variants, with a confidence of at least 95 %. `histogram`: how many
-    variants differ from their base by how many points.
+    `references` variants (n_ref). `wrong`: |dF| > the scale's tolerance; R_err = wrong / compared (Eq. 8); `different`: any change.
+    `lower_95` and `upper_95` limit the mean over base sets of the share of wrong variants, with a confidence of at least 95 %. `histogram`:
+    how many variants differ from their base by how many times `histogram_step`.
 
     For the predictions of a campaign: `released` ones, of them `compared` with a simulation, `beyond` the tolerance (or without a result);
     the expected number of these among all released ones is at most `limit` times the `inspected` predictions. Null for a map.
@@ -296,8 +299,10 @@ class ValidationRow(Answer):
     inspected: int | None = None
     beyond: int | None = None
     limit: float | None = None
-    histogram: Annotated[dict[int, int], FileForm("numbers", _counts_by_points)]
-    """In files a list of counts for differences from -7 to 7."""
+    histogram: Annotated[dict[int, int], FileForm("numbers", _counts_by_bin)]
+    """In files a list of counts, from the largest negative difference to the largest positive one (of comfort: -7 to 7 points)."""
+    histogram_step: Annotated[float, JSON_ONLY] = 1.0
+    """Difference of neighbouring numbers in the histogram, in units of the score."""
     interval_over: str = "variants"
     """What the limits take as independent: `bases`; in studies of earlier versions `variants`, whose limits (Clopper and Pearson) are too
     narrow, because variants of one base are alike."""

@@ -105,7 +105,7 @@ class CellScore:
 
 @dataclass(frozen=True, slots=True)
 class AuditCount:
-    """Audited cells of one scenario: `different` ones changed their score, `wrong` ones by more than 1 (Eq. 8 of the paper)."""
+    """Audited cells of one scenario: `different` ones changed their score, `wrong` ones by more than the tolerance (Eq. 8)."""
 
     scenario: str
     audited: int

@@ -76,9 +76,24 @@ class Scale:
         """Largest difference of scores that count as equal."""
         return 0.0 if self.step is not None else ROUNDING_SHARE * self.span
 
+    @property
+    def largest_agreeing(self) -> float:
+        """Largest difference of scores that is no error: the tolerance, with room for rounding."""
+        return self.tolerance + ROUNDING_SHARE * self.span
+
     def is_wrong(self, difference: float) -> bool:
-        """Whether scores with this difference count as wrong, with room for rounding."""
-        return abs(difference) > self.tolerance + 1e-9
+        """Whether scores with this difference count as wrong."""
+        return abs(difference) > self.largest_agreeing
+
+    @property
+    def bin(self) -> float:
+        """Width of a bar in a histogram of differences."""
+        return self.step or self.tolerance or self.span / 100
+
+    def amount(self, value: float) -> str:
+        """Returns a difference of scores with its unit, for readers."""
+        unit = self.unit.removesuffix("s") if value == 1 and self.unit == COMFORT.unit else self.unit
+        return f"{value:g}" if unit == "1" else f"{value:g} {unit}"
 
     def to_json(self) -> dict[str, Any]:
         """Returns plain data."""

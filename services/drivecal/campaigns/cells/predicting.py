@@ -93,8 +93,9 @@ class LotPlanner:
         self._weights = weights
         self._population, self._slice = population, slice_size(population)
         self._features = FeatureSpace(space, view.names)
-        kind = partial(Forest, reduction.tolerance)
-        self._learners = {scenario: ScenarioLearner(kind, reduction.tolerance) for scenario in weights}
+        self._tolerance = reduction.tolerance_on(view.bench.scale)
+        kind = partial(Forest, self._tolerance)
+        self._learners = {scenario: ScenarioLearner(kind, self._tolerance) for scenario in weights}
         self._lots_so_far: Sequence[StoredLot] = ()
         self._cell_seconds: Mapping[str, float] = {}
         self._newest: int | None = None
@@ -230,7 +231,7 @@ class LotPlanner:
             plan.size,
             plan.sample,
             plan.acceptance,
-            self._reduction.tolerance,
+            self._tolerance,
             self._reduction.limit,
             forecast.known,
             forecast.seconds,

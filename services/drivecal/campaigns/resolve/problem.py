@@ -183,8 +183,11 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = no_bun
     if found.make is None or space is None or constraints is None:
         raise AssertionError("a part is missing without a finding")
     specification = specification.model_copy(update={"problem": found.problem})
+    bench = found.make(weights)
+    resolvers.check_units(specification, bench.scale, diagnostics)
+    diagnostics.raise_if_any()
     return CalibrationProblem(
-        specification, found.make(weights), space, weights, optimization, baseline, start_sets, robust_sets, notes, constraints
+        specification, bench, space, weights, optimization, baseline, start_sets, robust_sets, notes, constraints
     )
 
 

@@ -204,6 +204,19 @@ def find_robust_sets(
     return tuple(dict.fromkeys(parameter_set for parameter_set in named if parameter_set is not None))
 
 
+def check_units(specification: CampaignSpecification, scale: Scale, diagnostics: Diagnostics) -> None:
+    """Adds a problem for every difference of scores that is wider than their range."""
+    wanted = specification.robustness
+    eta = [] if wanted is None else wanted.eta if isinstance(wanted.eta, list) else [wanted.eta]
+    given = {f"robustness.eta[{index}]" if len(eta) > 1 else "robustness.eta": value for index, value in enumerate(eta)}
+    given |= {} if wanted is None else {"robustness.within": wanted.within}
+    given |= {} if specification.reduction.tolerance is None else {"reduction.tolerance": specification.reduction.tolerance}
+    for field, value in given.items():
+        if value > scale.span:
+            message = f"{value:g} is more than the whole range of the score {scale.name}, {scale.lower:g} to {scale.upper:g}"
+            diagnostics.add(field, message, f"give at most {scale.amount(scale.span)}")
+
+
 def check_validation(specification: CampaignSpecification, diagnostics: Diagnostics) -> None:
     """Adds a problem if there is no map to validate, or if the numbers do not fit."""
     wanted = specification.validation

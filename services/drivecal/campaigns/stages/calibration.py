@@ -281,12 +281,12 @@ class Calibration(CampaignStage):
 
     def _check_reuse(self, connection: Connection, iteration: int) -> None:
         """Evaluates the audits of this and all earlier iterations, and results that contradict each other."""
-        view, sequence, evaluator = self._view, self._campaign.sequence, self._view.bench.evaluator_id
-        audits.settle(connection, sequence, self.name, iteration, evaluator)
-        contradictions = audits.contradictions(connection, sequence, view.influence_map_sequence, evaluator, view.watermark)
+        view, sequence, bench = self._view, self._campaign.sequence, self._view.bench
+        rater, scale = bench.evaluator_id, bench.scale
+        audits.settle(connection, sequence, self.name, iteration, rater, scale)
+        contradictions = audits.contradictions(connection, sequence, view.influence_map_sequence, rater, view.watermark, scale)
         limit = self._problem.specification.reduction.max_error
-        counts = audits.count(connection, sequence, evaluator)
-        before = self._error_rate
+        counts, before = audits.count(connection, sequence, rater, scale), self._error_rate
         self._error_rate = error_rates(counts, before, self._problem.scenarios, limit, contradictions)
         for scenario, rate in self._error_rate.items():
             if rate.stopped and not (scenario in before and before[scenario].stopped):
