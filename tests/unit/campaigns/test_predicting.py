@@ -1,9 +1,12 @@
 """When a predictor is asked, and in which batches."""
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from drivecal.campaigns.cells.predicting import batch_of, pays, released_by_scenario, skipped_text, slice_size
 from drivecal.domain.campaigns import StageName
+from drivecal.reduction.prediction import FEWEST_KNOWN
 from drivecal.storage.lots import LotVerdict, StoredLot
 
 
@@ -34,7 +37,6 @@ def test_a_predictor_is_asked_if_it_saves_more_than_it_costs(
 def test_batches_are_slices_of_the_start_population_then_generations() -> None:
     size = slice_size(1000)
     assert size == slice_size(100_000) == 250
-    assert slice_size(3) == 1
     places = [
         (StageName.SENSITIVITY, 3, 7), (StageName.CALIBRATION, 0, 249), (StageName.CALIBRATION, 0, 250),
         (StageName.CALIBRATION, 1, 0), (StageName.CALIBRATION, 2, 0),
@@ -42,6 +44,13 @@ def test_batches_are_slices_of_the_start_population_then_generations() -> None:
     batches = [batch_of(*place, size) for place in places]
     assert batches == sorted(set(batches))
     assert batch_of(StageName.CALIBRATION, 1, 999, size) == batches[3]
+
+
+@given(st.integers(1, 5000))
+def test_the_first_slice_that_others_follow_is_enough_to_predict_the_next(population: int) -> None:
+    size = slice_size(population)
+    assert FEWEST_KNOWN <= size <= 250
+    assert -(-population // size) <= max(4, -(-population // 250))
 
 
 def test_rejected_lots_and_lots_without_a_verdict_release_nothing() -> None:

@@ -25,12 +25,14 @@ from drivecal.domain.evaluations import Outcome
 from drivecal.domain.parameters import ParameterSet, ParameterSpace
 from drivecal.reduction.lots import SamplingPlan, most_released
 from drivecal.reduction.prediction import (
+    FEWEST_KNOWN,
     MOST_KNOWN,
     ROUNDING,
     FeatureSpace,
     Floats,
     Lot,
     Predictions,
+    Predictor,
     ScenarioLearner,
     choose_lot,
 )
@@ -41,8 +43,9 @@ from drivecal.storage.lots import LotVerdict, NewLot, StoredLot
 from drivecal.storage.references import runs
 from drivecal.storage.results import KnownAnswer
 
-LARGEST_SLICE, SLICES = 250, 4
-"""Most sets, and fewest slices, of a start population that is learned from slice by slice."""
+SMALLEST_SLICE, LARGEST_SLICE, SLICES = FEWEST_KNOWN, 250, 4
+"""Fewest and most sets, and wanted number of slices, of a start population that is learned from slice by slice. After a smaller slice too
+little would be known for a prediction, and the workers would have waited for its last cell in vain."""
 GROWTH = 1.25
 """Growth of the known answers after which a predictor without an accepted lot is tried again."""
 LIKELY = 0.25
@@ -53,7 +56,7 @@ REACH = 0.5
 
 def slice_size(population: int) -> int:
     """Sets of the start population in one batch."""
-    return max(1, min(LARGEST_SLICE, -(-population // SLICES)))
+    return max(SMALLEST_SLICE, min(LARGEST_SLICE, -(-population // SLICES)))
 
 
 Batch = tuple[int, int, int]
@@ -74,6 +77,13 @@ class _Forecast:
     seconds: float
 
 
+def _forest(tolerance: float) -> Predictor:
+    """Returns an untrained predictor. scikit-learn loads slowly, so it loads while the first cells are simulated, if not before."""
+    from drivecal.reduction.forest import Forest
+
+    return Forest(tolerance)
+
+
 class LotPlanner:
     """The predictors of one calibration."""
 
@@ -85,14 +95,12 @@ class LotPlanner:
         weights: Mapping[str, float],
         population: int,
     ) -> None:
-        from drivecal.reduction.forest import Forest  # scikit-learn loads slowly; campaigns without predictions need none
-
         self._view = view
         self._reduction = reduction
         self._weights = weights
         self._population, self._slice = population, slice_size(population)
         self._features = FeatureSpace(space, view.names)
-        kind = partial(Forest, reduction.tolerance)
+        kind = partial(_forest, reduction.tolerance)
         self._learners = {scenario: ScenarioLearner(kind, reduction.tolerance) for scenario in weights}
         self._lots_so_far: Sequence[StoredLot] = ()
         self._cell_seconds: Mapping[str, float] = {}
