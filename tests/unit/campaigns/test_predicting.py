@@ -1,5 +1,8 @@
 """When a predictor is asked, and in which batches."""
 
+import subprocess
+import sys
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -51,6 +54,25 @@ def test_the_first_slice_that_others_follow_is_enough_to_predict_the_next(popula
     size = slice_size(population)
     assert FEWEST_KNOWN <= size <= 250
     assert -(-population // size) <= max(4, -(-population // 250))
+
+
+PROGRAM = """
+import sys
+from decimal import Decimal
+from types import SimpleNamespace
+import numpy as np
+from drivecal.campaigns.cells.predicting import LotPlanner
+from drivecal.contracts.specification import ReductionSpecification
+from drivecal.domain.parameters import Parameter, ParameterSpace
+space = ParameterSpace((Parameter("P1", Decimal(0), Decimal(1), 11),))
+planner = LotPlanner(SimpleNamespace(names=("P1",)), space, ReductionSpecification(mode="predicted"), {"S1": 1.0}, 200)
+planner.predict(dict(enumerate(space.parameter_sets(np.array([[0], [1]])))))
+assert "sklearn" not in sys.modules, "the first cells would wait until it is loaded"
+"""
+
+
+def test_the_first_slice_does_not_wait_for_scikit_learn() -> None:
+    subprocess.run([sys.executable, "-c", PROGRAM], check=True)  # this test itself
 
 
 def test_rejected_lots_and_lots_without_a_verdict_release_nothing() -> None:
