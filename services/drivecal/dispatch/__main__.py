@@ -79,6 +79,8 @@ def _dispatch(settings: Settings, database: Database, heartbeat: Heartbeat, stop
         return
     # the first campaign's start design needs it; while the workers start, a second of it costs nothing
     import_module("scipy.stats")
+    # two seconds that the first campaign with predictions would wait for, with idle workers
+    threading.Thread(target=import_module, args=("drivecal.reduction.forest",), name="predictor", daemon=True).start()
     try:
         dispatcher = Dispatcher(
             database,

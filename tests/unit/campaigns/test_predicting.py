@@ -1,9 +1,15 @@
 """When a predictor is asked, and in which batches."""
 
+import subprocess
+import sys
+
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from drivecal.campaigns.cells.predicting import batch_of, pays, released_by_scenario, skipped_text, slice_size
 from drivecal.domain.campaigns import StageName
+from drivecal.reduction.prediction import FEWEST_KNOWN
 from drivecal.storage.lots import LotVerdict, StoredLot
 
 
@@ -34,7 +40,6 @@ def test_a_predictor_is_asked_if_it_saves_more_than_it_costs(
 def test_batches_are_slices_of_the_start_population_then_generations() -> None:
     size = slice_size(1000)
     assert size == slice_size(100_000) == 250
-    assert slice_size(3) == 1
     places = [
         (StageName.SENSITIVITY, 3, 7), (StageName.CALIBRATION, 0, 249), (StageName.CALIBRATION, 0, 250),
         (StageName.CALIBRATION, 1, 0), (StageName.CALIBRATION, 2, 0),
@@ -42,6 +47,32 @@ def test_batches_are_slices_of_the_start_population_then_generations() -> None:
     batches = [batch_of(*place, size) for place in places]
     assert batches == sorted(set(batches))
     assert batch_of(StageName.CALIBRATION, 1, 999, size) == batches[3]
+
+
+@given(st.integers(1, 5000))
+def test_the_first_slice_that_others_follow_is_enough_to_predict_the_next(population: int) -> None:
+    size = slice_size(population)
+    assert FEWEST_KNOWN <= size <= 250
+    assert -(-population // size) <= max(4, -(-population // 250))
+
+
+PROGRAM = """
+import sys
+from decimal import Decimal
+from types import SimpleNamespace
+import numpy as np
+from drivecal.campaigns.cells.predicting import LotPlanner
+from drivecal.contracts.specification import ReductionSpecification
+from drivecal.domain.parameters import Parameter, ParameterSpace
+space = ParameterSpace((Parameter("P1", Decimal(0), Decimal(1), 11),))
+planner = LotPlanner(SimpleNamespace(names=("P1",)), space, ReductionSpecification(mode="predicted"), {"S1": 1.0}, 200)
+planner.predict(dict(enumerate(space.parameter_sets(np.array([[0], [1]])))))
+assert "sklearn" not in sys.modules, "the first cells would wait until it is loaded"
+"""
+
+
+def test_the_first_slice_does_not_wait_for_scikit_learn() -> None:
+    subprocess.run([sys.executable, "-c", PROGRAM], check=True)  # this test itself
 
 
 def test_rejected_lots_and_lots_without_a_verdict_release_nothing() -> None:

@@ -26,12 +26,14 @@ from drivecal.domain.parameters import ParameterSet, ParameterSpace
 from drivecal.domain.scales import plain
 from drivecal.reduction.lots import SamplingPlan, most_released
 from drivecal.reduction.prediction import (
+    FEWEST_KNOWN,
     MOST_KNOWN,
     ROUNDING,
     FeatureSpace,
     Floats,
     Lot,
     Predictions,
+    Predictor,
     ScenarioLearner,
     choose_lot,
 )
@@ -42,8 +44,9 @@ from drivecal.storage.lots import LotVerdict, NewLot, StoredLot
 from drivecal.storage.references import runs
 from drivecal.storage.results import KnownAnswer
 
-LARGEST_SLICE, SLICES = 250, 4
-"""Most sets, and fewest slices, of a start population that is learned from slice by slice."""
+SMALLEST_SLICE, LARGEST_SLICE, SLICES = FEWEST_KNOWN, 250, 4
+"""Fewest and most sets, and wanted number of slices, of a start population that is learned from slice by slice. After a smaller slice too
+little would be known for a prediction, and the workers would have waited for its last cell in vain."""
 GROWTH = 1.25
 """Growth of the known answers after which a predictor without an accepted lot is tried again."""
 LIKELY = 0.25
@@ -54,7 +57,7 @@ REACH = 0.5
 
 def slice_size(population: int) -> int:
     """Sets of the start population in one batch."""
-    return max(1, min(LARGEST_SLICE, -(-population // SLICES)))
+    return max(SMALLEST_SLICE, min(LARGEST_SLICE, -(-population // SLICES)))
 
 
 Batch = tuple[int, int, int]
@@ -75,6 +78,13 @@ class _Forecast:
     seconds: float
 
 
+def _forest(tolerance: float) -> Predictor:
+    """Returns an untrained predictor. scikit-learn loads slowly, so it loads while the first cells are simulated, if not before."""
+    from drivecal.reduction.forest import Forest
+
+    return Forest(tolerance)
+
+
 class LotPlanner:
     """The predictors of one calibration."""
 
@@ -86,15 +96,13 @@ class LotPlanner:
         weights: Mapping[str, float],
         population: int,
     ) -> None:
-        from drivecal.reduction.forest import Forest  # scikit-learn loads slowly; campaigns without predictions need none
-
         self._view = view
         self._reduction = reduction
         self._weights = weights
         self._population, self._slice = population, slice_size(population)
         self._features = FeatureSpace(space, view.names)
         self._tolerance = reduction.tolerance_on(view.bench.scale)
-        kind = partial(Forest, self._tolerance)
+        kind = partial(_forest, self._tolerance)
         self._learners = {scenario: ScenarioLearner(kind, self._tolerance) for scenario in weights}
         self._lots_so_far: Sequence[StoredLot] = ()
         self._cell_seconds: Mapping[str, float] = {}
