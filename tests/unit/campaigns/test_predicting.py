@@ -22,19 +22,41 @@ def lot(size: int, sample: int = 16, *, seconds: float = 1.0, known: int = 1000,
     ("lots_so_far", "known", "cell_seconds", "expected"),
     [
         ([], 100, 0.0, True),
-        ([lot(116)], 1001, 0.01, True),
-        ([lot(115)], 1001, 0.01, False),
+        ([lot(116)], 1100, 0.01, True),
+        ([lot(115)], 1100, 0.01, False),
         ([lot(115)], 1250, 0.04, True),
-        ([lot(0, 0), lot(200)], 1001, 0.01, True),
-        ([lot(200), lot(0, 0)], 1249, 1.0, False),
-        ([lot(200), lot(0, 0)], 1250, 1.0, True),
+        ([lot(0, 0), lot(216)], 1100, 0.01, True),
+        ([lot(200), lot(0, 0, known=1100)], 1374, 1.0, False),
+        ([lot(200), lot(0, 0, known=1100)], 1375, 1.0, True),
         ([lot(0, 0, seconds=26.0)], 2000, 1.0, False),
     ],
 )
-def test_a_predictor_is_asked_if_it_saves_more_than_it_costs(
+def test_a_predictor_is_trained_if_it_saves_more_than_it_costs(
     lots_so_far: list[StoredLot], known: int, cell_seconds: float, expected: bool
 ) -> None:
     assert pays(lots_so_far, known, 100, cell_seconds) is expected
+
+
+@pytest.mark.parametrize(
+    ("again", "expected"),
+    [
+        ([], True),
+        ([lot(26, seconds=0.1)], True),
+        ([lot(25, seconds=0.1)], False),
+        ([lot(0, 0, seconds=0.1), lot(36, seconds=0.1)], True),
+        ([lot(36, seconds=0.1), lot(0, 0, seconds=0.1), lot(0, 0, seconds=0.1)], False),
+    ],
+)
+def test_a_trained_predictor_is_asked_again_if_its_predictions_alone_pay(again: list[StoredLot], expected: bool) -> None:
+    """Training costs ten times as much as its first lot saved: that is spent, and predicting costs little."""
+    trained = lot(26, seconds=1.0)
+    assert pays([trained, *again], 1099, 100, 0.01) is expected
+
+
+def test_a_training_is_paid_by_all_the_batches_that_it_served() -> None:
+    served = [lot(26, seconds=1.0), *(lot(66, seconds=0.1) for _ in range(3))]
+    assert pays(served, 1100, 100, 0.01)
+    assert not pays(served[:3], 1100, 100, 0.01)
 
 
 def test_batches_are_slices_of_the_start_population_then_generations() -> None:

@@ -28,6 +28,7 @@ from drivecal.reduction.lots import SamplingPlan, most_released
 from drivecal.reduction.prediction import (
     FEWEST_KNOWN,
     MOST_KNOWN,
+    REFIT,
     ROUNDING,
     FeatureSpace,
     Floats,
@@ -279,13 +280,23 @@ class LotPlanner:
 
 
 def pays(lots_so_far: Sequence[StoredLot], known: int, cells: int, cell_seconds: float) -> bool:
-    """Whether a scenario's predictor can save more than it costs in a batch of so many cells: as the last lot of `lots_so_far` did, or else
-    once clearly more answers are `known`."""
+    """Whether a scenario's predictor can save more than it costs in a batch of so many cells.
+
+    Training takes most of its time, so all batches since the last training count for another one; without success it waits until clearly
+    more answers are `known`. Until a training is due, asking again costs a prediction: it goes on as long as those alone pay.
+    """
     if not lots_so_far:
         return True
-    last = lots_so_far[-1]
-    paid = last.size > 0 and last.seconds <= (last.size - last.sample) * cell_seconds
-    return paid or (known >= GROWTH * last.known and last.seconds <= LIKELY * cells * cell_seconds)
+    trained_on = lots_so_far[-1].known
+    served = [lot for lot in lots_so_far if lot.known == trained_on]
+    if known < REFIT * trained_on:
+        return _paid(served[1:], cell_seconds)
+    grown = known >= GROWTH * trained_on and max(lot.seconds for lot in served) <= LIKELY * cells * cell_seconds
+    return grown or _paid(served, cell_seconds)
+
+
+def _paid(served: Sequence[StoredLot], cell_seconds: float) -> bool:
+    return sum(lot.seconds for lot in served) <= sum(lot.size - lot.sample for lot in served) * cell_seconds
 
 
 def released_by_scenario(
