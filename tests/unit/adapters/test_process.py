@@ -60,15 +60,14 @@ def test_a_hang_costs_its_run_only(tmp_path: Path) -> None:
 def test_an_answer_that_is_there_counts_if_the_worker_was_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As by a signal, or by a machine that sleeps."""
     with served(tmp_path, timeout=0.5) as session:
-        write = pipes.Pipes._write
+        step = pipes.Pipes._step
 
-        def stopped(self: pipes.Pipes) -> None:
-            write(self)
-            eventually(lambda: self._poll.poll(0))
-            time.sleep(0.6)
+        def stopped(self: pipes.Pipes, deadline: float, seconds: float) -> None:
+            eventually(lambda: self._poll.poll(0) and time.monotonic() > deadline)
+            step(self, deadline, seconds)
 
         with monkeypatch.context() as patch:
-            patch.setattr(pipes.Pipes, "_write", stopped)
+            patch.setattr(pipes.Pipes, "_step", stopped)
             assert session.evaluate({"x": 2.0}).measures == {"y": 4.0}
 
 
