@@ -10,7 +10,18 @@ import textwrap
 from pathlib import Path
 
 import pytest
-from tests.support.simulators import PYTHON, compiled, eventually, lost, opened, running, served, write_script, write_server
+from tests.support.simulators import (
+    PYTHON,
+    compiled,
+    eventually,
+    is_running,
+    lost,
+    opened,
+    running,
+    served,
+    write_script,
+    write_server,
+)
 
 from drivecal.adapters import children, keeper
 from drivecal.domain.evaluations import Breakdown
@@ -81,6 +92,18 @@ def test_a_child_that_kills_its_keeper_costs_its_run_only(tmp_path: Path, mark: 
         lost(session, {"x": 1.0}, Breakdown.CRASH)
         assert session.evaluate({"x": 2.0}).measures == {"y": 4.0}
     eventually(lambda: running(mark) == [])
+
+
+def test_a_child_that_stops_its_keeper_costs_its_run_only(tmp_path: Path, mark: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(children, "REPLY_SECONDS", 5.0)
+    spawn = f"subprocess.Popen({SLEEPER.format(mark=mark)})"
+    with served(
+        tmp_path, f"if x == 1.0:\n    {spawn}\n    os.kill(os.getppid(), 19)\n    time.sleep(600)", timeout=2.0
+    ) as session:
+        stopped = session._children._keeper
+        lost(session, {"x": 1.0}, Breakdown.HANG)
+        assert session.evaluate({"x": 2.0}).measures == {"y": 4.0}
+    eventually(lambda: running(mark) == [] and not is_running(stopped))
 
 
 def test_everything_ends_with_a_worker_that_is_killed(tmp_path: Path, mark: str) -> None:

@@ -55,6 +55,7 @@ def session(program: Path) -> Iterator[SimulatorSession]:
         yield session
 
 
+@pytest.mark.slow
 def test_two_hundred_faults_cost_one_run_each(session: SimulatorSession) -> None:
     faults = {1: Breakdown.CRASH, 2: Breakdown.HANG, 3: Breakdown.ERROR, 4: Breakdown.ERROR, 5: Breakdown.ERROR}
     before = descriptors()

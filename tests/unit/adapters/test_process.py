@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
+import time
 from pathlib import Path
 
 import pytest
@@ -54,6 +55,20 @@ def test_a_hang_costs_its_run_only(tmp_path: Path) -> None:
     ) as session:
         assert lost(session, {"x": 1.0}, Breakdown.HANG) == "no answer after 2 s (timeout); its last messages: stuck"
         assert session.evaluate({"x": 2.0}).measures == {"y": 4.0}
+
+
+def test_an_answer_that_is_there_counts_if_the_worker_was_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As by a signal, or by a machine that sleeps."""
+    with served(tmp_path, timeout=0.5) as session:
+        step = pipes.Pipes._step
+
+        def stopped(self: pipes.Pipes, deadline: float, seconds: float) -> None:
+            eventually(lambda: self._poll.poll(0) and time.monotonic() > deadline)
+            step(self, deadline, seconds)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(pipes.Pipes, "_step", stopped)
+            assert session.evaluate({"x": 2.0}).measures == {"y": 4.0}
 
 
 def test_a_flood_of_messages_neither_blocks_nor_changes_a_run(tmp_path: Path) -> None:

@@ -191,8 +191,23 @@ class Children:
                 with contextlib.suppress(OSError):
                     os.killpg(self._pid, signal.SIGKILL)
         if self._control is not None:
+            if self._keeper is not None and _is_open(self._control):
+                os.kill(self._keeper, signal.SIGKILL)  # stopped by its child, perhaps; the number is still its own
             self._control.close()
         self._keeper, self._control, self._pid, self._family, self._ended_seconds = None, None, None, (), 0.0
+
+
+def _is_open(control: socket.socket) -> bool:
+    """Returns whether the keeper has not closed its end, i.e. lives."""
+    control.setblocking(False)
+    try:
+        while control.recv(65536):
+            pass
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+    return False
 
 
 def check_command(command: Sequence[str], work: Path) -> None:

@@ -119,13 +119,10 @@ class Pipes:
         self._close_pipes()
 
     def _step(self, deadline: float, seconds: float) -> None:
-        """Waits until something happens, and handles it."""
+        """Waits until something happens, and handles it. After the deadline only an answer that is there already counts: this process
+        may have been stopped itself."""
         left = deadline - time.monotonic()
-        if left <= 0:
-            if seconds < 0:
-                raise NoMeasuresError(Breakdown.ERROR, self._with_tail("it closed its standard output without an answer"))
-            raise NoMeasuresError(Breakdown.HANG, self._with_tail(f"no answer after {seconds:g} s (timeout)"))
-        events = self._poll.poll(1 + 1000 * min(left, TICK_SECONDS))
+        events = self._poll.poll(1 + 1000 * min(left, TICK_SECONDS) if left > 0 else 0)
         self._children.scan()
         control = False
         for descriptor, _ in events:
@@ -141,6 +138,10 @@ class Pipes:
             self._poll.unregister(self._children.control)
             self._ended = self._children.ended()
             self._drain()
+        elif left <= 0 and b"\n" not in self._received:
+            if seconds < 0:
+                raise NoMeasuresError(Breakdown.ERROR, self._with_tail("it closed its standard output without an answer"))
+            raise NoMeasuresError(Breakdown.HANG, self._with_tail(f"no answer after {seconds:g} s (timeout)"))
 
     def _drain(self) -> None:
         """Reads what an ended child has left in its pipes."""
