@@ -11,7 +11,6 @@ from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import groupby
 
 import numpy as np
@@ -34,9 +33,9 @@ from drivecal.reduction.prediction import (
     Floats,
     Lot,
     Predictions,
-    Predictor,
     ScenarioLearner,
     choose_lot,
+    predictor_on,
 )
 from drivecal.storage import evaluations, lots, results
 from drivecal.storage.engine.types import ORDER
@@ -79,13 +78,6 @@ class _Forecast:
     seconds: float
 
 
-def _forest(tolerance: float) -> Predictor:
-    """Returns an untrained predictor. scikit-learn loads slowly, so it loads while the first cells are simulated, if not before."""
-    from drivecal.reduction.forest import Forest
-
-    return Forest(tolerance)
-
-
 class LotPlanner:
     """The predictors of one calibration."""
 
@@ -103,7 +95,7 @@ class LotPlanner:
         self._population, self._slice = population, slice_size(population)
         self._features = FeatureSpace(space, view.names)
         self._tolerance = reduction.tolerance_on(view.bench.scale)
-        kind = partial(_forest, self._tolerance)
+        kind = predictor_on(view.bench.scale, self._tolerance)
         self._learners = {scenario: ScenarioLearner(kind, self._tolerance) for scenario in weights}
         self._lots_so_far: Sequence[StoredLot] = ()
         self._cell_seconds: Mapping[str, float] = {}
