@@ -122,6 +122,13 @@ def test_what_does_not_fit_is_refused_at_its_field(changes: dict[str, Any], fiel
     assert said in texts[field]
 
 
+@pytest.mark.parametrize(("kind", "ordered"), [("genetic", False), ("swarm", True), ("cma_es", True), ("optuna", False)])
+def test_a_submission_says_how_constraints_and_choices_are_searched(kind: str, ordered: bool) -> None:
+    notes = resolve(CampaignSpecification.model_validate(WANTED | {"optimizer": {"kind": kind}})).notes
+    assert any("speed <= limit, gears * 10 <= limit" in note for note in notes)
+    assert any("mode, tyre" in note for note in notes) == ordered
+
+
 def test_an_optimizer_that_declares_nothing_is_refused_for_what_it_may_not_know(monkeypatch: pytest.MonkeyPatch) -> None:
     class Undeclared:
         name = "undeclared"

@@ -218,6 +218,7 @@ def resolve(specification: CampaignSpecification) -> CalibrationProblem:
     space = None if function is None else search_space(specification, function, diagnostics)
     constraints = None if space is None else resolvers.find_constraints(function, space, diagnostics)
     resolvers.check_abilities(optimization, constraints, diagnostics)
+    notes += resolvers.note_search(optimization, constraints)
     baseline = given_set(specification.baseline, constraints, "baseline", diagnostics)
     start_sets = resolvers.find_start_sets(specification, baseline, constraints, diagnostics)
     robust_sets = resolvers.find_robust_sets(
