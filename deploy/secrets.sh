@@ -5,7 +5,7 @@
 #
 # postgres_password  between the database and those that use it
 # ray_token          between the nodes of the Ray cluster; nodes on other machines need the same
-# tokens             who may use the API: NAME read|write TOKEN, a line each; add lines as you like, the server reads them again
+# tokens             who may use the API: NAME read|write|author TOKEN, a line each; add lines as you like, the server reads them again
 #
 # Nothing that exists is ever replaced. Only you can enter the folder; inside, the files are readable, for the users in the containers are
 # others than you. The folder is deploy/secrets, or DRIVECAL_SECRETS.

@@ -32,6 +32,11 @@ PLANTED = {
     "Only the Ray backend and drivecal.local reach the workers": ("services/drivecal/cli", "import drivecal.runtime"),
     "The workers do not know the coordinator": ("workers/drivecal/runtime", "from drivecal.reduction import keys"),
     "Only drivecal.traffic speaks to SUMO": ("workers/drivecal/episode", "import libsumo"),
+    "The adapters import no simulator": (
+        "workers/drivecal/adapters",
+        "import numba",
+    ),
+    "Only the FMU's child imports FMPy": ("workers/drivecal/adapters", "import fmpy.fmi2"),
     "Only drivecal.training needs the multi-body model": ("workers/drivecal/vehicle", "import vehiclemodels"),
     "Only the forest and drivecal.training learn by scikit-learn": ("services/drivecal/sensitivity", "import sklearn"),
     "No database and no web server beside the simulation": (
@@ -109,11 +114,12 @@ def test_a_rule_between_roots_names_every_package(name: str, source: set[str], f
     assert set(rule(name)["forbidden_modules"]) >= forbidden
 
 
-def test_the_ray_backend_and_the_local_evaluation_are_the_only_exceptions() -> None:
+def test_the_ray_backend_and_drivecal_local_are_the_only_exceptions() -> None:
     exceptions = [exception for one in rules() for exception in one.get("ignore_imports", [])]
     assert {exception.split(" -> ")[0] for exception in exceptions} == {
         "drivecal.execution.ray.backend",
         "drivecal.local.evaluation",
+        "drivecal.local.problems",
     }
 
 

@@ -30,13 +30,13 @@ import numpy as np
 
 from drivecal.certification.memory import Memory
 from drivecal.certification.recording import DecisionRecord
-from drivecal.contracts.work import Batch, Cell, SetupRequest
+from drivecal.contracts.work import Batch, Cell, DriveRequest, SetupKey
 from drivecal.domain.evaluations import RunResult
 from drivecal.execution.backend import Finished, Lost, Slot, WorkerInfo
 from drivecal.execution.pool import WorkPool
 from drivecal.execution.scheduling import scheduler
 from drivecal.execution.scheduling.affinity import SetupAffinity
-from drivecal.execution.scheduling.in_flight import SetupKey, Work
+from drivecal.execution.scheduling.in_flight import Work
 from drivecal.plugins import registry
 from drivecal.plugins.setups import setup_of
 from drivecal.runtime.runners import make_runner
@@ -129,7 +129,7 @@ class PretendedBackend:
     def _worker(self, name: str) -> Worker:
         memory = Memory(MEGABYTES)
 
-        def make(request: SetupRequest) -> Any:
+        def make(request: DriveRequest) -> Any:
             runner: Any = make_runner(request, memory)
             runner.episode.run = partial(replayed, self._runs, request.scenario, runner.episode.run)
             return runner
@@ -192,20 +192,20 @@ class PretendedBackend:
         tally.megabytes += sum(len(run.states) for run in (*batch.known, *result.learned)) / 1e6
 
 
-def requests() -> dict[str, SetupRequest]:
+def requests() -> dict[str, DriveRequest]:
     """The setups of the built-in scenarios."""
     catalogue, function = registry.catalogue("highway"), registry.driving_function("frenet")
     vehicle = registry.vehicle("single_track")
     setups = {name: setup_of(scenario, function, vehicle, {}) for name, scenario in catalogue.scenarios.items()}
     return {
-        name: SetupRequest(
+        name: DriveRequest(
             catalogue.name, name, function.name, vehicle.name, setup.vehicle_parameters, "reference", setup.fingerprint
         )
         for name, setup in setups.items()
     }
 
 
-Scores = dict[tuple[str, tuple[int, ...]], tuple[int, float]]
+Scores = dict[tuple[str, tuple[int, ...]], tuple[float, float]]
 """Score and rating by scenario and grid indices."""
 
 
@@ -237,7 +237,7 @@ def search(backend: PretendedBackend, population: int, iterations: int, seed: in
 
 def simulated(
     pool: WorkPool,
-    setups: Mapping[str, SetupRequest],
+    setups: Mapping[str, DriveRequest],
     asked: Mapping[str, Sequence[tuple[int, ...]]],
     first: int,
     *,

@@ -39,7 +39,7 @@ CHUNK = 40
 """Cells of one scenario per task."""
 EQUAL = 1e-9
 
-Score = tuple[int, float]
+Score = tuple[float, float]
 """Score and rating of one cell."""
 
 

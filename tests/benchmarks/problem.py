@@ -49,7 +49,7 @@ def runner_of(scenario: str) -> EpisodeRunner:
     return EpisodeRunner(HIGHWAY.scenarios[scenario], FRENET, vehicle, REFERENCE)
 
 
-def run(scenario: str, sets: list[list[float]]) -> list[tuple[int, float, str | None]]:
+def run(scenario: str, sets: list[list[float]]) -> list[tuple[float, float, str | None]]:
     """Score, rating and failure of each set."""
     results: list[RunResult] = [runner_of(scenario).run(parameters) for parameters in sets]
     return [(result.rating.score, result.rating.rating, result.failure) for result in results]

@@ -29,7 +29,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drivecal.comfort.reference import REFERENCE
-from drivecal.contracts.work import Batch, Cell, SetupRequest
+from drivecal.contracts.work import Batch, Cell, DriveRequest
 from drivecal.domain.influence import Influence
 from drivecal.domain.parameters import Indices, Parameter, ParameterSpace, text
 from drivecal.planner.frenet import FRENET
@@ -50,10 +50,10 @@ CHUNK = 40
 TOLERANCE = 0.1
 
 
-def request(scenario: str) -> SetupRequest:
+def request(scenario: str) -> DriveRequest:
     """The built-in problem with the vehicle's nominal values."""
     setup = setup_of(HIGHWAY.scenarios[scenario], FRENET, SINGLE_TRACK, {})
-    return SetupRequest(
+    return DriveRequest(
         HIGHWAY.name, scenario, FRENET.name, SINGLE_TRACK.name, setup.vehicle_parameters, REFERENCE.name, setup.fingerprint
     )
 

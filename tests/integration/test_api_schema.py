@@ -6,8 +6,10 @@
 from __future__ import annotations
 
 import os
+import zipfile
 from collections.abc import Iterator
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -16,6 +18,7 @@ import pytest
 import schemathesis
 from fastapi import FastAPI
 from hypothesis import HealthCheck, settings
+from hypothesis import strategies as st
 from schemathesis.checks import CheckFunction, not_a_server_error
 from schemathesis.config import SchemathesisConfig
 from schemathesis.specs.openapi.checks import negative_data_rejection, positive_data_acceptance
@@ -30,6 +33,14 @@ HEADERS = {"Authorization": f"Bearer {TOKEN}"}
 EXAMPLES = 100 if os.environ.get("DRIVECAL_LONG") else 5
 SMALL: dict[str, Any] = {"sensitivity": None, "catalogue": ["S1", "S4"], "optimizer": {"population": 10, "iterations": 2}}
 MIDDLE = [0, 1, 100, 1000, 750, 0.5, 100, 1000, 5, 10, 100]
+MANIFEST = """
+problem: mine
+parameters: {x: {lower: 0, upper: 1}}
+simulator: {kind: python, file: model.py}
+scenarios: {s: {}}
+measures: {m: "1"}
+scores: {c: {formula: m, direction: minimise, range: [0, 1]}}
+"""
 often = settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck))
 NOT_IN_A_SCHEMA: list[CheckFunction] = [positive_data_acceptance]
 """Which plug-ins are installed, which values lie on a grid and which cursors were given out is in no schema."""
@@ -39,9 +50,22 @@ def application() -> FastAPI:
     """The application as it is served, for its document alone."""
     with TemporaryDirectory() as folder:
         tokens = Path(folder) / "tokens"
-        tokens.write_text(f"writer write {TOKEN}\n")
+        tokens.write_text(f"writer author {TOKEN}\n")
         return create_app(load_settings(database_url="sqlite:///never-made.db", tokens_file=str(tokens)))
 
+
+def archive(manifest: str = MANIFEST) -> bytes:
+    """A problem as it is pushed."""
+    buffer = BytesIO()
+    with zipfile.ZipFile(buffer, "w") as opened:
+        opened.writestr("problem.yaml", manifest)
+        opened.writestr("model.py", "")
+    return buffer.getvalue()
+
+
+archives = st.one_of(st.just(archive()), st.text().map(archive), st.binary(max_size=200))
+schemathesis.openapi.media_type("application/zip", archives)
+schemathesis.serializer.alias("application/zip", "application/octet-stream")
 
 REFUSALS = ["400", "401", "403", "404", "405", "409", "413", "414", "415", "422", "431"]
 CONFIG = SchemathesisConfig.from_dict({"checks": {"negative_data_rejection": {"expected-statuses": REFUSALS}}})
@@ -56,12 +80,13 @@ class Known:
     evaluation: str
     row: str
     map: str
+    problem: str
 
 
 @pytest.fixture(scope="module")
 def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
     folder: Path = tmp_path_factory.mktemp("schema")
-    (folder / "tokens").write_text(f"writer write {TOKEN}\n")
+    (folder / "tokens").write_text(f"writer author {TOKEN}\n")
     with serving(
         f"sqlite:///{folder / 'drivecal.db'}", tokens_file=str(folder / "tokens"), queued_campaigns=100_000, posted_maps=100_000
     ) as running:
@@ -82,7 +107,9 @@ def known(api: RunningApi) -> Known:
     evaluation = post("evaluations", {"parameters": parameters, "scenario": "S2"})
     carry_out_evaluation(api.database, evaluation["id"])
     row = api.http.get(f"/api/v1/campaigns/{campaign['id']}/evaluations").json()["items"][0]["id"]
-    return Known(campaign["id"], evaluation["id"], str(row), posted_map["id"])
+    zipped = {"Content-Type": "application/zip"}
+    problem = api.http.post("/api/v1/problems", content=archive(), headers=zipped).raise_for_status().json()
+    return Known(campaign["id"], evaluation["id"], str(row), posted_map["id"], problem["name"])
 
 
 @schema.parametrize()
@@ -96,7 +123,13 @@ def test_every_answer_is_as_documented(case: schemathesis.Case[Any], api: Runnin
 @schema.include(path_regex="{").parametrize()
 @often
 def test_every_answer_about_what_is_there_is_as_documented(case: schemathesis.Case[Any], api: RunningApi, known: Known) -> None:
-    ids = {"campaign_id": known.campaign, "map_id": known.map, "evaluation_id": known.evaluation, "scenario_id": "S1"}
+    ids = {
+        "campaign_id": known.campaign,
+        "map_id": known.map,
+        "evaluation_id": known.evaluation,
+        "scenario_id": "S1",
+        "problem": known.problem,
+    }
     for name in case.path_parameters:
         case.path_parameters[name] = ids[name]
     # An id that was to be wrong is right now.

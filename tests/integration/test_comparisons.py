@@ -237,7 +237,7 @@ def test_what_a_search_believed_of_references_is_confirmed_after_it(database: Da
         found = read_compared(connection, ended)
         rows = {two.id: list(results.stream(connection, two.sequence)) for two in found.campaigns}
     for one, campaign in zip(found.runs(), found.campaigns, strict=True):
-        own: dict[int, dict[str, int]] = {}
+        own: dict[int, dict[str, float]] = {}
         for row in rows[one.run]:
             if row.outcome != "reused" and row.score is not None:
                 own.setdefault(row.parameter_set_id, {})[row.scenario] = row.score

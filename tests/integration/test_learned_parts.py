@@ -9,7 +9,7 @@ import pytest
 from drivecal.comfort import learned
 from drivecal.comfort.learned import LEARNED
 from drivecal.comfort.reference import REFERENCE
-from drivecal.contracts.work import Batch, Cell, SetupRequest
+from drivecal.contracts.work import Batch, Cell, DriveRequest
 from drivecal.domain.evaluations import FAILED_RATING, Failure, RunResult
 from drivecal.episode.runner import EpisodeRunner
 from drivecal.planner.frenet import FRENET
@@ -64,7 +64,7 @@ def test_a_missed_task_scores_0_whatever_the_evaluator() -> None:
 
 
 @pytest.fixture(params=["hybrid.npz", "learned.npz"])
-def damaged(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> tuple[str, SetupRequest]:
+def damaged(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> tuple[str, DriveRequest]:
     """A setup that was asked for before the worker's file was damaged, and the file."""
     setup = setup_of(SCENARIOS["S1"], FRENET, HYBRID, {})
     version, name = LEARNED.version, str(request.param)
@@ -75,12 +75,12 @@ def damaged(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(hybrid if name == "hybrid.npz" else learned, "shipped", shipped)
     monkeypatch.delitem(vars(LEARNED), "version")
     document = setup.document
-    return name, SetupRequest("highway", "S1", "frenet", "hybrid", NOMINAL, "learned", setup.fingerprint, document, version)
+    return name, DriveRequest("highway", "S1", "frenet", "hybrid", NOMINAL, "learned", setup.fingerprint, document, version)
 
 
 def test_a_worker_with_another_version_of_the_evaluator_refuses_to_rate() -> None:
     setup = setup_of(SCENARIOS["S1"], FRENET, SINGLE_TRACK, {})
-    request = SetupRequest(
+    request = DriveRequest(
         "highway", "S1", "frenet", "single_track", NOMINAL, "learned", setup.fingerprint, setup.document, "1.fromelsewhere"
     )
     answer = Worker("w").run(Batch(request, ()))
@@ -91,7 +91,7 @@ def test_a_worker_with_another_version_of_the_evaluator_refuses_to_rate() -> Non
     assert LEARNED.version in answer.refusal
 
 
-def test_a_worker_whose_files_are_damaged_refuses_the_setup_and_blames_no_cell(damaged: tuple[str, SetupRequest]) -> None:
+def test_a_worker_whose_files_are_damaged_refuses_the_setup_and_blames_no_cell(damaged: tuple[str, DriveRequest]) -> None:
     file, request = damaged
     names = [parameter.name for parameter in FRENET.spaces["highway"]]
     answer = Worker("w").run(Batch(request, (Cell(1, dict(zip(names, CALM, strict=True))),)))

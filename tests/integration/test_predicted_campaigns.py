@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.integration.test_certified_campaigns import alike
 from tests.integration.test_confirmation import at, live, new, rows_of, step_until
 from tests.support.computed import ComputedBackend
 from tests.support.runs import EXPERT_SPACE, dispatcher, everything, get, influenced, run, submit
@@ -166,6 +167,29 @@ def test_a_dispatcher_killed_at_any_moment_draws_the_same_samples(tmp_path: Path
     assert len(ends) > 5
     assert all(end == ends[0] for end in ends)
     assert any(lot.verdict is LotVerdict.RELEASED for lot in ends[0][1])
+
+
+def test_certificates_and_the_order_of_answers_change_no_lot_and_no_score(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With equal secrets, because these draw the samples."""
+    monkeypatch.setattr("drivecal.storage.lots.secrets.token_bytes", lambda size: b"s" * size)
+    ends, certified_cells = [], []
+    for number, certified in enumerate((True, False)):
+        database = new(tmp_path / f"{number}.db")
+        campaign = ask(database, certified=certified, audit=0.0)
+        ended = run(database, campaign, ComputedBackend(number, answer=slowly, class_of=alike))
+        rows = [
+            (row.iteration, row.individual, row.scenario, row.score, row.rating, row.lot, row.sampled, row.agrees)
+            for row in rows_of(database, campaign)
+        ]
+        ends.append((rows, ended.best, [replace(lot, seconds=0.0) for lot in lots_of(database, campaign)]))
+        certified_cells.append(ended.cells.certified)
+        database.dispose()
+    assert ends[0] == ends[1]
+    assert any(lot.verdict is LotVerdict.RELEASED for lot in ends[0][2])
+    assert certified_cells[0] > 0
+    assert certified_cells[1] == 0
 
 
 def test_released_predictions_are_simulated_afterwards_by_a_study(predicted: tuple[Database, StoredCampaign]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult, SetupRequest
 from drivecal.execution.backend import Finished, Lost, Slot, WorkerInfo
@@ -16,7 +17,7 @@ IGNORED = {"S1": "P9", "S2": "P10"}
 def rating_of(scenario: str, cell: Cell) -> float:
     """0..7 with plateaus, different in every scenario."""
     number = int(scenario.removeprefix("S"))
-    spread = sum(
+    spread: float = sum(
         ((index * number) % 5 + 1) * ((value * (1 + index / 7)) % 1.7)
         for index, (name, value) in enumerate(cell.parameters.items())
         if IGNORED.get(scenario) != name
@@ -38,7 +39,7 @@ class ComputedBackend:
 
     seed: int = 0
     answer: Callable[[str, Cell], CellResult] = computed
-    driven: Callable[[SetupRequest, Cell], CellResult] | None = None
+    driven: Callable[[Any, Cell], CellResult] | None = None
     """In its place where the answer depends on the vehicle."""
     class_of: Callable[[str, Cell], object] | None = None
     """Cells of one class provably drive alike: all but the first are certified."""

@@ -176,7 +176,7 @@ def analyse(database: Database, campaign_id: str, score: Callable[[str, Mapping[
             connection,
             name=campaign.name,
             source=campaign.id,
-            driving_function=problem.bench.driving_function.name,
+            driving_function=problem.bench.function,
             parameters=space_to_document(problem.space.searched),
             scenarios=analysis_to_document(analysis.result()),
             basis={

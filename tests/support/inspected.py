@@ -12,9 +12,11 @@ from drivecal.reduction.prediction import Floats, ScenarioLearner, choose_lot
 
 @dataclass(slots=True)
 class Tally:
-    """Counts of a scenario. `inspected`: predictions in lots; `different`: released ones off by more than the tolerance."""
+    """Counts of a scenario. `inspected`: predictions in lots; `different`: released ones off by more than the tolerance; `simulated`: runs,
+    samples among them."""
 
     cells: int = 0
+    simulated: int = 0
     released: int = 0
     different: int = 0
     lots: int = 0
@@ -25,7 +27,7 @@ class Tally:
 
 def inspect(learner: ScenarioLearner, features: Floats, scores: Floats, ratings: Floats, limit: float, secret: bytes) -> Tally:
     """Answers a batch, n sets with features of shape (n, k); the learner then learns what was simulated."""
-    tally = Tally(cells=len(scores))
+    tally = Tally(cells=len(scores), simulated=len(scores))
     told = learner.predict(features)
     if told is None:
         learner.learn(features, scores, ratings)
@@ -43,6 +45,7 @@ def inspect(learner: ScenarioLearner, features: Floats, scores: Floats, ratings:
             simulated, weight[sampled] = np.setdiff1d(simulated, released), lot.plan.size / lot.plan.sample
         else:
             tally.rejected = 1
+    tally.simulated = len(simulated)
     learner.learn(features[simulated], scores[simulated], ratings[simulated])
     seen = predictions.scores[simulated], predictions.confidence[simulated]
     learner.observe(*seen, scores[simulated], weight[simulated])

@@ -10,7 +10,7 @@ from typing import Any
 
 from tests.support.fake_backend import Behaviour
 
-from drivecal.contracts.work import Cell, SetupRequest
+from drivecal.contracts.work import Cell, DriveRequest
 from drivecal.plugins import registry
 from drivecal.plugins.setups import setup_of
 
@@ -28,11 +28,11 @@ def plug_in(name: str) -> Any:
     return module
 
 
-def misbehaving_setup(scenario: str = "S1", evaluator: str = "reference", name: str = "misbehaving") -> SetupRequest:
+def misbehaving_setup(scenario: str = "S1", evaluator: str = "reference", name: str = "misbehaving") -> DriveRequest:
     vehicle = registry.vehicle("single_track")
     function = getattr(plug_in(name), name.upper())
     setup = setup_of(registry.catalogue("highway").scenarios[scenario], function, vehicle, {})
-    return SetupRequest(
+    return DriveRequest(
         "highway",
         scenario,
         name,

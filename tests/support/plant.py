@@ -7,7 +7,7 @@ from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from drivecal.contracts.work import BatchResult, Cell, CellResult, SetupRequest
+from drivecal.contracts.work import BatchResult, Cell, CellResult, DriveRequest
 from drivecal.execution.scheduling.batching import BatchPolicy
 from drivecal.execution.scheduling.in_flight import Work
 from drivecal.execution.scheduling.scheduler import Completed, Dispatch, Scheduler
@@ -15,8 +15,8 @@ from drivecal.execution.scheduling.scheduler import Completed, Dispatch, Schedul
 TARGET = BatchPolicy().target_seconds
 
 
-def setup(scenario: str = "S1", evaluator: str = "reference", fingerprint: str | None = None) -> SetupRequest:
-    return SetupRequest(
+def setup(scenario: str = "S1", evaluator: str = "reference", fingerprint: str | None = None) -> DriveRequest:
+    return DriveRequest(
         "highway", scenario, "frenet", "single_track", {}, evaluator, fingerprint or f"fingerprint of {scenario}"
     )
 

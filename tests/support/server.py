@@ -20,6 +20,7 @@ from sqlalchemy import make_url
 
 from drivecal.api.app import create_app
 from drivecal.api.http.protocol import Server, configuration
+from drivecal.configuration.pushing import OFF, Pushing
 from drivecal.configuration.settings import load_settings
 from drivecal.storage.engine.database import Database
 
@@ -54,11 +55,16 @@ def new_database(request: pytest.FixtureRequest, kind: str, folder: Path) -> str
 
 @contextmanager
 def serving(database_url: str, port: int = 0, **settings: Any) -> Iterator[RunningApi]:
-    """The API on a loopback port, a free one where none is given, until the block is left; `settings` beside the database, as flags."""
+    """The API on a loopback port, a free one where none is given, until the block is left; `settings` beside the database, as flags.
+
+    Problems can be pushed with a tokens file, or by the secret in a `home` of the test's own.
+    """
     database = Database.open(database_url)
     database.upgrade()
     listener = socket.create_server(("127.0.0.1", port))
-    server = Server(configuration(create_app(load_settings(database_url=database_url, **settings))))
+    loaded = load_settings(database_url=database_url, **settings)
+    pushing = Pushing.of(loaded, "127.0.0.1") if {"home", "tokens_file"} & settings.keys() else OFF
+    server = Server(configuration(create_app(loaded, pushing)))
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
     thread.start()
     while not server.started:

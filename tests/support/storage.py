@@ -11,7 +11,7 @@ from sqlalchemy import Connection
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.parameters import ParameterSet
-from drivecal.domain.setups import Setup
+from drivecal.domain.setups import DrivenSetup
 from drivecal.storage import campaigns, evaluations
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.evaluations import AnsweredCell, NewEvaluation
@@ -19,7 +19,7 @@ from drivecal.storage.references import parameter_sets, runs, setups
 from drivecal.storage.references.runs import NewRun
 
 EVALUATOR = "reference 1"
-SETUP = Setup(
+SETUP = DrivenSetup(
     scenario="S1",
     scenario_digest="0",
     driving_function="frenet",
@@ -62,7 +62,7 @@ def new_run(
     stage: StageName = StageName.CALIBRATION,
     iteration: int = 0,
     individual: int = 0,
-    score: int = 5,
+    score: float = 5,
     rating: float = 5.25,
     failure: str | None = None,
     evaluator: str = EVALUATOR,
@@ -87,7 +87,7 @@ def new_run(
 
 
 def simulate(
-    connection: Connection, sequence: int, cells: Sequence[NewEvaluation], *, score: int = 5, rating: float = 5.25
+    connection: Connection, sequence: int, cells: Sequence[NewEvaluation], *, score: float = 5, rating: float = 5.25
 ) -> list[int]:
     """Stores cells of a campaign, and the results of those that are to be simulated as if a worker had given them."""
     ids = evaluations.insert(connection, sequence, cells)

@@ -73,14 +73,19 @@ class Course:
         return None if at is None else sum(self.simulations[:at])
 
 
-def best_of_all(courses: Iterable[Course]) -> float | None:
-    """The best optimum of all runs; None if no run has one."""
-    return max((course.optimum for course in courses if course.optimum is not None), default=None)
+def best_of_all(courses: Iterable[Course], sign: int = 1) -> float | None:
+    """The best optimum of all runs; None if no run has one. `sign`: -1 if lower objectives are better."""
+    return best_of((course.optimum for course in courses), sign)
 
 
-def succeeds(course: Course, best: float | None) -> bool:
+def best_of(objectives: Iterable[float | None], sign: int = 1) -> float | None:
+    """The best objective; None without one."""
+    return max((value for value in objectives if value is not None), key=lambda value: sign * value, default=None)
+
+
+def succeeds(course: Course, best: float | None, sign: int = 1) -> bool:
     """Whether a run found an optimum as good as `best`."""
-    return best is not None and course.optimum is not None and course.optimum >= best - EQUAL
+    return best is not None and course.optimum is not None and sign * (course.optimum - best) >= -EQUAL
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,17 +108,19 @@ class RunGroup:
     successes: int
 
 
-def groups(courses: Sequence[Course]) -> list[RunGroup]:
+def groups(courses: Sequence[Course], sign: int = 1) -> list[RunGroup]:
     """Runs with equal optimizer, population and reduction together, in the order of the first of each."""
-    best = best_of_all(courses)
+    best = best_of_all(courses, sign)
     courses_by_group: dict[tuple[str, int, str], list[Course]] = {}
     for course in courses:
         conditions = course.conditions
         courses_by_group.setdefault((conditions.optimizer, conditions.population, conditions.reduction), []).append(course)
-    return [_group(*key, members, best) for key, members in courses_by_group.items()]
+    return [_group(*key, members, best, sign) for key, members in courses_by_group.items()]
 
 
-def _group(optimizer: str, population: int, reduction: str, members: Sequence[Course], best: float | None) -> RunGroup:
+def _group(
+    optimizer: str, population: int, reduction: str, members: Sequence[Course], best: float | None, sign: int
+) -> RunGroup:
     optima = [member.optimum for member in members if member.optimum is not None]
     begun = [member for member in members if member.best]
     converged = [member for member in members if member.converged_at is not None]
@@ -122,7 +129,7 @@ def _group(optimizer: str, population: int, reduction: str, members: Sequence[Co
         population=population,
         reduction=reduction,
         seeds=len(members),
-        best=max(optima, default=None),
+        best=best_of(optima, sign),
         mean=_mean(optima),
         minimum=min(optima, default=None),
         rating=_mean([run.ratings[-1] for run in begun if run.ratings[-1] is not None]),
@@ -131,7 +138,7 @@ def _group(optimizer: str, population: int, reduction: str, members: Sequence[Co
         converged=len(converged),
         iterations_to_converge=_mean([course.converged_at or 0 for course in converged]),
         simulations_to_converge=_mean([course.simulations_to_converge or 0 for course in converged]),
-        successes=sum(succeeds(member, best) for member in members),
+        successes=sum(succeeds(member, best, sign) for member in members),
     )
 
 
@@ -194,7 +201,7 @@ class Effect:
     saved_share: float
 
 
-def effects(pairs: Sequence[Pair]) -> list[Effect]:
+def effects(pairs: Sequence[Pair], sign: int = 1) -> list[Effect]:
     """By reduction, optimizer and population, and, if there are several such groups, of each reduction over all of them."""
     wanted: dict[tuple[str, str | None, int | None], list[Pair]] = {}
     for course in pairs:
@@ -204,15 +211,15 @@ def effects(pairs: Sequence[Pair]) -> list[Effect]:
         parts = [listed for key, listed in wanted.items() if key[0] == reduction]
         if len(parts) > 1:
             wanted[reduction, None, None] = [course for listed in parts for course in listed]
-    return [_effect(*key, listed) for key, listed in wanted.items()]
+    return [_effect(*key, listed, sign) for key, listed in wanted.items()]
 
 
-def _effect(reduction: str, optimizer: str | None, population: int | None, listed: Sequence[Pair]) -> Effect:
+def _effect(reduction: str, optimizer: str | None, population: int | None, listed: Sequence[Pair], sign: int) -> Effect:
     from scipy import stats  # more than a second, which only those pay who compare
 
     differences = [course.difference for course in listed]
-    better = sum(difference > EQUAL for difference in differences)
-    worse = sum(difference < -EQUAL for difference in differences)
+    better = sum(sign * difference > EQUAL for difference in differences)
+    worse = sum(sign * difference < -EQUAL for difference in differences)
     different, mean = better + worse, fmean(differences)
     margin = None
     if len(differences) > 1:

@@ -25,9 +25,10 @@ SIGNIFICANT = 12
 class RobustnessSettings:
     """The study of Section IV-D: boxes of half width k `delta`, k = 1 .. `steps`, `samples` vehicles each.
 
-    `condition`: `max` |dF_j| <= eta in points for every vehicle and scenario j (the paper's study); `mean` and `per_factor` are Section
-    II-C's relative ones, < eta, with max(F_j, 1) below the line: the mean over the vehicles, or each of them. `eta`: one number, or one for
-    each scenario. `refinements`: how often the width between the last box that holds and the first that does not is halved afterwards.
+    `condition`: `max` |dF_j| <= eta in the score's unit for every vehicle and scenario j (the paper's study); `mean` and `per_factor` are
+    Section II-C's relative ones, < eta, with max(|F_j|, `least`) below the line (`least`: 1 point): the mean over the vehicles, or each of
+    them. `eta`: one number, or one for each scenario. `refinements`: how often the width between the last box that holds and the first that
+    does not is halved afterwards.
     """
 
     delta: float = 0.01
@@ -37,6 +38,7 @@ class RobustnessSettings:
     condition: Condition = "max"
     refinements: int = 0
     seed: int = 1
+    least: float = 1.0
 
 
 def check_nominal(parameters: Sequence[VehicleParameter], nominal: Mapping[str, float]) -> None:
@@ -80,12 +82,12 @@ def vehicles(
     return drawn
 
 
-def deviation(nominal: Floats, scores: Floats, condition: Condition) -> Floats:
+def deviation(nominal: Floats, scores: Floats, condition: Condition, least: float = 1.0) -> Floats:
     """What the condition compares with eta, by scenario, shape (n_s,), for scores `nominal`, shape (n_s,), in the nominal vehicle and
     `scores`, shape (samples, n_s), in the others. NaN if a vehicle has no result."""
     away = np.abs(scores - nominal)
     if condition != "max":
-        away = away / np.maximum(nominal, 1.0)
+        away = away / np.maximum(np.abs(nominal), least)
     return np.asarray(away.mean(axis=0) if condition == "mean" else away.max(axis=0), dtype=np.float64)
 
 
@@ -172,7 +174,7 @@ class RobustnessStudy:
         if self._asked is None:
             raise RuntimeError("ask first")
         for solution, radius in self._asked.radius.items():
-            away = deviation(self._scores[solution], scores[solution], self._settings.condition)
+            away = deviation(self._scores[solution], scores[solution], self._settings.condition, self._settings.least)
             trial = Trial(self._asked.number, radius, tuple(away.tolist()), holds(away, self._settings))
             self._trials[solution].append(trial)
         self._boxes, self._asked = self._asked.number, None

@@ -58,5 +58,5 @@ def _key(row: RobustnessRow) -> tuple[tuple[str, float | str], ...]:
     return tuple(sorted(row.parameters.items()))
 
 
-def _changes(pairs: Sequence[tuple[int, int]]) -> tuple[int, int, int]:
+def _changes(pairs: Sequence[tuple[float, float]]) -> tuple[int, int, int]:
     return sum(a == b for a, b in pairs), sum(b < a for a, b in pairs), sum(b > a for a, b in pairs)

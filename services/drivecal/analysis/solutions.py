@@ -16,23 +16,26 @@ class EvaluatedSet:
     parameter_set: int
     objective: float
     rating: float
-    scores: Mapping[str, int]
+    scores: Mapping[str, float]
     reused: tuple[str, ...]
     """Scenarios whose score is a reference's or a prediction: this very set was not simulated there."""
     iteration: int
     individual: int
+    sign: int = 1
+    """Of the scale: -1 if lower objectives are better."""
 
     @property
     def order(self) -> tuple[int, float, int, int]:
         """Sorts best first: equal objectives by the weighted continuous rating, then by discovery."""
-        return -round(self.objective / EQUAL), -self.rating, self.iteration, self.individual
+        return -self.sign * round(self.objective / EQUAL), -self.sign * self.rating, self.iteration, self.individual
 
 
 class Ranking:
     """All parameter sets with what they scored, under one choice of weights; grows as answers come in."""
 
-    def __init__(self, weights: Mapping[str, float]) -> None:
-        """`weights` by scenario need not be normalised; scenarios of weight 0 and those not named take no part."""
+    def __init__(self, weights: Mapping[str, float], sign: int = 1) -> None:
+        """`weights` by scenario need not be normalised; scenarios of weight 0 and those not named take no part. `sign`: the scale's."""
+        self._sign = sign
         total = sum(weights.values())
         self._shares = {name: weight / total for name, weight in weights.items() if weight > 0}
         self._answers: dict[int, dict[str, CellScore]] = {}
@@ -97,7 +100,7 @@ class Ranking:
     def _solution(self, number: int) -> EvaluatedSet | None:
         cells = self._answers[number]
         objective = rating = 0.0
-        scores: dict[str, int] = {}
+        scores: dict[str, float] = {}
         reused: list[str] = []
         for scenario, share in self._shares.items():
             cell = cells.get(scenario)
@@ -108,7 +111,7 @@ class Ranking:
             scores[scenario] = cell.score
             if not cell.own:
                 reused.append(scenario)
-        return EvaluatedSet(number, objective, rating, scores, tuple(reused), *self._places[number])
+        return EvaluatedSet(number, objective, rating, scores, tuple(reused), *self._places[number], self._sign)
 
 
 def _counts_more(new: CellScore, known: CellScore | None) -> bool:

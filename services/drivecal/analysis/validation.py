@@ -161,18 +161,18 @@ def design(
 class Differences:
     """Differences of the variants' scores from their base's, shape (n_bases, n_ref); NaN if either has no score."""
 
-    points: Floats
+    values: Floats
 
     @property
-    def histogram(self) -> dict[int, int]:
-        """The number of variants by their difference, ascending."""
-        points, counts = np.unique(self.points[~np.isnan(self.points)].astype(np.int64), return_counts=True)
-        return dict(zip(points.tolist(), counts.tolist(), strict=True))
+    def known(self) -> Floats:
+        """The differences of variants and bases with scores, shape (n,)."""
+        known: Floats = self.values[~np.isnan(self.values)]
+        return known
 
     def wrong_shares(self, largest_agreeing: float) -> Floats:
         """The share of variants beyond `largest_agreeing` by base, shape (n,), of the bases with a compared variant."""
-        compared = (~np.isnan(self.points)).sum(axis=1)
-        wrong = (np.abs(self.points) > largest_agreeing).sum(axis=1)  # a comparison with NaN is false
+        compared = (~np.isnan(self.values)).sum(axis=1)
+        wrong = (np.abs(self.values) > largest_agreeing).sum(axis=1)  # a comparison with NaN is false
         return np.asarray(wrong[compared > 0] / compared[compared > 0], dtype=np.float64)
 
 

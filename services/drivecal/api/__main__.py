@@ -13,8 +13,9 @@ from drivecal.api.http.protocol import Server, configuration
 from drivecal.api.http.startup_log import tell_of_database
 from drivecal.configuration import logs
 from drivecal.configuration.access import check_exposure
-from drivecal.configuration.settings import load_settings
-from drivecal.domain.errors import DrivecalError
+from drivecal.configuration.pushing import OFF, Pushing
+from drivecal.configuration.settings import Settings, load_settings
+from drivecal.domain.errors import DrivecalError, InvalidInputError
 
 log = logging.getLogger(__name__)
 
@@ -38,7 +39,7 @@ def main() -> int:
             family = socket.AF_INET6 if ":" in arguments.host else socket.AF_INET
             listener = socket.create_server((arguments.host, arguments.port), family=family)
         check_exposure(listener.getsockname()[0], settings)
-        server = Server(configuration(create_app(settings)))
+        server = Server(configuration(create_app(settings, _pushing(settings, listener.getsockname()[0]))))
     except (DrivecalError, OSError) as error:
         log.error("%s", error)  # noqa: TRY400  # the sentence says it all; a traceback would bury it
         return 1
@@ -49,6 +50,15 @@ def main() -> int:
     gc.freeze()  # what is loaded stays: looking through all of it again and again would stop the API for half a second each time
     server.run(sockets=[listener])
     return 0 if server.started else 1
+
+
+def _pushing(settings: Settings, address: str) -> Pushing:
+    """Returns who may push problems: nobody if the secret for it cannot be written, for everything else works without it."""
+    try:
+        return Pushing.of(settings, address)
+    except InvalidInputError as error:
+        log.warning("no problem can be pushed: %s", error)
+        return OFF
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from drivecal.api import document
 from drivecal.api.dependencies import Limits
 from drivecal.api.http import problems
 from drivecal.api.http.auth import Authorisation
-from drivecal.api.http.limits import Concurrency, Requests
+from drivecal.api.http.limits import SECONDS_FOR_A_PROBLEM, Concurrency, Requests
 from drivecal.api.http.requests import RequestRecords
 from drivecal.api.live.response_cache import ResponseCache
 from drivecal.api.live.streams import EventHub
@@ -31,14 +31,19 @@ from drivecal.api.routes import (
     page_session,
     tables,
     traces,
+    user_problems,
 )
+from drivecal.configuration.pushing import OFF, Pushing
 from drivecal.configuration.settings import Settings
 from drivecal.configuration.tokens import TokenFile
 from drivecal.storage.engine.database import PROMPT, Database
 
 
-def create_app(settings: Settings) -> FastAPI:
-    """Creates the ASGI application. Raises DatabaseError if the database is unusable, InvalidInputError if the tokens file is."""
+def create_app(settings: Settings, pushing: Pushing = OFF) -> FastAPI:
+    """Creates the ASGI application. `pushing`: who may push problems, nobody by default.
+
+    Raises DatabaseError if the database is unusable, InvalidInputError if the tokens file is.
+    """
     database = Database.open(settings.database_url, PROMPT)
     meters = Meters(database)
     tokens = None if settings.tokens_file is None else TokenFile(settings.tokens_file)
@@ -47,6 +52,7 @@ def create_app(settings: Settings) -> FastAPI:
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         app.state.database = database
         app.state.meters = meters
+        app.state.pushing = pushing
         app.state.limits = Limits.of(settings)
         app.state.remembered = ResponseCache()
         async with EventHub(database).running() as app.state.event_hub:
@@ -63,7 +69,7 @@ def create_app(settings: Settings) -> FastAPI:
     )
     app.add_middleware(Concurrency)
     app.add_middleware(Authorisation, tokens=tokens)
-    app.add_middleware(Requests)
+    app.add_middleware(Requests, others={user_problems.PATH: (settings.problem_mb * 2**20, SECONDS_FOR_A_PROBLEM)})
     app.add_middleware(RequestRecords, meters=meters)  # the last one is the first that a request meets
     problems.install(app)
     for noun in (
@@ -75,6 +81,7 @@ def create_app(settings: Settings) -> FastAPI:
         evaluations,
         traces,
         influence_maps,
+        user_problems,
         inventory,
         page_session,
         page_cells,

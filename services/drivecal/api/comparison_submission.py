@@ -6,6 +6,7 @@ from drivecal.api.dependencies import Limits
 from drivecal.api.live.dispatcher_health import judge
 from drivecal.api.submission import digest_of, named_map
 from drivecal.campaigns.comparisons.resolve import ComparisonProblem, queue, resolve_comparison
+from drivecal.campaigns.resolve.bundle_source import stored_bundles
 from drivecal.contracts.comparison import ComparisonSpecification, ExpectedComparison
 from drivecal.domain.errors import Problem, TooLargeError
 from drivecal.storage import admission, costs, processes
@@ -22,7 +23,7 @@ def submit(database: Database, limits: Limits, specification: ComparisonSpecific
 
     Raises InvalidInputError if it cannot run, TooLargeError, and OverloadError if the queue is full.
     """
-    problem = _checked(limits, specification)
+    problem = _checked(database, limits, specification)
     with database.transaction() as connection:
         admission.admit(connection, limits.queued_campaigns, key)
         return queue(connection, problem, _map(connection, problem), key, digest_of("comparisons", specification))
@@ -30,7 +31,7 @@ def submit(database: Database, limits: Limits, specification: ComparisonSpecific
 
 def expected(database: Database, limits: Limits, specification: ComparisonSpecification) -> ExpectedComparison:
     """Returns the expected cost of a comparison. Raises InvalidInputError and TooLargeError as `submit` does."""
-    problem = _checked(limits, specification)
+    problem = _checked(database, limits, specification)
     with database.read() as connection:
         _map(connection, problem)
         setups = problem.problems[0].bench.setups.values()  # all runs share them
@@ -51,8 +52,8 @@ def expected(database: Database, limits: Limits, specification: ComparisonSpecif
     )
 
 
-def _checked(limits: Limits, specification: ComparisonSpecification) -> ComparisonProblem:
-    problem = resolve_comparison(specification)
+def _checked(database: Database, limits: Limits, specification: ComparisonSpecification) -> ComparisonProblem:
+    problem = resolve_comparison(specification, stored_bundles(database))
     if problem.proposed > limits.largest_campaign:
         message = f"the {len(problem.runs):,} runs of the comparison may propose {problem.proposed:,} cells"
         remedy = (

@@ -25,6 +25,9 @@ LARGE_BODIES = 1
 WAITING_BODIES = 16
 """Large bodies that may wait or be read."""
 
+OPEN_ARCHIVES = 4
+"""Archives of problems that may be received or sent at the same time, each whole in memory."""
+
 
 @dataclass(frozen=True, slots=True)
 class Limits:
@@ -33,17 +36,30 @@ class Limits:
     queued_campaigns: int
     largest_campaign: int
     posted_maps: int
+    pushed_problems: int
+    problem_bytes: int
     event_streams: Places
     large_bodies: CapacityLimiter
     waiting_bodies: Places
+    archives: Places
 
     @classmethod
     def of(cls, settings: Settings) -> Self:
         """Creates the limits of the settings, with no place taken. Call it in the event loop that uses them."""
         streams = Places(settings.event_streams, "event streams are open", retry_seconds=10)
         bodies = Places(WAITING_BODIES, "large documents are being read", retry_seconds=5)
-        given = settings.queued_campaigns, settings.largest_campaign, settings.posted_maps
-        return cls(*given, streams, CapacityLimiter(LARGE_BODIES), bodies)
+        archives = Places(OPEN_ARCHIVES, "archives of problems are being received or sent", retry_seconds=5)
+        return cls(
+            queued_campaigns=settings.queued_campaigns,
+            largest_campaign=settings.largest_campaign,
+            posted_maps=settings.posted_maps,
+            pushed_problems=settings.pushed_problems,
+            problem_bytes=settings.problem_mb * 2**20,
+            event_streams=streams,
+            large_bodies=CapacityLimiter(LARGE_BODIES),
+            waiting_bodies=bodies,
+            archives=archives,
+        )
 
 
 async def _limits(request: Request) -> Limits:
@@ -64,6 +80,15 @@ EventStreamPlace = Annotated[None, Depends(_event_stream)]
 """Place of a route that streams events: one among the open streams until the stream ends, instead of one among the requests.
 
 Raises OverloadError (429) if there is none."""
+
+
+async def _archive(limits: LimitsDependency) -> AsyncIterator[None]:
+    with limits.archives.take():
+        yield
+
+
+ArchivePlace = Annotated[None, Depends(_archive)]
+"""Place of a route that sends an archive, until it is sent. Raises OverloadError (429) if there is none."""
 
 IdempotencyKey = Annotated[
     str | None,

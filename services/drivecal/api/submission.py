@@ -8,17 +8,25 @@ from sqlalchemy import Connection
 
 from drivecal.api.dependencies import Limits
 from drivecal.api.responses import refuse_comparison
+from drivecal.campaigns.resolve.bundle_bench import BundleSource
+from drivecal.campaigns.resolve.bundle_source import stored_bundles
 from drivecal.campaigns.resolve.maps import check_basis, doubts
-from drivecal.campaigns.resolve.problem import CalibrationProblem, evaluator_id, resolve, resolve_evaluation
+from drivecal.campaigns.resolve.problem import CalibrationProblem, EvaluationProblem, resolve, resolve_evaluation
+from drivecal.campaigns.resolve.workbench import rated_by
 from drivecal.campaigns.stages.prediction_validation import check_predictions
 from drivecal.campaigns.stages.robustness import check_source
 from drivecal.contracts.campaign import ExpectedRuns
 from drivecal.contracts.input_errors import validated
-from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, MapReference, RerunSpecification
+from drivecal.contracts.specification import (
+    HIGHWAY,
+    CampaignSpecification,
+    EvaluationSpecification,
+    MapReference,
+    RerunSpecification,
+)
 from drivecal.contracts.studies import STUDIES
 from drivecal.domain.errors import ConflictError, InvalidInputError, NotFoundError, Problem, TooLargeError
 from drivecal.domain.setups import canonical_json, digest
-from drivecal.plugins import registry
 from drivecal.storage import admission, campaigns
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -29,14 +37,14 @@ from drivecal.storage.references.influence_maps import StoredInfluenceMap
 
 def submit(database: Database, limits: Limits, specification: CampaignSpecification, key: str | None) -> StoredCampaign:
     """Queues a campaign. Raises InvalidInputError if it cannot run, TooLargeError, and OverloadError if the queue is full."""
-    problem = _checked(limits, specification)
+    problem = _checked(database, limits, specification)
     with database.transaction() as connection:
         return _queue(connection, limits, problem, key, digest_of("campaigns", specification))
 
 
 def expected(database: Database, limits: Limits, specification: CampaignSpecification) -> ExpectedRuns:
     """Returns the expected cost of a campaign. Raises InvalidInputError and TooLargeError as `submit` does."""
-    problem = _checked(limits, specification)
+    problem = _checked(database, limits, specification)
     with database.read() as connection:
         used = named_map(connection, problem)
         check_source(connection, problem)
@@ -47,9 +55,9 @@ def expected(database: Database, limits: Limits, specification: CampaignSpecific
     return runs.model_copy(update={"notes": [*warnings, *runs.notes]})
 
 
-def _checked(limits: Limits, specification: CampaignSpecification) -> CalibrationProblem:
+def _checked(database: Database, limits: Limits, specification: CampaignSpecification) -> CalibrationProblem:
     """Returns the resolved campaign. Raises TooLargeError if its stages propose too many cells."""
-    problem, largest = resolve(specification), limits.largest_campaign
+    problem, largest = resolve(specification, stored_bundles(database)), limits.largest_campaign
     runs = problem.expected_runs()
     stages = {
         "optimizer": runs.calibration_proposed,
@@ -79,24 +87,27 @@ def rerun(database: Database, limits: Limits, first_id: str, changes: RerunSpeci
         raise ConflictError(f"{first_id} is a single evaluation, which has no weights; post another one to /api/v1/evaluations")
     if not first.state.ended:
         raise ConflictError(f"campaign {first_id} is {first.state}; rerun it when it has ended, or cancel it first")
-    problem = _checked(limits, validated(CampaignSpecification, _changed(first, used, changes)))
+    problem = _checked(
+        database, limits, validated(CampaignSpecification, _changed(first, used, changes, stored_bundles(database)))
+    )
     with database.transaction() as connection:
         return _queue(connection, limits, problem, key, digest_of(f"campaigns/{first_id}/rerun", changes), rerun_of=first_id)
 
 
 def evaluate(database: Database, limits: Limits, specification: EvaluationSpecification, key: str | None) -> StoredCampaign:
     """Queues a single evaluation. Raises InvalidInputError if it cannot run, OverloadError if the queue is full."""
-    resolve_evaluation(specification)
+    problem = resolve_evaluation(specification, stored_bundles(database))
     with database.transaction() as connection:
         admission.admit(connection, limits.queued_campaigns, key)
-        return campaigns.insert(
+        stored = campaigns.insert(
             connection,
             name="evaluation",
-            spec=specification.model_dump(mode="json"),
+            spec=problem.specification.model_dump(mode="json"),
             kind="evaluation",
             idempotency_key=key,
             body_digest=digest_of("evaluations", specification),
         )
+        return _pinned(connection, stored, problem)
 
 
 def _queue(
@@ -111,7 +122,7 @@ def _queue(
     check_source(connection, problem)
     check_predictions(connection, problem)
     admission.admit(connection, limits.queued_campaigns, key)
-    return campaigns.insert(
+    stored = campaigns.insert(
         connection,
         name=specification.name,
         spec=specification.model_dump(mode="json"),
@@ -121,6 +132,15 @@ def _queue(
         body_digest=body,
         priority=specification.priority,
     )
+    return _pinned(connection, stored, problem)
+
+
+def _pinned(connection: Connection, stored: StoredCampaign, problem: CalibrationProblem | EvaluationProblem) -> StoredCampaign:
+    """Stores the resolution of a campaign with a bundle at once: it cannot change until the campaign starts, as plug-ins can."""
+    if problem.specification.problem == HIGHWAY or stored.resolution is not None:
+        return stored
+    campaigns.set_resolution(connection, stored.sequence, problem.resolution())
+    return campaigns.by_sequence(connection, stored.sequence)
 
 
 def named_map(connection: Connection, problem: CalibrationProblem) -> str | None:
@@ -133,14 +153,16 @@ def named_map(connection: Connection, problem: CalibrationProblem) -> str | None
         stored = influence_maps.get(connection, specification.sensitivity.map)
     except NotFoundError as error:
         raise InvalidInputError(Problem(field, str(error), "GET /api/v1/influence-maps lists what there is")) from error
-    if stored.driving_function != specification.driving_function:
+    if stored.driving_function != problem.bench.function:
         message = f"the map is about the driving function {stored.driving_function!r}"
-        raise InvalidInputError(Problem(field, message, f"name a map of {specification.driving_function!r}"))
+        raise InvalidInputError(Problem(field, message, f"name a map of {problem.bench.function!r}"))
     check_basis(stored, problem)
     return stored.id
 
 
-def _changed(first: StoredCampaign, used: StoredInfluenceMap | None, changes: RerunSpecification) -> dict[str, Any]:
+def _changed(
+    first: StoredCampaign, used: StoredInfluenceMap | None, changes: RerunSpecification, bundles: BundleSource
+) -> dict[str, Any]:
     """Returns the first campaign's specification with the changes and the influence map that it `used`.
 
     A map computed from the ratings of another evaluator does not hold, so that its analysis is made again, mostly from stored runs.
@@ -152,10 +174,11 @@ def _changed(first: StoredCampaign, used: StoredInfluenceMap | None, changes: Re
         given: BaseModel | None = getattr(changes, section)
         if given is not None:
             document[section] = _merged(document[section], given.model_dump(mode="json", exclude_unset=True))
-    if changes.evaluator is not None:
-        document["evaluator"] = changes.evaluator
+    for name in ("evaluator", "problem"):
+        if getattr(changes, name) is not None:
+            document[name] = getattr(changes, name)
     if used is not None:
-        rater = evaluator_id(registry.evaluator(document["evaluator"]))
+        rater = rated_by(document.get("problem", HIGHWAY), document["evaluator"], bundles)
         if used.basis is not None and used.basis["evaluator"] != rater:
             document["sensitivity"] = used.basis["sensitivity"]
         else:

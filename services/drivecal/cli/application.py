@@ -37,7 +37,7 @@ class ExitCode(IntEnum):
 ORDER = (
     *("demo", "serve", "submit", "list", "show", "watch", "pause", "resume", "cancel", "rerun"),
     *("solutions", "report", "export", "explain", "influence", "influence-maps", "robustness", "validate"),
-    *("compare-optimizers", "evaluate", "workers", "db"),
+    *("compare-optimizers", "evaluate", "problem", "workers", "db"),
 )
 """Order of the commands in the help."""
 

@@ -14,6 +14,7 @@ from drivecal.cli.commands import (  # noqa: F401  # importing a module register
     explain,
     influence,
     influence_maps,
+    problem,
     report,
     results,
     robustness,

@@ -16,6 +16,7 @@ from drivecal.client.documents import Document, plain
 from drivecal.client.event_stream import EventParser, ServerSentEvent
 from drivecal.client.following import READ_SECONDS, Following, Sent, Told
 from drivecal.client.frames import DownloadedTable
+from drivecal.client.pushing import Pushed, archive_of, push_headers
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns
@@ -24,6 +25,7 @@ from drivecal.contracts.evaluation import Evaluation, TraceAnswer
 from drivecal.contracts.events import PROGRESS, CampaignEvent, CampaignProgress
 from drivecal.contracts.explanation import Explanation
 from drivecal.contracts.inventory import InfluenceMapAnswer, InfluenceMapPage, ScenarioPage, WorkerPage
+from drivecal.contracts.problems import ProblemAnswer, ProblemPage
 from drivecal.contracts.setup import CampaignSetup
 from drivecal.contracts.studies import StudyPage
 from drivecal.contracts.tables import (
@@ -39,7 +41,7 @@ from drivecal.domain.errors import OverloadError, UnavailableError
 Action = Literal["pause", "resume", "cancel"]
 Answer = TypeVar("Answer", bound=BaseModel)
 
-KINDS = {"campaigns": "campaign", "evaluations": "evaluation", "influence-maps": "influence map"}
+KINDS = {"campaigns": "campaign", "evaluations": "evaluation", "influence-maps": "influence map", "problems": "problem"}
 """Names of what the collections hold, for messages."""
 ATTEMPTS_TO_CONNECT = 3
 BROKEN_ANSWERS = 2
@@ -292,6 +294,20 @@ class Client:
         link = campaign.links.get("influence_map")
         return None if link is None else self.influence_map(link.rpartition("/")[2])
 
+    def push_problem(self, problem: Pushed) -> ProblemAnswer:
+        """Stores a problem: a folder with `problem.yaml`, or an archive of one. Takes a token of an author, or the server's own user."""
+        archive = archive_of(problem)
+        place, headers = ("problems",), push_headers(archive, signed="Authorization" not in self._http.headers)
+        return self._answer(self._request("POST", place, headers=headers, content=archive), ProblemAnswer, place)
+
+    def problems(self, name: str | None = None, limit: int | None = None, cursor: str | None = None) -> ProblemPage:
+        """Returns a page of problems, last pushed first: each name once, or every push of one `name`."""
+        return self._get(ProblemPage, "problems", name=name, limit=limit, cursor=cursor)
+
+    def problem(self, name: str) -> ProblemAnswer:
+        """Returns a problem by its name or digest."""
+        return self._get(ProblemAnswer, "problems", name)
+
     def scenarios(self) -> ScenarioPage:
         """Returns the scenarios of all catalogues of the server."""
         return self._get(ScenarioPage, "scenarios")
@@ -338,10 +354,11 @@ class Client:
         query: Mapping[str, Any] | None = None,
         headers: Mapping[str, str] | None = None,
         document: Mapping[str, Any] | None = None,
+        content: bytes | None = None,
     ) -> httpx.Response:
         params = {name: value for name, value in (query or {}).items() if value is not None}
         try:
-            return self._http.request(method, _path(*place), params=params, headers=headers, json=document)
+            return self._http.request(method, _path(*place), params=params, headers=headers, json=document, content=content)
         except (httpx.TransportError, httpx.InvalidURL) as error:
             raise unreachable(self.url, error) from error
 

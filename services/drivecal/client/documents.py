@@ -117,8 +117,18 @@ _Loader.add_constructor("tag:yaml.org,2002:float", _Loader.construct_core_float)
 
 
 def _yaml(content: bytes) -> object:
+    return located_yaml(content)[0]
+
+
+def located_yaml(content: bytes) -> tuple[object, dict[str, int]]:
+    """Returns a YAML document, and the line of each of its fields, e.g. of `parameters[0].lower`. Raises InvalidInputError."""
     try:
-        return yaml.load(content.decode("utf-8-sig"), _Loader)  # noqa: S506  # a subclass of the safe loader
+        loader = _Loader(content.decode("utf-8-sig"))
+        try:
+            node = loader.get_single_node()
+            document = None if node is None else loader.construct_document(node)
+        finally:
+            loader.dispose()
     except UnicodeDecodeError as error:
         raise InvalidInputError(Problem("", f"byte {error.start} is no valid UTF-8", "save the file as UTF-8")) from error
     except yaml.MarkedYAMLError as error:
@@ -127,6 +137,22 @@ def _yaml(content: bytes) -> object:
         raise InvalidInputError(Problem("", f"no valid YAML: {' '.join(str(error).split())}", "correct the file")) from error
     except RecursionError as error:
         raise InvalidInputError(Problem("", "it is nested too deeply", "write a flatter document")) from error
+    return document, {} if node is None else _lines(node)
+
+
+def _lines(root: yaml.Node) -> dict[str, int]:
+    lines: dict[str, int] = {}
+    waiting: list[tuple[yaml.Node, tuple[str | int, ...], int]] = [(root, (), 1)]
+    while waiting:
+        node, path, line = waiting.pop()
+        lines[strict_json.field_name(path)] = line
+        if len(path) >= strict_json.DEEPEST:
+            continue
+        if isinstance(node, yaml.MappingNode):
+            waiting.extend((value, (*path, key.value), key.start_mark.line + 1) for key, value in node.value)
+        elif isinstance(node, yaml.SequenceNode):
+            waiting.extend((value, (*path, index), value.start_mark.line + 1) for index, value in enumerate(node.value))
+    return lines
 
 
 def _refusal(message: str, mark: Any, remedy: str = "correct the file there") -> InvalidInputError:

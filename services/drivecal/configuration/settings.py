@@ -49,6 +49,12 @@ class Settings(BaseSettings):
     """Cells that one campaign may propose, those of its sensitivity analysis included, before it is refused (413)."""
     posted_maps: Annotated[int, Field(ge=1, le=1_000_000)] = 1000
     """Influence maps of users that are kept before further ones are refused (413)."""
+    pushed_problems: Annotated[int, Field(ge=1, le=1_000_000)] = 1000
+    """Pushed problems that are kept before further ones are refused (413); each content counts."""
+    problem_mb: Annotated[int, Field(ge=1, le=64)] = 64
+    """Largest size of a pushed problem in megabytes, packed and unpacked; workers take no larger ones."""
+    allow_push: bool | None = None
+    """Whether problems, which carry code, may be pushed; none: on loopback addresses only."""
     event_streams: Annotated[int, Field(ge=1, le=10_000)] = 100
     """Largest number of open event streams; further ones are refused (429)."""
     ray_address: Line | None = None

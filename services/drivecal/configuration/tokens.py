@@ -3,6 +3,9 @@
     # name  may     token
     anna    write   Zs6Oq1fO1Hh0T7m1K0cY3A
     plant2  read    9q2kT0bYw8vX5mJ4rL1nPg
+    bea     author  Vb3xW9cQpLd7sKj2hTzR5w
+
+A reader changes nothing, a writer starts campaigns, an author also pushes problems, which carry code.
 
 No message ever quotes a word of the file: with mixed-up columns it would put a token in the log.
 """
@@ -25,7 +28,7 @@ SHORTEST = 16
 LONGEST = 512
 LARGEST_FILE = 1_048_576
 """Largest size of a tokens file in bytes."""
-FORM = "one token per line: NAME read|write TOKEN"
+FORM = "one token per line: NAME read|write|author TOKEN"
 _NAME = re.compile(rb"[A-Za-z0-9][A-Za-z0-9_.@-]{0,63}")
 _PRINTABLE = re.compile(rb"[\x21-\x7e]+")
 
@@ -39,6 +42,7 @@ class Token:
     name: str
     may_write: bool
     digest: bytes = field(repr=False)
+    may_push: bool = False
 
 
 def parse(content: bytes, source: str) -> tuple[Token, ...]:
@@ -52,7 +56,7 @@ def parse(content: bytes, source: str) -> tuple[Token, ...]:
         if wrong is not None:
             problems.append(Problem(where, *wrong))
             continue
-        token = Token(words[0].decode("ascii"), words[1] == b"write", _digest(words[2]))
+        token = Token(words[0].decode("ascii"), words[1] != b"read", _digest(words[2]), words[1] == b"author")
         for key, kind in ((token.name, "name"), (token.digest, "token")):
             if key in first_lines:
                 problems.append(Problem(where, f"the {kind} is that of line {first_lines[key]}", f"give each {kind} once"))
@@ -78,8 +82,8 @@ def _wrong(words: list[bytes]) -> tuple[str, str] | None:
     if len(words) != 3:
         return f"there are {len(words)} words", f"write {FORM}"
     name, may, token = words
-    if may not in {b"read", b"write"}:
-        return "the second word is neither read nor write", f"write {FORM}"
+    if may not in {b"read", b"write", b"author"}:
+        return "the second word is not read, write or author", f"write {FORM}"
     if not _NAME.fullmatch(name):
         return "the name is none", "give up to 64 letters, digits, `_`, `.`, `@` or `-` (ASCII)"
     if not _PRINTABLE.fullmatch(token):

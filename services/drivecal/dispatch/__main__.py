@@ -22,6 +22,7 @@ from drivecal.execution.pool import WorkPool
 from drivecal.execution.ray.backend import RayBackend, RayOptions
 from drivecal.storage.engine import locks
 from drivecal.storage.engine.database import PROMPT, Database
+from drivecal.storage.problems import bundles
 
 LONGEST_PAUSE = 10.0
 
@@ -70,12 +71,16 @@ def serve(settings: Settings, stop: threading.Event) -> None:
 def _dispatch(settings: Settings, database: Database, heartbeat: Heartbeat, stop: threading.Event) -> None:
     address = settings.ray_address
     heartbeat.tell((), "Ray is being started" if address is None else f"waiting for the Ray cluster at {address}")
-    options = RayOptions(address, settings.workers, certificates_mb=settings.certificates_mb)
+    options = RayOptions(
+        address, settings.workers, certificates_mb=settings.certificates_mb, archive=lambda digest: _archive(database, digest)
+    )
     backend = _awaited("Ray", lambda: RayBackend(options, trial()), stop, lambda words: heartbeat.tell((), words))
     if backend is None:
         return
     # the first campaign's start design needs it; while the workers start, a second of it costs nothing
     import_module("scipy.stats")
+    # two seconds that the first campaign with predictions would wait for, with idle workers
+    threading.Thread(target=import_module, args=("drivecal.reduction.forest",), name="predictor", daemon=True).start()
     try:
         dispatcher = Dispatcher(
             database,
@@ -93,6 +98,11 @@ def _dispatch(settings: Settings, database: Database, heartbeat: Heartbeat, stop
         backend.close()
         raise
     backend.close()
+
+
+def _archive(database: Database, digest: str) -> bytes:
+    with database.read() as connection:
+        return bundles.archive(connection, digest)
 
 
 def _take_lock(database: Database, settings: Settings) -> locks.ServerLock:

@@ -8,6 +8,7 @@ from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.comparisons.resolve import resolve_comparison
 from drivecal.campaigns.comparisons.runs import ComparisonJob
 from drivecal.campaigns.job import Job
+from drivecal.campaigns.resolve.bundle_source import stored_bundles
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.resolve.resolved_spec import problem_of
 from drivecal.campaigns.stages.campaign import StagedCampaign
@@ -58,9 +59,9 @@ def take_up(database: Database, sequence: int) -> Job:
     with database.read() as connection:
         campaign = campaigns.by_sequence(connection, sequence)
     if campaign.kind == "comparison":
-        resolved = resolve_comparison(validated(ComparisonSpecification, campaign.spec))
+        resolved = resolve_comparison(validated(ComparisonSpecification, campaign.spec), stored_bundles(database))
         return ComparisonJob(database, campaign, resolved, lambda number: take_up(database, number))
-    problem = problem_of(campaign)
+    problem = problem_of(campaign, stored_bundles(database))
     _pin(database, campaign, problem.resolution())
     if isinstance(problem, CalibrationProblem):
         return StagedCampaign(database, campaign, problem)
@@ -76,7 +77,7 @@ def _pin(database: Database, campaign: StoredCampaign, resolution: Mapping[str, 
         with database.transaction() as connection:
             campaigns.set_resolution(connection, campaign.sequence, resolution)
         return
-    changed = [part for part in resolution if resolution[part] != campaign.resolution.get(part)]
+    changed = [part for part, value in campaign.resolution.items() if resolution.get(part) != value]
     if changed:
         raise ConflictError(
             f"the campaign was begun with another version of its {' and '.join(changed)}; submit it again: results of two versions"

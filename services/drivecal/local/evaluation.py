@@ -25,7 +25,7 @@ class SimulatedCell:
     """
 
     scenario: str
-    score: int | None
+    score: float | None
     rating: float | None
     metrics: Mapping[str, float]
     """Measured metrics, with units in their names."""
@@ -43,7 +43,7 @@ class LocalEvaluation:
     cells: Mapping[str, SimulatedCell]
 
     @property
-    def scores(self) -> dict[str, int | None]:
+    def scores(self) -> dict[str, float | None]:
         """The score in each scenario."""
         return {scenario: cell.score for scenario, cell in self.cells.items()}
 

@@ -16,7 +16,7 @@ from drivecal.plugins.ports import DeclaringOptimizerPlugin, Floats
 require("optuna", extra="optuna")
 
 TIE = 1e-6
-"""Weight of the rating (0 to 7) beside the objective: it orders equal objectives and never outweighs a point of a single scenario."""
+"""Weight of the rating beside the objective: it orders equal objectives, and outweighs no step of a score with some steps."""
 
 
 class OptunaSettings(OptimizerSpecification):

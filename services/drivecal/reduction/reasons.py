@@ -5,17 +5,19 @@ from collections.abc import Sequence
 from drivecal.contracts.assignments import value_text
 from drivecal.contracts.explanation import Difference, Explanation, Proof, Reference
 from drivecal.domain.evaluations import AuditCount
+from drivecal.domain.scales import COMFORT, Scale
 
 _SAME = "it takes equal parameter sets, and runs that a certificate proves to be the same, only"
 
 
-def sentence(explanation: Explanation, stop: tuple[int, AuditCount] | None = None) -> str:
+def sentence(explanation: Explanation, stop: tuple[int, AuditCount] | None = None, scale: Scale = COMFORT) -> str:
     """An explanation in a few sentences. `stop`: after which iteration and by which audits reuse was stopped."""
-    reason = _reason(explanation, stop)
-    return reason if explanation.proof is None else f"{reason} {_proven(explanation.proof, explanation)}"
+    tolerated = scale.amount(scale.tolerance)
+    reason = _reason(explanation, stop, tolerated)
+    return reason if explanation.proof is None else f"{reason} {_proven(explanation.proof, explanation, tolerated)}"
 
 
-def _reason(explanation: Explanation, stop: tuple[int, AuditCount] | None) -> str:
+def _reason(explanation: Explanation, stop: tuple[int, AuditCount] | None, tolerated: str) -> str:
     beginning = {None: "To be simulated", "failed": "Sent to be simulated, without a result"}.get(
         explanation.outcome, "Simulated"
     )
@@ -31,10 +33,11 @@ def _reason(explanation: Explanation, stop: tuple[int, AuditCount] | None) -> st
             return f"Certified: with these values every decision is that of {where}, so both runs are the same. They differ in {names}."
         case "audited":
             listed = _listed(explanation.differences)
-            return f"{beginning} to check the reduction, which would have reused {where}: {listed}. {_verdict(explanation)}"
+            return f"{beginning} to check the reduction, which would have reused {where}: {listed}. {_verdict(explanation, tolerated)}"
         case "confirmation":
             trusted = f"the best set's score here was that of {where}, which differs only where it should not matter"
-            return f"{beginning} after the search, to confirm it: {trusted}: {_listed(explanation.differences)}. {_verdict(explanation)}"
+            listed = _listed(explanation.differences)
+            return f"{beginning} after the search, to confirm it: {trusted}: {listed}. {_verdict(explanation, tolerated)}"
         case "blocked":
             blocking = [difference for difference in explanation.differences if difference.blocks]
             count = f"{len(blocking)} parameter{'s' if len(blocking) != 1 else ''}"
@@ -84,7 +87,7 @@ def _predicted(explanation: Explanation) -> str:
     return f"{said}; {sample}: {lot.verdict}."
 
 
-def _proven(proof: Proof, explanation: Explanation) -> str:
+def _proven(proof: Proof, explanation: Explanation, tolerated: str) -> str:
     where = _where(proof.reference, explanation.campaign)
     if explanation.outcome == "simulated":
         verdict = "and it did" if proof.agrees else "and it did not"
@@ -94,7 +97,7 @@ def _proven(proof: Proof, explanation: Explanation) -> str:
         return f"{text}."
     if proof.agrees:
         return f"{text}, with the same score."
-    return f"{text}, with score {proof.score}: reuse is {'wrong here' if proof.wrong else 'off by no more than 1'}."
+    return f"{text}, with score {proof.score}: reuse is {'wrong here' if proof.wrong else f'off by no more than {tolerated}'}."
 
 
 def _copied(done: str, explanation: Explanation) -> str:
@@ -147,14 +150,14 @@ def _bounds(difference: Difference) -> str:
     return f"influential from {difference.lower:g} to {difference.upper:g}"
 
 
-def _verdict(explanation: Explanation) -> str:
+def _verdict(explanation: Explanation, tolerated: str) -> str:
     audit = explanation.audit
     if audit is None or audit.agrees is None or audit.score is None:
         return "The two cannot be compared: one of them has no result." if explanation.outcome else "Its answer is awaited."
     scores = f"the simulation gave {audit.score}, the reference {audit.reference_score}"
     if audit.agrees:
         return f"They agree: {scores}."
-    return f"Reuse would have been wrong: {scores}." if audit.wrong else f"They differ by no more than 1: {scores}."
+    return f"Reuse would have been wrong: {scores}." if audit.wrong else f"They differ by no more than {tolerated}: {scores}."
 
 
 def _stopped(scenario: str, stop: tuple[int, AuditCount] | None) -> str:

@@ -15,8 +15,9 @@ import numpy.typing as npt
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.influence import InfluenceMap
 from drivecal.domain.parameters import Indices, ParameterSpace
+from drivecal.domain.scales import COMFORT, Scale
 from drivecal.sensitivity.cutting import check_intervals, interval_edges, intervals_of, most_confirmations
-from drivecal.sensitivity.effects import LARGEST_SCORE, Design, Floats
+from drivecal.sensitivity.effects import Design, Floats
 from drivecal.sensitivity.lines import lines_design, regions_design
 from drivecal.sensitivity.paper import paper_design
 from drivecal.sensitivity.radial import COLUMNS, SobolRows, radial_design
@@ -57,6 +58,7 @@ class SensitivityAnalysis:
         space: ParameterSpace,
         scenarios: Sequence[str],
         settings: SensitivitySettings,
+        scale: Scale = COMFORT,
         feasible: Callable[[Indices], npt.NDArray[np.bool_]] | None = None,
     ) -> None:
         """Raises InvalidInputError if nothing is searched or the intervals are finer than a parameter's grid.
@@ -68,11 +70,11 @@ class SensitivityAnalysis:
             raise InvalidInputError(Problem("fixed", "every parameter is fixed", "leave at least one to be searched"))
         check_intervals(space, settings.intervals)
         self._space = space
-        self._settings = settings
+        self._settings, self._scale = settings, scale
         self._feasible = feasible
         self._unordered = np.array([kind == "choice" for kind in space.kinds], dtype=np.bool_)
         self._edges = [interval_edges(n, count) for n, count in zip(space.n_values.tolist(), self._counts(), strict=True)]
-        self._states = {scenario: ScenarioState(space, self._edges, settings.threshold) for scenario in scenarios}
+        self._states = {scenario: ScenarioState(space, self._edges, settings.threshold, scale) for scenario in scenarios}
         self._number = 0
         self._confirmed = 0
         self._name: PhaseName | None = "intervals"
@@ -112,7 +114,7 @@ class SensitivityAnalysis:
         return None
 
     def tell(self, scores: Mapping[str, Floats]) -> None:
-        """The scores 0..7 of the points of the phase asked last, by scenario, shape (n,); NaN if a run failed.
+        """The scores of the points of the phase asked last, by scenario, shape (n,); NaN if a run failed.
 
         Raises ValueError if they do not fit the phase, RuntimeError if nothing was asked.
         """
@@ -136,7 +138,7 @@ class SensitivityAnalysis:
                 self._tell_interval_runs(scenario, answers)
                 continue
             design = self._designs[scenario]
-            effects = design.effects(answers)
+            effects = design.effects(answers, self._scale.span)
             if self._name == "confirmation":
                 state.take_confirmations(effects, design.steps)
             else:
@@ -203,7 +205,8 @@ class SensitivityAnalysis:
             shared = make(self._space.n_values, self._edges, samples, seed, _INTERVALS, self._unordered)
             sequential = self._settings.sequential and self._settings.design == "lines"
             self._intervals = {
-                scenario: IntervalRuns(shared, self._settings.threshold, sequential=sequential) for scenario in self._states
+                scenario: IntervalRuns(shared, self._settings.threshold, sequential=sequential, scale=self._scale)
+                for scenario in self._states
             }
         drawn: dict[bytes, Indices] = {}
         points = {}
@@ -240,6 +243,5 @@ class SensitivityAnalysis:
 def _check(scenario: str, scores: Floats, count: int) -> None:
     if scores.shape != (count,):
         raise ValueError(f"scores of {scenario} must be {count} numbers, not of shape {scores.shape}")
-    known = scores[~np.isnan(scores)]
-    if np.any((known < 0) | (known > LARGEST_SCORE)):
-        raise ValueError(f"scores of {scenario} must lie in 0..{LARGEST_SCORE}, or be NaN if a run failed")
+    if np.any(np.isinf(scores)):
+        raise ValueError(f"scores of {scenario} must be finite, or NaN if a run failed")

@@ -8,13 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 from drivecal.domain.parameters import Indices
+from drivecal.domain.scales import COMFORT
 
 Floats = npt.NDArray[np.float64]
 Unordered = npt.NDArray[np.bool_]
 """Which parameters are choices, shape (n_searched,)."""
-
-LARGEST_SCORE = 7
-"""Changes of the score are divided by it, so that an effect of 1 is the whole scale over the whole range."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,9 +29,12 @@ class Design:
     second: Indices
     steps: Floats
 
-    def effects(self, scores: Floats) -> Floats:
-        """Elementary effects, shaped as `steps`, from the points' scores 0..7, shape (n,); NaN if one of the two runs failed."""
-        changes: Floats = (scores[self.second] - scores[self.first]) / LARGEST_SCORE
+    def effects(self, scores: Floats, span: float = COMFORT.span) -> Floats:
+        """Elementary effects, shaped as `steps`, from the points' scores, shape (n,); NaN if one of the two runs failed.
+
+        Changes of the score are divided by the `span` of its scale: an effect of 1 is the whole scale over the whole range.
+        """
+        changes: Floats = (scores[self.second] - scores[self.first]) / span
         return changes / self.steps
 
 

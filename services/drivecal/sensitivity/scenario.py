@@ -7,6 +7,7 @@ import numpy as np
 
 from drivecal.domain.influence import EVERYWHERE, Influence
 from drivecal.domain.parameters import Indices, ParameterSpace
+from drivecal.domain.scales import COMFORT, Scale
 from drivecal.sensitivity.cutting import Region, cut
 from drivecal.sensitivity.effects import EffectStatistics, Floats, measures, smallest_nonzero
 from drivecal.sensitivity.thresholds import Threshold, Verdict, verdict
@@ -43,7 +44,7 @@ class ParameterInfluence:
 
 @dataclass(frozen=True, slots=True)
 class ScenarioInfluence:
-    """By parameter name. `unknown`: no run gave a score above 0, so nothing is known and everything counts as influential.
+    """By parameter name. `unknown`: no run scored better than a failed one, so nothing is known and everything counts as influential.
 
     `smallest_interval_s_rel`, `smallest_overall_s_rel`: the smallest that are not zero, None if all are. A threshold below them
     means any change at all.
@@ -55,19 +56,19 @@ class ScenarioInfluence:
     smallest_overall_s_rel: float | None
 
 
-def tells_nothing(scores: Floats) -> bool:
-    """Whether all runs failed or scored 0: then equal scores do not mean that parameters are without influence."""
-    return bool(np.all(np.isnan(scores) | (scores == 0)))
+def tells_nothing(scores: Floats, scale: Scale = COMFORT) -> bool:
+    """Whether no run scored better than a failed one: then equal scores do not mean that parameters are without influence."""
+    return bool(np.all(np.isnan(scores) | (scores == scale.failed)))
 
 
 class ScenarioState:
     """Takes in the effects of each phase and says what is to be analysed next."""
 
-    def __init__(self, space: ParameterSpace, edges: Sequence[Indices], threshold: Threshold) -> None:
+    def __init__(self, space: ParameterSpace, edges: Sequence[Indices], threshold: Threshold, scale: Scale = COMFORT) -> None:
         """`edges`: of each searched parameter's intervals; their numbers may differ."""
         self._space = space
         self._edges = edges
-        self._threshold = threshold
+        self._threshold, self._scale = threshold, scale
         self._intervals: list[tuple[Verdict, ...]] = [() for _ in edges]
         self._confirmations: list[list[RegionConfirmation]] = [[] for _ in edges]
         self._cut: list[dict[str, Region]] = [{} for _ in edges]
@@ -82,7 +83,7 @@ class ScenarioState:
             count = len(self._edges[column]) - 1
             rows = zip(effects[column][:count], steps[column][:count], strict=True)
             self._intervals[column] = tuple(self._verdict(*row) for row in rows)
-        self.unknown = tells_nothing(scores)
+        self.unknown = tells_nothing(scores, self._scale)
         if not self.unknown:
             for column, verdicts in enumerate(self._intervals):
                 self._try(cut(column, [interval.influential for interval in verdicts]))
@@ -106,7 +107,7 @@ class ScenarioState:
         """
         verdicts = [self._verdict(*row) for row in zip(effects, steps, strict=True)]
         self._overall = verdicts
-        if tells_nothing(scores):
+        if tells_nothing(scores, self._scale):
             return
         for column, overall in enumerate(verdicts):
             whole = "whole" in self._cut[column]
@@ -175,4 +176,4 @@ class ScenarioState:
         return any(done.region.side == "whole" and done.verdict.influential for done in self._confirmations[column])
 
     def _verdict(self, effects: Floats, steps: Floats) -> Verdict:
-        return verdict(measures(effects), steps[~np.isnan(effects)], self._threshold)
+        return verdict(measures(effects), steps[~np.isnan(effects)], self._threshold, self._scale)

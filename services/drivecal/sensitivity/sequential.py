@@ -2,8 +2,8 @@
 
 What is cut follows from these intervals alone (`cutting.cut`), so the rest needs no run. An interval that is influential whatever its
 missing effects are (`thresholds.is_surely_influential`) takes no more samples either. Points, effects and bounds are those of the whole
-design. An interval that may still turn out without influence takes all its samples, for one missing effect of seven points outweighs any
-tolerance.
+design. An interval that may still turn out without influence takes all its samples, for one missing effect over the whole scale outweighs
+any tolerance.
 
 The rounds of all parameters and both sides run together, so that each has enough runs for many workers.
 """
@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from drivecal.domain.parameters import Indices
+from drivecal.domain.scales import COMFORT, Scale
 from drivecal.sensitivity.effects import Design, Floats, measures
 from drivecal.sensitivity.scenario import tells_nothing
 from drivecal.sensitivity.thresholds import Threshold, is_surely_influential, verdict
@@ -27,10 +28,10 @@ class IntervalRuns:
     All rows are one round unless they are chosen one after the other (`sequential`).
     """
 
-    def __init__(self, design: Design, threshold: Threshold, *, sequential: bool) -> None:
+    def __init__(self, design: Design, threshold: Threshold, *, sequential: bool, scale: Scale = COMFORT) -> None:
         """`design`: effects of shape (n_p, n_Int, r), each with a second run of its own if they are chosen sequentially."""
         self.design = design
-        self._threshold = threshold
+        self._threshold, self._scale = threshold, scale
         self._sequential = sequential
         self._made = np.zeros(len(design.points), dtype=bool)
         counts = (~np.isnan(design.steps[..., 0])).sum(axis=1).tolist()
@@ -43,7 +44,7 @@ class IntervalRuns:
     @property
     def effects(self) -> Floats:
         """Elementary effects, shape (n_p, n_Int, r); NaN if a run failed or was not made."""
-        return self.design.effects(self.scores)
+        return self.design.effects(self.scores, self._scale.span)
 
     def rows(self) -> Indices:
         """The rows to be run next, increasing, the same until they are told; empty if no more are needed."""
@@ -77,16 +78,19 @@ class IntervalRuns:
             known, steps, count = effects[place], self.design.steps[place], int(self._samples[place])
             if count == known.size:
                 statistics = measures(known)
-                self._verdicts[column][interval] = verdict(statistics, steps[~np.isnan(known)], self._threshold).influential
-            elif is_surely_influential(known[:count], steps[:count], steps[count:], self._threshold):
+                self._verdicts[column][interval] = verdict(
+                    statistics, steps[~np.isnan(known)], self._threshold, self._scale
+                ).influential
+            elif is_surely_influential(known[:count], steps[:count], steps[count:], self._threshold, self._scale):
                 self._verdicts[column][interval] = True
 
     def _fronts(self) -> Iterator[tuple[int, int]]:
         """Yields the column and the number of the undecided intervals next to what is decided, from both ends of each parameter.
 
-        As long as no run scored above 0 the fronts pass influential intervals as well: a scenario is unknown only after all runs.
+        As long as no run scored better than a failed one the fronts pass influential intervals as well: a scenario is unknown only after
+        all runs.
         """
-        is_silent = tells_nothing(self.scores)
+        is_silent = tells_nothing(self.scores, self._scale)
         for column, verdicts in enumerate(self._verdicts):
             below = _front(verdicts, is_silent=is_silent)
             above = _front(verdicts[::-1], is_silent=is_silent)

@@ -14,6 +14,10 @@ therefore fixes the number of changes that are tolerated, not s_rel:
 
 It depends on the design alone, not on the scores, so that it is known before the first run and does not bend to what is found.
 
+A score without steps has no smallest change. Its `tolerance` stands for the point, in any scale: a change by the tolerance is an effect of
+tolerance / (span step). Simulations are deterministic, so smaller changes are influence and no noise, but influence that no audit calls
+wrong. They add up by their squares: changes by half the tolerance count a quarter each (decision 027).
+
 This bounds false alarms: a parameter with a true rate of 1 % counts as influential with a probability of at most 5 %. It does not bound
 misses: at a rate of 10 %, a parameter counts as non-influential with a probability of 0.51 at 16 samples, 0.39 at 20 and 0.01 at 100
 (`miss_probability`). If misses cost more than runs, take more samples or a small number as the threshold.
@@ -26,7 +30,8 @@ from typing import Literal
 
 import numpy as np
 
-from drivecal.sensitivity.effects import LARGEST_SCORE, EffectStatistics, Floats
+from drivecal.domain.scales import COMFORT, ROUNDING_SHARE, Scale
+from drivecal.sensitivity.effects import EffectStatistics, Floats
 
 TOLERATED_RATE = 0.01
 """Changes of one point per step that count as negligible; the largest error ratio in Table 2 is 0.0108."""
@@ -60,7 +65,7 @@ def tolerated_changes(n_effects: int) -> int:
 
 
 def miss_probability(samples: int, change_rate: float) -> float:
-    """The probability that `auto` calls a parameter non-influential that changes the score by one point in `change_rate` of its steps.
+    """The probability that `auto` calls a parameter non-influential that changes the score by its tolerance in `change_rate` of its steps.
 
     For one analysis of `samples` effects of equal steps. The lengths of real steps differ, which adds at most 0.07. Larger changes are
     missed less often.
@@ -73,16 +78,22 @@ def miss_probability(samples: int, change_rate: float) -> float:
 def tolerance_text(samples: int) -> str:
     """Returns a sentence about the influence that `auto` tolerates, and how often it misses more."""
     return (
-        f"threshold auto tolerates a change of one point in {tolerated_changes(samples)} of {samples} effects: an analysis misses a "
-        f"parameter that changes the score in {SEEN_RATE:.0%} of its steps with a probability of about "
+        f"threshold auto tolerates a change by the score's tolerance in {tolerated_changes(samples)} of {samples} effects: an "
+        f"analysis misses a parameter that changes the score in {SEEN_RATE:.0%} of its steps with a probability of about "
         f"{miss_probability(samples, SEEN_RATE):.0%}; more samples miss less"
     )
 
 
-def automatic(steps: Floats) -> float:
+def automatic(steps: Floats, scale: Scale = COMFORT) -> float:
     """The threshold on s_rel for an analysis with these steps, shape (n,), n >= 2, in units of the full range."""
-    mean_square = float(np.mean((1 / (LARGEST_SCORE * steps)) ** 2))
+    mean_square = float(np.mean(_tolerated_effects(steps, scale) ** 2))
     return sqrt((tolerated_changes(steps.size) + 0.5) / (steps.size - 1) * mean_square)
+
+
+def _tolerated_effects(steps: Floats, scale: Scale) -> Floats:
+    """Effects of changes by the tolerance, shaped as `steps`."""
+    effects: Floats = max(scale.tolerance, ROUNDING_SHARE * scale.span) / (scale.span * steps)
+    return effects
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +108,7 @@ class Verdict:
     influential: bool
 
 
-def verdict(statistics: EffectStatistics, steps: Floats, threshold: Threshold) -> Verdict:
+def verdict(statistics: EffectStatistics, steps: Floats, threshold: Threshold, scale: Scale = COMFORT) -> Verdict:
     """Applies a threshold to measures; `steps` are those of the effects that count, shape (n_effects,).
 
     With fewer than two effects nothing is known, which counts as influential.
@@ -106,17 +117,20 @@ def verdict(statistics: EffectStatistics, steps: Floats, threshold: Threshold) -
         return Verdict(statistics, None, influential=True)
     if isinstance(threshold, MuSigmaThresholds):
         return Verdict(statistics, threshold, abs(statistics.mu) >= threshold.mu or statistics.sigma >= threshold.sigma)
-    limit = automatic(steps) if threshold == "auto" else float(threshold)
+    limit = automatic(steps, scale) if threshold == "auto" else float(threshold)
     return Verdict(statistics, limit, statistics.s_rel >= limit)
 
 
-def is_surely_influential(effects: Floats, steps: Floats, missing: Floats, threshold: Threshold) -> bool:
+def is_surely_influential(
+    effects: Floats, steps: Floats, missing: Floats, threshold: Threshold, scale: Scale = COMFORT
+) -> bool:
     """Whether an analysis is influential whatever its missing effects will be, and whichever of them fail.
 
     `effects`, `steps`: of the runs made, shape (n,), NaN effects of failed runs; `missing`: the steps of those to come.
 
     With S the sum of squares of n effects, s_rel^2 = (S - mean^2) / (n - 1), and mean^2 <= S / n, so s_rel^2 >= S / n. S only grows. A
-    number is certainly reached if S >= n threshold^2 for the largest possible n; `auto` if (1 - 1/n) S >= (m + 1/2) mean((1 / (7 d))^2)
+    number is certainly reached if S >= n threshold^2 for the largest possible n; `auto` if (1 - 1/n) S >= (m + 1/2) mean(e^2), e being
+    the effects of changes by the tolerance,
     for every possible n and the shortest of the missing steps. Squared deviations from the mean only grow as well, which settles a
     threshold on sigma; mu may still return to 0.
     """
@@ -132,7 +146,7 @@ def is_surely_influential(effects: Floats, steps: Floats, missing: Floats, thres
     if threshold != "auto":
         return bool(squares >= most * float(threshold) ** 2)
     shortest = np.sort(np.abs(missing))
-    weights = 1 / (LARGEST_SCORE * np.concatenate([steps, shortest])) ** 2
+    weights = _tolerated_effects(np.concatenate([steps, shortest]), scale) ** 2
     n = np.arange(known.size, most + 1)
     tolerated = np.array([tolerated_changes(int(count)) for count in n])
     limits = (tolerated + 0.5) * np.cumsum(weights)[known.size - 1 :] / n

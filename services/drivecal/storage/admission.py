@@ -1,9 +1,10 @@
-"""Limits of the queue and of the users' influence maps."""
+"""Limits of the queue, and of the users' influence maps and problems."""
 
 from sqlalchemy import Connection, func, select, text
 
 from drivecal.domain.errors import OverloadError, Problem, TooLargeError
-from drivecal.storage.engine.tables import campaigns, influence_maps
+from drivecal.storage.engine.tables import bundles, campaigns, influence_maps
+from drivecal.storage.problems.bundles import is_stored
 
 KEY = 0x64726332
 """First key of the advisory lock on PostgreSQL; the second is a hash of the schema."""
@@ -41,6 +42,15 @@ def admit_map(connection: Connection, most: int, source: str) -> None:
         raise TooLargeError(
             Problem("", f"{kept:,} posted influence maps are kept already, as many as this server takes", instead)
         )
+
+
+def admit_problem(connection: Connection, digest: str, most: int) -> None:
+    """Raises TooLargeError if `most` bundles are kept already, none of them with this digest; otherwise as `admit`."""
+    _alone(connection)
+    kept = connection.scalar(select(func.count()).select_from(bundles)) or 0
+    if kept >= most and not is_stored(connection, digest):
+        instead = "let the server keep more (DRIVECAL_PUSHED_PROBLEMS)"
+        raise TooLargeError(Problem("", f"{kept:,} pushed problems are kept already, as many as this server takes", instead))
 
 
 def _alone(connection: Connection) -> None:

@@ -10,6 +10,7 @@ from sqlalchemy import ColumnElement, Connection, FromClause, case, func, select
 
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import AuditCount, Outcome
+from drivecal.domain.scales import COMFORT, Scale
 from drivecal.storage.engine.tables import evaluations, ratings, reference_indexes, reference_keys
 from drivecal.storage.evaluations import DONORS, of_iteration
 
@@ -17,7 +18,9 @@ _donor = evaluations.alias("donor")
 _trusted = ratings.alias("trusted")
 
 
-def settle(connection: Connection, campaign_sequence: int, stage: StageName, iteration: int, evaluator: str) -> None:
+def settle(
+    connection: Connection, campaign_sequence: int, stage: StageName, iteration: int, evaluator: str, scale: Scale = COMFORT
+) -> None:
     """Writes down for the audited cells of a finished iteration whether the donor that was not trusted had the same score."""
     score = (
         select(_TRUSTED)
@@ -29,27 +32,29 @@ def settle(connection: Connection, campaign_sequence: int, stage: StageName, ite
     connection.execute(
         update(evaluations)
         .where(*of_iteration(campaign_sequence, stage, iteration), *_SETTLED)
-        .values(agrees=evaluations.c.score == score)
+        .values(agrees=func.abs(evaluations.c.score - score) <= scale.rounding)
     )
 
 
-def count(connection: Connection, campaign_sequence: int, evaluator: str) -> list[AuditCount]:
+def count(connection: Connection, campaign_sequence: int, evaluator: str, scale: Scale = COMFORT) -> list[AuditCount]:
     """Returns the audit of a campaign so far, by scenario: simulated scores against the donors' scores."""
-    return _by_scenario(connection, _audited(evaluator), evaluations.c.campaign_sequence == campaign_sequence, *_SETTLED)
+    return _by_scenario(connection, scale, _audited(evaluator), evaluations.c.campaign_sequence == campaign_sequence, *_SETTLED)
 
 
-def proofs(connection: Connection, campaign_sequence: int, evaluator: str) -> list[AuditCount]:
+def proofs(connection: Connection, campaign_sequence: int, evaluator: str, scale: Scale = COMFORT) -> list[AuditCount]:
     """The same without a simulation: scores of reused cells against those of the runs that they would provably repeat, where a worker
     happened to know one. By scenario; no part of what a campaign repeats to the bit."""
     proving = _rated(evaluations.join(_donor, _donor.c.id == evaluations.c.proven_by), evaluator)
     mine, reused = evaluations.c.campaign_sequence == campaign_sequence, evaluations.c.outcome == Outcome.REUSED
-    return _by_scenario(connection, proving, mine, reused, _TRUSTED.is_not(None))
+    return _by_scenario(connection, scale, proving, mine, reused, _TRUSTED.is_not(None))
 
 
-def by_iteration(connection: Connection, campaign_sequence: int, scenario: str, evaluator: str) -> list[tuple[int, AuditCount]]:
+def by_iteration(
+    connection: Connection, campaign_sequence: int, scenario: str, evaluator: str, scale: Scale = COMFORT
+) -> list[tuple[int, AuditCount]]:
     """The same of each iteration alone, of one scenario, in order."""
     query = (
-        select(evaluations.c.iteration, evaluations.c.scenario, *_CHANGES)
+        select(evaluations.c.iteration, evaluations.c.scenario, *_changes(scale))
         .select_from(_audited(evaluator))
         .where(evaluations.c.campaign_sequence == campaign_sequence, *_SETTLED, evaluations.c.scenario == scenario)
         .group_by(evaluations.c.iteration, evaluations.c.scenario)
@@ -59,7 +64,12 @@ def by_iteration(connection: Connection, campaign_sequence: int, scenario: str, 
 
 
 def contradictions(
-    connection: Connection, campaign_sequence: int, influence_map_sequence: int | None, evaluator: str, watermark: int
+    connection: Connection,
+    campaign_sequence: int,
+    influence_map_sequence: int | None,
+    evaluator: str,
+    watermark: int,
+    scale: Scale = COMFORT,
 ) -> dict[str, int]:
     """Under how many reference keys simulated results differ in their score, by scenario; scenarios without any are left out.
 
@@ -93,7 +103,11 @@ def contradictions(
             evaluations.c.outcome.in_(DONORS),
         )
         .group_by(evaluations.c.scenario, evaluations.c.reference_key)
-        .having((func.min(own) != func.max(own)) | (func.min(other) != func.max(other)) | (func.min(other) != func.min(own)))
+        .having(
+            (func.max(own) - func.min(own) > scale.rounding)
+            | (func.max(other) - func.min(other) > scale.rounding)
+            | (func.abs(func.min(other) - func.min(own)) > scale.rounding)
+        )
     )
     return dict(Counter(connection.scalars(contradicting)))
 
@@ -101,13 +115,18 @@ def contradictions(
 _OWN = _donor.c.campaign_sequence == evaluations.c.campaign_sequence
 _TRUSTED = case((_OWN, _donor.c.score), else_=_trusted.c.score)
 _CHANGE = func.abs(evaluations.c.score - _TRUSTED)
-_CHANGES = func.count(), func.count(case((_CHANGE > 0, 1))), func.count(case((_CHANGE > 1, 1)))
 _SETTLED = evaluations.c.audited, evaluations.c.outcome == Outcome.SIMULATED
 
 
-def _by_scenario(connection: Connection, cells: FromClause, *conditions: ColumnElement[bool]) -> list[AuditCount]:
+def _changes(scale: Scale) -> tuple[ColumnElement[int], ...]:
+    """Compared, different and wrong cells."""
+    different, wrong = scale.rounding < _CHANGE, scale.largest_agreeing < _CHANGE
+    return func.count(), func.count(case((different, 1))), func.count(case((wrong, 1)))
+
+
+def _by_scenario(connection: Connection, scale: Scale, cells: FromClause, *conditions: ColumnElement[bool]) -> list[AuditCount]:
     scenario = evaluations.c.scenario
-    query = select(scenario, *_CHANGES).select_from(cells).where(*conditions).group_by(scenario).order_by(scenario)
+    query = select(scenario, *_changes(scale)).select_from(cells).where(*conditions).group_by(scenario).order_by(scenario)
     return [AuditCount(*row) for row in connection.execute(query)]
 
 

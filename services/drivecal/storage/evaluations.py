@@ -39,7 +39,7 @@ class NewEvaluation:
     audited: bool = False
     lot: int | None = None
     confidence: float | None = None
-    predicted_score: int | None = None
+    predicted_score: float | None = None
     predicted_rating: float | None = None
 
 
@@ -50,7 +50,7 @@ class AnsweredCell:
 
     id: int
     outcome: Outcome
-    score: int | None
+    score: float | None
     rating: float | None
     run_id: int | None
     failure: str | None = None

@@ -52,7 +52,7 @@ class StoredEvaluation:
     parameters: ParameterSet
     plan: Outcome
     outcome: Outcome | None
-    score: int | None
+    score: float | None
     rating: float | None
     run_id: int | None
     reference: int | None
@@ -71,7 +71,7 @@ class StoredEvaluation:
     """Whether a simulation agreed with the certificate, if it was checked."""
     lot: int | None
     confidence: float | None
-    predicted_score: int | None
+    predicted_score: float | None
     predicted_rating: float | None
     sampled: bool
 
@@ -87,9 +87,9 @@ class KnownAnswer:
     iteration: int
     individual: int
     parameters: ParameterSet
-    score: int
+    score: float
     rating: float
-    predicted_score: int | None
+    predicted_score: float | None
     confidence: float | None
     stands_for: float
 
@@ -208,12 +208,13 @@ def answers(
         yield CellScore(*row)
 
 
-def best_simulated(connection: Connection, campaign_sequence: int, weights: Mapping[str, float]) -> float | None:
+def best_simulated(connection: Connection, campaign_sequence: int, weights: Mapping[str, float], sign: int = 1) -> float | None:
     """The best weighted objective among the sets of a calibration that have a score of their own in every scenario: simulated, certified or
-    repeated, none from a reference. None if there is no such set."""
+    repeated, none from a reference. None if there is no such set. `sign`: -1 if lower objectives are better."""
+    best = func.max if sign > 0 else func.min
     table = evaluations.c
     of_its_own = (
-        select(table.parameter_set_id, table.scenario, func.max(table.score).label("score"))
+        select(table.parameter_set_id, table.scenario, best(table.score).label("score"))
         .where(
             table.campaign_sequence == campaign_sequence,
             table.stage == StageName.CALIBRATION,
@@ -230,8 +231,8 @@ def best_simulated(connection: Connection, campaign_sequence: int, weights: Mapp
         .having(func.count() == len(weights))
         .subquery()
     )
-    maximum: float | None = connection.scalar(select(func.max(objectives.c.objective)))
-    return maximum
+    objective: float | None = connection.scalar(select(best(objectives.c.objective)))
+    return objective
 
 
 def sets_since(connection: Connection, campaign_sequence: int, stage: StageName, iteration: int) -> list[int]:
@@ -258,7 +259,7 @@ class ReleasedCell:
     id: int
     scenario: str
     parameters: ParameterSet
-    score: int
+    score: float
 
 
 def released(connection: Connection, campaign_sequence: int) -> list[ReleasedCell]:

@@ -1,6 +1,7 @@
 """The manifest of a problem bundle, `problem.yaml`: parameters, constraints, simulator, scenarios, measures and scores.
 
-A simulation gives measures; a declared score turns measures into numbers.
+A simulation gives measures; a declared score turns measures into numbers. The models check each field by itself; `checks.checked` checks
+the whole.
 """
 
 from typing import Annotated, Any, Literal
@@ -8,6 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, StringConstraints
 
 from drivecal.contracts.specification import Choice, Identifier, Model, Number
+from drivecal.domain.scales import Direction, Scale
 
 Text = Annotated[str, StringConstraints(max_length=1000)]
 Unit = Annotated[str, StringConstraints(max_length=32)]
@@ -42,7 +44,10 @@ class SimulatorEntry(Model):
 
 
 class ProcessSimulator(SimulatorEntry):
-    """A program that answers JSON lines, started once per worker and scenario."""
+    """A program that answers JSON lines, started once per worker and scenario.
+
+    A word of `command` that starts with `./` names a file of the bundle; a program without `/` is looked up on the worker's PATH.
+    """
 
     kind: Literal["process"]
     command: Command
@@ -92,6 +97,22 @@ class ScoreEntry(Model):
     tolerance: Annotated[float, Field(ge=0, le=1e6)] = 0.0
     failed: Number | None = None
     unit: Unit = "1"
+
+    @property
+    def worst(self) -> float:
+        """Worst end of the range."""
+        return self.range[0] if self.direction == "maximise" else self.range[1]
+
+    @property
+    def failed_worth(self) -> float:
+        """Worth of a failed run."""
+        return self.worst if self.failed is None else self.failed
+
+    def scale(self, name: str) -> Scale:
+        """Returns the scale of the score of this name."""
+        lower, upper = self.range
+        direction = Direction(self.direction)
+        return Scale(name, direction, lower, upper, self.tolerance, self.failed_worth, unit=self.unit)
 
 
 class Manifest(Model):

@@ -7,6 +7,9 @@ from pydantic import BaseModel, ConfigDict, computed_field, model_validator
 
 RowModel = TypeVar("RowModel", bound=BaseModel)
 
+Score = int | float
+"""A score in units of the campaign's scale; an integer if it is whole (`domain.scales.plain`)."""
+
 
 class Answer(BaseModel):
     """The base of all answers: immutable; a client of an older version ignores what it does not know."""
@@ -157,7 +160,7 @@ class Best(Answer):
 
     objective: float
     parameters: dict[str, float | str]
-    scores: dict[str, int]
+    scores: dict[str, Score]
     alternatives: int
 
 
@@ -166,7 +169,7 @@ class Baseline(Answer):
 
     objective: float | None
     parameters: dict[str, float | str]
-    scores: dict[str, int | None]
+    scores: dict[str, Score | None]
 
 
 class Narrowed(Answer):

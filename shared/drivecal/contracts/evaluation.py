@@ -2,7 +2,7 @@
 
 from pydantic import Field
 
-from drivecal.contracts.campaign import Answer
+from drivecal.contracts.campaign import Answer, Score
 
 
 class EvaluatedCell(Answer):
@@ -11,7 +11,7 @@ class EvaluatedCell(Answer):
     id: int
     scenario: str
     outcome: str | None
-    score: int | None
+    score: Score | None
     rating: float | None
     reference: int | None
     failure: str | None
@@ -41,7 +41,7 @@ class TraceAnswer(Answer):
     """
 
     scenario: str
-    score: int
+    score: Score
     rating: float
     failure: str | None
     metrics: dict[str, float]
@@ -63,7 +63,7 @@ class Evaluation(Answer):
     """The mean score over the scenarios, null until all have one."""
     items: list[EvaluatedCell]
     outcome: str | None = None
-    score: int | None = None
+    score: Score | None = None
     rating: float | None = None
     failure: str | None = None
     metrics: dict[str, float | None] | None = None

@@ -4,7 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from drivecal.contracts.campaign import Answer
+from drivecal.contracts.campaign import Answer, Score
 
 Region = Literal["below", "influential", "above", "anywhere", "outside"]
 """Region of a value under the influence map: beyond the influential bounds, between them, `anywhere` where none exist, or `outside` of
@@ -61,16 +61,16 @@ class Reference(Answer):
     stage: str
     iteration: int
     individual: int
-    score: int | None
+    score: Score | None
     failure: str | None
 
 
 class Audit(Answer):
     """Comparison with the reference that would have answered the cell (audited), or had (confirmation). `agrees`: equal scores;
-    `wrong`: they differ by more than 1 (Eq. 8). Null where one of the two has no result."""
+    `wrong`: they differ by more than the tolerance (Eq. 8). Null where one of the two has no result."""
 
-    score: int | None
-    reference_score: int | None
+    score: Score | None
+    reference_score: Score | None
     agrees: bool | None
     wrong: bool | None
 
@@ -79,11 +79,11 @@ class Proof(Answer):
     """Certificate of a cell with another answer: its run would repeat that of evaluation `reference`, bit for bit.
 
     Of a reused cell: `score` is what a simulation would have given, `agrees` whether the reference's is the same, `wrong`: they differ by
-    more than 1 (Eq. 8). Of a cell that was simulated to check the certificate: `agrees` says whether both runs are the same.
+    more than the tolerance (Eq. 8). Of a cell that was simulated to check the certificate: `agrees` says whether both runs are the same.
     """
 
     reference: Reference
-    score: int | None
+    score: Score | None
     agrees: bool | None
     wrong: bool | None
 
@@ -113,7 +113,7 @@ class Neighbour(Answer):
     stage: str
     iteration: int
     individual: int
-    score: int
+    score: Score
     weight: float
     parameters: dict[str, float | str]
 
@@ -122,7 +122,7 @@ class Prediction(Answer):
     """A prediction. `confidence`: the share of votes for scores within the tolerance, 0 to 1. `agrees`: whether the simulation
     of a sampled cell confirmed it. `neighbours`: the stored answers with most weight, heaviest first."""
 
-    score: int
+    score: Score
     confidence: float
     sampled: bool
     agrees: bool | None
@@ -146,7 +146,7 @@ class Explanation(Answer):
     individual: int
     scenario: str
     outcome: str | None
-    score: int | None
+    score: Score | None
     failure: str | None
     reason: Reason
     sentence: str

@@ -156,6 +156,12 @@ def problem(field: str, detail: Detail) -> Problem:
     if kind == "string_pattern_mismatch":
         remedy = _PATTERNS.get(context["pattern"], f"it must match {context['pattern']}")
         return Problem(field, f"'{given}' is no valid name", remedy)
+    if kind in {"union_tag_invalid", "union_tag_not_found"}:
+        field += "." + context["discriminator"].strip("'")
+        if kind == "union_tag_not_found":
+            return Problem(field, "the value is missing", "give it")
+        choices = context["expected_tags"].replace("'", "")
+        return Problem(field, f"{shown(context['tag'])} is not one of the choices", f"give {choices}")
     if kind in {"literal_error", "enum"}:
         choices = context["expected"].replace("'", "").replace("False", "false").replace("True", "true")
         return Problem(field, f"{given} is not one of the choices", f"give {choices}")

@@ -77,8 +77,19 @@ class ScenarioDetail(ScenarioAnswer):
     speeds: list[list[float]]
 
 
+class BrokenPluginAnswer(Answer):
+    """An installed plug-in that cannot be used, with the reason; `package` registers it in the entry point `group`."""
+
+    group: str
+    name: str
+    package: str
+    error: str
+
+
 class ScenarioPage(Page[ScenarioAnswer]):
-    """All scenarios."""
+    """All scenarios. `broken`: the catalogues that cannot be used."""
+
+    broken: list[BrokenPluginAnswer] = Field(default_factory=list)
 
 
 class ParameterAnswer(Answer):
@@ -104,16 +115,18 @@ class ParameterSpaceAnswer(Answer):
 
 
 class ParameterSpacePage(Page[ParameterSpaceAnswer]):
-    """All parameter spaces."""
+    """All parameter spaces. `broken`: the driving functions that cannot be used."""
+
+    broken: list[BrokenPluginAnswer] = Field(default_factory=list)
 
 
 class ReferenceAnswer(Answer):
-    """Number of a setup's runs in the reference table."""
+    """Number of a setup's runs in the reference table. A bundle's setup has neither driving function nor vehicle."""
 
     scenario: str
     fingerprint: str
-    driving_function: str
-    vehicle: str
+    driving_function: str | None = None
+    vehicle: str | None = None
     simulator: str
     runs: int
 

@@ -33,6 +33,8 @@ class ScenarioSetup(Answer):
     vehicle: str | None = None
     vehicle_parameters: dict[str, float] | None = None
     simulator: str | None = None
+    files: str | None = None
+    """Digest of a bundle's files except `problem.yaml`."""
     step_seconds: float | None = None
     seed: int | None = None
 

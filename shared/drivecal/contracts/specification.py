@@ -8,12 +8,18 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, StringConstraints, Tag, field_validator
 
+from drivecal.domain.scales import Scale
+
+HIGHWAY = "highway"
+"""Name of the built-in problem, its catalogue, and its parameters."""
 LARGEST_POPULATION = 100_000
 LARGEST_ITERATIONS = 10_000
 LARGEST_CONFIRM = 1_000
 
 Name = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]+$")]
 Identifier = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[A-Za-z][A-Za-z0-9_.-]*$")]
+ProblemName = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
+"""Name of a problem, or digest of a bundle."""
 Number = Annotated[float, Field(ge=-1e6, le=1e6)]
 Choice = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[^\x00-\x1f\x7f]+$")]
 """Text that names a choice."""
@@ -96,18 +102,25 @@ class ReductionSpecification(Model):
 
     `off`: none but in-population duplicates' own repeats is ever copied; `exact`: equal parameter sets; `influence`: Figure 6;
     `predicted`: equal sets and predictions in inspected lots; `both`: `influence` and `predicted`. `tolerance`: the largest error of a
-    prediction that counts as none, in points; `limit`: expected released errors at most for each prediction in a lot (AOQL), by scenario.
-    `narrow`: search only the smallest common area, where some scenario is influenced (Section III). `confirm`: at most so many sets are
-    simulated after the search, one after the other, until the best of the ranking has no score of a reference.
+    prediction that counts as none, in units of the score (null: 0, or the score's own tolerance if it has no steps); `limit`: expected
+    released errors at most for each prediction in a lot (AOQL), by scenario. `narrow`: search only the smallest common area, where some
+    scenario is influenced (Section III). `confirm`: at most so many sets are simulated after the search, one after the other, until the
+    best of the ranking has no score of a reference.
     """
 
     mode: ReductionMode = "influence"
-    tolerance: Annotated[float, Field(ge=0, le=7)] = 0.0
+    tolerance: Annotated[float, Field(ge=0)] | None = None
     limit: Annotated[float, Field(ge=0.001, le=0.5)] = 0.05
     audit: Annotated[float, Field(ge=0, le=1)] = 0.02
     max_error: Annotated[float, Field(gt=0, le=1)] = 0.02
     narrow: bool = False
     certified: bool = True
+
+    def tolerance_on(self, scale: Scale) -> float:
+        """Returns the largest error of a prediction that counts as none."""
+        if self.tolerance is not None:
+            return self.tolerance
+        return scale.tolerance if scale.step is None else 0.0
 
     @property
     def uses_map(self) -> bool:
@@ -122,21 +135,22 @@ class RobustnessSpecification(Model):
     """Robustness of the best sets against other vehicles (Sections II-C and IV-D).
 
     Boxes of half width k `delta`, k = 1 .. `steps`, in shares of the vehicle parameters' ranges (Table 8), `samples` vehicles in each.
-    `condition`: `max` allows a change of at most `eta` points in every scenario and vehicle (the paper's study); `mean` over the vehicles
-    and `per_factor` for each are relative and strict. `eta` may be a list with one number for each scenario that is simulated.
+    `condition`: `max` allows a change of at most `eta` (in units of the score) in every scenario and vehicle (the paper's study); `mean`
+    over the vehicles and `per_factor` for each are relative and strict. `eta` may be a list with one number for each scenario that is
+    simulated.
     """
 
     delta: Annotated[float, Field(gt=0, le=1)] = 0.01
     steps: Annotated[int, Field(ge=1, le=100)] = 10
     samples: Annotated[int, Field(ge=1, le=10_000)] = 30
-    eta: Annotated[float, Field(gt=0, le=7)] | Annotated[list[Annotated[float, Field(gt=0, le=7)]], Field(min_length=1)] = 1.0
+    eta: Annotated[float, Field(gt=0)] | Annotated[list[Annotated[float, Field(gt=0)]], Field(min_length=1)] = 1.0
     condition: Literal["max", "mean", "per_factor"] = "max"
     refinements: Annotated[int, Field(ge=0, le=30)] = 0
     """Number of halvings of the last, failed step to find delta_max."""
     solutions: Annotated[int, Field(ge=1, le=1000)] = 20
     """The most sets that are examined, of those that share the best objective: one from every region of the space first."""
-    within: Annotated[float, Field(ge=0, le=7)] = 0.0
-    """Sets whose objective is lower by no more than this count as the best, too."""
+    within: Annotated[float, Field(ge=0)] = 0.0
+    """Sets whose objective is worse by no more than this count as the best, too."""
     sets: Annotated[list[Values], Field(max_length=1000)] = []
     """Sets to be examined in any case."""
     of: Annotated[str, StringConstraints(min_length=1, max_length=64)] | None = None
@@ -178,6 +192,8 @@ class ProblemSpecification(Model):
     name: Name = "campaign"
     priority: Annotated[int, Field(ge=-100, le=100)] = 0
     """Cells of a higher priority go first; campaigns of the same one share the workers."""
+    problem: ProblemName = HIGHWAY
+    """The built-in problem, or the name or digest of a pushed bundle; a name means its latest push."""
     catalogue: Identifier | Annotated[list[Identifier], Field(min_length=1, max_length=1000)] = "highway"
     parameters: Identifier | Annotated[list[ParameterSpecification], Field(min_length=1, max_length=200)] = "highway"
     fixed: Values = {}
@@ -215,6 +231,8 @@ class RerunSpecification(Model):
 
     weights: Annotated[dict[Identifier, Annotated[float, Field(ge=0, le=1e6)]], Field(max_length=1000)]
     name: Name | None = None
+    problem: ProblemName | None = None
+    """Another push of the first campaign's problem, e.g. with another score: runs of unchanged files are rated anew."""
     evaluator: Identifier | None = None
     optimizer: OptimizerSpecification | None = None
     reduction: ReductionSpecification | None = None
@@ -246,6 +264,7 @@ class EvaluationSpecification(Model):
 
     parameters: Annotated[dict[Identifier, Number | Choice], Field(min_length=1, max_length=200)]
     scenario: Identifier | None = None
+    problem: ProblemName = HIGHWAY
     catalogue: Identifier = "highway"
     driving_function: Identifier = "frenet"
     vehicle: VehicleSpecification = VehicleSpecification()

@@ -1,15 +1,16 @@
 """Row models of all tables; columns, files, JSON and OpenAPI schemas follow from them."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from drivecal.contracts.campaign import Answer, Page
+from drivecal.contracts.campaign import Answer, Page, Score
 
-Kind = Literal["integer", "number", "text", "truth", "numbers"]
+Kind = Literal["integer", "number", "score", "text", "truth", "numbers"]
+"""A `score` is an integer or a number, depending on the campaign's scale."""
 _KINDS: dict[object, Kind] = {bool: "truth", int: "integer", float: "number", str: "text"}
 
 
@@ -40,18 +41,31 @@ class FileForm:
     convert: Callable[[Any], object]
 
 
+LEAST_BINS = 7
+"""Bins on both sides of 0 that every file has: those of the comfort score."""
 JSON_ONLY = "JSON only"
 """Mark of a field that no file has."""
 _JOINED = FileForm("text", " ".join)
 
 
-def columns_of(model: type[BaseModel], keys: Mapping[str, Sequence[str] | Mapping[str, Kind]] | None = None) -> list[Column]:
-    """Returns the columns of a file of such rows. `keys`: the keys of its mappings, by field, with their kinds if they differ."""
+Keys = Mapping[str, Sequence[str] | Mapping[str, "Kind"]]
+"""Keys of a row's mappings by field, with their kinds if they differ."""
+
+
+def columns_of(model: type[BaseModel], keys: Keys | None = None, *, whole_scores: bool = True) -> list[Column]:
+    """Returns the columns of a file of such rows. `keys`: the keys of its mappings, by field."""
+    return [
+        replace(column, kind="integer" if whole_scores else "number") if column.kind == "score" else column
+        for column in _columns_of(model, keys or {})
+    ]
+
+
+def _columns_of(model: type[BaseModel], keys: Keys) -> list[Column]:
     columns: list[Column] = []
     for name, field in model.model_fields.items():
         mark = _mark(field.metadata, field.annotation)
         if isinstance(mark, Spread):
-            listed = (keys or {})[name]
+            listed = keys[name]
             kinds = listed if isinstance(listed, Mapping) else dict.fromkeys(listed, _kind(get_args(field.annotation)[1]))
             columns += [Column(mark.column(key), kind) for key, kind in kinds.items()]
         elif isinstance(mark, FileForm):
@@ -87,12 +101,15 @@ def _mark(metadata: Sequence[Any], annotation: Any) -> Spread | FileForm | str |
 
 def _kind(annotation: Any) -> Kind:
     options = get_args(annotation) if get_origin(annotation) is UnionType else (annotation,)
+    if {int, float} <= set(options):
+        return "score"
     [plain] = [option for option in options if option is not NoneType]
     return "numbers" if get_origin(plain) is list else _KINDS[plain]
 
 
-def _counts_by_points(histogram: Mapping[int, int]) -> list[float]:
-    return [float(histogram.get(points, 0)) for points in range(-7, 8)]
+def _counts_by_bin(histogram: Mapping[int, int]) -> list[float]:
+    last = max([LEAST_BINS, *map(abs, histogram)])
+    return [float(histogram.get(number, 0)) for number in range(-last, last + 1)]
 
 
 CampaignTable = Literal["evaluations", "generations", "solutions", "optima", "influence", "robustness", "validation"]
@@ -122,7 +139,7 @@ class EvaluationRow(Answer):
     individual: int
     scenario: str
     outcome: str | None
-    score: int | None
+    score: Score | None
     rating: float | None
     reference: int | None
     audited: bool
@@ -137,9 +154,9 @@ class EvaluationRow(Answer):
     sampled: bool = False
 
     @classmethod
-    def file_columns(cls, parameters: Mapping[str, Kind]) -> list[Column]:
+    def file_columns(cls, parameters: Mapping[str, Kind], *, whole_scores: bool = True) -> list[Column]:
         """Returns the columns of a file, with the parameters behind the place of the cell."""
-        own = columns_of(cls)
+        own = columns_of(cls, whole_scores=whole_scores)
         return own[:PLACE] + [Column(parameter_column(name), kind) for name, kind in parameters.items()] + own[PLACE:]
 
 
@@ -174,7 +191,7 @@ class Solution(Answer):
     rank: int
     objective: float
     rating: float
-    scores: Annotated[dict[str, int], Spread("score_")]
+    scores: Annotated[dict[str, Score], Spread("score_")]
     reused: list[str] = Field(default_factory=list)
     """Scenarios whose score is that of a reference: this very set was not simulated there."""
     parameters: Annotated[dict[str, float | str], Spread()]
@@ -209,7 +226,8 @@ class InfluenceRow(Answer):
     sigma: float | None = None
     mu_star: float | None = None
     unknown: bool = False
-    """Nothing is known about it, which counts as influential: the map does not list it, or no run of the scenario scored above 0."""
+    """Nothing is known about it, which counts as influential: the map does not list it, or no run of the scenario was better than a
+    failed one."""
     unit: str | None = None
     space_lower: float | None = None
     space_upper: float | None = None
@@ -246,7 +264,7 @@ class RobustnessRow(Answer):
     """The reason for the recommendation."""
     region: int
     to_worse: float | None
-    scores: Annotated[dict[str, int | None], Spread("score_")]
+    scores: Annotated[dict[str, Score | None], Spread("score_")]
     parameters: Annotated[dict[str, float | str], Spread()]
     trials: Annotated[list[BoxTrial], JSON_ONLY]
 
@@ -256,9 +274,9 @@ class ValidationRow(Answer):
 
     `reducible` parameters have a region in which they do not matter; of their `effects` (main effects and interactions) so many were
     `covered`. `drawn`: the size of the Latin hypercube, of which `bases` that qualify were kept (n*_LHS), each compared with
-    `references` variants (n_ref). `wrong`: |dF| > 1; R_err = wrong / compared (Eq. 8); `different`: any change. `lower_95` and
-    `upper_95` limit the mean over base sets of the share of wrong variants, with a confidence of at least 95 %. `histogram`: how many
-    variants differ from their base by how many points.
+    `references` variants (n_ref). `wrong`: |dF| > the scale's tolerance; R_err = wrong / compared (Eq. 8); `different`: any change.
+    `lower_95` and `upper_95` limit the mean over base sets of the share of wrong variants, with a confidence of at least 95 %. `histogram`:
+    how many variants differ from their base by how many times `histogram_step`.
 
     For the predictions of a campaign: `released` ones, of them `compared` with a simulation, `beyond` the tolerance (or without a result);
     the expected number of these among all released ones is at most `limit` times the `inspected` predictions. Null for a map.
@@ -281,8 +299,10 @@ class ValidationRow(Answer):
     inspected: int | None = None
     beyond: int | None = None
     limit: float | None = None
-    histogram: Annotated[dict[int, int], FileForm("numbers", _counts_by_points)]
-    """In files a list of counts for differences from -7 to 7."""
+    histogram: Annotated[dict[int, int], FileForm("numbers", _counts_by_bin)]
+    """In files a list of counts, from the largest negative difference to the largest positive one (of comfort: -7 to 7 points)."""
+    histogram_step: Annotated[float, JSON_ONLY] = 1.0
+    """Difference of neighbouring numbers in the histogram, in units of the score."""
     interval_over: str = "variants"
     """What the limits take as independent: `bases`; in studies of earlier versions `variants`, whose limits (Clopper and Pearson) are too
     narrow, because variants of one base are alike."""

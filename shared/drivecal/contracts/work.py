@@ -6,10 +6,15 @@ from typing import Any
 
 from drivecal.domain.evaluations import RunResult
 
+SetupKey = tuple[str, ...]
+"""Key shared by requests that run and rate the same."""
+Kind = tuple[str, ...]
+"""Key shared by requests whose cells cost about the same."""
+
 
 @dataclass(frozen=True, slots=True)
-class SetupRequest:
-    """Names what to run; the worker rebuilds the setup from its own installation and compares the fingerprints."""
+class DriveRequest:
+    """A setup of the built-in closed loop; the worker rebuilds it from its own installation and compares the fingerprints."""
 
     catalogue: str
     scenario: str
@@ -24,10 +29,71 @@ class SetupRequest:
     evaluator_version: str | None = None
     """The coordinator's: ratings of another one must not be stored under its name. None if it does not matter."""
 
+    @property
+    def key(self) -> SetupKey:
+        """Key shared by requests that run and rate the same."""
+        return (self.run_fingerprint, self.catalogue, self.scenario, self.evaluator)
+
+    @property
+    def kind(self) -> Kind:
+        """Key without the vehicle's parameters: a robustness study drives few cells in each of hundreds of vehicles."""
+        versions = (str(self.document.get(name)) for name in ("driving_function_version", "vehicle_version", "simulator"))
+        return (self.catalogue, self.scenario, self.driving_function, self.vehicle, self.evaluator, *versions)
+
+    @property
+    def bundle(self) -> None:
+        """Needs no files of users."""
+        return
+
+    @property
+    def timeout(self) -> None:
+        """Has no time limit of its own."""
+        return
+
+
+@dataclass(frozen=True, slots=True)
+class BundleRequest:
+    """A setup of a problem bundle. The worker returns measures; the coordinator rates them."""
+
+    bundle: str
+    """Digest of the bundle's archive."""
+    problem: str
+    scenario: str
+    data: Mapping[str, Any]
+    """The scenario's data."""
+    simulator: Mapping[str, Any]
+    """The manifest's section."""
+    parameters: tuple[str, ...]
+    measures: tuple[str, ...]
+    failures: tuple[str, ...]
+    series: tuple[str, ...]
+    """Declared names."""
+    run_fingerprint: str
+    document: Mapping[str, object] = field(default_factory=dict)
+
+    @property
+    def key(self) -> SetupKey:
+        """Key shared by requests that run the same; different manifests may declare other measures for equal runs."""
+        return (self.run_fingerprint, self.bundle, self.scenario)
+
+    @property
+    def kind(self) -> Kind:
+        """Every setup is a kind of its own."""
+        return self.key
+
+    @property
+    def timeout(self) -> float:
+        """Time limit of a run, s."""
+        return float(self.simulator["timeout"])
+
+
+SetupRequest = DriveRequest | BundleRequest
+"""Names what to run."""
+
 
 @dataclass(frozen=True, slots=True)
 class Probe:
-    """A cell that a reference answers. Where the worker can say without a simulation which run it would repeat, it does: a check of the
+    """A cell that a reference answers. If the worker can say without a simulation which run it would repeat, it does: a check of the
     reference that costs nothing. `id`: its evaluation's."""
 
     id: int
@@ -36,10 +102,10 @@ class Probe:
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """One parameter set to simulate: `parameters` by name, numbers and texts of choices; `id` is the dispatcher's own.
+    """One parameter set to simulate: `parameters` by name, numbers or texts of choices; `id` is the dispatcher's own.
 
-    `certify`: it may be answered by a run that it provably repeats, and its own run may answer others; `check`: it is simulated even so,
-    to see whether both agree.
+    `certify`: it may be answered by a run that it provably repeats, and its own run may answer others; `check`: it is simulated even so, to
+    see whether both agree.
     """
 
     id: int
@@ -85,7 +151,7 @@ class CellResult:
 
     id: int
     rating: float | None
-    score: int | None
+    score: float | None
     metrics: Mapping[str, float]
     failure: str | None
     milliseconds: float

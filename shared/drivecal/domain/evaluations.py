@@ -44,10 +44,13 @@ class Breakdown(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Rating:
-    """Comfort on the paper's scale: continuous `rating` in 0..7 and its rounding `score`; 7 is best."""
+    """A run in units of the campaign's scale: `score` is what counts, `rating` a finer number that orders equal scores.
+
+    The comfort scale rounds its `rating` to whole points; on continuous scales both are the same.
+    """
 
     rating: float
-    score: int
+    score: float
 
 
 FAILED_RATING = Rating(rating=0.0, score=0)
@@ -77,7 +80,7 @@ class Donor:
 
     evaluation: int
     run: int
-    score: int
+    score: float
     rating: float
     failure: str | None
 
@@ -92,7 +95,7 @@ class CellScore:
     parameter_set: int
     """Id of the parameter set."""
     scenario: str
-    score: int | None
+    score: float | None
     rating: float | None
     own: bool
     iteration: int
@@ -102,7 +105,7 @@ class CellScore:
 
 @dataclass(frozen=True, slots=True)
 class AuditCount:
-    """Audited cells of one scenario: `different` ones changed their score, `wrong` ones by more than 1 (Eq. 8 of the paper)."""
+    """Audited cells of one scenario: `different` ones changed their score, `wrong` ones by more than the tolerance (Eq. 8)."""
 
     scenario: str
     audited: int

@@ -6,6 +6,11 @@ from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import Any
 
+LARGEST_EXACT = 2**53
+"""Whole numbers below it are the same as floats."""
+ROUNDING_SHARE = 1e-9
+"""Share of the span up to which scores without steps count as equal."""
+
 
 class Direction(StrEnum):
     """Whether larger or smaller scores are better."""
@@ -53,13 +58,42 @@ class Scale:
         """Best end of the usual range."""
         return self.upper if self.direction is Direction.MAXIMISE else self.lower
 
+    @property
+    def is_whole(self) -> bool:
+        """Whether every score is a whole number."""
+        return self.step is not None and self.step.is_integer()
+
     def is_better(self, score: float, other: float) -> bool:
         """Whether `score` is better than `other`."""
         return self.sign * score > self.sign * other
 
+    def worth(self, score: float, *, failed: bool = False) -> float:
+        """Returns what a run counts: a failed run is worth `failed`, and no run is worth less."""
+        return self.failed if failed or self.is_better(self.failed, score) else score
+
+    @property
+    def rounding(self) -> float:
+        """Largest difference of scores that count as equal."""
+        return 0.0 if self.step is not None else ROUNDING_SHARE * self.span
+
+    @property
+    def largest_agreeing(self) -> float:
+        """Largest difference of scores that is no error: the tolerance, with room for rounding."""
+        return self.tolerance + ROUNDING_SHARE * self.span
+
     def is_wrong(self, difference: float) -> bool:
-        """Whether scores with this difference count as wrong, with room for rounding."""
-        return abs(difference) > self.tolerance + 1e-9
+        """Whether scores with this difference count as wrong."""
+        return abs(difference) > self.largest_agreeing
+
+    @property
+    def bin(self) -> float:
+        """Width of a bar in a histogram of differences."""
+        return self.step or self.tolerance or self.span / 100
+
+    def amount(self, value: float) -> str:
+        """Returns a difference of scores with its unit, for readers."""
+        unit = self.unit.removesuffix("s") if value == 1 and self.unit == COMFORT.unit else self.unit
+        return f"{value:g}" if unit == "1" else f"{value:g} {unit}"
 
     def to_json(self) -> dict[str, Any]:
         """Returns plain data."""
@@ -69,6 +103,11 @@ class Scale:
     def from_json(cls, document: dict[str, Any]) -> Scale:
         """Inverts `to_json`."""
         return cls(**(document | {"direction": Direction(document["direction"])}))
+
+
+def plain(score: float) -> float:
+    """Returns whole scores as integers: 6 and not 6.0, whatever stored or computed them."""
+    return int(score) if float(score).is_integer() and abs(score) < LARGEST_EXACT else float(score)
 
 
 COMFORT = Scale("comfort", Direction.MAXIMISE, lower=0.0, upper=7.0, tolerance=1.0, failed=0.0, step=1.0, unit="points")

@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from typing import Any, Protocol
 
 
 def canonical_json(document: object) -> str:
@@ -18,12 +19,52 @@ def digest(content: bytes) -> str:
     return hashlib.blake2b(content, digest_size=16).hexdigest()
 
 
-@dataclass(frozen=True, slots=True)
-class Setup:
-    """A scenario driven by a driving function in a vehicle and a simulator.
+def fingerprint_of(document: Mapping[str, object]) -> str:
+    """Returns the fingerprint of a setup's document."""
+    return digest(canonical_json(document).encode())
 
-    It excludes weights and bounds, so that reruns with other weights or narrower ranges find all stored results.
+
+class Setup(Protocol):
+    """Everything besides the parameter set that decides a run of a scenario.
+
+    It excludes scores, weights and bounds, so that reruns with others find all stored results.
     """
+
+    @property
+    def scenario(self) -> str:
+        """Id of the scenario."""
+
+    @property
+    def document(self) -> Mapping[str, object]:
+        """Content of the fingerprint as plain data."""
+
+    @property
+    def fingerprint(self) -> str:
+        """Run fingerprint: the digest of `document`."""
+
+
+@dataclass(frozen=True, slots=True)
+class BundleSetup:
+    """A scenario of a problem bundle: its `document` holds the simulator section, the scenario's data and the digest of the files."""
+
+    scenario: str
+    document: Mapping[str, object]
+
+    @property
+    def fingerprint(self) -> str:
+        """Run fingerprint: the digest of `document`."""
+        return fingerprint_of(self.document)
+
+    @property
+    def simulator(self) -> str:
+        """Kind of the simulator with the version of its adapter."""
+        section: Any = self.document["simulator"]
+        return f"{section['kind']} (adapter {self.document['adapter']})"
+
+
+@dataclass(frozen=True, slots=True)
+class DrivenSetup:
+    """A scenario driven by a driving function in a vehicle and a traffic simulator."""
 
     scenario: str
     scenario_digest: str
@@ -47,9 +88,9 @@ class Setup:
     @property
     def fingerprint(self) -> str:
         """Run fingerprint: the digest of `document`."""
-        return digest(canonical_json(self.document).encode())
+        return fingerprint_of(self.document)
 
     @classmethod
-    def from_document(cls, document: Mapping[str, object]) -> Setup:
+    def from_document(cls, document: Mapping[str, object]) -> DrivenSetup:
         """Inverts `document`."""
         return cls(**document)  # type: ignore[arg-type]  # the fields are those written by `document`

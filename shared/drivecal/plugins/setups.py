@@ -5,7 +5,7 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 
 from drivecal.domain.scenarios import Scenario
-from drivecal.domain.setups import Setup
+from drivecal.domain.setups import DrivenSetup
 from drivecal.plugins.ports import DrivingFunction, Vehicle
 
 CLOSED_LOOP = "1"
@@ -26,10 +26,10 @@ def simulator() -> str:
 
 def setup_of(
     scenario: Scenario, driving_function: DrivingFunction, vehicle: Vehicle, vehicle_parameters: Mapping[str, float]
-) -> Setup:
+) -> DrivenSetup:
     """Creates the setup of one scenario. `vehicle_parameters` overrides nominal values by name."""
     nominal = {parameter.name: parameter.nominal for parameter in vehicle.parameters}
-    return Setup(
+    return DrivenSetup(
         scenario=scenario.id,
         scenario_digest=scenario.digest,
         driving_function=driving_function.name,

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Protocol
 
 from drivecal.domain.errors import DrivecalError
@@ -10,6 +11,8 @@ from drivecal.domain.evaluations import Breakdown
 
 Value = float | str
 """A number, or the text of a choice."""
+VERSIONS: Mapping[str, str] = MappingProxyType({"process": "1", "command": "1", "python": "1", "fmu": "1"})
+"""Version of the adapter of each kind that runs in child processes (`drivecal.adapters`). Here, because the coordinator needs it, too."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,12 +28,25 @@ class RunOutcome:
     cpu_seconds: float = field(default=0.0, compare=False)
 
 
-class NoMeasuresError(DrivecalError):
-    """A run has no result: its process crashed, hung, ran out of memory or answered something else. Costs this cell only."""
+@dataclass(frozen=True, slots=True)
+class Declared:
+    """Names that a manifest declares of a simulator's answers. Without declared `failures`, a simulator may report any name."""
 
-    def __init__(self, breakdown: Breakdown, detail: str) -> None:
-        super().__init__(breakdown, detail)
-        self.breakdown, self.detail = breakdown, detail
+    problem: str
+    measures: tuple[str, ...]
+    failures: tuple[str, ...] = ()
+    series: tuple[str, ...] = ()
+
+
+class NoMeasuresError(DrivecalError):
+    """A run has no result: its process crashed, hung, ran out of memory or answered something else. Costs this cell only.
+
+    `cpu_seconds`: CPU time that its child processes took all the same.
+    """
+
+    def __init__(self, breakdown: Breakdown, detail: str, cpu_seconds: float = 0.0) -> None:
+        super().__init__(breakdown, detail, cpu_seconds)
+        self.breakdown, self.detail, self.cpu_seconds = breakdown, detail, cpu_seconds
 
     def __str__(self) -> str:
         return self.detail
@@ -53,8 +69,11 @@ class Simulator(Protocol):
     def version(self) -> str:
         """Changes whenever equal inputs may give other results because of the adapter; part of the key of stored results."""
 
-    def open(self, section: Mapping[str, Any], scenario: str, data: Mapping[str, Any], folder: Path) -> SimulatorSession:
+    def open(
+        self, section: Mapping[str, Any], scenario: str, data: Mapping[str, Any], folder: Path, declared: Declared
+    ) -> SimulatorSession:
         """Opens a session. `section`: the manifest's `simulator`; `data`: the scenario's; `folder`: the unpacked, read-only bundle.
 
-        Raises UnavailableError if this machine cannot run it, e.g. a command that does not exist.
+        Raises UnavailableError if this machine cannot run it, e.g. a command that does not exist, or if the simulator says so itself.
+        A start that fails in another way costs the first cell: `evaluate` reports it.
         """

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 from sqlalchemy import Connection
+from tests.support.scales import COST
 from tests.support.storage import EVALUATOR, campaign, sample_set_ids, setup_id, simulate
 
 from drivecal.domain.campaigns import StageName
@@ -124,3 +125,21 @@ def test_a_stored_reference_contradicts_as_well_but_only_one_that_the_campaign_s
         assert audits.contradictions(connection, sequence, 1, EVALUATOR, watermark - 1) == {}
         assert audits.contradictions(connection, sequence, 1, "learned 1", watermark) == {}
         assert audits.contradictions(connection, sequence, 2, EVALUATOR, watermark) == {}
+
+
+def test_scores_without_steps_are_compared_by_their_scale(database: Database) -> None:
+    """Rounding is no difference; more than the tolerance of 2 is wrong."""
+    with database.transaction() as connection:
+        sequence, setup = campaign(connection).sequence, setup_id(connection)
+        sets = sample_set_ids(connection, 6)
+        simulate(connection, sequence, [cell(0, setup, sets[0], reference_key=KEY)], score=50.25)
+        donor = evaluations.own_exact(connection, sequence, "S1", setup, sets)[sets[0]]
+        ids: list[int] = []
+        for number, score in enumerate([50.25 + 1e-9, 50.26, 52.25, 47.0], 1):
+            one = cell(number, setup, sets[number], donor=donor, audited=True, reference_key=KEY if number == 1 else OTHER_KEY)
+            ids += simulate(connection, sequence, [one], score=score)
+        audits.settle(connection, sequence, StageName.CALIBRATION, 0, EVALUATOR, COST)
+        assert audits.count(connection, sequence, EVALUATOR, COST) == [AuditCount("S1", audited=4, different=3, wrong=1)]
+        agrees = {one.id: one.agrees for one in results.stream(connection, sequence) if one.audited}
+        assert [agrees[one] for one in ids] == [True, False, False, False]
+        assert audits.contradictions(connection, sequence, None, EVALUATOR, 10**6, COST) == {"S1": 1}

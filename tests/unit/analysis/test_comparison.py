@@ -134,3 +134,14 @@ def test_the_optimum_is_what_was_confirmed_and_what_that_took_counts() -> None:
     assert confirmed.simulations_to_converge is None
     rounded = replace(confirmed, simulated_best=7.0 - 1e-12)
     assert rounded.optimum == 7.0, "what differs by rounding alone is no other belief"
+
+
+def test_the_lowest_optimum_is_the_best_on_a_scale_that_is_minimised() -> None:
+    runs = [course([5.0, 4.0], seed=1), course([5.0, 4.0 + 1e-12], seed=2), course([9.0, 8.5], seed=3)]
+    best = best_of_all(runs, sign=-1)
+    assert best == 4.0
+    assert [succeeds(one, best, sign=-1) for one in runs] == [True, True, False]
+    (group,) = groups(runs, sign=-1)
+    assert (group.best, group.successes) == (4.0, 2)
+    (effect,) = effects(pairs(paired([0.5, -0.25, 0.5, 0.0, 0.5])), sign=-1)
+    assert (effect.better, effect.equal, effect.worse) == (1, 1, 3)

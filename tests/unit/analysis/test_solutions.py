@@ -104,3 +104,19 @@ def test_the_standing_does_not_depend_on_the_order_or_the_portions_of_the_answer
     for cell in mixed:
         ranking.add([cell])
     assert ranking.ranking() == _ranking(cells, {"S1": 1, "S2": 2, "S3": 3})
+
+
+def test_lower_objectives_are_better_on_a_scale_that_is_minimised() -> None:
+    cells = [
+        CellScore(1, "S1", 6.5, 6.5, True, 0, 0),
+        CellScore(2, "S1", 2.25, 2.25, True, 0, 1),
+        CellScore(3, "S1", 2.25 + 1e-12, 2.0, False, 0, 2),
+        CellScore(4, "S1", 1.0, 1.0, False, 0, 3),
+    ]
+    ranking = Ranking({"S1": 1}, sign=-1)
+    ranking.add(cells)
+    assert [one.parameter_set for one in ranking.ranking()] == [4, 3, 2, 1], "of equal ones the better rating first"
+    surest, doubtful = ranking.surest(), ranking.doubtful()
+    assert surest is not None
+    assert doubtful is not None
+    assert (surest.parameter_set, doubtful.parameter_set) == (2, 4)

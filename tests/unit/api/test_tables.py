@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivecal.api.tables.files import download
-from drivecal.contracts.tables import Column
+from drivecal.contracts.tables import Column, EvaluationRow, Solution, columns_of
 
 COLUMNS = [
     Column("id", "integer"),
@@ -69,3 +69,21 @@ def test_csv_gives_back_what_was_written(pieces: list[list[dict[str, Any]]]) -> 
         assert line[2] == (row["name"] or "")
         assert line[3] == {None: "", True: "true", False: "false"}[row["audited"]]
         assert (json.loads(line[4]) if line[4] else None) == row["effects"]
+
+
+def test_scores_have_whole_columns_on_whole_scales_only() -> None:
+    keys = {"scores": ["S1"], "parameters": ["P1"]}
+    for whole, kind in ((True, "integer"), (False, "number")):
+        evaluation = {column.name: column.kind for column in EvaluationRow.file_columns({"P1": "number"}, whole_scores=whole)}
+        solution = {column.name: column.kind for column in columns_of(Solution, keys, whole_scores=whole)}
+        assert (evaluation["score"], solution["score_S1"]) == (kind, kind)
+        assert (evaluation["rating"], solution["objective"], evaluation["id"]) == ("number", "number", "integer")
+
+
+def test_a_whole_score_is_written_without_a_point() -> None:
+    row = Solution(
+        rank=1, objective=6.0, rating=6.25, scores={"S1": 6, "S2": 6.5}, parameters={"P1": 1.0}, iteration=0, individual=0
+    )
+    assert row.model_dump(mode="json")["scores"] == {"S1": 6, "S2": 6.5}
+    assert Solution.model_validate_json(row.model_dump_json()) == row
+    assert '"S1":6,' in row.model_dump_json()

@@ -1,9 +1,15 @@
 """When a predictor is asked, and in which batches."""
 
+import subprocess
+import sys
+
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from drivecal.campaigns.cells.predicting import batch_of, pays, released_by_scenario, skipped_text, slice_size
 from drivecal.domain.campaigns import StageName
+from drivecal.reduction.prediction import FEWEST_KNOWN
 from drivecal.storage.lots import LotVerdict, StoredLot
 
 
@@ -16,25 +22,46 @@ def lot(size: int, sample: int = 16, *, seconds: float = 1.0, known: int = 1000,
     ("lots_so_far", "known", "cell_seconds", "expected"),
     [
         ([], 100, 0.0, True),
-        ([lot(116)], 1001, 0.01, True),
-        ([lot(115)], 1001, 0.01, False),
+        ([lot(116)], 1100, 0.01, True),
+        ([lot(115)], 1100, 0.01, False),
         ([lot(115)], 1250, 0.04, True),
-        ([lot(0, 0), lot(200)], 1001, 0.01, True),
-        ([lot(200), lot(0, 0)], 1249, 1.0, False),
-        ([lot(200), lot(0, 0)], 1250, 1.0, True),
+        ([lot(0, 0), lot(216)], 1100, 0.01, True),
+        ([lot(200), lot(0, 0, known=1100)], 1374, 1.0, False),
+        ([lot(200), lot(0, 0, known=1100)], 1375, 1.0, True),
         ([lot(0, 0, seconds=26.0)], 2000, 1.0, False),
     ],
 )
-def test_a_predictor_is_asked_if_it_saves_more_than_it_costs(
+def test_a_predictor_is_trained_if_it_saves_more_than_it_costs(
     lots_so_far: list[StoredLot], known: int, cell_seconds: float, expected: bool
 ) -> None:
     assert pays(lots_so_far, known, 100, cell_seconds) is expected
 
 
+@pytest.mark.parametrize(
+    ("again", "expected"),
+    [
+        ([], True),
+        ([lot(26, seconds=0.1)], True),
+        ([lot(25, seconds=0.1)], False),
+        ([lot(0, 0, seconds=0.1), lot(36, seconds=0.1)], True),
+        ([lot(36, seconds=0.1), lot(0, 0, seconds=0.1), lot(0, 0, seconds=0.1)], False),
+    ],
+)
+def test_a_trained_predictor_is_asked_again_if_its_predictions_alone_pay(again: list[StoredLot], expected: bool) -> None:
+    """Training costs ten times as much as its first lot saved: that is spent, and predicting costs little."""
+    trained = lot(26, seconds=1.0)
+    assert pays([trained, *again], 1099, 100, 0.01) is expected
+
+
+def test_a_training_is_paid_by_all_the_batches_that_it_served() -> None:
+    served = [lot(26, seconds=1.0), *(lot(66, seconds=0.1) for _ in range(3))]
+    assert pays(served, 1100, 100, 0.01)
+    assert not pays(served[:3], 1100, 100, 0.01)
+
+
 def test_batches_are_slices_of_the_start_population_then_generations() -> None:
     size = slice_size(1000)
     assert size == slice_size(100_000) == 250
-    assert slice_size(3) == 1
     places = [
         (StageName.SENSITIVITY, 3, 7), (StageName.CALIBRATION, 0, 249), (StageName.CALIBRATION, 0, 250),
         (StageName.CALIBRATION, 1, 0), (StageName.CALIBRATION, 2, 0),
@@ -42,6 +69,32 @@ def test_batches_are_slices_of_the_start_population_then_generations() -> None:
     batches = [batch_of(*place, size) for place in places]
     assert batches == sorted(set(batches))
     assert batch_of(StageName.CALIBRATION, 1, 999, size) == batches[3]
+
+
+@given(st.integers(1, 5000))
+def test_the_first_slice_that_others_follow_is_enough_to_predict_the_next(population: int) -> None:
+    size = slice_size(population)
+    assert FEWEST_KNOWN <= size <= 250
+    assert -(-population // size) <= max(4, -(-population // 250))
+
+
+PROGRAM = """
+import sys
+from decimal import Decimal
+from types import SimpleNamespace
+import numpy as np
+from drivecal.campaigns.cells.predicting import LotPlanner
+from drivecal.contracts.specification import ReductionSpecification
+from drivecal.domain.parameters import Parameter, ParameterSpace
+space = ParameterSpace((Parameter("P1", Decimal(0), Decimal(1), 11),))
+planner = LotPlanner(SimpleNamespace(names=("P1",)), space, ReductionSpecification(mode="predicted"), {"S1": 1.0}, 200)
+planner.predict(dict(enumerate(space.parameter_sets(np.array([[0], [1]])))))
+assert "sklearn" not in sys.modules, "the first cells would wait until it is loaded"
+"""
+
+
+def test_the_first_slice_does_not_wait_for_scikit_learn() -> None:
+    subprocess.run([sys.executable, "-c", PROGRAM], check=True)  # this test itself
 
 
 def test_rejected_lots_and_lots_without_a_verdict_release_nothing() -> None:

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from drivecal.campaigns.resolve.bench import driving
 from drivecal.campaigns.resolve.maps import map_from_document, map_to_document, resolve_map
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve, resolve_evaluation
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, InfluenceMapSpecification
@@ -43,7 +44,7 @@ def test_weights_and_bounds_are_not_in_the_fingerprint_but_the_vehicle_is() -> N
 
 
 def _vehicle_parameter() -> str:
-    return next(iter(_resolve().bench.vehicle_parameters))
+    return next(iter(driving(_resolve().bench).vehicle_parameters))
 
 
 def test_a_weight_of_zero_leaves_the_scenario_out_and_says_so() -> None:

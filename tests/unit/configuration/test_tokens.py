@@ -30,6 +30,11 @@ def test_names_rights_and_tokens_are_read(tmp_path: Path) -> None:
     assert tokens.find(PLANT) == tokens.tokens[1]
 
 
+def test_an_author_may_write_and_push_and_no_other_may_push() -> None:
+    tokens = parse(GOOD + b"bea author bea-0123456789abcdef\n", "tokens")
+    assert [(token.may_write, token.may_push) for token in tokens] == [(True, False), (False, False), (True, True)]
+
+
 @given(st.binary(max_size=40))
 def test_nothing_else_is_a_token(presented: bytes) -> None:
     tokens = parse(GOOD, "tokens")
@@ -51,10 +56,10 @@ SECRET = "s3cret-s3cret-s3cret"
     [
         ("", "it holds no token"),
         ("# only a comment\n", "it holds no token"),
-        (f"anna {SECRET}\n", "line 1: there are 2 words; write one token per line: NAME read|write TOKEN"),
+        (f"anna {SECRET}\n", "line 1: there are 2 words; write one token per line: NAME read|write|author TOKEN"),
         (f"anna write {SECRET} extra\n", "line 1: there are 4 words"),
-        (f"anna {SECRET} write\n", "line 1: the second word is neither read nor write"),
-        (f"anna admin {SECRET}\n", "line 1: the second word is neither"),
+        (f"anna {SECRET} write\n", "line 1: the second word is not read, write or author"),
+        (f"anna admin {SECRET}\n", "line 1: the second word is not"),
         ("\n\nanna write short-s3cret\n", "line 3: the token has 12 characters; give 16 to 512"),
         (f"anna write {SECRET * 30}\n", "line 1: the token has 600 characters"),
         (f"anna write {SECRET}é\n", "line 1: the token holds characters that are not ASCII"),

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivecal.domain.setups import Setup, canonical_json
+from drivecal.domain.setups import DrivenSetup, canonical_json
 
-SETUP = Setup(
+SETUP = DrivenSetup(
     scenario="S1",
     scenario_digest="00ff",
     driving_function="frenet",
@@ -45,7 +45,7 @@ documents = st.recursive(
 )
 
 
-@pytest.mark.parametrize("field", [field.name for field in fields(Setup)])
+@pytest.mark.parametrize("field", [field.name for field in fields(DrivenSetup)])
 def test_any_change_of_a_setup_changes_its_fingerprint(field: str) -> None:
     changed = replace(SETUP, **{field: CHANGES[field]})
     assert changed.fingerprint != SETUP.fingerprint
@@ -57,7 +57,7 @@ def test_the_order_of_vehicle_parameters_does_not_matter() -> None:
 
 
 def test_a_setup_survives_the_way_through_its_document() -> None:
-    other = Setup.from_document(json.loads(canonical_json(SETUP.document)))
+    other = DrivenSetup.from_document(json.loads(canonical_json(SETUP.document)))
     assert other == SETUP
     assert other.fingerprint == SETUP.fingerprint
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
+from drivecal.contracts.work import SetupKey
 from drivecal.execution.scheduling.affinity import MOST_KNOWN, SetupAffinity
-from drivecal.execution.scheduling.in_flight import SetupKey
 
 
 def key(name: str) -> SetupKey:

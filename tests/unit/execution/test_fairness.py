@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from tests.support.plant import TARGET, Plant, answers, cells, ids, setup
 
 from drivecal.domain.evaluations import Breakdown
-from drivecal.execution.scheduling.batching import BatchPolicy, CellCosts, kind_of
-from drivecal.execution.scheduling.in_flight import Work, key_of
+from drivecal.execution.scheduling.batching import BatchPolicy, CellCosts
+from drivecal.execution.scheduling.in_flight import Work
 from drivecal.execution.scheduling.scheduler import Scheduler
 
 
@@ -173,7 +173,7 @@ def test_workers_finish_together_over_all_setups_and_campaigns(workers: int, tag
 
 def test_setups_that_were_never_measured_count_as_the_average_of_those_that_were() -> None:
     costs = CellCosts()
-    one, other, third = (key_of(setup(scenario)) for scenario in ("S1", "S2", "S3"))
+    one, other, third = (setup(scenario).key for scenario in ("S1", "S2", "S3"))
     assert costs.seconds({one: 10}) == 0.0
     costs.observe(one, 10, 1.0)
     costs.observe(other, 10, 3.0)
@@ -185,13 +185,13 @@ def test_a_setup_in_a_vehicle_that_was_never_driven_costs_what_others_of_its_kin
     costs, known, other = CellCosts(), setup("S1"), setup("S2")
     vehicle = replace(known, run_fingerprint="another", vehicle_parameters={"mass": 2000.0})
     for one in (known, vehicle, other):
-        costs.relate(key_of(one), kind_of(one))
-    assert costs.seconds_per_cell(key_of(vehicle)) is None
-    costs.observe(key_of(known), 10, 1.0)
-    assert costs.seconds_per_cell(key_of(vehicle)) == pytest.approx(0.1)
-    assert costs.seconds_per_cell(key_of(other)) is None
-    costs.observe(key_of(vehicle), 10, 3.0)
-    assert costs.seconds_per_cell(key_of(vehicle)) == pytest.approx(0.3), "its own measurement counts more"
+        costs.relate(one.key, one.kind)
+    assert costs.seconds_per_cell(vehicle.key) is None
+    costs.observe(known.key, 10, 1.0)
+    assert costs.seconds_per_cell(vehicle.key) == pytest.approx(0.1)
+    assert costs.seconds_per_cell(other.key) is None
+    costs.observe(vehicle.key, 10, 3.0)
+    assert costs.seconds_per_cell(vehicle.key) == pytest.approx(0.3), "its own measurement counts more"
 
 
 _costs = st.fixed_dictionaries({scenario: st.floats(0.0005, 0.6) for scenario in ("S1", "S2", "S3")})

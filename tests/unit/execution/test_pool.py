@@ -8,15 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.support.fake_backend import Behaviour, FakeBackend
 
-from drivecal.contracts.work import Cell, SetupRequest
+from drivecal.contracts.work import Cell, DriveRequest
 from drivecal.execution.pool import PATIENCE_WITH_REFUSALS, WorkPool
 from drivecal.execution.scheduling.in_flight import WITNESSES, Work
 from drivecal.execution.scheduling.scheduler import ATTEMPTS, Completed
 from drivecal.execution.scheduling.worker_health import BATCHES_WITHOUT_RESULT
 
 
-def setup(scenario: str = "S1") -> SetupRequest:
-    return SetupRequest("highway", scenario, "frenet", "single_track", {}, "reference", f"fingerprint of {scenario}")
+def setup(scenario: str = "S1") -> DriveRequest:
+    return DriveRequest("highway", scenario, "frenet", "single_track", {}, "reference", f"fingerprint of {scenario}")
 
 
 def cells(behaviours: Sequence[Behaviour], first: int = 1) -> list[Cell]:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from tests.support.computed import ComputedBackend, rating_of
 
-from drivecal.contracts.work import Cell, CellResult, Probe, SetupRequest
+from drivecal.contracts.work import Cell, CellResult, DriveRequest, Probe
 from drivecal.execution.pool import WorkPool
 from drivecal.execution.scheduling.in_flight import Work
 from drivecal.execution.scheduling.scheduler import Completed
 
 
-def setup(scenario: str) -> SetupRequest:
-    return SetupRequest("highway", scenario, "frenet", "single_track", {}, "reference", f"fingerprint of {scenario}")
+def setup(scenario: str) -> DriveRequest:
+    return DriveRequest("highway", scenario, "frenet", "single_track", {}, "reference", f"fingerprint of {scenario}")
 
 
 def rated(scenario: str, cell: Cell) -> CellResult:

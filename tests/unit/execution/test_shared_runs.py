@@ -12,11 +12,11 @@ from drivecal.domain.evaluations import Rating, RunResult
 from drivecal.execution.scheduling import shared_runs
 from drivecal.execution.scheduling.affinity import SetupAffinity
 from drivecal.execution.scheduling.batching import BatchPolicy
-from drivecal.execution.scheduling.in_flight import Work, key_of
+from drivecal.execution.scheduling.in_flight import Work
 from drivecal.execution.scheduling.scheduler import Dispatch, Scheduler
 from drivecal.execution.scheduling.shared_runs import SharedRuns
 
-KEY = key_of(setup())
+KEY = setup().key
 NODES = {"one": "here", "two": "here", "three": "here", "far": "elsewhere"}
 
 

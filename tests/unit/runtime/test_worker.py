@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from drivecal.certification.nodes import Nodes
-from drivecal.contracts.work import Batch, Cell, CellResult, CertificateMemory, Probe, RecordedRun, SetupRequest
+from drivecal.contracts.work import Batch, Cell, CellResult, CertificateMemory, DriveRequest, Probe, RecordedRun
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Failure, Rating, RunResult
 from drivecal.plugins import registry
@@ -21,7 +21,7 @@ from drivecal.runtime import compilation
 from drivecal.runtime.runners import RefusedError, TimeSeries
 from drivecal.runtime.worker import LONGEST_DETAIL, MOST_RUNNERS, Worker
 
-SETUP = SetupRequest("highway", "S1", "frenet", "single_track", {}, "reference", "a fingerprint")
+SETUP = DriveRequest("highway", "S1", "frenet", "single_track", {}, "reference", "a fingerprint")
 WALK, RECORDING = 0.001, 0.002
 """Milliseconds that the scripted runner says its certificates took."""
 
@@ -96,7 +96,7 @@ class ScriptedRunner:
         return RunResult(Rating(second, round(second)), {"value": second, "runs": self.runs})
 
 
-def run(worker: Worker, *parameters: tuple[float, float], setup: SetupRequest = SETUP) -> tuple[CellResult, ...]:
+def run(worker: Worker, *parameters: tuple[float, float], setup: DriveRequest = SETUP) -> tuple[CellResult, ...]:
     cells = tuple(Cell(index, {"b": second, "a": first}) for index, (first, second) in enumerate(parameters))
     return worker.run(Batch(setup, cells)).results
 
@@ -135,7 +135,7 @@ def test_a_result_that_is_no_number_is_no_result() -> None:
 def test_a_setup_is_prepared_once_and_again_after_an_exception() -> None:
     made: list[str] = []
 
-    def make(setup: SetupRequest) -> ScriptedRunner:
+    def make(setup: DriveRequest) -> ScriptedRunner:
         made.append(setup.scenario)
         return ScriptedRunner()
 
@@ -151,7 +151,7 @@ def test_a_setup_is_prepared_once_and_again_after_an_exception() -> None:
 def test_only_so_many_setups_are_kept() -> None:
     made: list[str] = []
 
-    def make(setup: SetupRequest) -> ScriptedRunner:
+    def make(setup: DriveRequest) -> ScriptedRunner:
         made.append(setup.scenario)
         return ScriptedRunner()
 
@@ -185,13 +185,13 @@ def test_a_cell_without_a_result_has_no_trace() -> None:
     assert "KeyError: 'P1' (worker.py:" in result.detail
 
 
-def _request(**document: object) -> SetupRequest:
+def _request(**document: object) -> DriveRequest:
     """What a coordinator would ask for that has `document` installed where it differs from here."""
     scenario = registry.catalogue("highway").scenarios["S1"]
     vehicle = registry.vehicle("single_track")
     setup = setup_of(scenario, registry.driving_function("frenet"), vehicle, {})
     theirs = replace(setup, **document)  # type: ignore[arg-type]
-    return SetupRequest(
+    return DriveRequest(
         "highway", "S1", "frenet", "single_track", theirs.vehicle_parameters, "reference", theirs.fingerprint, theirs.document
     )
 
@@ -240,7 +240,7 @@ def test_a_plug_in_that_cannot_be_imported_here_is_the_worker_s_fault(monkeypatc
 
 
 def test_a_plug_in_that_cannot_be_put_together_is_the_cell_s_fault() -> None:
-    def make(_: SetupRequest) -> ScriptedRunner:
+    def make(_: DriveRequest) -> ScriptedRunner:
         raise ValueError("the vehicle has no wheels")
 
     result = Worker("w", make).run(Batch(SETUP, (Cell(1, MIDDLE),)))
@@ -294,7 +294,7 @@ def test_a_folder_for_kernels_begins_with_those_that_an_image_brought_along(
     assert [path.name for path in folder.parent.iterdir()] == ["numba"]
 
 
-def certified(worker: Worker, *cells: Cell, setup: SetupRequest = SETUP) -> tuple[CellResult, ...]:
+def certified(worker: Worker, *cells: Cell, setup: DriveRequest = SETUP) -> tuple[CellResult, ...]:
     return worker.run(Batch(setup, tuple(replace(cell, certify=True) for cell in cells))).results
 
 
@@ -382,7 +382,7 @@ def test_a_run_of_another_worker_that_raises_costs_no_cell() -> None:
 
 
 def test_a_setup_that_is_refused_learns_nothing() -> None:
-    def refuse(_: SetupRequest) -> ScriptedRunner:
+    def refuse(_: DriveRequest) -> ScriptedRunner:
         raise RefusedError("another version")
 
     result = Worker("w", refuse).run(Batch(SETUP, (Cell(1, {"a": 0.0, "b": 3.0}, certify=True),), share=1000))

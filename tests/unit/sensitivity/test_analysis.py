@@ -352,8 +352,8 @@ def test_answers_that_do_not_fit_are_refused() -> None:
         analysis.tell({"S2": np.zeros(count)})
     with pytest.raises(ValueError, match=f"must be {count} numbers"):
         analysis.tell({"S1": np.zeros(count - 1)})
-    for wrong in (-1, 8, np.inf):
-        with pytest.raises(ValueError, match=r"must lie in 0\.\.7"):
+    for wrong in (-np.inf, np.inf):
+        with pytest.raises(ValueError, match="must be finite"):
             analysis.tell({"S1": np.full(count, wrong)})
     with pytest.raises(RuntimeError, match="not finished"):
         analysis.result()

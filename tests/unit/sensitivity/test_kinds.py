@@ -106,7 +106,7 @@ def test_points_that_break_constraints_are_never_asked(design: Literal["lines", 
         return np.asarray((points[:, 0] / LAST[0] <= 0.8) | (points[:, 1] > 1), dtype=np.bool_)
 
     chosen = SensitivitySettings(design, 8, 24, "auto", 5, sequential)
-    analysis = SensitivityAnalysis(SPACE, ["S1", "S2"], chosen, feasible)
+    analysis = SensitivityAnalysis(SPACE, ["S1", "S2"], chosen, feasible=feasible)
 
     def kept(points: Indices) -> Floats:
         assert feasible(points).all()
@@ -120,7 +120,7 @@ def test_points_that_break_constraints_are_never_asked(design: Literal["lines", 
 
 
 def test_an_analysis_that_may_ask_nothing_knows_nothing() -> None:
-    analysis = SensitivityAnalysis(SPACE, ["S1"], SETTINGS, lambda points: np.zeros(len(points), dtype=np.bool_))
+    analysis = SensitivityAnalysis(SPACE, ["S1"], SETTINGS, feasible=lambda points: np.zeros(len(points), dtype=np.bool_))
     assert analysis.ask() is None
     result = analysis.result()["S1"]
     assert result.unknown

@@ -1,6 +1,6 @@
 """Compiles the kernels of workers, once per image: `NUMBA_CACHE_DIR=FOLDER python -m drivecal.runtime`."""
 
-from drivecal.contracts.work import Batch, Cell, SetupRequest
+from drivecal.contracts.work import Batch, Cell, DriveRequest
 from drivecal.plugins import registry
 from drivecal.plugins.setups import setup_of
 from drivecal.runtime.worker import Worker
@@ -15,7 +15,7 @@ def trial(vehicle_name: str, evaluator_name: str) -> Batch:
     vehicle, evaluator = registry.vehicle(vehicle_name), registry.evaluator(evaluator_name)
     name, scenario = next(iter(catalogue.scenarios.items()))
     setup = setup_of(scenario, function, vehicle, {})
-    request = SetupRequest(
+    request = DriveRequest(
         catalogue=catalogue.name,
         scenario=name,
         driving_function=function.name,

@@ -5,7 +5,7 @@ from importlib import import_module
 from typing import Any, Protocol
 
 from drivecal.certification.memory import Memory
-from drivecal.contracts.work import RecordedRun, SetupRequest
+from drivecal.contracts.work import DriveRequest, RecordedRun
 from drivecal.domain.errors import ConflictError, DrivecalError, InvalidInputError, Problem, UnavailableError
 from drivecal.domain.evaluations import RunResult
 from drivecal.domain.scenarios import Scenario
@@ -58,7 +58,7 @@ class Runner(Protocol):
         """Takes the recorded runs of a runner of the same setup that an exception interrupted, unless it interrupted their recording."""
 
 
-def make_runner(request: SetupRequest, memory: Memory) -> Runner:
+def make_runner(request: DriveRequest, memory: Memory) -> Runner:
     """Creates the runner of a setup. `memory`: limits the decisions recorded for certificates.
 
     Raises RefusedError if a plug-in or the simulator is unusable, lacks shipped files, or differs in version from the coordinator's, whose
@@ -79,7 +79,7 @@ def make_runner(request: SetupRequest, memory: Memory) -> Runner:
         raise RefusedError(str(error)) from error
 
 
-def _find(request: SetupRequest) -> tuple[Scenario, DrivingFunction, Vehicle, Evaluator]:
+def _find(request: DriveRequest) -> tuple[Scenario, DrivingFunction, Vehicle, Evaluator]:
     import_module("drivecal.episode.runner")  # raises UnavailableError without a simulator
     catalogue = registry.catalogue(request.catalogue)
     if request.scenario not in catalogue.scenarios:
@@ -94,7 +94,7 @@ def _find(request: SetupRequest) -> tuple[Scenario, DrivingFunction, Vehicle, Ev
     return scenario, function, vehicle, evaluator
 
 
-def refuse_other_evaluators(request: SetupRequest, installed: Evaluator) -> None:
+def refuse_other_evaluators(request: DriveRequest, installed: Evaluator) -> None:
     """Raises ConflictError naming both versions if the worker's evaluator differs from the request.
 
     Reading the version also makes an evaluator check its shipped files.
@@ -107,7 +107,7 @@ def refuse_other_evaluators(request: SetupRequest, installed: Evaluator) -> None
         )
 
 
-def refuse_other_versions(request: SetupRequest, installed: Setup) -> None:
+def refuse_other_versions(request: DriveRequest, installed: Setup) -> None:
     """Raises ConflictError naming each difference with both values if the worker's setup differs from the request."""
     if installed.fingerprint == request.run_fingerprint:
         return

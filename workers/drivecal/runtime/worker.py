@@ -2,6 +2,7 @@
 
 import gzip
 import json
+import logging
 import math
 import os
 import socket
@@ -15,11 +16,15 @@ from pathlib import Path
 from typing import Any
 
 from drivecal.certification.memory import Memory
-from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult, CertificateMemory, Probe, SetupRequest
+from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult, CertificateMemory, DriveRequest, Probe, RecordedRun
 from drivecal.domain.errors import ConflictError, DrivecalError, UnavailableError
 from drivecal.domain.evaluations import Breakdown
+from drivecal.domain.scales import plain
+from drivecal.runtime.bundles import BundleCache, BundleSessions, cache_folder
 from drivecal.runtime.compilation import prepare_cache
 from drivecal.runtime.runners import RefusedError, Runner, make_runner
+
+log = logging.getLogger(__name__)
 
 MOST_RUNNERS = 32
 """Size of the least-recently-used cache of runners. Studies of vehicle parameters use hundreds of setups."""
@@ -43,13 +48,19 @@ class Worker:
     def __init__(
         self,
         name: str,
-        make: Callable[[SetupRequest], Runner] | None = None,
+        make: Callable[[DriveRequest], Runner] | None = None,
         certificates_mb: int | None = None,
+        bundles: BundleSessions | None = None,
     ) -> None:
-        """Creates a worker. `make`: creates runners, by default from the registry; `certificates_mb`: memory limit of certificates."""
+        """Creates a worker.
+
+        `make`: creates runners of driving functions, by default from the registry; `certificates_mb`: memory limit of certificates;
+        `bundles`: runs problem bundles, by default with the adapters.
+        """
         self._name = name
         self._memory = Memory(certificates_mb)
         self._make = make or partial(make_runner, memory=self._memory)
+        self._bundles = bundles or BundleSessions(BundleCache(cache_folder()))
         self._runners: OrderedDict[tuple[object, ...], Runner] = OrderedDict()
         self._interrupted: set[tuple[object, ...]] = set()
         """Setups whose runner an exception interrupted."""
@@ -66,6 +77,13 @@ class Worker:
                 raise UnavailableError(reason)
         return WorkerFacts(socket.gethostname(), os.getpid())
 
+    def store(self, digest: str, archive: bytes) -> None:
+        """Unpacks a problem bundle for the batches that need it. If that fails, these batches are refused with the reason."""
+        try:
+            self._bundles.store(digest, archive)
+        except (DrivecalError, OSError) as error:
+            log.warning("the bundle %s cannot be unpacked: %s", digest, error)
+
     def run(self, batch: Batch) -> BatchResult:
         """Simulates all cells. If this worker cannot run the setup, simulates none and returns a `refusal`.
 
@@ -75,27 +93,36 @@ class Worker:
         results: tuple[CellResult, ...] = ()
         refusal = None
         try:
-            if batch.share:
-                self._learn(batch)
-            results = tuple(self._run_cell(batch.setup, cell) for cell in batch.cells)
+            results = self._run_all(batch)
         except RefusedError as error:
             refusal = describe(error)
-        runner = self._runners.get(_key(batch.setup)) if batch.share else None
+        runner = self._runners.get(batch.setup.key) if batch.share else None
         learned = () if runner is None else runner.recorded(batch.share)
         seconds, memory = time.perf_counter() - start, self._memory
         remembered = CertificateMemory(memory.states, memory.bytes, memory.limit)
         return BatchResult(self._name, results, seconds, refusal, remembered, learned)
 
-    def _learn(self, batch: Batch) -> None:
+    def _run_all(self, batch: Batch) -> tuple[CellResult, ...]:
+        setup = batch.setup
+        if isinstance(setup, DriveRequest):
+            if batch.share:
+                self._learn(setup, batch.known)
+            return tuple(self._run_cell(setup, cell) for cell in batch.cells)
+        try:
+            return tuple(self._bundles.run(setup, cell) for cell in batch.cells)
+        except UnavailableError as error:
+            raise RefusedError(str(error)) from error
+
+    def _learn(self, setup: DriveRequest, known: Sequence[RecordedRun]) -> None:
         """Records the runs of other workers. An exception does not propagate: the cells report it if it concerns them."""
         try:
-            self._runner(batch.setup).learn(batch.known)
+            self._runner(setup).learn(known)
         except RefusedError:
             raise
         except (Exception, SystemExit):  # noqa: BLE001  # a plug-in may raise any exception; the worker must survive
-            self._interrupt(batch.setup)
+            self._interrupt(setup)
 
-    def _run_cell(self, setup: SetupRequest, cell: Cell) -> CellResult:
+    def _run_cell(self, setup: DriveRequest, cell: Cell) -> CellResult:
         start = time.thread_time_ns()
         try:
             runner = self._runner(setup)
@@ -115,7 +142,7 @@ class Worker:
             return CellResult(
                 id=cell.id,
                 rating=rating,
-                score=int(result.rating.score),
+                score=plain(_finite("the score", result.rating.score)),
                 metrics=metrics,
                 failure=failure,
                 milliseconds=_milliseconds(start),
@@ -131,8 +158,8 @@ class Worker:
         except (Exception, SystemExit) as error:  # noqa: BLE001  # a plug-in may raise any exception; the worker must survive
             return self._broken(setup, cell, Breakdown.ERROR, error, start)
 
-    def _runner(self, setup: SetupRequest) -> Runner:
-        key = _key(setup)
+    def _runner(self, setup: DriveRequest) -> Runner:
+        key = setup.key
         if key not in self._runners or key in self._interrupted:
             runner = self._make(setup)
             if key in self._interrupted:
@@ -144,12 +171,12 @@ class Worker:
         self._runners.move_to_end(key)
         return self._runners[key]
 
-    def _interrupt(self, setup: SetupRequest) -> None:
+    def _interrupt(self, setup: DriveRequest) -> None:
         """Notes that an exception interrupted a runner, which may be in any state: the next cell gets a new one."""
-        if _key(setup) in self._runners:
-            self._interrupted.add(_key(setup))
+        if setup.key in self._runners:
+            self._interrupted.add(setup.key)
 
-    def _broken(self, setup: SetupRequest, cell: Cell, cause: Breakdown, error: BaseException, start: int) -> CellResult:
+    def _broken(self, setup: DriveRequest, cell: Cell, cause: Breakdown, error: BaseException, start: int) -> CellResult:
         self._interrupt(setup)
         return CellResult(cell.id, None, None, {}, None, _milliseconds(start), cause.value, describe(error))
 
@@ -180,11 +207,6 @@ def _probed(runner: Runner, probes: Sequence[Probe]) -> tuple[tuple[int, int], .
     """Returns the ids of proven probes with the numbers of their runs."""
     runs = ((probe.id, runner.prove([probe.parameters[name] for name in runner.parameters])) for probe in probes)
     return tuple((probe, run) for probe, run in runs if run is not None)
-
-
-def _key(setup: SetupRequest) -> tuple[object, ...]:
-    parameters = sorted(setup.vehicle_parameters.items())
-    return (setup.run_fingerprint, setup.catalogue, setup.scenario, setup.evaluator, *parameters)
 
 
 def _milliseconds(start: int) -> float:

@@ -17,6 +17,7 @@ from drivecal.api.http.problems import problem_response
 from drivecal.api.responses import ROOT
 from drivecal.configuration import logs
 from drivecal.configuration.access import is_loopback
+from drivecal.configuration.pushing import FILE, HEADER, Pushing, signed_digest
 from drivecal.configuration.tokens import Token
 
 OPEN = {"/healthz", "/readyz"}
@@ -111,6 +112,36 @@ def refuse_reader(request: Request) -> None:
     if not token.may_write:
         status, detail, headers = _insufficient(token)
         raise HTTPException(status, detail, headers)
+
+
+def refuse_push(request: Request) -> str | None:
+    """Raises HTTPException (403) if the request may not push a problem. To be called before its body is read.
+
+    Sessions and web pages never may. Returns the SHA-256 digest that the body must have, None on a server with tokens.
+    """
+    pushing: Pushing = request.app.state.pushing
+    token: Token = request.state.token
+    if not pushing.allowed:
+        detail = "this server takes no problems; start it with DRIVECAL_ALLOW_PUSH=true, or let it listen on 127.0.0.1"
+        raise HTTPException(403, detail)
+    if "origin" in request.headers:
+        raise HTTPException(403, "problems are not taken from web pages; use `drivecal problem push`")
+    if token is not ANYBODY:
+        if "authorization" not in request.headers:
+            raise HTTPException(403, "a session pushes no problem; send Authorization: Bearer TOKEN")
+        if not token.may_push:
+            detail = f"the token of {token.name} may not push problems; that needs one of an author (NAME author TOKEN)"
+            raise HTTPException(403, detail, {"WWW-Authenticate": CHALLENGE + ', error="insufficient_scope"'})
+        return None
+    given = request.headers.getlist(HEADER)
+    digest = signed_digest(pushing.secret, given[0]) if pushing.secret is not None and len(given) == 1 else None
+    if digest is None:
+        detail = (
+            f"without tokens this server takes problems from its own user only, who can read {FILE} in its home folder;"
+            " use `drivecal problem push` with the server's DRIVECAL_HOME"
+        )
+        raise HTTPException(403, detail)
+    return digest
 
 
 def _insufficient(token: Token) -> tuple[int, str, dict[str, str]]:

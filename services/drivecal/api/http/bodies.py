@@ -38,7 +38,7 @@ class StrictRoute(APIRoute):
 
         async def strictly(request: Request) -> Response:
             _check_declaration(request)
-            content = await _content(request)
+            content = await body_of(request)
             if len(content) < LARGE:
                 return await handle(_Read(request, read(content)))
             limits: Limits = request.app.state.limits
@@ -73,17 +73,23 @@ class _Read(Request):
         return self._document
 
 
-def _check_declaration(request: Request) -> None:
-    """Raises HTTPException 415 for a body that is not declared as plain JSON."""
+def check_encoding(request: Request) -> None:
+    """Raises HTTPException 415 for a compressed body."""
     encoding = request.headers.get("content-encoding", "identity").strip().lower()
     if encoding not in {"", "identity"}:
         detail = "compressed bodies are not read; send it as it is, without Content-Encoding"
         raise HTTPException(415, detail, headers={"Accept-Encoding": "identity"})
+
+
+def _check_declaration(request: Request) -> None:
+    """Raises HTTPException 415 for a body that is not declared as plain JSON."""
+    check_encoding(request)
     if not _is_json(request.headers.get("content-type", "")):
         raise HTTPException(415, "the body is not declared as JSON; send Content-Type: application/json")
 
 
-async def _content(request: Request) -> bytes:
+async def body_of(request: Request) -> bytes:
+    """Returns the whole body. Raises HTTPException 400 if the client goes away."""
     try:
         return await request.body()
     except ClientDisconnect as error:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import threading
 import time
+from collections.abc import Mapping
 from contextlib import ExitStack
 
 from starlette.exceptions import HTTPException
@@ -18,6 +19,8 @@ LARGEST_BODY = 1_048_576
 """Bytes. The largest campaign that the contracts allow takes a fraction of it."""
 SECONDS_FOR_A_BODY = 30.0
 """From the head of a request to the end of its body."""
+SECONDS_FOR_A_PROBLEM = 300.0
+"""The same for a pushed problem, which may be larger."""
 LONGEST_PATH = 8_192
 LONGEST_QUERY = 32_768
 LARGEST_HEAD = 65_536
@@ -35,10 +38,17 @@ class Requests:
     It also ends connections with unread bodies, which would otherwise be read to their ends.
     """
 
-    def __init__(self, app: ASGIApp, largest: int = LARGEST_BODY, seconds: float = SECONDS_FOR_A_BODY) -> None:
+    def __init__(
+        self,
+        app: ASGIApp,
+        largest: int = LARGEST_BODY,
+        seconds: float = SECONDS_FOR_A_BODY,
+        others: Mapping[str, tuple[int, float]] | None = None,
+    ) -> None:
+        """Limits the bytes and the seconds of bodies. `others`: these limits by path, for paths that have their own."""
         self.app = app
-        self.largest = largest
-        self.seconds = seconds
+        self.usual = largest, seconds
+        self.others = others or {}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Passes the request on, counting."""
@@ -46,11 +56,12 @@ class Requests:
             await self.app(scope, receive, send)
             return
         request = Request(scope)
-        too_much = self._too_much(request)
+        largest, seconds = self.others.get(scope["path"], self.usual)
+        too_much = self._too_much(request, largest)
         if too_much is not None:
             await problem_response(request, *too_much, headers=CLOSE)(scope, receive, send)
             return
-        body = _Body(receive, self.largest, self.seconds, unread=_has_body(request))
+        body = _Body(receive, largest, seconds, unread=_has_body(request))
 
         async def closing(message: Message) -> None:
             if message["type"] == "http.response.start":
@@ -62,7 +73,7 @@ class Requests:
 
         await self.app(scope, body.receive, closing)
 
-    def _too_much(self, request: Request) -> tuple[int, str] | None:
+    def _too_much(self, request: Request, largest: int) -> tuple[int, str] | None:
         """Returns status and sentence of a refusal because of the head of a request, else None."""
         path, query = request.scope.get("raw_path") or b"", request.scope["query_string"]
         if len(path) > LONGEST_PATH or len(query) > LONGEST_QUERY:
@@ -72,8 +83,8 @@ class Requests:
         if head > LARGEST_HEAD:
             return 431, f"the headers have {head:,} bytes; at most {LARGEST_HEAD:,} are read"
         declared = request.headers.get("content-length", "0")
-        if not declared.isdecimal() or len(declared) > 20 or int(declared) > self.largest:
-            return 413, _too_large(self.largest)
+        if not declared.isdecimal() or len(declared) > 20 or int(declared) > largest:
+            return 413, _too_large(largest)
         return None
 
 

@@ -40,6 +40,12 @@ class CampaignsOf(PageOf):
     state: CampaignState | None = None
 
 
+class ProblemsOf(PageOf):
+    """A page of problems; `name`: every push of one name."""
+
+    name: Annotated[str, StringConstraints(max_length=64)] | None = None
+
+
 class FormOf(Parameters):
     """In which form; an `Accept` header can ask for it as well."""
 
@@ -65,6 +71,7 @@ class SubmissionOf(Parameters):
 
 PageQuery = Annotated[PageOf, Query()]
 CampaignsQuery = Annotated[CampaignsOf, Query()]
+ProblemsQuery = Annotated[ProblemsOf, Query()]
 FormQuery = Annotated[FormOf, Query()]
 TableQuery = Annotated[TableOf, Query()]
 SolutionsQuery = Annotated[SolutionsOf, Query()]

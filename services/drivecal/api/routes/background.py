@@ -13,7 +13,7 @@ from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec
 from drivecal.contracts.setup import CampaignSetup, ScenarioSetup, SearchedParameter
 from drivecal.contracts.studies import Study, StudyPage
 from drivecal.domain.parameters import Parameter, Value
-from drivecal.domain.setups import Setup
+from drivecal.domain.setups import BundleSetup, DrivenSetup
 from drivecal.storage import campaigns, studies
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.references import setups
@@ -59,8 +59,11 @@ def _searched(parameter: Parameter, fixed: Mapping[str, Value]) -> SearchedParam
 def _scenario(name: str, begun_with: ResolvedSpec, documents: Mapping[str, Mapping[str, Any]]) -> ScenarioSetup:
     fingerprint = begun_with.setups[name]
     known: dict[str, Any] = {}
-    if fingerprint in documents:
-        made_of = Setup.from_document(documents[fingerprint])
+    document = documents.get(fingerprint, {})
+    if "files" in document:
+        known = {"simulator": BundleSetup(name, document).simulator, "files": document["files"]}
+    elif document:
+        made_of = DrivenSetup.from_document(document)
         known = {field: getattr(made_of, field) for field in ("scenario_digest", "simulator", "step_seconds", "seed")}
         known["driving_function"] = f"{made_of.driving_function} {made_of.driving_function_version}"
         known["vehicle"] = f"{made_of.vehicle} {made_of.vehicle_version}"

@@ -92,7 +92,8 @@ def accounting(campaign_id: str, database: DatabaseDependency) -> Accounting:
         stored = calibration(campaigns.get(connection, campaign_id), ", which saves nothing")
         rows = costs.by_outcome(connection, stored.sequence)
         origin = _map_origin(connection, stored)
-        proofs = audits.proofs(connection, stored.sequence, resolved_spec(stored).evaluator) if stored.resolution else ()
+        resolved = resolved_spec(stored) if stored.resolution else None
+        proofs = audits.proofs(connection, stored.sequence, resolved.evaluator, resolved.scale) if resolved is not None else ()
         searched = (stored.spec.get("optimizer") or {}).get("iterations", 0)
         confirmed = results.counted_since(connection, stored.sequence, StageName.CALIBRATION, searched)
     known = [*stored.error_rate, *(row.scenario for row in rows if row.stage is StageName.CALIBRATION)]

@@ -10,6 +10,7 @@ from drivecal.api.live.dispatcher_health import Judgement, judge
 from drivecal.api.metrics import Meters
 from drivecal.contracts.inventory import Readiness
 from drivecal.domain.errors import DrivecalError, UnavailableError
+from drivecal.plugins import registry
 from drivecal.storage import processes
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
@@ -28,13 +29,13 @@ async def alive() -> dict[str, str]:
 @router.get("/readyz", responses={503: {"model": Readiness, "description": "Not ready; `problems` says why"}})
 def ready(request: Request, response: Response, database: DatabaseDependency) -> Readiness:
     """Campaigns can be stored, and a dispatcher with a worker can run them. A single working worker suffices, even if `problems` lists
-    missing workers, or workers that refuse a campaign. `problems` is empty without a token if the server requires tokens. Answers within
-    five seconds, whatever is wrong."""
+    missing workers, workers that refuse a campaign, or plug-ins that cannot be used. `problems` is empty without a token if the
+    server requires tokens. Answers within five seconds, whatever is wrong."""
     judgement = _judge(database)
     if not judgement.ready:
         response.status_code = 503
         response.headers["Retry-After"] = str(RETRY_SECONDS)
-    shown = [] if request.state.token is None else list(judgement.problems)
+    shown = [] if request.state.token is None else [*judgement.problems, *map(str, registry.broken())]
     return Readiness(ready=judgement.ready, problems=shown)
 
 

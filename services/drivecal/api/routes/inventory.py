@@ -9,6 +9,7 @@ from fastapi import APIRouter
 from drivecal.api.dependencies import DatabaseDependency
 from drivecal.api.live.dispatcher_health import judge
 from drivecal.contracts.inventory import (
+    BrokenPluginAnswer,
     ParameterAnswer,
     ParameterSpaceAnswer,
     ParameterSpacePage,
@@ -26,7 +27,7 @@ from drivecal.domain.errors import NotFoundError
 from drivecal.domain.parameters import Parameter
 from drivecal.domain.roads import reference_line
 from drivecal.domain.scenarios import EgoStart, Scenario, TrafficVehicle
-from drivecal.domain.setups import Setup
+from drivecal.domain.setups import BundleSetup, DrivenSetup
 from drivecal.plugins import registry
 from drivecal.storage import processes
 from drivecal.storage.engine.types import now
@@ -42,11 +43,12 @@ DIGITS = 6
 
 @router.get("/scenarios")
 def scenarios() -> ScenarioPage:
-    """The scenarios of all installed catalogues."""
+    """The scenarios of all installed catalogues, and the catalogues that cannot be used."""
     headings = [
         _heading(catalogue.name, scenario) for catalogue in registry.catalogues() for scenario in catalogue.scenarios.values()
     ]
-    return ScenarioPage(items=[ScenarioAnswer.model_validate(heading) for heading in headings])
+    items = [ScenarioAnswer.model_validate(heading) for heading in headings]
+    return ScenarioPage(items=items, broken=_broken(registry.CATALOGUES))
 
 
 @router.get("/scenarios/{scenario_id}")
@@ -60,14 +62,13 @@ def scenario(scenario_id: str, catalogue: str | None = None) -> ScenarioDetail:
 
 @router.get("/parameters")
 def parameters() -> ParameterSpacePage:
-    """The parameter spaces of all installed driving functions."""
-    functions = [registry.driving_function(name) for name in registry.names("drivecal.driving_functions")]
+    """The parameter spaces of all installed driving functions, and the functions that cannot be used."""
     spaces = [
         ParameterSpaceAnswer(driving_function=function.name, name=name, parameters=list(map(_parameter, space)))
-        for function in functions
+        for function in registry.driving_functions()
         for name, space in function.spaces.items()
     ]
-    return ParameterSpacePage(items=spaces)
+    return ParameterSpacePage(items=spaces, broken=_broken(registry.DRIVING_FUNCTIONS))
 
 
 @router.get("/references")
@@ -91,6 +92,10 @@ def workers(database: DatabaseDependency) -> WorkerPage:
         fresh=not judgement.silent,
         degraded="; ".join(judgement.problems) or None,
     )
+
+
+def _broken(group: str) -> list[BrokenPluginAnswer]:
+    return [BrokenPluginAnswer.model_validate(asdict(plugin)) for plugin in registry.broken() if plugin.group == group]
 
 
 def _heading(catalogue: str, scenario: Scenario) -> dict[str, Any]:
@@ -131,7 +136,14 @@ def _parameter(parameter: Parameter) -> ParameterAnswer:
 
 
 def _reference(stored: SetupCount) -> ReferenceAnswer:
-    setup = Setup.from_document(stored.document)
+    if "files" in stored.document:
+        return ReferenceAnswer(
+            scenario=stored.scenario,
+            fingerprint=stored.fingerprint,
+            simulator=BundleSetup(stored.scenario, stored.document).simulator,
+            runs=stored.runs,
+        )
+    setup = DrivenSetup.from_document(stored.document)
     return ReferenceAnswer(
         scenario=stored.scenario,
         fingerprint=stored.fingerprint,

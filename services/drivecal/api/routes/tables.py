@@ -127,7 +127,8 @@ def _study(database: Database, campaign: StoredCampaign, stage: StageName, model
 
 def _columns(model: type[BaseModel], scenarios: Iterable[str], begun_with: ResolvedSpec) -> Columns:
     """Returns the columns of a file with a column for each score and parameter."""
-    return lambda: columns_of(model, {"scores": list(scenarios), "parameters": _kinds(begun_with.space)})
+    keys: dict[str, list[str] | dict[str, Kind]] = {"scores": list(scenarios), "parameters": _kinds(begun_with.space)}
+    return lambda: columns_of(model, keys, whole_scores=begun_with.scale.is_whole)
 
 
 def _kinds(space: ParameterSpace) -> dict[str, Kind]:
@@ -150,10 +151,12 @@ def _evaluation_columns(database: Database, campaign: StoredCampaign) -> list[Co
     """Returns the columns of a file, with the parameters of the first row, or without rows those of the coming rows."""
     with database.read() as connection:
         rows, _ = results.page(connection, campaign.sequence, limit=1)
-    if not rows:
-        return EvaluationRow.file_columns(_kinds(resolved_spec(campaign).space))
-    values = rows[0].parameters.floats
-    return EvaluationRow.file_columns({name: "text" if isinstance(value, str) else "number" for name, value in values.items()})
+    begun_with = resolved_spec(campaign)
+    kinds = _kinds(begun_with.space)
+    if rows:
+        values = rows[0].parameters.floats
+        kinds = {name: "text" if isinstance(value, str) else "number" for name, value in values.items()}
+    return EvaluationRow.file_columns(kinds, whole_scores=begun_with.scale.is_whole)
 
 
 def _influence_rows(database: Database, campaign: StoredCampaign) -> list[InfluenceRow]:

@@ -55,7 +55,7 @@ def ranking(database: Database, campaign: StoredCampaign, resolved: ResolvedSpec
     A copied score gives way to a later simulation of the very cell. Raises InvalidInputError for unusable weights.
     """
     used = resolved.weights if weights is None else _weights(weights, list(resolved.weights))
-    standing = Ranking(used)
+    standing = Ranking(used, resolved.scale.sign)
     with database.read() as connection:
         answers = results.answers(connection, campaign.sequence, StageName.CALIBRATION, corrected_by=resolved.evaluator)
         standing.add(answers)

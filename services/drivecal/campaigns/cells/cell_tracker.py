@@ -13,14 +13,14 @@ from sqlalchemy import Connection
 
 from drivecal.campaigns.cells.inspection import Inspection
 from drivecal.campaigns.cells.planning import View, ensure_setups
-from drivecal.campaigns.resolve.problem import Bench
+from drivecal.campaigns.resolve.bench import Bench
 from drivecal.contracts.work import Cell, Probe, SetupRequest
 from drivecal.domain.errors import RefutedError
 from drivecal.domain.evaluations import Donor, Outcome
+from drivecal.domain.scales import plain
 from drivecal.execution.measures import MEASURES
 from drivecal.execution.scheduling.in_flight import Work
 from drivecal.execution.scheduling.scheduler import Completed
-from drivecal.plugins.ports import SeriesEvaluator
 from drivecal.reduction.audit import is_checked
 from drivecal.storage import evaluations, leases, results, traces
 from drivecal.storage.evaluations import COPIES, DONORS, AnsweredCell, NewEvaluation
@@ -54,7 +54,7 @@ class CellTracker:
         self._refuted_setups: set[int] = set()
         self._exclusive = False
         self._evaluator_id = view.bench.evaluator_id
-        self._from_series = isinstance(view.bench.evaluator, SeriesEvaluator)
+        self._from_series = view.bench.needs_series
         self.simulating_seconds = simulating_seconds
 
     @property
@@ -128,11 +128,12 @@ class CellTracker:
             if completion.result.id in late:
                 again.append(cell)
             elif completion.result.breakdown is None:
-                finished.append((cell, completion))
+                finished.append((cell, self._rated(cell, completion)))
             else:
                 orphans += self._break_down(cell, completion, answers)
         proofs = dict(pair for _, simulation in finished for pair in simulation.result.probed)
         self._proofs |= proofs
+        finished = [(cell, self._valued(completion)) for cell, completion in finished]
         stored = runs.insert_results(connection, [self._new_run(cell, simulation) for cell, simulation in finished])
         for (cell, simulation), run in zip(finished, stored, strict=True):
             self._simulated(cell, simulation, run, answers)
@@ -145,6 +146,14 @@ class CellTracker:
             withdrawn = withdraw_certified(connection, self._refuted_setups)
             log.error("%s; %d answers of its setup by certificates are withdrawn", self._refuted, withdrawn)
         return self._work([*again, *orphans])
+
+    def _valued(self, completion: Completed) -> Completed:
+        """Returns a result whose score a failed run cannot beat (`Scale.worth`)."""
+        result, scale = completion.result, self._view.bench.scale
+        if result.score is None or result.rating is None:
+            return completion
+        score, rating = (scale.worth(value, failed=result.failure is not None) for value in (result.score, result.rating))
+        return replace(completion, result=replace(result, score=plain(score), rating=float(rating)))
 
     def _settle(self, connection: Connection, answers: list[AnsweredCell]) -> list[StoredEvaluation]:
         """Stores answers and the verdicts that follow from them; returns the cells of rejected lots, to be simulated."""
@@ -233,6 +242,16 @@ class CellTracker:
             for cell in cells:
                 if cell.parameter_set_id in stored:
                     self._answer(cell, stored[cell.parameter_set_id], answers)
+
+    def _rated(self, cell: StoredEvaluation, completion: Completed) -> Completed:
+        """Returns a result with its score, which workers do not know for bundles."""
+        result = completion.result
+        if not self._view.bench.rates:
+            return completion
+        rating = self._view.bench.rate(cell.scenario, result.metrics, result.failure)
+        if rating is None:
+            raise ValueError(f"evaluation {cell.id} lacks a measure that its score needs")
+        return replace(completion, result=replace(result, score=rating.score, rating=rating.rating))
 
     def _simulated(self, cell: StoredEvaluation, completion: Completed, run: StoredRun, answers: list[AnsweredCell]) -> None:
         if completion.result.score is None or completion.result.rating is None:

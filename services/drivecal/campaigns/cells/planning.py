@@ -8,8 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from sqlalchemy import Connection
 
-from drivecal.campaigns.resolve.problem import Bench
-from drivecal.campaigns.resolve.spaces import function_names
+from drivecal.campaigns.resolve.bench import Bench
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Donor
 from drivecal.domain.influence import InfluenceMap
@@ -40,8 +39,8 @@ class View:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """The driving function's parameters, in its order."""
-        return function_names(self.bench.driving_function)
+        """Names of all parameters, in the function's order."""
+        return tuple(parameter.name for parameter in self.bench.parameters)
 
     @cached_property
     def keys(self) -> dict[str, ReferenceKeys]:

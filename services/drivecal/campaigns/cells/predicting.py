@@ -23,14 +23,18 @@ from drivecal.contracts.specification import ReductionSpecification
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.parameters import ParameterSet, ParameterSpace
+from drivecal.domain.scales import plain
 from drivecal.reduction.lots import SamplingPlan, most_released
 from drivecal.reduction.prediction import (
+    FEWEST_KNOWN,
     MOST_KNOWN,
+    REFIT,
     ROUNDING,
     FeatureSpace,
     Floats,
     Lot,
     Predictions,
+    Predictor,
     ScenarioLearner,
     choose_lot,
 )
@@ -41,19 +45,20 @@ from drivecal.storage.lots import LotVerdict, NewLot, StoredLot
 from drivecal.storage.references import runs
 from drivecal.storage.results import KnownAnswer
 
-LARGEST_SLICE, SLICES = 250, 4
-"""Most sets, and fewest slices, of a start population that is learned from slice by slice."""
+SMALLEST_SLICE, LARGEST_SLICE, SLICES = FEWEST_KNOWN, 250, 4
+"""Fewest and most sets, and wanted number of slices, of a start population that is learned from slice by slice. After a smaller slice too
+little would be known for a prediction, and the workers would have waited for its last cell in vain."""
 GROWTH = 1.25
 """Growth of the known answers after which a predictor without an accepted lot is tried again."""
 LIKELY = 0.25
 """Share of a batch that a predictor is expected to save if it has saved nothing yet."""
 REACH = 0.5
-"""Standard deviations above its believed objective at which a set is within reach of the best one."""
+"""Standard deviations on the better side of its believed objective at which a set is within reach of the best one."""
 
 
 def slice_size(population: int) -> int:
     """Sets of the start population in one batch."""
-    return max(1, min(LARGEST_SLICE, -(-population // SLICES)))
+    return max(SMALLEST_SLICE, min(LARGEST_SLICE, -(-population // SLICES)))
 
 
 Batch = tuple[int, int, int]
@@ -74,6 +79,13 @@ class _Forecast:
     seconds: float
 
 
+def _forest(tolerance: float) -> Predictor:
+    """Returns an untrained predictor. scikit-learn loads slowly, so it loads while the first cells are simulated, if not before."""
+    from drivecal.reduction.forest import Forest
+
+    return Forest(tolerance)
+
+
 class LotPlanner:
     """The predictors of one calibration."""
 
@@ -85,15 +97,14 @@ class LotPlanner:
         weights: Mapping[str, float],
         population: int,
     ) -> None:
-        from drivecal.reduction.forest import Forest  # scikit-learn loads slowly; campaigns without predictions need none
-
         self._view = view
         self._reduction = reduction
         self._weights = weights
         self._population, self._slice = population, slice_size(population)
         self._features = FeatureSpace(space, view.names)
-        kind = partial(Forest, reduction.tolerance)
-        self._learners = {scenario: ScenarioLearner(kind, reduction.tolerance) for scenario in weights}
+        self._tolerance = reduction.tolerance_on(view.bench.scale)
+        kind = partial(_forest, self._tolerance)
+        self._learners = {scenario: ScenarioLearner(kind, self._tolerance) for scenario in weights}
         self._lots_so_far: Sequence[StoredLot] = ()
         self._cell_seconds: Mapping[str, float] = {}
         self._newest: int | None = None
@@ -201,7 +212,7 @@ class LotPlanner:
                 row = self._rows[cells[place].individual]
                 planned[place] = replace(
                     cells[place],
-                    predicted_score=int(forecast.predictions.scores[row]),
+                    predicted_score=plain(forecast.predictions.scores[row]),
                     predicted_rating=float(forecast.predictions.ratings[row]),
                     confidence=float(forecast.predictions.confidence[row]),
                 )
@@ -229,7 +240,7 @@ class LotPlanner:
             plan.size,
             plan.sample,
             plan.acceptance,
-            self._reduction.tolerance,
+            self._tolerance,
             self._reduction.limit,
             forecast.known,
             forecast.seconds,
@@ -237,9 +248,10 @@ class LotPlanner:
 
     def _promoted(self, cells: Sequence[NewEvaluation], best: float | None) -> set[int]:
         """Individuals whose predicted objective reaches the best simulated one, or whose mean one is less than `REACH` standard deviations
-        below it. Without a prediction, the newest known scores of the scenario tell mean and deviation."""
+        worse. Without a prediction, the newest known scores of the scenario tell mean and deviation."""
         if best is None:
             return set()
+        sign = self._view.bench.scale.sign
         predicted: dict[int, float] = defaultdict(float)
         means: dict[int, float] = defaultdict(float)
         variances: dict[int, float] = defaultdict(float)
@@ -262,18 +274,29 @@ class LotPlanner:
         return {
             individual
             for individual, mean in means.items()
-            if max(predicted[individual], mean + REACH * math.sqrt(variances[individual])) >= best - ROUNDING
+            if max(sign * predicted[individual], sign * mean + REACH * math.sqrt(variances[individual]))
+            >= sign * best - ROUNDING
         }
 
 
 def pays(lots_so_far: Sequence[StoredLot], known: int, cells: int, cell_seconds: float) -> bool:
-    """Whether a scenario's predictor can save more than it costs in a batch of so many cells: as the last lot of `lots_so_far` did, or else
-    once clearly more answers are `known`."""
+    """Whether a scenario's predictor can save more than it costs in a batch of so many cells.
+
+    Training takes most of its time, so all batches since the last training count for another one; without success it waits until clearly
+    more answers are `known`. Until a training is due, asking again costs a prediction: it goes on as long as those alone pay.
+    """
     if not lots_so_far:
         return True
-    last = lots_so_far[-1]
-    paid = last.size > 0 and last.seconds <= (last.size - last.sample) * cell_seconds
-    return paid or (known >= GROWTH * last.known and last.seconds <= LIKELY * cells * cell_seconds)
+    trained_on = lots_so_far[-1].known
+    served = [lot for lot in lots_so_far if lot.known == trained_on]
+    if known < REFIT * trained_on:
+        return _paid(served[1:], cell_seconds)
+    grown = known >= GROWTH * trained_on and max(lot.seconds for lot in served) <= LIKELY * cells * cell_seconds
+    return grown or _paid(served, cell_seconds)
+
+
+def _paid(served: Sequence[StoredLot], cell_seconds: float) -> bool:
+    return sum(lot.seconds for lot in served) <= sum(lot.size - lot.sample for lot in served) * cell_seconds
 
 
 def released_by_scenario(

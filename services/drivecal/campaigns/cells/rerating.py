@@ -1,16 +1,11 @@
 """Rates the metrics of stored runs with another evaluator, in bulk, instead of simulating the runs again."""
 
 import logging
-from math import isfinite, nan
 
 from drivecal.campaigns.cells.planning import View, ensure_setups
-from drivecal.domain.evaluations import FAILED_RATING, Rating
 from drivecal.domain.parameters import ParameterSet
-from drivecal.domain.scenarios import Manoeuvre
-from drivecal.plugins.ports import Evaluator, SeriesEvaluator
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import parameter_sets, ratings
-from drivecal.storage.references.ratings import UnratedRun
 
 log = logging.getLogger(__name__)
 
@@ -22,18 +17,17 @@ def rate_stored_runs(database: Database, view: View, only: ParameterSet | None =
     """Rates every visible run that the campaign's evaluator has not rated; returns the number of new ratings.
 
     `only` limits this to one parameter set. Call it before planning: the campaign then sees every possible rating, and other campaigns add
-    none. Failed runs score 0 with every evaluator. Runs that lack the evaluator's metrics stay unrated and are simulated when needed; so do
-    successful runs if it needs time series. Resumable: rated runs are skipped.
+    none. Failed runs are worth the scale's `failed` with every evaluator. Runs that lack the evaluator's metrics stay unrated and are
+    simulated when needed; so do successful runs if it needs time series. Resumable: rated runs are skipped.
     """
     with database.transaction() as connection:
         if ratings.are_all_by(connection, view.bench.evaluator_id):
             return 0
         setup_ids = ensure_setups(connection, view.bench)
         number = None if only is None else parameter_sets.ensure(connection, [only])[0]
-    evaluator, evaluator_id = view.bench.evaluator, view.bench.evaluator_id
+    bench, evaluator_id = view.bench, view.bench.evaluator_id
     total = missing = 0
     for scenario, setup_id in setup_ids.items():
-        manoeuvre = view.bench.scenarios[scenario][1].manoeuvre
         reached = 0
         while True:
             with database.read() as connection:
@@ -45,11 +39,12 @@ def rate_stored_runs(database: Database, view: View, only: ParameterSet | None =
                     upto=view.watermark,
                     limit=chunk,
                     parameter_set_id=number,
-                    only_failed=isinstance(evaluator, SeriesEvaluator),
+                    only_failed=bench.needs_series,
                 )
             if not unrated:
                 break
-            rated = [(run.id, rating) for run in unrated if (rating := _rating(evaluator, manoeuvre, run)) is not None]
+            ratings_of = [(run.id, bench.rate(scenario, run.metrics, run.failure)) for run in unrated]
+            rated = [(run, rating) for run, rating in ratings_of if rating is not None]
             with database.transaction() as connection:
                 ratings.insert(connection, evaluator_id, rated)
             total, missing, reached = total + len(rated), missing + len(unrated) - len(rated), unrated[-1].id
@@ -75,7 +70,7 @@ def note_of(database: Database, view: View) -> str | None:
         parts.append(f"{standing.again:,} were simulated again for it by earlier campaigns")
     if standing.missing:
         lacking = "it needs their time series, which is not stored"
-        if not isinstance(bench.evaluator, SeriesEvaluator):
+        if not bench.needs_series:
             lacking = "they lack metrics that it asks for"
         parts.append(
             f"{standing.missing:,} cannot be used ({lacking}); they cost nothing but where this campaign asks for the same cells, "
@@ -86,14 +81,3 @@ def note_of(database: Database, view: View) -> str | None:
     every = standing.anew + standing.again + standing.missing
     count = "1 stored run" if every == 1 else f"{every:,} stored runs"
     return f"all campaigns together left {count} of these setups that {bench.evaluator_id} did not rate at first: {'; '.join(parts)}"
-
-
-def _rating(evaluator: Evaluator, manoeuvre: Manoeuvre, run: UnratedRun) -> Rating | None:
-    if run.failure is not None:
-        return FAILED_RATING
-    metrics = {name: nan if value is None else value for name, value in run.metrics.items()}
-    try:
-        rating = evaluator.rate(manoeuvre, metrics)
-    except (KeyError, ValueError):  # a metric that was not measured then, or not finite
-        return None
-    return rating if isfinite(rating.rating) else None

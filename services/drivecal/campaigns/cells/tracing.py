@@ -1,17 +1,19 @@
 """Repeats an evaluation for its time series, as a single evaluation through the same queue and workers."""
 
+from collections.abc import Mapping
 from datetime import timedelta
 from typing import Any
 
 from sqlalchemy import Connection
 
+from drivecal.campaigns.resolve.bundle_source import bundles_of
 from drivecal.campaigns.resolve.problem import catalogue_scenarios, resolve_evaluation
 from drivecal.contracts.input_errors import validated
-from drivecal.contracts.specification import EvaluationSpecification
+from drivecal.contracts.specification import HIGHWAY, EvaluationSpecification
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import ConflictError
 from drivecal.domain.evaluations import Breakdown
-from drivecal.domain.setups import Setup
+from drivecal.domain.setups import DrivenSetup
 from drivecal.storage import campaigns, results, traces
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.types import now
@@ -59,18 +61,13 @@ def _specification(connection: Connection, number: int) -> EvaluationSpecificati
     row = results.by_id(connection, number)
     spec = campaigns.by_sequence(connection, row.campaign_sequence).spec
     stored = setups.by_id(connection, row.setup_id)
-    driven = Setup.from_document(stored.document)
-    catalogue, _ = catalogue_scenarios(spec["catalogue"])[row.scenario]
-    document: dict[str, Any] = {
-        "parameters": row.parameters.floats,
-        "scenario": row.scenario,
-        "catalogue": catalogue,
-        "driving_function": driven.driving_function,
-        "vehicle": {"model": driven.vehicle, "parameters": dict(driven.vehicle_parameters)},
-        "evaluator": spec["evaluator"],
-    }
+    document = {"parameters": row.parameters.floats, "scenario": row.scenario, "evaluator": spec["evaluator"]}
+    if spec.get("problem", HIGHWAY) == HIGHWAY:
+        document |= _driven(stored.document, spec["catalogue"], row.scenario)
+    else:
+        document["problem"] = spec["problem"]
     specification = validated(EvaluationSpecification, document)
-    today = resolve_evaluation(specification).bench.setups[row.scenario]
+    today = resolve_evaluation(specification, bundles_of(connection)).bench.setups[row.scenario]
     if today.fingerprint != stored.fingerprint:
         changed = [name for name, value in today.document.items() if stored.document.get(name) != value]
         raise ConflictError(
@@ -78,6 +75,15 @@ def _specification(connection: Connection, number: int) -> EvaluationSpecificati
             " cannot be had again; evaluate its parameters anew"
         )
     return specification
+
+
+def _driven(setup: Mapping[str, Any], catalogue: str | list[str], scenario: str) -> dict[str, Any]:
+    driven = DrivenSetup.from_document(setup)
+    return {
+        "catalogue": catalogue_scenarios(catalogue)[scenario][0],
+        "driving_function": driven.driving_function,
+        "vehicle": {"model": driven.vehicle, "parameters": dict(driven.vehicle_parameters)},
+    }
 
 
 def no_trace(connection: Connection, made: StoredCampaign) -> str:

@@ -8,8 +8,10 @@ from itertools import product
 from sqlalchemy import Connection
 
 from drivecal.analysis.comparison import Conditions
+from drivecal.campaigns.resolve.bundle_bench import BundleSource
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve
+from drivecal.campaigns.resolve.workbench import no_bundles
 from drivecal.contracts.comparison import LARGEST_RUNS, ComparedOptimizer, ComparisonSpecification
 from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import CampaignSpecification, ReductionSpecification
@@ -74,7 +76,7 @@ def runs_of(specification: ComparisonSpecification) -> list[Run]:
     return runs
 
 
-def resolve_comparison(specification: ComparisonSpecification) -> ComparisonProblem:
+def resolve_comparison(specification: ComparisonSpecification, bundles: BundleSource = no_bundles) -> ComparisonProblem:
     """Resolves a comparison's specification. Raises InvalidInputError with every problem at its field."""
     diagnostics = Diagnostics()
     _check_lists(specification, diagnostics)
@@ -86,12 +88,13 @@ def resolve_comparison(specification: ComparisonSpecification) -> ComparisonProb
     for run, ((optimizer, _, seed), reduction) in zip(runs, places, strict=True):
         if seed == specification.seeds[0]:
             try:
-                resolved.append(resolve(run.specification))
+                resolved.append(resolve(run.specification, bundles))
             except InvalidInputError as error:
                 diagnostics.problems.extend(_here(problem, optimizer, reduction) for problem in error.problems)
     diagnostics.problems = list(dict.fromkeys(diagnostics.problems))
     diagnostics.raise_if_any()
-    return ComparisonProblem(specification, tuple(runs), tuple(resolved))
+    specification = specification.model_copy(update={"problem": resolved[0].specification.problem})
+    return ComparisonProblem(specification, tuple(runs_of(specification)), tuple(resolved))
 
 
 def queue(
@@ -162,7 +165,7 @@ def _campaign(
 
 
 _SHARED = {
-    *("priority", "catalogue", "parameters", "fixed", "baseline", "weights"),
+    *("priority", "problem", "catalogue", "parameters", "fixed", "baseline", "weights"),
     *("driving_function", "vehicle", "evaluator", "sensitivity"),
 }
 

@@ -13,6 +13,7 @@ from drivecal.contracts.campaign import CellCounts
 from drivecal.contracts.comparison import ComparedGroup, ComparedPair, ComparedRun, ComparisonSpecification, ReductionEffect
 from drivecal.contracts.input_errors import validated
 from drivecal.domain.campaigns import CampaignState, StageName
+from drivecal.domain.scales import COMFORT, Scale
 from drivecal.storage import campaigns, generations, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.generations import Figures
@@ -28,15 +29,20 @@ class ComparisonResults:
 
     campaigns: Sequence[StoredCampaign]
     courses: Sequence[Course]
+    sign: int = 1
+    """-1 if lower objectives are better."""
 
     def runs(self) -> list[ComparedRun]:
         """Returns a row per run."""
-        best = analysis.best_of_all(self.courses)
-        return [_run(campaign, course, best) for campaign, course in zip(self.campaigns, self.courses, strict=True)]
+        best = analysis.best_of_all(self.courses, self.sign)
+        return [
+            _run(campaign, course, success=analysis.succeeds(course, best, self.sign))
+            for campaign, course in zip(self.campaigns, self.courses, strict=True)
+        ]
 
     def groups(self) -> list[ComparedGroup]:
         """Returns a row per optimizer, population and reduction."""
-        return [ComparedGroup(**asdict(group)) for group in analysis.groups(self.courses)]
+        return [ComparedGroup(**asdict(group)) for group in analysis.groups(self.courses, self.sign)]
 
     def pairs(self) -> list[ComparedPair]:
         """Returns a row per pair of runs that differ only in the reduction."""
@@ -45,7 +51,7 @@ class ComparisonResults:
 
     def effects(self) -> list[ReductionEffect]:
         """The effects over all pairs."""
-        return [ReductionEffect(**asdict(effect)) for effect in analysis.effects(analysis.pairs(self.courses))]
+        return [ReductionEffect(**asdict(effect)) for effect in analysis.effects(analysis.pairs(self.courses), self.sign)]
 
 
 def compared(connection: Connection, comparison: StoredCampaign) -> ComparisonResults:
@@ -53,7 +59,12 @@ def compared(connection: Connection, comparison: StoredCampaign) -> ComparisonRe
     stored = campaigns.runs_of(connection, comparison.sequence)
     wanted = runs_of(validated(ComparisonSpecification, comparison.spec))
     courses = [_course(connection, campaign, run.conditions) for campaign, run in zip(stored, wanted, strict=True)]
-    return ComparisonResults(stored, courses)
+    return ComparisonResults(stored, courses, _scale(stored).sign)
+
+
+def _scale(runs: Sequence[StoredCampaign]) -> Scale:
+    """Returns the scale of a comparison's runs, which differ in optimizer and reduction alone."""
+    return next((resolved_spec(run).scale for run in runs if run.resolution is not None), COMFORT)
 
 
 def _course(connection: Connection, run: StoredCampaign, conditions: analysis.Conditions) -> Course:
@@ -84,7 +95,8 @@ def _best_simulated(connection: Connection, run: StoredCampaign) -> float | None
     """See `results.best_simulated`. Looks up an ended run only once: clients that follow a comparison ask every few seconds."""
     if run.id in _ended:
         return _ended[run.id]
-    best = results.best_simulated(connection, run.sequence, resolved_spec(run).weights)
+    resolved = resolved_spec(run)
+    best = results.best_simulated(connection, run.sequence, resolved.weights, resolved.scale.sign)
     if run.state.ended:
         _ended[run.id] = best
         if len(_ended) > MOST_REMEMBERED:
@@ -101,7 +113,7 @@ def _needed(figures: Figures | CellCounts) -> int:
     return figures.requested - figures.repeated - figures.reused - figures.predicted
 
 
-def _run(campaign: StoredCampaign, course: Course, best: float | None) -> ComparedRun:
+def _run(campaign: StoredCampaign, course: Course, *, success: bool) -> ComparedRun:
     analysed = campaign.counts(StageName.SENSITIVITY)
     return ComparedRun(
         run=campaign.id,
@@ -120,7 +132,7 @@ def _run(campaign: StoredCampaign, course: Course, best: float | None) -> Compar
         converged_at=course.converged_at,
         simulations_to_converge=course.simulations_to_converge,
         alternatives_converged_at=course.alternatives_converged_at,
-        success=analysis.succeeds(course, best),
+        success=success,
     )
 
 

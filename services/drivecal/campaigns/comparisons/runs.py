@@ -54,6 +54,7 @@ class ComparisonJob(Job):
         self._sequence = campaign.sequence
         self._at_a_time = problem.specification.at_a_time
         self._expected = problem.at_most
+        self._sign = problem.problems[0].bench.scale.sign
         self._take_up = take_up
         self._jobs: dict[int, Job] = {}
         """The jobs of the running runs, by number."""
@@ -61,7 +62,7 @@ class ComparisonJob(Job):
         """The run of each cell at the workers."""
         with database.read() as connection:
             self._waiting = comparisons.open_runs(connection, campaign.sequence)
-            done = _Sum.over(comparisons.tallies(connection, campaign.sequence)).done
+            done = _Sum.over(comparisons.tallies(connection, campaign.sequence), self._sign).done
         self._clock, self._next_sum = clock, clock()
         self._eta = EtaEstimate(clock, done)
         """Whether there is more to do now, though nothing was given to simulate and nothing is awaited."""
@@ -164,7 +165,7 @@ class ComparisonJob(Job):
         """Stores the sums over the runs in the comparison's own row."""
         self._next_sum = self._clock() + SECONDS_BETWEEN_SUMS
         with self._database.transaction() as connection:
-            total = _Sum.over(comparisons.tallies(connection, self._sequence))
+            total = _Sum.over(comparisons.tallies(connection, self._sequence), self._sign)
             snapshot = Snapshot(
                 stage=StageName.CALIBRATION,
                 iteration=None,
@@ -183,6 +184,7 @@ class ComparisonJob(Job):
 class _Sum:
     """Totals over the runs, in constant memory."""
 
+    sign: int = 1
     stages: dict[StageName, Counter[str]] = field(default_factory=dict)
     audits: dict[str, Counter[str]] = field(default_factory=dict)
     """Returns the sums over all runs by scenario. Shared cells count for each run."""
@@ -194,8 +196,9 @@ class _Sum:
     begun: int = 0
 
     @classmethod
-    def over(cls, runs: Iterable[RunTally]) -> Self:
-        total = cls()
+    def over(cls, runs: Iterable[RunTally], sign: int) -> Self:
+        """Sums up runs; `sign`: -1 if lower objectives are better."""
+        total = cls(sign=sign)
         for run in runs:
             total._add(run)
         return total
@@ -209,7 +212,7 @@ class _Sum:
             self.stages.setdefault(stage, Counter()).update(cells)
         for scenario, rate in run.error_rate.items():
             self.audits.setdefault(scenario, Counter()).update(rate.model_dump(exclude={"upper_95"}))
-        if run.best is not None and (self.best is None or run.best.objective > self.best.objective):
+        if run.best is not None and (self.best is None or self.sign * (run.best.objective - self.best.objective) > 0):
             self.best = run.best
         self.baseline = self.baseline or run.baseline
         self.simulating_seconds += run.simulating_seconds

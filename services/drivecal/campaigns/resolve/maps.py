@@ -138,7 +138,7 @@ def check_basis(stored: StoredInfluenceMap, problem: CalibrationProblem) -> None
 
 def doubts(connection: Connection, influence_map_id: str, largest_error: float, before: datetime) -> list[str]:
     """Returns a warning for every scenario in which the map is known to be wrong: more than `largest_error` of what a validation compared
-    was off by more than a point, or audits stopped reuse. Campaigns that ended `before` then count."""
+    was wrong, or audits stopped reuse. Campaigns that ended `before` then count."""
     worst: dict[str, MapError] = {}
     for error in errors_of_map(connection, influence_map_id, before):
         if error.audited or error.wrong > largest_error * error.compared:
@@ -151,8 +151,8 @@ def doubts(connection: Connection, influence_map_id: str, largest_error: float, 
 def _doubt(error: MapError) -> str:
     measured = "audits stopped its reuse" if error.audited else "its validation compared"
     return (
-        f"the influence map is known to be wrong in {error.scenario}: {error.wrong:,} of {error.compared:,} answers were off by more than "
-        f"one point ({measured}, campaign {error.campaign}). Analyse again with more samples, or use reduction.mode predicted; and confirm "
+        f"the influence map is known to be wrong in {error.scenario}: {error.wrong:,} of {error.compared:,} answers were wrong "
+        f"({measured}, campaign {error.campaign}). Analyse again with more samples, or use reduction.mode predicted; and confirm "
         "the best sets (reduction.confirm)"
     )
 

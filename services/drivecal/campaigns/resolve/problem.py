@@ -6,87 +6,27 @@ field and a remedy.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from drivecal.campaigns.resolve import resolvers
+from drivecal.campaigns.resolve.bench import Bench
+from drivecal.campaigns.resolve.bundle_bench import BundleSource
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.resolvers import Optimization
 from drivecal.campaigns.resolve.spaces import fixed_to_document, free_values, given_set, search_space, space_to_document
+from drivecal.campaigns.resolve.workbench import find_workbench, no_bundles
 from drivecal.contracts.campaign import ExpectedRuns
-from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, SensitivitySpecification
-from drivecal.contracts.work import Batch, Cell, SetupRequest
+from drivecal.contracts.specification import HIGHWAY, CampaignSpecification, EvaluationSpecification, SensitivitySpecification
+from drivecal.contracts.work import Batch, Cell
 from drivecal.domain.constraints import Constraints
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.influence import InfluenceMap
 from drivecal.domain.parameters import Indices, Parameter, ParameterSet, ParameterSpace
-from drivecal.domain.scales import COMFORT, Scale
 from drivecal.domain.scenarios import Scenario
-from drivecal.domain.setups import Setup
-from drivecal.plugins import registry
-from drivecal.plugins.ports import DrivingFunction, Evaluator, Vehicle
-from drivecal.plugins.setups import setup_of
 from drivecal.reduction.narrowing import SearchArea, common_area, full_area
 from drivecal.sensitivity.analysis import SensitivityAnalysis
-
-
-def evaluator_id(evaluator: Evaluator) -> str:
-    """Name and version of an evaluator, under which ratings are stored."""
-    return f"{evaluator.name} {evaluator.version}"
-
-
-@dataclass(frozen=True)
-class Bench:
-    """Everything except the parameter set: scenarios, driving function, vehicle and evaluator."""
-
-    scenarios: Mapping[str, tuple[str, Scenario]]
-    """By scenario id, in the catalogue's order: (catalogue's name, scenario)."""
-    driving_function: DrivingFunction
-    vehicle: Vehicle
-    vehicle_parameters: Mapping[str, float]
-    evaluator: Evaluator
-
-    def __post_init__(self) -> None:
-        """Raises UnavailableError if a plug-in lacks a shipped file, which reading its version reveals."""
-        self.driving_function.version, self.vehicle.version, self.evaluator.version  # noqa: B018  reading is what may fail
-
-    @cached_property
-    def setups(self) -> dict[str, Setup]:
-        """The setup of each scenario."""
-        return {
-            name: setup_of(scenario, self.driving_function, self.vehicle, self.vehicle_parameters)
-            for name, (_, scenario) in self.scenarios.items()
-        }
-
-    @cached_property
-    def requests(self) -> dict[str, SetupRequest]:
-        """A worker's run request by scenario."""
-        return {
-            name: SetupRequest(
-                catalogue=catalogue,
-                scenario=name,
-                driving_function=self.driving_function.name,
-                vehicle=self.vehicle.name,
-                vehicle_parameters=self.setups[name].vehicle_parameters,
-                evaluator=self.evaluator.name,
-                evaluator_version=self.evaluator.version,
-                run_fingerprint=self.setups[name].fingerprint,
-                document=self.setups[name].document,
-            )
-            for name, (catalogue, _) in self.scenarios.items()
-        }
-
-    @property
-    def evaluator_id(self) -> str:
-        """Name and version of the evaluator: with the run fingerprint it names a rating."""
-        return evaluator_id(self.evaluator)
-
-    @property
-    def scale(self) -> Scale:
-        """Scale of the evaluator's scores."""
-        return COMFORT
 
 
 @dataclass(frozen=True)
@@ -114,13 +54,13 @@ class CalibrationProblem:
         wanted = self.specification.sensitivity
         if not isinstance(wanted, SensitivitySpecification):
             return None
-        return resolvers.plan_analysis(wanted, self.constraints, self.scenarios)
+        return resolvers.plan_analysis(wanted, self.constraints, self.scenarios, self.bench.scale)
 
     @property
     def checked_certificates(self) -> float | None:
         """The share of certified cells that are still simulated, to check certificates; None without certificates."""
         wanted = self.specification.reduction
-        return wanted.audit if wanted.certified and self.bench.driving_function.certifiable else None
+        return wanted.audit if wanted.certified and self.bench.certifiable else None
 
     @property
     def scenarios(self) -> tuple[str, ...]:
@@ -187,12 +127,13 @@ class CalibrationProblem:
 class EvaluationProblem:
     """A parameter set to simulate in one or more scenarios."""
 
+    specification: EvaluationSpecification
     bench: Bench
     parameter_set: ParameterSet
 
     def resolution(self) -> dict[str, Any]:
         """See `CalibrationProblem.resolution`."""
-        return _resolution(self.bench, next(iter(self.bench.driving_function.spaces.values())))
+        return _resolution(self.bench, self.bench.parameters)
 
 
 def _resolution(bench: Bench, space: Sequence[Parameter]) -> dict[str, Any]:
@@ -204,26 +145,32 @@ def _resolution(bench: Bench, space: Sequence[Parameter]) -> dict[str, Any]:
     }
 
 
-def resolve(specification: CampaignSpecification) -> CalibrationProblem:
-    """Resolves a campaign's specification. Raises InvalidInputError with every problem."""
+def resolve(specification: CampaignSpecification, bundles: BundleSource = no_bundles) -> CalibrationProblem:
+    """Resolves a campaign's specification. Raises InvalidInputError with every problem.
+
+    The resolved specification names a bundle by its digest, so that a later push of the same name changes nothing.
+    """
     diagnostics = Diagnostics()
-    scenarios = resolvers.find_scenarios(specification.catalogue, diagnostics)
-    function = diagnostics.attempt(lambda: registry.driving_function(specification.driving_function))
-    vehicle, vehicle_parameters = resolvers.find_vehicle(specification.vehicle, diagnostics)
-    evaluator = diagnostics.attempt(lambda: registry.evaluator(specification.evaluator))
+    found = find_workbench(specification, bundles, diagnostics)
     optimization = resolvers.choose_optimizer(specification, diagnostics)
-    weights, notes = resolvers.normalise_weights(specification.weights, list(scenarios), diagnostics)
-    notes += resolvers.note_vehicle(vehicle, vehicle_parameters)
+    weights, notes = resolvers.normalise_weights(specification.weights, found.scenarios, diagnostics)
+    notes += resolvers.note_vehicle(found.vehicle, found.vehicle_parameters)
     notes += resolvers.note_threshold(specification)
-    space = None if function is None else search_space(specification, function, diagnostics)
-    constraints = None if space is None else resolvers.find_constraints(function, space, diagnostics)
+    space = None if found.function is None else search_space(specification, found.function, diagnostics)
+    constraints = None if space is None else resolvers.find_constraints(found.function, space, diagnostics)
     resolvers.check_abilities(optimization, constraints, diagnostics)
     notes += resolvers.note_search(optimization, constraints)
-    baseline = given_set(specification.baseline, constraints, "baseline", diagnostics)
+    if specification.baseline is None:
+        baseline, more = resolvers.own_baseline(found.baseline, constraints)
+        notes += more
+    else:
+        baseline = given_set(specification.baseline, constraints, "baseline", diagnostics)
     start_sets = resolvers.find_start_sets(specification, baseline, constraints, diagnostics)
     robust_sets = resolvers.find_robust_sets(
-        specification, vehicle, vehicle_parameters, list(weights), constraints, diagnostics
+        specification, found.vehicle, found.vehicle_parameters, list(weights), constraints, diagnostics
     )
+    if specification.robustness is not None and found.problem != HIGHWAY:
+        diagnostics.add("robustness", f"the problem {specification.problem} has no vehicle parameters", "leave it out")
     resolvers.check_validation(specification, diagnostics)
     if specification.reduction.narrow and specification.sensitivity is None:
         remedy = "ask for a sensitivity analysis, name a map, or leave `narrow` out"
@@ -234,34 +181,37 @@ def resolve(specification: CampaignSpecification) -> CalibrationProblem:
         except InvalidInputError as error:
             diagnostics.problems.extend(error.problems)
     diagnostics.raise_if_any()
-    if function is None or vehicle is None or evaluator is None or space is None or constraints is None:
+    if found.make is None or space is None or constraints is None:
         raise AssertionError("a part is missing without a finding")
-    bench = Bench({name: scenarios[name] for name in weights}, function, vehicle, vehicle_parameters, evaluator)
+    specification = specification.model_copy(update={"problem": found.problem})
+    bench = found.make(weights)
+    resolvers.check_units(specification, bench.scale, diagnostics)
+    diagnostics.raise_if_any()
     return CalibrationProblem(
         specification, bench, space, weights, optimization, baseline, start_sets, robust_sets, notes, constraints
     )
 
 
-def resolve_evaluation(specification: EvaluationSpecification) -> EvaluationProblem:
+def resolve_evaluation(specification: EvaluationSpecification, bundles: BundleSource = no_bundles) -> EvaluationProblem:
     """Resolves a single evaluation. Its values may lie between grid points, within the driving function's limits."""
     diagnostics = Diagnostics()
-    scenarios = resolvers.find_scenarios(specification.catalogue, diagnostics)
+    found = find_workbench(specification, bundles, diagnostics)
+    scenarios = found.scenarios
     if specification.scenario is not None:
         if specification.scenario in scenarios:
-            scenarios = {specification.scenario: scenarios[specification.scenario]}
+            scenarios = (specification.scenario,)
         elif scenarios:
             diagnostics.add("scenario", f"there is no scenario {specification.scenario!r}", f"one of {', '.join(scenarios)}")
-    function = diagnostics.attempt(lambda: registry.driving_function(specification.driving_function))
-    vehicle, vehicle_parameters = resolvers.find_vehicle(specification.vehicle, diagnostics)
-    evaluator = diagnostics.attempt(lambda: registry.evaluator(specification.evaluator))
-    values = {} if function is None else free_values(specification.parameters, function, diagnostics)
+    values = {} if found.function is None else free_values(specification.parameters, found.function, diagnostics)
     diagnostics.raise_if_any()
-    if function is None or vehicle is None or evaluator is None:
+    if found.make is None or found.function is None:
         raise AssertionError("a part is missing without a finding")
     parameter_set = ParameterSet.of(values)
-    resolvers.constraints_of(function, ParameterSpace(next(iter(function.spaces.values())))).check(parameter_set, "parameters")
-    bench = Bench(scenarios, function, vehicle, vehicle_parameters, evaluator)
-    return EvaluationProblem(bench, parameter_set)
+    resolvers.constraints_of(found.function, ParameterSpace(next(iter(found.function.spaces.values())))).check(
+        parameter_set, "parameters"
+    )
+    specification = specification.model_copy(update={"problem": found.problem})
+    return EvaluationProblem(specification, found.make(scenarios), parameter_set)
 
 
 def catalogue_scenarios(catalogue: str | list[str]) -> dict[str, tuple[str, Scenario]]:

@@ -4,8 +4,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from drivecal.campaigns.resolve.bundle_bench import BundleSource
 from drivecal.campaigns.resolve.problem import CalibrationProblem, EvaluationProblem, resolve, resolve_evaluation
 from drivecal.campaigns.resolve.spaces import fixed_from_document, space_from_document
+from drivecal.campaigns.resolve.workbench import no_bundles
 from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
 from drivecal.domain.parameters import ParameterSpace
@@ -26,11 +28,11 @@ class ResolvedSpec:
     scale: Scale
 
 
-def problem_of(campaign: StoredCampaign) -> CalibrationProblem | EvaluationProblem:
-    """Resolves a campaign against today's plug-ins. Raises InvalidInputError if that fails."""
+def problem_of(campaign: StoredCampaign, bundles: BundleSource = no_bundles) -> CalibrationProblem | EvaluationProblem:
+    """Resolves a campaign against today's plug-ins and the stored bundles. Raises InvalidInputError if that fails."""
     if campaign.kind == "evaluation":
-        return resolve_evaluation(validated(EvaluationSpecification, campaign.spec))
-    return resolve(validated(CampaignSpecification, stored_document(campaign.spec)))
+        return resolve_evaluation(validated(EvaluationSpecification, campaign.spec), bundles)
+    return resolve(validated(CampaignSpecification, stored_document(campaign.spec)), bundles)
 
 
 def stored_document(spec: Mapping[str, Any]) -> dict[str, Any]:
@@ -43,7 +45,7 @@ def stored_document(spec: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def resolved_spec(campaign: StoredCampaign) -> ResolvedSpec:
-    """The specification that a campaign started with; a queued campaign's is resolved today.
+    """The specification that a campaign started with; a queued campaign's is resolved today, unless it names a bundle: then it is stored.
 
     Raises InvalidInputError if it cannot be resolved.
     """

@@ -8,7 +8,7 @@ from pydantic import BaseModel, ValidationError
 
 from drivecal.analysis.robustness import check_nominal
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
-from drivecal.campaigns.resolve.spaces import given_set
+from drivecal.campaigns.resolve.spaces import Parameterised, given_set
 from drivecal.contracts.input_errors import nearest, problem
 from drivecal.contracts.specification import (
     CampaignSpecification,
@@ -19,12 +19,13 @@ from drivecal.contracts.specification import (
 from drivecal.contracts.studies import STUDIES
 from drivecal.domain.constraints import Constraints
 from drivecal.domain.errors import InvalidInputError
-from drivecal.domain.parameters import Indices, ParameterSet, ParameterSpace
+from drivecal.domain.parameters import Indices, ParameterSet, ParameterSpace, Setting
+from drivecal.domain.scales import COMFORT, Scale
 from drivecal.domain.scenarios import Scenario
 from drivecal.optimizers import abilities
 from drivecal.optimizers.repair import Repair, RepairingOptimizer
 from drivecal.plugins import registry
-from drivecal.plugins.ports import Ability, ConstrainedFunction, DrivingFunction, Optimizer, OptimizerPlugin, Vehicle
+from drivecal.plugins.ports import Ability, ConstrainedFunction, Optimizer, OptimizerPlugin, Vehicle
 from drivecal.reduction.narrowing import SearchArea
 from drivecal.sensitivity import thresholds
 from drivecal.sensitivity.analysis import SensitivityAnalysis
@@ -74,15 +75,18 @@ def find_scenarios(catalogue: str | list[str], diagnostics: Diagnostics) -> dict
             diagnostics.problems.extend(error.problems)
             return {}
         return {name: (loaded.name, scenario) for name, scenario in loaded.scenarios.items()}
-    every = {
-        name: (catalogue.name, scenario)
-        for catalogue in registry.catalogues()
-        for name, scenario in catalogue.scenarios.items()
-    }
+    every: dict[str, list[tuple[str, Scenario]]] = {}
+    for offered in registry.catalogues():
+        for name, scenario in offered.scenarios.items():
+            every.setdefault(name, []).append((offered.name, scenario))
     for index, name in enumerate(catalogue):
         if name not in every:
             diagnostics.add(f"catalogue[{index}]", f"there is no scenario {name!r}", f"installed: {', '.join(every)}")
-    return {name: entry for name, entry in every.items() if name in catalogue}
+        elif len(every[name]) > 1:
+            owners = [owner for owner, _ in every[name]]
+            message = f"{len(owners)} catalogues have a scenario {name!r}: {', '.join(owners)}"
+            diagnostics.add(f"catalogue[{index}]", message, f"name one of the catalogues, e.g. catalogue: {owners[0]}")
+    return {name: entries[0] for name, entries in every.items() if name in catalogue}
 
 
 def find_vehicle(specification: VehicleSpecification, diagnostics: Diagnostics) -> tuple[Vehicle | None, dict[str, float]]:
@@ -144,6 +148,17 @@ def choose_optimizer(specification: CampaignSpecification, diagnostics: Diagnost
     return Optimization(plugin, settings, wanted.population, wanted.iterations, wanted.seed)
 
 
+def own_baseline(
+    given: Mapping[str, Setting] | None, constraints: Constraints | None
+) -> tuple[ParameterSet | None, tuple[str, ...]]:
+    """The problem's baseline, and a note if this campaign's space does not hold it."""
+    diagnostics = Diagnostics()
+    baseline = given_set(given, constraints, "baseline", diagnostics)
+    if not diagnostics.problems:
+        return baseline, ()
+    return None, (f"the problem's baseline is left out: {'; '.join(str(problem) for problem in diagnostics.problems)}",)
+
+
 def find_start_sets(
     specification: CampaignSpecification,
     baseline: ParameterSet | None,
@@ -191,6 +206,19 @@ def find_robust_sets(
     return tuple(dict.fromkeys(parameter_set for parameter_set in named if parameter_set is not None))
 
 
+def check_units(specification: CampaignSpecification, scale: Scale, diagnostics: Diagnostics) -> None:
+    """Adds a problem for every difference of scores that is wider than their range."""
+    wanted = specification.robustness
+    eta = [] if wanted is None else wanted.eta if isinstance(wanted.eta, list) else [wanted.eta]
+    given = {f"robustness.eta[{index}]" if len(eta) > 1 else "robustness.eta": value for index, value in enumerate(eta)}
+    given |= {} if wanted is None else {"robustness.within": wanted.within}
+    given |= {} if specification.reduction.tolerance is None else {"reduction.tolerance": specification.reduction.tolerance}
+    for field, value in given.items():
+        if value > scale.span:
+            message = f"{value:g} is more than the whole range of the score {scale.name}, {scale.lower:g} to {scale.upper:g}"
+            diagnostics.add(field, message, f"give at most {scale.amount(scale.span)}")
+
+
 def check_validation(specification: CampaignSpecification, diagnostics: Diagnostics) -> None:
     """Adds a problem if there is no map to validate, or if the numbers do not fit."""
     wanted = specification.validation
@@ -218,12 +246,12 @@ def note_search(optimization: Optimization | None, constraints: Constraints | No
     return tuple(notes)
 
 
-def constraints_of(function: DrivingFunction, space: ParameterSpace) -> Constraints:
+def constraints_of(function: Parameterised, space: ParameterSpace) -> Constraints:
     """Returns the constraints of a driving function; none for a plug-in without."""
     return Constraints(space, function.constraints if isinstance(function, ConstrainedFunction) else {})
 
 
-def find_constraints(function: DrivingFunction | None, space: ParameterSpace, diagnostics: Diagnostics) -> Constraints | None:
+def find_constraints(function: Parameterised | None, space: ParameterSpace, diagnostics: Diagnostics) -> Constraints | None:
     """The constraints of the search; None if they leave nothing, with the problem in `diagnostics`."""
     if function is None:
         return None
@@ -250,7 +278,9 @@ def check_abilities(optimization: Optimization | None, constraints: Constraints 
         diagnostics.add("optimizer.kind", message, remedy)
 
 
-def plan_analysis(wanted: SensitivitySpecification, constraints: Constraints, scenarios: Sequence[str]) -> SensitivityAnalysis:
+def plan_analysis(
+    wanted: SensitivitySpecification, constraints: Constraints, scenarios: Sequence[str], scale: Scale = COMFORT
+) -> SensitivityAnalysis:
     """Plans a new sensitivity analysis. Raises InvalidInputError if the space does not allow it."""
     threshold = wanted.threshold
     settings = SensitivitySettings(
@@ -263,7 +293,8 @@ def plan_analysis(wanted: SensitivitySpecification, constraints: Constraints, sc
         seed=wanted.seed,
         sequential=wanted.sequential,
     )
-    return SensitivityAnalysis(constraints.space, scenarios, settings, constraints.feasible if constraints else None)
+    feasible = constraints.feasible if constraints else None
+    return SensitivityAnalysis(constraints.space, scenarios, settings, scale, feasible)
 
 
 def normalise_weights(

@@ -2,18 +2,33 @@
 
 from collections.abc import Mapping, Sequence
 from decimal import Decimal
-from typing import Any
+from typing import Any, Protocol
 
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.contracts.specification import CampaignSpecification, ParameterSpecification
 from drivecal.domain.constraints import Constraints
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.parameters import Parameter, ParameterSet, ParameterSpace, Setting, Value, billionths, decimal, text
-from drivecal.plugins.ports import DrivingFunction
+
+
+class Parameterised(Protocol):
+    """A function under test, as far as its parameters go: a driving function, or the simulator of a bundle."""
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+
+    @property
+    def spaces(self) -> Mapping[str, tuple[Parameter, ...]]:
+        """Search spaces by name, each with all parameters in order."""
+
+    @property
+    def limits(self) -> Mapping[str, tuple[float | None, float | None]]:
+        """Smallest and largest value that a user's own space may contain, by parameter; None means unlimited."""
 
 
 def search_parameters(
-    parameters: str | Sequence[ParameterSpecification], function: DrivingFunction, field: str = "parameters"
+    parameters: str | Sequence[ParameterSpecification], function: Parameterised, field: str = "parameters"
 ) -> tuple[Parameter, ...]:
     """The grid of each listed parameter. Raises InvalidInputError for unknown spaces and names, empty grids, forbidden values."""
     if isinstance(parameters, str):
@@ -50,12 +65,12 @@ def search_parameters(
     return tuple(sorted(grids, key=lambda parameter: known.index(parameter.name)))
 
 
-def function_names(function: DrivingFunction) -> tuple[str, ...]:
+def function_names(function: Parameterised) -> tuple[str, ...]:
     """The names of all parameters of a driving function, in its order."""
     return tuple(_default_space(function))
 
 
-def _default_space(function: DrivingFunction) -> dict[str, Parameter]:
+def _default_space(function: Parameterised) -> dict[str, Parameter]:
     return {parameter.name: parameter for parameter in next(iter(function.spaces.values()))}
 
 
@@ -109,7 +124,7 @@ def fixed_from_document(document: Mapping[str, str | Mapping[str, str]]) -> dict
 
 
 def search_space(
-    specification: CampaignSpecification, function: DrivingFunction, diagnostics: Diagnostics
+    specification: CampaignSpecification, function: Parameterised, diagnostics: Diagnostics
 ) -> ParameterSpace | None:
     """The space of a campaign with its fixed values; None if it is invalid, with its problems in `diagnostics`."""
     try:
@@ -165,7 +180,7 @@ def given_set(
     return made
 
 
-def free_values(given: Mapping[str, Setting], function: DrivingFunction, diagnostics: Diagnostics) -> dict[str, Value]:
+def free_values(given: Mapping[str, Setting], function: Parameterised, diagnostics: Diagnostics) -> dict[str, Value]:
     """Values between grid points for a single evaluation: exact decimals and texts by name, in the driving function's order."""
     defaults = _default_space(function)
     names = tuple(defaults)
@@ -187,7 +202,7 @@ def _value(given: Setting) -> Value:
     return given if isinstance(given, str) else decimal(given)
 
 
-def _check_free(function: DrivingFunction, usual: Parameter, value: Value, field: str, diagnostics: Diagnostics) -> None:
+def _check_free(function: Parameterised, usual: Parameter, value: Value, field: str, diagnostics: Diagnostics) -> None:
     """Adds a problem if a value is no choice of `usual`, or no exact number within the limits of the driving function."""
     if usual.choices or isinstance(value, str):
         diagnostics.attempt(lambda: usual.index(value, field))
@@ -199,7 +214,7 @@ def _check_free(function: DrivingFunction, usual: Parameter, value: Value, field
     _within_limits(function, usual.name, value, field, diagnostics)
 
 
-def _within_limits(function: DrivingFunction, name: str, value: Decimal, field: str, diagnostics: Diagnostics) -> None:
+def _within_limits(function: Parameterised, name: str, value: Decimal, field: str, diagnostics: Diagnostics) -> None:
     smallest, largest = function.limits.get(name, (None, None))
     if smallest is not None and value < decimal(smallest):
         diagnostics.add(field, f"{value} is too small for {name}", f"give at least {text(decimal(smallest))}")

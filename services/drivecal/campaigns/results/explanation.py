@@ -16,6 +16,7 @@ from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import AuditCount, Outcome
 from drivecal.domain.influence import InfluenceMap
 from drivecal.domain.parameters import billionths
+from drivecal.domain.scales import Scale
 from drivecal.reduction import explanation
 from drivecal.reduction.audit import stopped_after
 from drivecal.reduction.explanation import CellComparison, Nearest
@@ -24,9 +25,6 @@ from drivecal.storage import audits, campaigns, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.references import influence_maps, parameter_sets, reference_candidates, runs
 from drivecal.storage.results import StoredEvaluation
-
-LARGEST_AGREEMENT = 1
-"""Scores that differ by more are wrong (Eq. 8)."""
 
 
 @dataclass(frozen=True)
@@ -72,6 +70,11 @@ class _Case:
     def evaluator(self) -> str:
         """Name and version of the campaign's evaluator."""
         return self._pinned.evaluator
+
+    @property
+    def scale(self) -> Scale:
+        """Scale of the campaign's scores."""
+        return self._pinned.scale
 
     @cached_property
     def _pinned(self) -> ResolvedSpec:
@@ -155,7 +158,7 @@ def _forbidden(case: _Case) -> tuple[Reason | None, tuple[int, AuditCount] | Non
         return "no_map", None
     rate = case.campaign.error_rate.get(cell.scenario)
     if rate is not None and rate.stopped:
-        counts = audits.by_iteration(case.connection, case.campaign.sequence, cell.scenario, case.evaluator)
+        counts = audits.by_iteration(case.connection, case.campaign.sequence, cell.scenario, case.evaluator, case.scale)
         stop = stopped_after(counts, specification.reduction.max_error)
         if stop is not None and cell.iteration > stop[0]:
             return "stopped", stop
@@ -226,8 +229,8 @@ def _audit(case: _Case, reference: Reference) -> Audit:
     return Audit(
         score=own,
         reference_score=donor,
-        agrees=change == 0 if known else None,
-        wrong=change > LARGEST_AGREEMENT if known else None,
+        agrees=change <= case.scale.rounding if known else None,
+        wrong=case.scale.is_wrong(change) if known else None,
     )
 
 
@@ -244,8 +247,8 @@ def _proof(case: _Case) -> Proof | None:
     return Proof(
         reference=proving,
         score=proving.score,
-        agrees=change == 0 if known else None,
-        wrong=change > LARGEST_AGREEMENT if known else None,
+        agrees=change <= case.scale.rounding if known else None,
+        wrong=case.scale.is_wrong(change) if known else None,
     )
 
 
@@ -281,4 +284,4 @@ def _explanation(
         distance=distance,
         stored=stored,
     )
-    return answer.model_copy(update={"sentence": sentence(answer, stop)})
+    return answer.model_copy(update={"sentence": sentence(answer, stop, case.scale)})

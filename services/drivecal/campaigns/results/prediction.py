@@ -63,7 +63,7 @@ def _neighbours(
     specification = CampaignSpecification.model_validate(campaign.spec)
     if specification.optimizer is None:
         return []
-    tolerance, width = specification.reduction.tolerance, slice_size(specification.optimizer.population)
+    tolerance, width = specification.reduction.tolerance_on(resolved.scale), slice_size(specification.optimizer.population)
     features = FeatureSpace(resolved.space, resolved.space.names)
     learner = ScenarioLearner(partial(Forest, tolerance), tolerance)
     own = batch_of(cell.stage, cell.iteration, cell.individual, width)

@@ -14,6 +14,8 @@ import numpy.typing as npt
 from pydantic import BaseModel, ValidationError
 from sqlalchemy import Column, Connection, func, select
 
+from drivecal.bundles.archives import content_digest
+from drivecal.bundles.manifest import Manifest
 from drivecal.campaigns.comparisons.resolve import runs_of
 from drivecal.campaigns.resolve.maps import stored_map
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
@@ -21,7 +23,7 @@ from drivecal.contracts.comparison import ComparisonSpecification
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
 from drivecal.domain.errors import DrivecalError
 from drivecal.domain.influence import InfluenceMap
-from drivecal.domain.setups import Setup
+from drivecal.domain.setups import fingerprint_of
 from drivecal.reduction.keys import ReferenceKeys
 from drivecal.storage import campaigns, comparisons
 from drivecal.storage.campaigns import StoredCampaign
@@ -31,6 +33,7 @@ from drivecal.storage.engine.tables import influence_maps as influence_maps_tabl
 from drivecal.storage.engine.tables import parameter_sets, runs, setups
 from drivecal.storage.maintenance.consistency import CHECKS, Check, check_parameter_sets
 from drivecal.storage.maintenance.invariants import INVARIANTS
+from drivecal.storage.problems import bundles
 from drivecal.storage.references import influence_maps, reference_keys
 
 SAMPLED = 10_000
@@ -60,6 +63,7 @@ def verify(database: Database, *, full: bool) -> Iterator[VerificationResult]:
             **CHECKS,
             **INVARIANTS,
             "campaigns, setups and maps": _check_meanings,
+            "problems": _check_problems,
             "parameter sets": lambda connection: check_parameter_sets(
                 connection, _every(connection, parameter_sets.c.id, full=full)
             ),
@@ -102,12 +106,27 @@ def _check_meanings(connection: Connection) -> Iterator[str]:
     yield from _unreadable("influence map", ids, lambda identifier: stored_map(influence_maps.get(connection, identifier)))
     for row in connection.execute(select(setups)):
         try:
-            fingerprint = Setup.from_document(row.document).fingerprint
+            fingerprint = fingerprint_of(row.document)
         except _UNREADABLE as error:
             yield f"setup {row.id} cannot be read: {_first_line(error)}"
         else:
             if fingerprint != row.fingerprint:
                 yield f"setup {row.id} is not stored under its fingerprint"
+
+
+def _check_problems(connection: Connection) -> Iterator[str]:
+    """Checks that each pushed problem can be read, and is stored under the digest and the name of its content."""
+    for digest in bundles.digests(connection):
+        try:
+            stored, archive = bundles.by_digest(connection, digest), bundles.archive(connection, digest)
+            manifest, content = Manifest.model_validate(stored.manifest), content_digest(archive)
+        except _UNREADABLE as error:
+            yield f"problem {digest} cannot be read: {_first_line(error)}"
+            continue
+        if content != digest or len(archive) != stored.size:
+            yield f"problem {digest} is not stored under the digest and the size of its content"
+        if manifest.problem != stored.name:
+            yield f"problem {digest} is stored as {stored.name}, and calls itself {manifest.problem}"
 
 
 def _unreadable(kind: str, ids: Iterable[str], read: Callable[[str], object]) -> Iterator[str]:

@@ -57,7 +57,8 @@ class Calibration(CampaignStage):
             raise ValueError("the campaign has no calibration stage")
         super().__init__(database, campaign, problem, view, clock)
         self._optimization = problem.optimization
-        self._ranking = Ranking(problem.weights)
+        self._sign = view.bench.scale.sign
+        self._ranking = Ranking(problem.weights, self._sign)
         self._error_rate: dict[str, ErrorRate] = dict(campaign.error_rate)
         self._area = problem.search_area(view.influence_map)
         self._notes = problem.notes
@@ -130,7 +131,8 @@ class Calibration(CampaignStage):
                     campaigns.set_narrowed(connection, self._campaign.sequence, self._area.narrowed())
                 self._remember_baseline(connection)
                 return []
-            self._batches = [batch for batch in self._batches if not self._is_requested(connection, last.iteration, batch)]
+            here = connection, self._campaign.sequence, self.name, last.iteration
+            self._batches = [each for each in self._batches if not results.is_requested(*here, each[0] if each else None)]
             work = self._tracker.load(connection, share_runs=self._policy().mode != "off")
             self._save(connection)
         return work
@@ -146,15 +148,15 @@ class Calibration(CampaignStage):
         optimizer = self._optimization.restore(area, constraints, last.optimizer_state)
         self._iteration = last.iteration
         if last.finished:
-            optimizer.tell(self._weighted(self._scores), self._weighted(self._ratings))
+            self._inform(optimizer)
         else:
             self._proposal = Proposal(np.array(last.population, dtype=np.int64), np.array(last.changed, dtype=np.bool_))
             self._batches = self._split(last.iteration, self._proposal)
             self._round = Round(last.iteration, (), self._policy())
         return optimizer
 
-    def _is_requested(self, connection: Connection, iteration: int, batch: list[int]) -> bool:
-        return results.is_requested(connection, self._campaign.sequence, self.name, iteration, batch[0] if batch else None)
+    def _inform(self, optimizer: Optimizer) -> None:  # higher is better for every optimizer
+        optimizer.tell(self._sign * self._weighted(self._scores), self._sign * self._weighted(self._ratings))
 
     def _propose(self) -> Round:
         if self._optimizer is None:
@@ -263,7 +265,7 @@ class Calibration(CampaignStage):
             raise RuntimeError("the stage has not been taken up")
         with self._database.transaction() as connection:
             self._take_in(connection, iterations=[self._iteration])
-            objectives, ratings = self._weighted(self._scores), self._weighted(self._ratings)
+            objectives = self._weighted(self._scores)
             self._check_reuse(connection, self._iteration)
             if self._planner is not None:
                 self._released = self._planner.released(connection, self._iteration)
@@ -274,17 +276,17 @@ class Calibration(CampaignStage):
             data = {"iteration": self._iteration, "iterations": self._optimization.iterations, **asdict(figures)}
             events.add(connection, self._campaign.sequence, EventKind.GENERATION, data)
         self._before = CellCounts(**self._tracker.counts)
-        self._optimizer.tell(objectives, ratings)
+        self._inform(self._optimizer)
         self._proposal = None
 
     def _check_reuse(self, connection: Connection, iteration: int) -> None:
         """Evaluates the audits of this and all earlier iterations, and results that contradict each other."""
-        view, sequence, evaluator = self._view, self._campaign.sequence, self._view.bench.evaluator_id
-        audits.settle(connection, sequence, self.name, iteration, evaluator)
-        contradictions = audits.contradictions(connection, sequence, view.influence_map_sequence, evaluator, view.watermark)
+        view, sequence, bench = self._view, self._campaign.sequence, self._view.bench
+        rater, scale = bench.evaluator_id, bench.scale
+        audits.settle(connection, sequence, self.name, iteration, rater, scale)
+        contradictions = audits.contradictions(connection, sequence, view.influence_map_sequence, rater, view.watermark, scale)
         limit = self._problem.specification.reduction.max_error
-        counts = audits.count(connection, sequence, evaluator)
-        before = self._error_rate
+        counts, before = audits.count(connection, sequence, rater, scale), self._error_rate
         self._error_rate = error_rates(counts, before, self._problem.scenarios, limit, contradictions)
         for scenario, rate in self._error_rate.items():
             if rate.stopped and not (scenario in before and before[scenario].stopped):
@@ -314,8 +316,8 @@ class Calibration(CampaignStage):
         return total
 
     def _figures(self, objectives: np.ndarray[tuple[int], np.dtype[np.float64]] | None = None) -> Figures:
-        now, before = CellCounts(**self._tracker.counts), self._before
-        counted = {name: getattr(now, name) - getattr(before, name) for name in _COUNTED}
+        now = CellCounts(**self._tracker.counts)
+        counted = {name: getattr(now, name) - getattr(self._before, name) for name in _COUNTED}
         if objectives is None:
             return Figures(**counted)
         best = self._ranking.best()
@@ -341,7 +343,7 @@ class Calibration(CampaignStage):
                 scores=dict(solution.scores),
                 alternatives=alternatives,
             )
-            if before is None or self._best.objective > before.objective + EQUAL:
+            if before is None or self._sign * (self._best.objective - before.objective) > EQUAL:
                 self._tell_best(connection, solution)
         unknown = self._baseline is None or self._baseline.objective is None
         self._remember_baseline(connection)
@@ -349,9 +351,8 @@ class Calibration(CampaignStage):
             events.add(connection, self._campaign.sequence, EventKind.BASELINE, self._baseline.model_dump())
 
     def _tell_best(self, connection: Connection, solution: EvaluatedSet) -> None:
-        if self._best is not None:
-            data = self._best.model_dump() | {"iteration": solution.iteration}
-            events.add(connection, self._campaign.sequence, EventKind.BEST, data)
+        best = {} if self._best is None else self._best.model_dump()
+        events.add(connection, self._campaign.sequence, EventKind.BEST, best | {"iteration": solution.iteration})
 
     def _remember_baseline(self, connection: Connection) -> None:
         baseline: ParameterSet | None = self._problem.baseline
@@ -359,7 +360,7 @@ class Calibration(CampaignStage):
             return
         (number,) = parameter_sets.ensure(connection, [baseline])
         solution: EvaluatedSet | None = self._ranking.get(number)
-        none_yet: dict[str, int | None] = dict.fromkeys(self._problem.scenarios)
+        none_yet: dict[str, float | None] = dict.fromkeys(self._problem.scenarios)
         self._baseline = Baseline(
             objective=None if solution is None else solution.objective,
             parameters=baseline.floats,
@@ -367,8 +368,7 @@ class Calibration(CampaignStage):
         )
 
     def _tell_beginning(self, connection: Connection) -> None:
-        data = {"stage": StageName.CALIBRATION, "cells": self._at_most}
-        events.add(connection, self._campaign.sequence, EventKind.STAGE, data)
+        events.add(connection, self._campaign.sequence, EventKind.STAGE, {"stage": self.name, "cells": self._at_most})
         for note in self._notes:
             if note not in self._campaign.notes:  # the sensitivity stage has told those
                 events.add(connection, self._campaign.sequence, EventKind.NOTE, {"text": note})

@@ -1,9 +1,9 @@
 """The validation of released predictions: simulates them after all, and compares scores."""
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
 from sqlalchemy import Connection
 
 from drivecal.campaigns.cells.planning import View
@@ -69,7 +69,7 @@ class PredictionValidation(StudyStage):
         self._reduction = ReductionSpecification.model_validate(source.spec["reduction"])
         self._released = {name: [cell for cell in stored if cell.scenario == name] for name in problem.scenarios}
         self._drawn = {name: _drawn(cells, wanted.samples, wanted.seed) for name, cells in self._released.items()}
-        self._differences: Mapping[str, Sequence[int]] | None = None
+        self._differences: Mapping[str, Sequence[float]] | None = None
 
     @staticmethod
     def is_wanted(campaign: StoredCampaign, problem: CalibrationProblem) -> bool:
@@ -93,7 +93,7 @@ class PredictionValidation(StudyStage):
 
     def _take(self, number: int, answers: Sequence[CellScore]) -> None:
         del number
-        differences: dict[str, list[int]] = {scenario: [] for scenario in self._drawn}
+        differences: dict[str, list[float]] = {scenario: [] for scenario in self._drawn}
         for answer in answers:
             if answer.score is not None:
                 differences[answer.scenario].append(self._drawn[answer.scenario][answer.individual].score - answer.score)
@@ -105,7 +105,9 @@ class PredictionValidation(StudyStage):
     def _row(self, scenario: str) -> dict[str, Any]:
         differences = [] if self._differences is None else self._differences[scenario]
         unanswered = 0 if self._differences is None else len(self._drawn[scenario]) - len(differences)
-        counts = compared(Counter(differences))
+        scale = self._problem.bench.scale
+        counts = compared(np.array(differences, dtype=np.float64), scale)
+        tolerance = self._reduction.tolerance_on(scale) + ROUNDING
         lower, upper = clopper_pearson(counts["wrong"], counts["compared"]) if differences else (None, None)
         return {
             "scenario": scenario,
@@ -117,7 +119,7 @@ class PredictionValidation(StudyStage):
             "references": 1,
             "released": len(self._released[scenario]),
             "inspected": self._inspected[scenario],
-            "beyond": unanswered + sum(abs(difference) > self._reduction.tolerance + ROUNDING for difference in differences),
+            "beyond": unanswered + sum(abs(difference) > tolerance for difference in differences),
             "limit": self._reduction.limit,
             **counts,
             "lower_95": lower,

@@ -11,6 +11,7 @@ from drivecal.analysis.optima import one_per_region_first, optima
 from drivecal.analysis.robustness import Robustness, RobustnessSettings, RobustnessStudy
 from drivecal.analysis.solutions import EQUAL, Ranking
 from drivecal.campaigns.cells.planning import View
+from drivecal.campaigns.resolve.bench import Bench, driving
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.results.optima import MOST_BEST, MOST_WORSE, unit_cube
 from drivecal.campaigns.stages.stage import Round
@@ -20,6 +21,7 @@ from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
 from drivecal.domain.evaluations import CellScore
 from drivecal.domain.parameters import ParameterSet
+from drivecal.domain.scales import Scale, plain
 from drivecal.plugins.ports import Floats
 from drivecal.reduction.assignment import RequestedCell
 from drivecal.storage import campaigns, results
@@ -37,7 +39,7 @@ class Examined:
     to_worse: float | None
 
 
-def settings_of(wanted: RobustnessSpecification) -> RobustnessSettings:
+def settings_of(wanted: RobustnessSpecification, scale: Scale) -> RobustnessSettings:
     """The settings of the pure study."""
     return RobustnessSettings(
         delta=wanted.delta,
@@ -47,6 +49,7 @@ def settings_of(wanted: RobustnessSpecification) -> RobustnessSettings:
         condition=wanted.condition,
         refinements=wanted.refinements,
         seed=wanted.seed,
+        least=scale.tolerance,
     )
 
 
@@ -83,7 +86,8 @@ class RobustnessStage(StudyStage):
         wanted = problem.specification.robustness
         if wanted is None:
             raise ValueError("the campaign has no robustness stage")
-        self._wanted, self._settings = wanted, settings_of(wanted)
+        self._wanted, self._settings = wanted, settings_of(wanted, problem.bench.scale)
+        self._sign = problem.bench.scale.sign
         self._examined = self._choose()
         self._scores = np.full((len(self._examined), len(problem.scenarios)), np.nan)
         self._ratings = self._scores.copy()
@@ -91,13 +95,13 @@ class RobustnessStage(StudyStage):
 
     def _choose(self) -> list[Examined]:
         """The named sets, then the best sets of the calibration, one of each region first."""
-        standing, of = Ranking(self._problem.weights), self._wanted.of
+        standing, of = Ranking(self._problem.weights, self._sign), self._wanted.of
         with self._database.read() as connection:
             source = self._campaign if of is None else campaigns.get(connection, of)
             standing.add(results.answers(connection, source.sequence, StageName.CALIBRATION))
             ranking = standing.ranking()
-            least = ranking[0].objective - self._wanted.within - EQUAL if ranking else 0.0
-            enough = sum(1 for solution in ranking if solution.objective >= least)
+            least = self._sign * ranking[0].objective - self._wanted.within - EQUAL if ranking else 0.0
+            enough = sum(1 for solution in ranking if self._sign * solution.objective >= least)
             best, worse = ranking[: min(enough, MOST_BEST)], ranking[enough : enough + MOST_WORSE]
             sets = parameter_sets.load(connection, [solution.parameter_set for solution in (*best, *worse)])
         named = list(self._problem.robust_sets)
@@ -123,7 +127,7 @@ class RobustnessStage(StudyStage):
         return len(self._examined) * len(self._problem.scenarios) * (1 + boxes * self._settings.samples)
 
     def _ask(self) -> Round | None:
-        bench, scenarios = self._problem.bench, self._problem.scenarios
+        bench, scenarios = driving(self._problem.bench), self._problem.scenarios
         if self._study is None:
             cells = [
                 RequestedCell(index, scenario, examined.parameters)
@@ -134,7 +138,8 @@ class RobustnessStage(StudyStage):
         box = self._study.ask()
         if box is None:
             return None
-        samples, asked = self._settings.samples, []
+        samples = self._settings.samples
+        asked: list[tuple[Bench, list[RequestedCell]]] = []
         by_vehicle: dict[tuple[tuple[str, float], ...], list[RequestedCell]] = {}
         for solution, vehicles in box.vehicles.items():
             for sample, vehicle in enumerate(vehicles):
@@ -154,7 +159,7 @@ class RobustnessStage(StudyStage):
                 place = answer.individual, columns[answer.scenario]
                 self._scores[place] = np.nan if answer.score is None else answer.score
                 self._ratings[place] = np.nan if answer.rating is None else answer.rating
-            bench = self._problem.bench
+            bench = driving(self._problem.bench)
             self._study = RobustnessStudy(self._scores, bench.vehicle.parameters, bench.vehicle_parameters, self._settings)
             return
         box = None if self._study is None else self._study.ask()
@@ -176,9 +181,9 @@ class RobustnessStage(StudyStage):
             range(len(known)),
             key=lambda number: (
                 -known[number].degree,
-                -_known(objectives[number]),
+                -_known(self._sign * objectives[number]),
                 -known[number].radius,
-                -_known(ratings[number]),
+                -_known(self._sign * ratings[number]),
                 number,
             ),
         )
@@ -193,9 +198,11 @@ class RobustnessStage(StudyStage):
         """The most robust of the sets with the best objective, and the reason."""
         if self._study is None or np.isnan(objectives).all():
             return None
-        best = float(np.nanmax(objectives))
-        equal = [position for position in range(len(known)) if objectives[position] >= best - EQUAL]
-        chosen = max(equal, key=lambda number: (known[number].degree, known[number].radius, ratings[number], -number))
+        best = self._sign * float(np.nanmax(self._sign * objectives))
+        equal = [position for position in range(len(known)) if abs(objectives[position] - best) <= EQUAL]
+        chosen = max(
+            equal, key=lambda number: (known[number].degree, known[number].radius, self._sign * ratings[number], -number)
+        )
         degree = f"{known[chosen].degree}{' or more' if known[chosen].at_least else ''}"
         return (
             chosen,
@@ -219,7 +226,7 @@ class RobustnessStage(StudyStage):
             "rating": None if np.isnan(rating) else rating,
             "parameters": examined.parameters.floats,
             "scores": {
-                scenario: None if np.isnan(score) else int(score)
+                scenario: None if np.isnan(score) else plain(score)
                 for scenario, score in zip(scenarios, self._scores[solution].tolist(), strict=True)
             },
             "region": examined.region,
@@ -245,4 +252,4 @@ class RobustnessStage(StudyStage):
 
 
 def _known(value: float) -> float:
-    return -1.0 if np.isnan(value) else float(value)
+    return -np.inf if np.isnan(value) else float(value)

@@ -119,7 +119,7 @@ class Sensitivity(CampaignStage):
                 connection,
                 name=self._campaign.name,
                 source=self._campaign.id,
-                driving_function=self._problem.bench.driving_function.name,
+                driving_function=self._problem.bench.function,
                 parameters=space_to_document(self._problem.space.searched),
                 scenarios=analysis_to_document(analysis),
                 basis=self._basis(analysis),

@@ -11,7 +11,8 @@ from sqlalchemy import Connection
 from drivecal.campaigns.cells.cell_tracker import CellTracker
 from drivecal.campaigns.cells.planning import View, plan_cells
 from drivecal.campaigns.job import Job
-from drivecal.campaigns.resolve.problem import Bench, CalibrationProblem
+from drivecal.campaigns.resolve.bench import Bench
+from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.stages.eta import EtaEstimate
 from drivecal.contracts.campaign import Progress
 from drivecal.domain.campaigns import StageName

@@ -1,6 +1,6 @@
 """The validation stage: checks that answers are the same if the influence map says so (Section V of the paper)."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,13 +15,12 @@ from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import CellScore
 from drivecal.domain.influence import InfluenceMap
 from drivecal.domain.parameters import Parameter, ParameterSpace, billionths
+from drivecal.domain.scales import Scale
+from drivecal.plugins.ports import Floats
 from drivecal.reduction.assignment import RequestedCell
 from drivecal.storage import studies
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
-
-LARGEST_AGREEING = 1
-"""Points: a difference beyond it is wrong (Eq. 8)."""
 
 
 def reducible_space(influence_map: InfluenceMap, scenario: str, space: ParameterSpace) -> ReducibleSpace:
@@ -50,16 +49,18 @@ def _regions(influence_map: InfluenceMap, scenario: str, parameter: Parameter) -
     return regions
 
 
-def compared(histogram: Mapping[int, int]) -> dict[str, Any]:
-    """Returns the fields of a row that follow from the numbers of answers by their difference in points."""
-    total = sum(histogram.values())
-    wrong = sum(count for points, count in histogram.items() if abs(points) > LARGEST_AGREEING)
+def compared(differences: Floats, scale: Scale) -> dict[str, Any]:
+    """Returns the fields of a row that follow from differences of scores, shape (n,)."""
+    total, away = len(differences), np.abs(differences)
+    wrong = int((away > scale.largest_agreeing).sum())
+    bins, counts = np.unique(np.rint(differences / scale.bin).astype(np.int64), return_counts=True)
     return {
         "compared": total,
         "wrong": wrong,
-        "different": total - histogram.get(0, 0),
+        "different": int((away > scale.rounding).sum()),
         "error_rate": wrong / total if total else None,
-        "histogram": {str(points): count for points, count in sorted(histogram.items())},
+        "histogram": {str(number): count for number, count in zip(bins.tolist(), counts.tolist(), strict=True)},
+        "histogram_step": scale.bin,
     }
 
 
@@ -147,8 +148,8 @@ class ValidationStage(StudyStage):
 
     def _row(self, scenario: str, pairs: ValidationDesign | None) -> dict[str, Any]:
         differences = None if self._differences is None else self._differences.get(scenario)
-        histogram = {} if differences is None else differences.histogram
-        shares = None if differences is None or not histogram else differences.wrong_shares(LARGEST_AGREEING)
+        known, scale = np.empty(0) if differences is None else differences.known, self._problem.bench.scale
+        shares = None if differences is None or not len(known) else differences.wrong_shares(scale.largest_agreeing)
         lower, upper = (None, None) if shares is None else mean_interval(shares)
         return {
             "scenario": scenario,
@@ -158,7 +159,7 @@ class ValidationStage(StudyStage):
             "drawn": 0 if pairs is None else pairs.drawn,
             "bases": 0 if pairs is None else len(pairs.bases),
             "references": self._references,
-            **compared(histogram),
+            **compared(known, scale),
             "lower_95": lower,
             "upper_95": upper,
             "interval_over": "bases",

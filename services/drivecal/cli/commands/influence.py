@@ -62,7 +62,7 @@ def print_influence(rows: Sequence[InfluenceRow], basis: Mapping[str, Any] | Non
     header += ["mu", "sigma", "mu*", "largest s_rel"] if measured else []
     for scenario, listed in by_scenario(rows).items():
         nothing_known = all(row.unknown and row.s_rel_intervals is not None for row in listed)
-        unknown = "  unknown: no run scored above 0, so everything counts as influential" if nothing_known else ""
+        unknown = "  unknown: no run was better than a failed one, so everything counts as influential" if nothing_known else ""
         typer.echo(f"\n{scenario}{unknown}")
         print_columns(header, [_line(row, measured) for row in listed])
     for line in decided_text(rows):

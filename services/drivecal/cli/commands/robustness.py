@@ -24,7 +24,7 @@ def robustness(
     solutions: Annotated[int | None, typer.Option(min=1, max=1000, help="The most sets that are examined; else 20.")] = None,
     within: Annotated[
         float | None,
-        typer.Option(min=0, max=7, help="Examine sets whose objective is lower by no more than this, too; else 0."),
+        typer.Option(min=0, help="Examine sets whose objective is worse by no more than this, too; else 0."),
     ] = None,
     delta: Annotated[
         float | None, typer.Option(help="Half the width of the first box, in shares of the vehicle's ranges; else 0.01.")

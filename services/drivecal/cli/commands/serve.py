@@ -33,7 +33,7 @@ def serve(
     tokens_file: Annotated[
         str | None,
         typer.Option(
-            help="Who may use the server, a line each: NAME read|write TOKEN; else DRIVECAL_TOKENS_FILE, else this machine."
+            help="Who may use the server, a line each: NAME read|write|author TOKEN; else DRIVECAL_TOKENS_FILE, else this machine."
         ),
     ] = None,
     as_json: JsonOption = False,

@@ -10,6 +10,8 @@ from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.backend import Lost
 
 CALLS_PER_ACTOR = 2
+LONGEST_QUEUED = 5.0
+"""Longest expected call, s, behind which another one is queued: another worker would begin it sooner."""
 LONGEST_PAUSE = 30.0
 """Between two attempts to start a worker that does not start, s."""
 
@@ -23,6 +25,8 @@ class Call:
     reference: Any
     seconds: float
     """Allowed."""
+    expected: float = 0.0
+    """Expected seconds; 0 if unknown."""
 
 
 @dataclass(slots=True)
@@ -51,6 +55,8 @@ class Actor:
     node: str = ""
     pid: int | None = None
     cells: int = 0
+    bundles: set[str] = field(default_factory=set)
+    """Digests of bundles whose files were sent to it."""
 
     @property
     def name(self) -> str:
@@ -87,7 +93,10 @@ class Actor:
         """Whether it can take another call, one without neighbours for `alone`."""
         if not self.ready:
             return False
-        return not self.calls or (not alone and not self.alone and len(self.calls) < CALLS_PER_ACTOR)
+        if not self.calls:
+            return True
+        quick = all(call.expected <= LONGEST_QUEUED for call in self.calls)
+        return quick and not alone and not self.alone and len(self.calls) < CALLS_PER_ACTOR
 
     def take(self, call: Call, *, alone: bool) -> None:
         """A further call."""

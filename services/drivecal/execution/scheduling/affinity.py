@@ -7,7 +7,7 @@ takes other setups only if it has none of its own to do.
 from collections import Counter
 from collections.abc import Collection, Mapping
 
-from drivecal.execution.scheduling.in_flight import SetupKey
+from drivecal.contracts.work import SetupKey
 
 MOST_KNOWN = 10_000
 """Setups with remembered workers; a study of vehicle parameters uses hundreds, for some seconds each."""

@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TypeVar
 
-from drivecal.contracts.work import SetupRequest
-from drivecal.execution.scheduling.in_flight import SetupKey
+from drivecal.contracts.work import Kind, SetupKey
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,14 +24,6 @@ MOST_SETUPS = 1_000
 """Setups with remembered costs; a study of vehicle parameters uses hundreds."""
 K = TypeVar("K")
 V = TypeVar("V")
-Kind = tuple[str, ...]
-"""Key shared by setups whose cells cost about the same."""
-
-
-def kind_of(setup: SetupRequest) -> Kind:
-    """Returns a setup's key without the vehicle's parameters: a robustness study drives few cells in each of hundreds of vehicles."""
-    versions = (str(setup.document.get(name)) for name in ("driving_function_version", "vehicle_version", "simulator"))
-    return (setup.catalogue, setup.scenario, setup.driving_function, setup.vehicle, setup.evaluator, *versions)
 
 
 class CellCosts:

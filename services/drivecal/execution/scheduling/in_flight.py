@@ -9,15 +9,13 @@ from __future__ import annotations
 import struct
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
-from drivecal.contracts.work import Cell, SetupRequest
+from drivecal.contracts.work import Cell, SetupKey, SetupRequest
 
-SetupKey = tuple[str, str, str, str]
-"""Key shared by requests that run and rate the same."""
-Identity = tuple[SetupKey, tuple[str, ...], bytes | tuple[Any, ...]]
+Identity = tuple[SetupKey, tuple[str, ...], bytes]
 """Key shared by cells whose results are the same, bit by bit."""
 
+_TEXT = struct.pack("d", float("nan"))
 WITNESSES = 2
 """Workers that must report an exception before it counts: a worker or an earlier cell of the batch may be to blame."""
 
@@ -68,11 +66,6 @@ class Claim:
     """The campaign dropped the cell while its claim leads."""
 
 
-def key_of(setup: SetupRequest) -> SetupKey:
-    """Returns the key of a setup."""
-    return (setup.run_fingerprint, setup.catalogue, setup.scenario, setup.evaluator)
-
-
 class InFlightCells:
     """All claims until their cells are answered or given up."""
 
@@ -93,7 +86,7 @@ class InFlightCells:
             raise ValueError(f"cells are in flight already or listed twice, e.g. {twice[:3] or ids[:3]}")
         if not work.cells:
             return []
-        setup, key = work.setup, key_of(work.setup)
+        setup, key = work.setup, work.setup.key
         claims = [self._claim(setup, key, cell, tag, priority, exclusive=work.exclusive) for cell in work.cells]
         new = {claim.cell.id: claim for claim in claims}
         self._claims |= new
@@ -140,7 +133,9 @@ class InFlightCells:
 
 def _identity(key: SetupKey, cell: Cell) -> Identity:
     names = tuple(sorted(cell.parameters))
-    values = tuple(cell.parameters[name] for name in names)
-    if any(isinstance(value, str) for value in values):
-        return key, names, values
-    return key, names, struct.pack(f"{len(names)}d", *values)
+    return key, names, b"".join(_packed(cell.parameters[name]) for name in names)
+
+
+def _packed(value: float | str) -> bytes:
+    """Returns a value so that different ones differ: a text begins with bytes that no finite number has."""
+    return _TEXT + value.encode() + b"\0" if isinstance(value, str) else struct.pack("d", value)

@@ -12,7 +12,8 @@ from collections import Counter, deque
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from drivecal.execution.scheduling.in_flight import Claim, PendingSimulation, SetupKey
+from drivecal.contracts.work import SetupKey
+from drivecal.execution.scheduling.in_flight import Claim, PendingSimulation
 
 Avoid = frozenset[str]
 """Workers that must not get a suspect."""

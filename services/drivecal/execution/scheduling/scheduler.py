@@ -12,11 +12,11 @@ import itertools
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from drivecal.contracts.work import Batch, BatchResult, CellResult, RecordedRun
+from drivecal.contracts.work import Batch, BatchResult, CellResult, RecordedRun, SetupKey
 from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.scheduling.affinity import SetupAffinity
-from drivecal.execution.scheduling.batching import BatchPolicy, CellCosts, batch_size, kind_of
-from drivecal.execution.scheduling.in_flight import WITNESSES, Claim, InFlightCells, SetupKey, Work, key_of
+from drivecal.execution.scheduling.batching import BatchPolicy, CellCosts, batch_size
+from drivecal.execution.scheduling.in_flight import WITNESSES, Claim, InFlightCells, Work
 from drivecal.execution.scheduling.queue import ClaimGroup, FairQueue, Line
 from drivecal.execution.scheduling.shared_runs import SharedRuns
 from drivecal.execution.scheduling.worker_health import WorkerHealth
@@ -106,7 +106,7 @@ class Scheduler:
         A cell identical to one in flight (setup, evaluator, and every bit of the parameters) is not sent and takes the other's answer,
         unless either is `exclusive`. Raises ValueError if a cell is in flight already.
         """
-        self._costs.relate(key_of(work.setup), kind_of(work.setup))
+        self._costs.relate(work.setup.key, work.setup.kind)
         for claim in self._in_flight.add(work, tag, priority):
             simulation = claim.simulation
             count = min(work.breakdowns.get(claim.cell.id, 0), ATTEMPTS - 1)

@@ -7,9 +7,8 @@ differ in its last bits. What is not delivered is lost, which costs simulations 
 from collections import deque
 from collections.abc import Mapping, Sequence
 
-from drivecal.contracts.work import RecordedRun
+from drivecal.contracts.work import RecordedRun, SetupKey
 from drivecal.execution.scheduling.affinity import SetupAffinity
-from drivecal.execution.scheduling.in_flight import SetupKey
 
 MOST_BYTES = 8 * 2**20
 """Planning states that wait for a worker in one setup; the oldest runs are dropped."""

@@ -16,7 +16,7 @@ from sqlalchemy import (
     text,
 )
 
-from drivecal.storage.engine.types import Document, Identity, Name, StageNumber, UtcDateTime
+from drivecal.storage.engine.types import Document, Identity, Name, Score, StageNumber, UtcDateTime
 
 metadata = MetaData(
     naming_convention={
@@ -164,7 +164,7 @@ ratings = Table(
     metadata,
     Column("run_id", Identity, ForeignKey("runs.id"), primary_key=True),
     Column("evaluator", Name, primary_key=True),
-    Column("score", Integer, nullable=False),
+    Column("score", Score, nullable=False),
     Column("rating", Float, nullable=False),
     # From which watermark on it is seen, where it is younger than its run; 0 if it is as old. Of the same numbers as the ids of runs.
     Column("since", Identity, nullable=False, server_default="0"),
@@ -181,7 +181,7 @@ reference_keys = Table(
     Column("key", LargeBinary, primary_key=True),
     Column("run_id", Identity, primary_key=True, autoincrement=False),
     Column("evaluation_id", Identity, nullable=False),
-    Column("score", Integer, nullable=False),
+    Column("score", Score, nullable=False),
     Column("rating", Float, nullable=False),
     Column("failure", Text),
     Column("since", Identity, nullable=False, server_default="0"),
@@ -235,7 +235,7 @@ evaluations = Table(
     Column("reference_key", LargeBinary),
     Column("plan", Name, nullable=False),
     Column("outcome", Name),
-    Column("score", Integer),
+    Column("score", Score),
     Column("rating", Float),
     Column("run_id", Identity, ForeignKey("runs.id")),
     Column("reference", Identity),
@@ -251,7 +251,7 @@ evaluations = Table(
     # Of cells that the predictor was asked about; `lot` of those that it was trusted with.
     Column("lot", Identity),
     Column("confidence", Float),
-    Column("predicted_score", Integer),
+    Column("predicted_score", Score),
     Column("predicted_rating", Float),
     Column("sampled", Boolean, nullable=False, server_default=false()),
     UniqueConstraint("campaign_sequence", "stage", "iteration", "individual", "scenario"),
@@ -299,6 +299,20 @@ traces = Table(  # time series of single evaluations, asked for one by one and k
     Column("campaign_sequence", Identity, ForeignKey("campaigns.sequence"), nullable=False),
     Column("content", LargeBinary),
     Column("created_at", UtcDateTime, nullable=False),
+)
+
+bundles = Table(  # problems that users pushed, each content once; a name means the last push (`storage.problems.bundles`)
+    "bundles",
+    metadata,
+    Column("digest", Name, primary_key=True),
+    Column("name", Name, nullable=False),
+    Column("manifest", Document, nullable=False),
+    Column("size", Integer, nullable=False),
+    Column("pushed", Identity, nullable=False),
+    Column("created_at", UtcDateTime, nullable=False),
+    # Last: SQLite reads a row from its start, and lists need all columns but this one.
+    Column("archive", LargeBinary, nullable=False),
+    Index(None, "name", "pushed", unique=True),
 )
 
 events = Table(

@@ -5,10 +5,11 @@ import math
 from datetime import UTC, datetime
 from typing import Any
 
-from sqlalchemy import JSON, BigInteger, DateTime, Dialect, Integer, SmallInteger, Text
-from sqlalchemy.types import TypeDecorator
+from sqlalchemy import JSON, BigInteger, DateTime, Dialect, Double, Integer, SmallInteger, Text
+from sqlalchemy.types import TypeDecorator, TypeEngine
 
 from drivecal.domain.campaigns import StageName
+from drivecal.domain.scales import plain
 
 Identity = BigInteger().with_variant(Integer(), "sqlite")
 """64 bits on both; SQLite numbers rows by itself only where the type is spelt INTEGER."""
@@ -39,6 +40,24 @@ class StageNumber(TypeDecorator[StageName]):
 
 
 STAGES = {number: stage for stage, number in ORDER.items()}
+
+
+class Score(TypeDecorator[float]):
+    """A score of any scale; whole ones are integers in Python, and so in every table, file and document (`scales.plain`).
+
+    SQLite stores reals in an INTEGER column exactly, and whole ones as integers, so that old files need no rewriting.
+    """
+
+    impl = Double
+    cache_ok = True
+
+    def load_dialect_impl(self, dialect: Dialect) -> TypeEngine[Any]:
+        """Returns the column type of a backend."""
+        return dialect.type_descriptor(Integer() if dialect.name == "sqlite" else Double())
+
+    def process_result_value(self, value: float | None, dialect: Dialect) -> float | None:
+        del dialect
+        return None if value is None else plain(value)
 
 
 class UtcDateTime(TypeDecorator[datetime]):

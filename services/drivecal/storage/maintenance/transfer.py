@@ -6,7 +6,6 @@ the same, bit by bit.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from itertools import islice
 from typing import Any
 
 from sqlalchemy import (
@@ -36,6 +35,8 @@ from drivecal.storage.engine.schema import REVISION_TABLE
 
 CHUNK = 20_000
 """Rows that are in memory at a time, and in one COPY of PostgreSQL, which remembers each row until its foreign keys are checked."""
+CHUNK_BYTES = 64 * 2**20
+"""Bytes of archives and other blobs after which a portion ends."""
 
 Progress = Callable[[str, int, int], None]
 """Told every now and then: the table, how many of its rows are copied, and how many it has."""
@@ -80,7 +81,14 @@ def copy_rows(source: Connection, target: Connection, progress: Progress) -> dic
 
 def _some(source: Connection, rows: Iterator[tuple[Any, ...]]) -> list[tuple[Any, ...]]:
     with translated(urls.shown(source.engine.url)):  # here, or what is wrong with one database would be said of the other
-        return list(islice(rows, CHUNK))
+        some: list[tuple[Any, ...]] = []
+        size = 0
+        for row in rows:
+            some.append(row)
+            size += sum(len(value) for value in row if isinstance(value, bytes))
+            if len(some) >= CHUNK or size >= CHUNK_BYTES:
+                break
+        return some
 
 
 def _read(connection: Connection, table: Table) -> Iterator[tuple[Any, ...]]:

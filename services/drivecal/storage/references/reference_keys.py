@@ -215,7 +215,7 @@ def _insert(connection: Connection, rows: Sequence[tuple[Any, ...]]) -> None:
     if connection.dialect.name == "postgresql":
         driver: Any = connection.connection.driver_connection
         with driver.cursor() as cursor, cursor.copy(f"COPY {_COLUMNS} FROM STDIN (FORMAT BINARY)") as copy:
-            copy.set_types(["int8", "bytea", "int8", "int8", "int4", "float8", "text", "int8"])
+            copy.set_types(["int8", "bytea", "int8", "int8", "float8", "float8", "text", "int8"])
             for row in rows:
                 copy.write_row(row)
     elif rows:

@@ -29,7 +29,7 @@ class NewRun:
     milliseconds: float
     worker: str
     evaluator: str
-    score: int
+    score: float
     rating: float
     evaluation_id: int
     campaign_sequence: int
@@ -103,7 +103,7 @@ class RatedRun:
 
     evaluation: int
     parameters: ParameterSet
-    score: int
+    score: float
     rating: float
 
 
@@ -123,7 +123,7 @@ def rated(connection: Connection, setup_id: int, evaluator: str, watermark: int,
     return [RatedRun(number, ParameterSet.from_json(values), score, rating) for number, values, score, rating in reversed(rows)]
 
 
-def scores(connection: Connection, run_ids: Sequence[int], evaluator: str) -> dict[int, int]:
+def scores(connection: Connection, run_ids: Sequence[int], evaluator: str) -> dict[int, float]:
     """The scores that an evaluator gave to runs, by their id. Runs that it has not rated are left out."""
     return {run_id: score for (run_id, by), (score, _) in _ratings(connection, run_ids).items() if by == evaluator}
 
@@ -195,7 +195,7 @@ def _row(run: NewRun, created_at: Any) -> dict[str, Any]:
 def _insert_ratings(connection: Connection, new: Mapping[tuple[int, str], NewRun], since: Iterable[int]) -> None:
     """`since`: of each, in order."""
     rows = [
-        {"run_id": run, "evaluator": evaluator, "score": int(result.score), "rating": float(result.rating), "since": number}
+        {"run_id": run, "evaluator": evaluator, "score": result.score, "rating": float(result.rating), "since": number}
         for ((run, evaluator), result), number in zip(new.items(), since, strict=False)
     ]
     if rows:
@@ -226,6 +226,6 @@ def _stored(connection: Connection, results: Sequence[NewRun]) -> dict[tuple[int
     }
 
 
-def _ratings(connection: Connection, run_ids: Sequence[int]) -> dict[tuple[int, str], tuple[int, float]]:
+def _ratings(connection: Connection, run_ids: Sequence[int]) -> dict[tuple[int, str], tuple[float, float]]:
     rows = rows_among(connection, select(ratings), ratings.c.run_id, run_ids)
     return {(row.run_id, row.evaluator): (row.score, row.rating) for row in rows}

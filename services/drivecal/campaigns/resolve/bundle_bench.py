@@ -1,0 +1,138 @@
+"""The bench of a problem bundle: its scenarios, its simulator, and one of its scores."""
+
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+from drivecal.bundles.checks import choices_of
+from drivecal.bundles.expressions import Constraint, Formula, UndefinedError
+from drivecal.bundles.fingerprints import score_id, setup_document
+from drivecal.bundles.manifest import Manifest, ScoreEntry
+from drivecal.contracts.work import BundleRequest
+from drivecal.domain.constraints import Constraint as Allows
+from drivecal.domain.evaluations import Rating
+from drivecal.domain.parameters import Parameter
+from drivecal.domain.scales import Scale
+from drivecal.domain.setups import BundleSetup
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """A stored problem bundle. `files`: digest of every file except `problem.yaml`."""
+
+    digest: str
+    files: str
+    manifest: Manifest
+
+
+BundleSource = Callable[[str], Bundle]
+"""Returns a bundle by name or digest. Raises NotFoundError."""
+
+
+def parameters_of(manifest: Manifest) -> tuple[Parameter, ...]:
+    """Returns all parameters of a manifest."""
+    return tuple(Parameter.declared(name, **entry.model_dump()) for name, entry in manifest.parameters.items())
+
+
+def constraints_of(manifest: Manifest) -> dict[str, Allows]:
+    """Returns the constraints of a manifest by their text."""
+    known = choices_of(manifest)
+    return {text: Constraint(text, known).holds_in for text in manifest.constraints}
+
+
+@dataclass(frozen=True)
+class BundleBench:
+    """Scenarios of a bundle, rated by one of its scores in the coordinator."""
+
+    bundle: Bundle
+    scenarios: Collection[str]
+    score: str
+
+    @property
+    def function(self) -> str:
+        """Name of the problem."""
+        return self.bundle.manifest.problem
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """All parameters of the manifest."""
+        return parameters_of(self.bundle.manifest)
+
+    @cached_property
+    def setups(self) -> dict[str, BundleSetup]:
+        """Setups by scenario."""
+        manifest = self.bundle.manifest
+        return {name: BundleSetup(name, setup_document(manifest, name, self.bundle.files)) for name in self.scenarios}
+
+    @cached_property
+    def requests(self) -> dict[str, BundleRequest]:
+        """Run requests to workers by scenario."""
+        manifest = self.bundle.manifest
+        return {
+            name: BundleRequest(
+                bundle=self.bundle.digest,
+                problem=manifest.problem,
+                scenario=name,
+                data=manifest.scenarios[name],
+                simulator=manifest.simulator.model_dump(mode="json"),
+                parameters=tuple(manifest.parameters),
+                measures=tuple(manifest.measures),
+                failures=manifest.failures,
+                series=tuple(manifest.series),
+                run_fingerprint=self.setups[name].fingerprint,
+                document=self.setups[name].document,
+            )
+            for name in self.scenarios
+        }
+
+    @property
+    def evaluator_id(self) -> str:
+        """Name of the score and digest of its definition."""
+        return score_id(self.score, self._entry)
+
+    @cached_property
+    def scale(self) -> Scale:
+        """Scale of the score."""
+        return self._entry.scale(self.score)
+
+    @property
+    def certifiable(self) -> bool:
+        """Runs of foreign simulators cannot be certified."""
+        return False
+
+    @property
+    def needs_series(self) -> bool:
+        """Scores are formulas over measures, which are stored."""
+        return False
+
+    @property
+    def rates(self) -> bool:
+        """The coordinator rates."""
+        return True
+
+    def rate(self, scenario: str, metrics: Mapping[str, float | None], failure: str | None) -> Rating | None:
+        """Rates a run by its measures; None if it lacks one.
+
+        A failed run, and a run for which the formula is undefined, is worth `scale.failed`; no run is worth less.
+        """
+        del scenario
+        scale = self.scale
+        if failure is not None:
+            return Rating(scale.failed, scale.failed)
+        known = {name: value for name, value in metrics.items() if value is not None}
+        if not self._formula.names <= known.keys():
+            return None
+        try:
+            value = self._formula(known)
+        except UndefinedError:
+            value = scale.failed
+        worth = scale.worth(value)
+        return Rating(worth, worth)
+
+    @property
+    def _entry(self) -> ScoreEntry:
+        return self.bundle.manifest.scores[self.score]
+
+    @cached_property
+    def _formula(self) -> Formula:
+        return Formula(self._entry.formula)

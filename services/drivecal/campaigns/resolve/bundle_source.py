@@ -1,0 +1,40 @@
+"""Stored bundles as specifications name them."""
+
+from sqlalchemy import Connection
+
+from drivecal.bundles.archives import files_digest
+from drivecal.bundles.manifest import Manifest
+from drivecal.campaigns.resolve.bundle_bench import Bundle, BundleSource
+from drivecal.storage.engine.database import Database
+from drivecal.storage.problems import bundles
+
+MOST_READ = 64
+"""Bundles that a process keeps: their content never changes, and the digest of their files takes a look at all of them."""
+_read: dict[str, Bundle] = {}
+
+
+def stored_bundles(database: Database) -> BundleSource:
+    """Returns a source that reads a database."""
+
+    def find(name: str) -> Bundle:
+        with database.read() as connection:
+            return bundles_of(connection)(name)
+
+    return find
+
+
+def bundles_of(connection: Connection) -> BundleSource:
+    """Returns a source that reads through a connection."""
+
+    def find(name: str) -> Bundle:
+        stored = bundles.named(connection, name)
+        bundle = _read.get(stored.digest)
+        if bundle is None:
+            files = files_digest(bundles.archive(connection, stored.digest))
+            bundle = Bundle(stored.digest, files, Manifest.model_validate(stored.manifest))
+            if len(_read) >= MOST_READ:
+                _read.clear()
+            _read[stored.digest] = bundle
+        return bundle
+
+    return find

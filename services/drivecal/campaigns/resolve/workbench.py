@@ -1,0 +1,138 @@
+"""Finds the problem that a specification names: installed plug-ins of the built-in closed loop, or a stored bundle."""
+
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field
+
+from drivecal.bundles.manifest import Manifest
+from drivecal.campaigns.resolve import resolvers
+from drivecal.campaigns.resolve.bench import Bench, DrivingBench, evaluator_id
+from drivecal.campaigns.resolve.bundle_bench import Bundle, BundleBench, BundleSource, constraints_of, parameters_of
+from drivecal.campaigns.resolve.diagnostics import Diagnostics
+from drivecal.campaigns.resolve.spaces import Parameterised
+from drivecal.contracts.specification import HIGHWAY, EvaluationSpecification, ProblemSpecification, VehicleSpecification
+from drivecal.domain.constraints import Constraint as Allows
+from drivecal.domain.errors import NotFoundError
+from drivecal.domain.parameters import Parameter, Setting
+from drivecal.plugins import registry
+from drivecal.plugins.ports import Vehicle
+
+Wanted = ProblemSpecification | EvaluationSpecification
+"""A specification that names a problem."""
+
+
+@dataclass(frozen=True)
+class Workbench:
+    """Everything that a specification's problem offers; parts that do not exist are None, with their problems in the diagnostics."""
+
+    problem: str
+    """`highway`, or the digest of a bundle."""
+    scenarios: tuple[str, ...] = ()
+    function: Parameterised | None = None
+    vehicle: Vehicle | None = None
+    vehicle_parameters: Mapping[str, float] = field(default_factory=dict)
+    make: Callable[[Collection[str]], Bench] | None = None
+    """Makes the bench of some scenarios."""
+    baseline: Mapping[str, Setting] | None = None
+    """The problem's own baseline."""
+
+
+def no_bundles(name: str) -> Bundle:
+    """A source without bundles."""
+    raise NotFoundError("problem", name, "push it first: drivecal problem push DIR")
+
+
+def find_workbench(wanted: Wanted, bundles: BundleSource, diagnostics: Diagnostics) -> Workbench:
+    """Returns the problem that a specification names, as far as it exists."""
+    if wanted.problem == HIGHWAY:
+        return _installed(wanted, diagnostics)
+    try:
+        bundle = bundles(wanted.problem)
+    except NotFoundError as error:
+        diagnostics.add("problem", str(error), "push it with `drivecal problem push DIR`; `drivecal problem list` shows them")
+        return Workbench(wanted.problem)
+    return _stored(wanted, bundle, diagnostics)
+
+
+def rated_by(problem: str, evaluator: str, bundles: BundleSource) -> str:
+    """Returns the `evaluator_id` that a specification's benches have. Raises InvalidInputError if the evaluator does not exist."""
+    if problem == HIGHWAY:
+        return evaluator_id(registry.evaluator(evaluator))
+    diagnostics = Diagnostics()
+    bundle = bundles(problem)
+    score = _score(evaluator, bundle.manifest, diagnostics)
+    diagnostics.raise_if_any()
+    return BundleBench(bundle, (), score or "").evaluator_id
+
+
+def _installed(wanted: Wanted, diagnostics: Diagnostics) -> Workbench:
+    catalogued = resolvers.find_scenarios(wanted.catalogue, diagnostics)
+    function = diagnostics.attempt(lambda: registry.driving_function(wanted.driving_function))
+    vehicle, values = resolvers.find_vehicle(wanted.vehicle, diagnostics)
+    evaluator = diagnostics.attempt(lambda: registry.evaluator(wanted.evaluator))
+    make = None
+    if function is not None and vehicle is not None and evaluator is not None:
+        driven, driver, rater = vehicle, function, evaluator
+
+        def make(scenarios: Collection[str]) -> Bench:
+            return DrivingBench({name: catalogued[name] for name in scenarios}, driver, driven, values, rater)
+
+    return Workbench(HIGHWAY, tuple(catalogued), function, vehicle, values, make)
+
+
+@dataclass(frozen=True)
+class BundleFunction:
+    """A bundle's parameters, as spaces are made of them."""
+
+    name: str
+    parameters: tuple[Parameter, ...]
+    constraints: Mapping[str, Allows]
+    """By their text."""
+
+    @property
+    def spaces(self) -> Mapping[str, tuple[Parameter, ...]]:
+        """The manifest's own space, which every default names."""
+        return {HIGHWAY: self.parameters, self.name: self.parameters}
+
+    @property
+    def limits(self) -> Mapping[str, tuple[float | None, float | None]]:
+        """A campaign may search beyond the manifest's ranges."""
+        return {}
+
+
+def _stored(wanted: Wanted, bundle: Bundle, diagnostics: Diagnostics) -> Workbench:
+    manifest = bundle.manifest
+    _refuse_driving_settings(wanted, diagnostics)
+    scenarios = _scenarios(wanted.catalogue, manifest, diagnostics)
+    score = _score(wanted.evaluator, manifest, diagnostics)
+    function = BundleFunction(manifest.problem, parameters_of(manifest), constraints_of(manifest))
+    make = None if score is None else lambda chosen: BundleBench(bundle, tuple(chosen), score)
+    return Workbench(bundle.digest, scenarios, function, make=make, baseline=manifest.baseline)
+
+
+def _refuse_driving_settings(wanted: Wanted, diagnostics: Diagnostics) -> None:
+    defaults = {"driving_function": "frenet", "vehicle": VehicleSpecification()}
+    for name, default in defaults.items():
+        if getattr(wanted, name) != default:
+            diagnostics.add(
+                name, f"the problem {wanted.problem} has its own simulator", f"leave it out, or give problem: {HIGHWAY}"
+            )
+
+
+def _scenarios(catalogue: str | list[str], manifest: Manifest, diagnostics: Diagnostics) -> tuple[str, ...]:
+    listed = [catalogue] if isinstance(catalogue, str) else catalogue
+    if listed in ([HIGHWAY], [manifest.problem]):
+        return tuple(manifest.scenarios)
+    for index, name in enumerate(listed):
+        if name not in manifest.scenarios:
+            remedy = f"one of {', '.join(manifest.scenarios)}"
+            diagnostics.add(f"catalogue[{index}]", f"{manifest.problem} has no scenario {name!r}", remedy)
+    return tuple(name for name in manifest.scenarios if name in listed)
+
+
+def _score(evaluator: str, manifest: Manifest, diagnostics: Diagnostics) -> str | None:
+    if evaluator in manifest.scores:
+        return evaluator
+    if evaluator == "reference":  # the default of the built-in problem
+        return next(iter(manifest.scores))
+    diagnostics.add("evaluator", f"{manifest.problem} has no score {evaluator!r}", f"one of {', '.join(manifest.scores)}")
+    return None

@@ -1,0 +1,178 @@
+"""`drivecal problem`: problems of users, as folders with `problem.yaml`."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from shlex import quote
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from drivecal.bundles.archives import content_digest, files_of
+from drivecal.cli.application import ExitCode, JsonOption, UrlOption, app, connect, tell
+from drivecal.cli.views.output import print_answer, print_columns, print_json, print_page, when
+from drivecal.client.problem_templates import write_problem
+from drivecal.client.problems import read_bundle
+from drivecal.contracts.problems import ProblemAnswer
+
+if TYPE_CHECKING:
+    from drivecal.local.problems import CheckedScenario
+
+problems = typer.Typer(no_args_is_help=True, help="Your own problems: a simulation, its parameters, measures and scores.")
+app.add_typer(problems, name="problem")
+
+FolderArgument = Annotated[str, typer.Argument(metavar="DIR", help="The folder with problem.yaml.")]
+
+
+@problems.command()
+def init(
+    kind: Annotated[str, typer.Argument(metavar="KIND", help="The kind of simulation: process, command, python, fmu.")],
+    name: Annotated[str, typer.Argument(metavar="NAME", help="The problem's name.")],
+    folder: Annotated[str | None, typer.Option(metavar="DIR", help="The new folder; else one called NAME.")] = None,
+    fmu: Annotated[
+        str | None, typer.Option(metavar="FILE", help="For KIND fmu: the FMU, whose parameters and outputs are filled in.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Write a new problem that works, to be edited."""
+    files = [str(file) for file in write_problem(kind, name, folder, fmu)]
+    where = folder or name
+    if as_json:
+        print_json({"name": name, "folder": where, "files": files})
+    else:
+        for file in files:
+            typer.echo(file)
+        tell(f"edit them, then type: drivecal problem check {quote(where)}")
+
+
+@problems.command()
+def check(
+    folder: FolderArgument,
+    offline: Annotated[bool, typer.Option("--offline", help="Check the files only; run nothing.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Check a problem without a server: its files, then one run per scenario, twice, at the baseline or in the middle of the space."""
+    manifest, archive = read_bundle(folder)
+    report: dict[str, Any] = {
+        "name": manifest.problem,
+        "digest": content_digest(archive),
+        "size": len(archive),
+        "files": list(files_of(archive)),
+        "deterministic": manifest.simulator.deterministic,
+        "parameters": None,
+        "scenarios": [],
+    }
+    checked: list[CheckedScenario] = []
+    if not offline:
+        from drivecal.local.problems import run_problem, trial_set  # the workers' code, for this command only
+
+        report["parameters"] = parameters = trial_set(manifest)
+        for result in run_problem(manifest, archive, parameters):
+            if not as_json:
+                tell(f"{result.scenario}: {_sentence(result)}")
+            checked.append(result)
+    report["scenarios"] = [asdict(result) for result in checked]
+    if as_json:
+        print_json(report)
+    else:
+        _print_check(report, checked)
+    broken = [result for result in checked if result.error or (manifest.simulator.deterministic and not result.repeats)]
+    if broken:
+        raise typer.Exit(ExitCode.FAILED)
+
+
+@problems.command()
+def push(folder: FolderArgument, url: UrlOption = None, as_json: JsonOption = False) -> None:
+    """Store a problem on the server, so that campaigns can name it. Takes a token of the role author, or the server's own user."""
+    _, archive = read_bundle(folder)
+    with connect(url) as client:
+        print_answer(client.push_problem(archive), as_json, _print_problem)
+
+
+@problems.command("list")
+def list_problems(
+    name: Annotated[str | None, typer.Option(help="Every push of this name, not only the last one of each.")] = None,
+    limit: Annotated[int, typer.Option(min=1, max=1000, help="How many at most, last pushed first.")] = 20,
+    url: UrlOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """List the problems on the server, last pushed first."""
+    with connect(url) as client:
+        page = client.problems(name=name, limit=limit)
+    rows = [
+        [item.name, when(item.created_at), _size(item.size), "yes" if item.latest else "", item.digest] for item in page.items
+    ]
+    print_page(page, as_json, ["name", "created", "size", "latest", "digest"], rows, limit)
+
+
+@problems.command()
+def show(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="The problem's name or digest.")],
+    url: UrlOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Show a problem on the server: its parameters, scenarios, measures and scores."""
+    with connect(url) as client:
+        print_answer(client.problem(name), as_json, _print_problem)
+
+
+def _print_problem(problem: ProblemAnswer) -> None:
+    typer.echo(f"{problem.name}  {problem.digest}  ({_size(problem.size)}, {problem.simulator['kind']})")
+    if problem.description:
+        typer.echo(problem.description)
+    print_columns(
+        ["parameter", "values", "unit"], [[name, _values(entry), entry["unit"]] for name, entry in problem.parameters.items()]
+    )
+    for condition in problem.constraints:
+        typer.echo(f"constraint  {condition}")
+    if problem.baseline:
+        typer.echo(f"baseline    {_pairs(problem.baseline)}")
+    typer.echo(f"scenarios   {' '.join(problem.scenarios)}")
+    typer.echo(f"measures    {', '.join(f'{name} ({unit})' for name, unit in problem.measures.items())}")
+    scores = [[name, score["direction"], score["formula"]] for name, score in problem.scores.items()]
+    print_columns(["score", "direction", "formula"], scores)
+
+
+def _values(entry: Mapping[str, Any]) -> str:
+    if entry.get("choices"):
+        return " | ".join(entry["choices"])
+    step = " whole numbers" if entry.get("integer") else f" in steps of {entry['step']:g}" if entry.get("step") else ""
+    return f"{entry['lower']:g} to {entry['upper']:g}{step}"
+
+
+def _print_check(report: Mapping[str, Any], checked: Sequence["CheckedScenario"]) -> None:
+    typer.echo(f"{report['name']}  {report['digest']}  ({len(report['files'])} files, {_size(report['size'])})")
+    if report["parameters"] is not None:
+        typer.echo(f"tried at  {_pairs(report['parameters'])}")
+    ran = [result for result in checked if result.error is None]
+    if ran:
+        scores, measures = list(ran[0].scores), sorted({name for result in ran for name in result.measures})
+        rows = [
+            [
+                result.scenario,
+                *(result.scores[name] for name in scores),
+                *(result.measures.get(name) for name in measures),
+                result.failure,
+                "yes" if result.repeats else "no",
+                f"{max(result.seconds):.3f}",
+            ]
+            for result in ran
+        ]
+        print_columns(["scenario", *scores, *measures, "failure", "same bits", "seconds"], rows)
+
+
+def _sentence(result: "CheckedScenario") -> str:
+    if result.error is not None:
+        return f"no result: {result.error}"
+    parts = [f"{max(result.seconds):.3f} s a run, ready after {result.start_seconds:.3f} s"]
+    if not result.repeats:
+        parts.append("two runs of the same parameters gave different measures")
+    parts += [f"{name}: {reason}" for name, reason in result.undefined.items()]
+    return "; ".join(parts)
+
+
+def _pairs(values: Mapping[str, Any]) -> str:
+    return " ".join(f"{name}={value:g}" if isinstance(value, float) else f"{name}={value}" for name, value in values.items())
+
+
+def _size(size: int) -> str:
+    return f"{size / 1e6:.1f} MB" if size >= 1e6 else f"{size / 1e3:.1f} kB"

@@ -1,0 +1,148 @@
+"""Writes new problems: a folder with a `problem.yaml` and a simulation that works, to be edited."""
+
+import json
+import re
+import shutil
+from collections.abc import Iterator
+from decimal import Decimal
+from importlib import resources
+from pathlib import Path
+
+from drivecal.bundles.checks import checked
+from drivecal.client.documents import located_yaml
+from drivecal.client.fmu_description import FmuDescription, FmuVariable, read_fmu
+from drivecal.contracts.strict_json import shown
+from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.domain.parameters import text
+
+KINDS = ("process", "command", "python", "fmu")
+MOST_ENTRIES = 20
+"""Parameters and outputs of an FMU that are written out; further ones become comments."""
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.-]{0,63}")
+_LARGEST = 1e6
+
+
+def write_problem(kind: str, name: str, folder: str | Path | None = None, fmu: str | Path | None = None) -> list[Path]:
+    """Writes a new problem into `folder`, by default one of its name, and returns its files.
+
+    `fmu`: the FMU of a problem of that kind, whose parameters and outputs are filled in. Raises InvalidInputError.
+    """
+    path = Path(name if folder is None else folder)
+    _check(kind, name, path, fmu)
+    description = None if fmu is None else read_fmu(fmu)
+    contents = {
+        file.name.removesuffix(".txt"): file.read_text(encoding="utf-8")
+        for file in (resources.files("drivecal.client") / "templates" / kind).iterdir()
+        if file.is_file()
+    }
+    file = "system.fmu" if fmu is None else Path(fmu).name
+    if description is None:
+        contents["problem.yaml"] = (
+            contents["problem.yaml"].replace("NAME", name).replace("FOLDER", path.name).replace("FILE", file)
+        )
+    else:
+        contents["problem.yaml"] = fmu_manifest(name, path.name, file, description)
+    checked(located_yaml(contents["problem.yaml"].encode())[0])
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        for inner, content in contents.items():
+            (path / inner).write_text(content, encoding="utf-8")
+        if fmu is not None:
+            shutil.copyfile(fmu, path / file)
+    except OSError as error:
+        raise InvalidInputError(
+            Problem(shown(str(path), 200), f"it cannot be written: {error.strerror}", "give another folder")
+        ) from error
+    return sorted(path.iterdir())
+
+
+def _check(kind: str, name: str, path: Path, fmu: str | Path | None) -> None:
+    if kind == "highway":
+        raise InvalidInputError(Problem("kind", "highway problems cannot be made yet", f"give {', '.join(KINDS)}"))
+    if kind not in KINDS:
+        raise InvalidInputError(Problem("kind", f"{shown(kind)} is not one of the kinds", f"give {', '.join(KINDS)}"))
+    if not _NAME.fullmatch(name):
+        remedy = "start with a letter; go on with letters, digits, `_`, `.` or `-`"
+        raise InvalidInputError(Problem("name", f"'{shown(name)}' is no valid name", remedy))
+    if fmu is not None and kind != "fmu":
+        raise InvalidInputError(Problem("fmu", f"a problem of kind {kind} has no FMU", "leave it out, or give the kind fmu"))
+    if path.exists() and (not path.is_dir() or any(path.iterdir())):
+        raise InvalidInputError(Problem(shown(str(path), 200), "it exists already", "give another name, or remove it"))
+
+
+def fmu_manifest(name: str, folder: str, file: str, description: FmuDescription) -> str:
+    """Returns a `problem.yaml` for the FMU `file` in `folder`. Raises InvalidInputError if it has no usable parameter or output."""
+    parameters = [variable for variable in description.parameters if _NAME.fullmatch(variable.name) and _bounds(variable)]
+    if not parameters:
+        raise InvalidInputError(
+            Problem(shown(file), "the FMU has no numeric parameter with a plain name", "export one as a parameter")
+        )
+    outputs = {f"{re.sub(r'[^A-Za-z0-9_]+', '_', output.name).strip('_')}_last": output for output in description.outputs}
+    outputs = {measure: output for measure, output in outputs.items() if _NAME.fullmatch(measure) and output.name.isprintable()}
+    if not outputs:
+        raise InvalidInputError(
+            Problem(shown(file), "the FMU has no output", "export the signals that a score needs as outputs")
+        )
+    shown_outputs = dict(list(outputs.items())[:MOST_ENTRIES])
+    duration = description.duration or 10.0
+    step = min(description.step or duration / 1000, duration)
+    lines = [
+        "# Written from the FMU's description: keep the parameters to calibrate and correct their ranges, which are guesses if the FMU has",
+        f"# none. Check it: drivecal problem check {folder}; send it to the server: drivecal problem push {folder}",
+        f"problem: {name}",
+        "parameters:",
+        *_parameter_lines(parameters),
+        "simulator:",
+        "  kind: fmu",
+        f"  file: {json.dumps(file)}",
+        f"  duration: {duration!r} # s",
+        f"  step: {step!r} # s",
+        "  timeout: 60 # s of real time",
+        "  memory_mb: 2000",
+        "  deterministic: true",
+        "  measures: # last(y), min(y), max(y), mean(y) or integral(y) of an output y",
+        *(
+            f"    {measure}: {json.dumps(f'last({output.name})', ensure_ascii=False)}"
+            for measure, output in shown_outputs.items()
+        ),
+        *(f"    # further output: {shown(output.name)}" for output in list(outputs.values())[MOST_ENTRIES:100]),
+        "# Start values of further parameters and inputs, by name.",
+        "scenarios:",
+        "  nominal: {}",
+        "measures:",
+        *(f"  {measure}: {_quoted_unit(output)}" for measure, output in shown_outputs.items()),
+        "scores:",
+        f"  cost: {{formula: abs({next(iter(outputs))}), direction: minimise, range: [0, 100], tolerance: 1}}",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _parameter_lines(parameters: list[FmuVariable]) -> Iterator[str]:
+    for index, parameter in enumerate(parameters[:200]):
+        lower, upper = _bounds(parameter) or (0.0, 1.0)
+        bounds = f"lower: {_plain(lower)}, upper: {_plain(upper)}" + (", integer: true" if parameter.whole else "")
+        name = f'"{parameter.name}"' if parameter.name.lower() in {"true", "false", "null"} else parameter.name
+        entry = f"{name}: {{{bounds}, unit: {_quoted_unit(parameter)}}}"
+        comment = f" # {shown(parameter.description)}" if parameter.description else ""
+        start = "" if parameter.start is None else f"{comment or ' #'} (start: {parameter.start:g})"
+        yield f"  {'# ' if index >= MOST_ENTRIES else ''}{entry}{start or comment}"
+
+
+def _bounds(variable: FmuVariable) -> tuple[float, float] | None:
+    """Returns the range of a parameter, guessed around its start if the FMU has none; None if it exceeds drivecal's numbers."""
+    start = variable.start or 0.0
+    reach = abs(start) / 2 or 1.0
+    lower = start - reach if variable.lower is None else variable.lower
+    upper = start + reach if variable.upper is None else variable.upper
+    if variable.whole:
+        lower, upper = float(int(lower)), float(int(upper) + (variable.upper is None))
+    lower, upper = round(lower, 9), round(upper, 9)
+    return (lower, upper) if -_LARGEST <= lower < upper <= _LARGEST else None
+
+
+def _plain(value: float) -> str:
+    return text(Decimal(str(value)))
+
+
+def _quoted_unit(variable: FmuVariable) -> str:
+    return json.dumps(shown(variable.unit or "1", 32), ensure_ascii=False)

@@ -1,0 +1,128 @@
+"""Checks a problem bundle by running it here: one parameter set per scenario, twice, in child processes as on a worker."""
+
+import tempfile
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from drivecal.adapters.kinds import simulator
+from drivecal.bundles.archives import remove, unpack
+from drivecal.bundles.checks import choices_of
+from drivecal.bundles.expressions import Constraint, Formula, UndefinedError
+from drivecal.bundles.manifest import Manifest, ParameterEntry
+from drivecal.domain.errors import InvalidInputError, Problem, UnavailableError
+from drivecal.plugins.simulators import Declared, NoMeasuresError, RunOutcome, SimulatorSession, Value
+
+
+@dataclass(frozen=True, slots=True)
+class CheckedScenario:
+    """Result of a scenario's two runs.
+
+    `error`: why there is no result. `repeats`: both runs gave the same bits. `undefined`: why a score has no value, by name; such a score
+    has the worth of a failed run. `seconds`: of each run, wall-clock; `start_seconds`: until the simulator was ready.
+    """
+
+    scenario: str
+    measures: Mapping[str, float] = field(default_factory=dict)
+    failure: str | None = None
+    scores: Mapping[str, float] = field(default_factory=dict)
+    undefined: Mapping[str, str] = field(default_factory=dict)
+    repeats: bool | None = None
+    start_seconds: float = 0.0
+    seconds: tuple[float, ...] = ()
+    cpu_seconds: tuple[float, ...] = ()
+    error: str | None = None
+
+
+def trial_set(manifest: Manifest) -> dict[str, Value]:
+    """Returns the baseline, or the middle of the space. Raises InvalidInputError if the middle breaks a constraint."""
+    if manifest.baseline is not None:
+        return {name: _typed(entry, manifest.baseline[name]) for name, entry in manifest.parameters.items()}
+    values = {name: _middle(entry) for name, entry in manifest.parameters.items()}
+    for text in manifest.constraints:
+        if not Constraint(text, choices_of(manifest)).holds(values):
+            raise InvalidInputError(Problem("baseline", f"the middle of the space breaks {text!r}", "give a baseline to try"))
+    return values
+
+
+def run_problem(manifest: Manifest, archive: bytes, parameters: Mapping[str, Value]) -> Iterator[CheckedScenario]:
+    """Yields the result of each scenario. Raises UnavailableError if this machine cannot run the simulator."""
+    with tempfile.TemporaryDirectory(prefix="drivecal-") as made:
+        folder = Path(made) / "bundle"
+        unpack(archive, folder)
+        try:
+            for scenario in manifest.scenarios:
+                yield _checked(manifest, scenario, folder, parameters)
+        finally:
+            remove(folder)
+
+
+def _checked(manifest: Manifest, scenario: str, folder: Path, parameters: Mapping[str, Value]) -> CheckedScenario:
+    section = manifest.simulator.model_dump(mode="json", exclude_none=True)
+    declared = Declared(manifest.problem, tuple(manifest.measures), manifest.failures, tuple(manifest.series))
+    began = time.perf_counter()
+    try:
+        session = simulator(manifest.simulator.kind).open(section, scenario, manifest.scenarios[scenario], folder, declared)
+    except UnavailableError as error:
+        return CheckedScenario(scenario, error=str(error))
+    started = time.perf_counter() - began
+    try:
+        first, first_seconds = _run(session, parameters, series=bool(manifest.series))
+        second, second_seconds = _run(session, parameters, series=bool(manifest.series))
+    except NoMeasuresError as error:
+        return CheckedScenario(scenario, error=str(error), start_seconds=started)
+    finally:
+        session.close()
+    scores, undefined = _rated(manifest, first)
+    return CheckedScenario(
+        scenario=scenario,
+        measures=dict(first.measures),
+        failure=first.failure,
+        scores=scores,
+        undefined=undefined,
+        repeats=_bits(first) == _bits(second),
+        start_seconds=started,
+        seconds=(first_seconds, second_seconds),
+        cpu_seconds=(first.cpu_seconds, second.cpu_seconds),
+    )
+
+
+def _run(session: SimulatorSession, parameters: Mapping[str, Value], *, series: bool) -> tuple[RunOutcome, float]:
+    began = time.perf_counter()
+    outcome = session.evaluate(parameters, series=series)
+    return outcome, time.perf_counter() - began
+
+
+def _rated(manifest: Manifest, outcome: RunOutcome) -> tuple[dict[str, float], dict[str, str]]:
+    """Returns the scores by name, and why some have no value."""
+    scores: dict[str, float] = {}
+    undefined: dict[str, str] = {}
+    for name, entry in manifest.scores.items():
+        scores[name] = entry.failed_worth
+        if outcome.failure is None:
+            try:
+                scores[name] = Formula(entry.formula, manifest.measures)(outcome.measures)
+            except UndefinedError as error:
+                undefined[name] = str(error)
+    return scores, undefined
+
+
+def _bits(outcome: RunOutcome) -> tuple[object, ...]:
+    """Returns a result such that equal means the same bits: 0.0 is not -0.0."""
+    measures = {name: float(value).hex() for name, value in outcome.measures.items()}
+    series = {name: [float(value).hex() for value in values] for name, values in outcome.series.items()}
+    return outcome.failure, measures, series
+
+
+def _middle(entry: ParameterEntry) -> Value:
+    if entry.choices is not None:
+        return entry.choices[len(entry.choices) // 2]
+    lower, upper = entry.lower or 0.0, entry.upper or 0.0
+    step = 1.0 if entry.integer else entry.step
+    value = (lower + upper) / 2 if step is None else lower + round((upper - lower) / step) // 2 * step
+    return _typed(entry, round(value, 9))
+
+
+def _typed(entry: ParameterEntry, value: Value) -> Value:
+    return int(value) if entry.integer else value

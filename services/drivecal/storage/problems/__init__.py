@@ -1,0 +1,1 @@
+"""Problems of users: pushed bundles."""

@@ -1,0 +1,123 @@
+"""Pushed problem bundles: each content once, by its digest. A name means the content that was pushed last under it."""
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import ColumnElement, Connection, Select, bindparam, exists, func, select, update
+
+from drivecal.domain.errors import NotFoundError
+from drivecal.storage.engine import cursors
+from drivecal.storage.engine.records import record
+from drivecal.storage.engine.tables import bundles
+from drivecal.storage.engine.types import now
+
+KIND = "problem"
+_DIGEST = re.compile(r"[0-9a-f]{64}")
+_later = bundles.alias("later")
+_latest = ~exists().where(_later.c.name == bundles.c.name, _later.c.pushed > bundles.c.pushed)
+_HEADING: list[Any] = [column for column in bundles.c if column.name not in {"archive", "manifest"}]
+
+
+@dataclass(frozen=True, slots=True)
+class BundleHeading:
+    """A bundle in a list. `digest`: of its content; `size`: of the archive, in bytes."""
+
+    digest: str
+    name: str
+    size: int
+    pushed: int
+    """Its place in the order of pushes: pushing the same content again moves it to the end."""
+    created_at: datetime
+    latest: bool
+    """True if its name means it."""
+
+
+@dataclass(frozen=True, slots=True)
+class StoredBundle(BundleHeading):
+    """A bundle without its archive."""
+
+    manifest: Mapping[str, Any]
+    """The checked `problem.yaml`, as a JSON document."""
+
+
+def add(
+    connection: Connection, *, digest: str, name: str, manifest: Mapping[str, Any], archive: bytes
+) -> tuple[StoredBundle, bool]:
+    """Stores a bundle unless its content is stored, and makes its name mean it. Returns it, and whether it is new.
+
+    The caller is the only one who adds (`admission.admit_problem`).
+    """
+    pushed = (connection.scalar(select(func.max(bundles.c.pushed))) or 0) + 1
+    moved = update(bundles).where(bundles.c.digest == digest, ~_latest).values(pushed=pushed)
+    if not connection.execute(moved).rowcount and not is_stored(connection, digest):
+        row = {"digest": digest, "name": name, "manifest": dict(manifest), "archive": archive, "size": len(archive)}
+        connection.execute(bundles.insert().values(**row, pushed=pushed, created_at=now()))
+        return by_digest(connection, digest), True
+    return by_digest(connection, digest), False
+
+
+def is_stored(connection: Connection, digest: str) -> bool:
+    """Returns whether a content is stored."""
+    return connection.scalar(select(exists().where(bundles.c.digest == digest))) or False
+
+
+def by_digest(connection: Connection, digest: str) -> StoredBundle:
+    """Returns a bundle by its digest. Raises NotFoundError."""
+    return _only(connection, bundles.c.digest == bindparam("given"), digest, possible=_DIGEST.fullmatch(digest) is not None)
+
+
+def by_name(connection: Connection, name: str) -> StoredBundle:
+    """Returns the bundle that a name means. Raises NotFoundError."""
+    return _only(connection, (bundles.c.name == bindparam("given")) & _latest, name, possible=name.isprintable())
+
+
+def named(connection: Connection, name_or_digest: str) -> StoredBundle:
+    """Returns the bundle of a digest or a name. Raises NotFoundError."""
+    find = by_digest if _DIGEST.fullmatch(name_or_digest) else by_name
+    return find(connection, name_or_digest)
+
+
+def archive(connection: Connection, digest: str) -> bytes:
+    """Returns the archive of a bundle. Raises NotFoundError."""
+    content = (
+        connection.scalar(select(bundles.c.archive).where(bundles.c.digest == digest)) if _DIGEST.fullmatch(digest) else None
+    )
+    if content is None:
+        raise NotFoundError(KIND, digest)
+    return bytes(content)
+
+
+def listing(
+    connection: Connection, *, name: str | None = None, limit: int = 50, cursor: str | None = None
+) -> tuple[list[BundleHeading], str | None]:
+    """Returns at most `limit` bundles, last pushed first, and the cursor of the next page (None on the last).
+
+    Lists what each name means, or everything that was pushed under one `name`. Raises InvalidInputError.
+    """
+    if name is not None and not name.isprintable():
+        return [], None
+    query: Select[Any] = select(*_HEADING, _latest.label("latest")).where(_latest if name is None else bundles.c.name == name)
+    query = query.order_by(bundles.c.pushed.desc()).limit(limit + 1)
+    if cursor is not None:
+        (before,) = cursors.decode(cursor, int)
+        query = query.where(bundles.c.pushed < before)
+    page = [record(BundleHeading, row) for row in connection.execute(query)]
+    following = cursors.encode(page[limit - 1].pushed) if len(page) > limit else None
+    return page[:limit], following
+
+
+def digests(connection: Connection) -> Iterator[str]:
+    """Yields the digests of all bundles, in the order of their pushes."""
+    yield from connection.scalars(select(bundles.c.digest).order_by(bundles.c.pushed)).all()
+
+
+def _only(connection: Connection, condition: ColumnElement[bool], given: str, *, possible: bool) -> StoredBundle:
+    """Returns the bundle of a condition on `given`. Anything may come in a URL: PostgreSQL refuses to compare a NUL."""
+    query: Select[Any] = select(*_HEADING, bundles.c.manifest, _latest.label("latest")).where(condition)
+    row = connection.execute(query, {"given": given}).one_or_none() if possible else None
+    if row is None:
+        raise NotFoundError(KIND, given)
+    return record(StoredBundle, row)

@@ -1,0 +1,284 @@
+"""Checks of a whole manifest: what no field can tell by itself. All problems are reported at once."""
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from difflib import get_close_matches
+from typing import Any
+
+from drivecal.bundles.archives import MANIFEST
+from drivecal.bundles.expressions import Constraint, Formula
+from drivecal.bundles.manifest import (
+    CommandSimulator,
+    FmuSimulator,
+    Manifest,
+    ParameterEntry,
+    ProcessSimulator,
+    PythonSimulator,
+    ScoreEntry,
+)
+from drivecal.contracts import strict_json
+from drivecal.contracts.input_errors import nearest, validated
+from drivecal.contracts.specification import HIGHWAY
+from drivecal.contracts.strict_json import shown
+from drivecal.contracts.tables import parameter_column
+from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.domain.evaluations import Breakdown
+from drivecal.domain.parameters import Parameter, decimal
+
+Executables = Mapping[str, bool]
+"""Files of a bundle by path, and whether each is executable."""
+_DIGEST = re.compile(r"[0-9a-f]{64}")
+_REDUCTION = re.compile(r"(?:last|min|max|mean|integral)\(\s*\S(?:.*\S)?\s*\)")
+_PLACEHOLDERS: Mapping[str, Any] = {
+    "problem": "x",
+    "description": "",
+    "parameters": {"x": {"lower": 0, "upper": 1}},
+    "constraints": [],
+    "baseline": None,
+    "simulator": {"kind": "python", "file": MANIFEST},
+    "scenarios": {"x": {}},
+    "measures": {"x": "1"},
+    "failures": [],
+    "series": {},
+    "scores": {"x": {"formula": "0", "direction": "maximise", "range": [0, 1]}},
+}
+"""Valid sections that stand for faulty ones while the others are checked."""
+
+
+def checked(document: object, files: Executables | None = None) -> Manifest:
+    """Returns a checked manifest. `files`: those of the bundle, None if they are not known.
+
+    Raises InvalidInputError with all problems.
+    """
+    strict_json.check_plain(document)
+    try:
+        manifest = validated(Manifest, document)
+        problems, faulty = [], set[str]()
+    except InvalidInputError as error:
+        problems = [_cut_formula(problem) for problem in error.problems]
+        faulty = {re.split(r"[.\[]", problem.field)[0] for problem in problems}
+        if not isinstance(document, dict) or not faulty <= _PLACEHOLDERS.keys() | document.keys():
+            raise
+        sound = {name: section for name, section in document.items() if name in _PLACEHOLDERS}
+        manifest = Manifest.model_validate(sound | {name: _PLACEHOLDERS[name] for name in faulty & _PLACEHOLDERS.keys()})
+    problems += _semantic_problems(manifest, faulty, files)
+    if problems:
+        raise InvalidInputError(*dict.fromkeys(problems))
+    return manifest
+
+
+def _cut_formula(problem: Problem) -> Problem:
+    """Returns a better remedy if YAML has cut a formula at its comma, as in `{formula: max(a, b), ...}`."""
+    is_cut = problem.field.startswith("scores.") and problem.field.endswith(")") and problem.message == "there is no such field"
+    return replace(problem, remedy="put a formula with commas into quotes") if is_cut else problem
+
+
+def _semantic_problems(manifest: Manifest, faulty: set[str], files: Executables | None) -> Iterator[Problem]:
+    checks = (
+        ({"problem"}, _problem_name(manifest.problem)),
+        ({"parameters"}, _parameters(manifest.parameters)),
+        ({"parameters", "constraints"}, _constraints(manifest)),
+        ({"parameters", "baseline"}, _baseline(manifest)),
+        ({"parameters", "baseline", "constraints"}, _feasibility(manifest)),
+        ({"simulator"}, _simulator(manifest.simulator, files)),
+        ({"simulator", "measures"}, _fmu_measures(manifest)),
+        ({"failures"}, _failures(manifest.failures)),
+        ({"scores"}, _ranges(manifest.scores)),
+        ({"scores", "measures"}, _formulas(manifest)),
+    )
+    for sections, problems in checks:
+        if not sections & faulty:
+            yield from problems
+
+
+def _problem_name(name: str) -> Iterator[Problem]:
+    if name == HIGHWAY:
+        yield Problem("problem", f"{HIGHWAY} is the built-in problem", "give another name")
+    elif _DIGEST.fullmatch(name):
+        yield Problem("problem", f"{shown(name)} looks like a digest", "give another name")
+
+
+def _parameters(entries: Mapping[str, ParameterEntry]) -> Iterator[Problem]:
+    columns: dict[str, str] = {}
+    for name, entry in entries.items():
+        parameter = _declared(name, entry)
+        if isinstance(parameter, InvalidInputError):
+            yield from (replace(problem, field=f"parameters.{problem.field}") for problem in parameter.problems)
+        column = parameter_column(name)
+        if column in columns:
+            message = f"{name} and {columns[column]} would share the column {column} of the table of evaluations"
+            yield Problem(f"parameters.{name}", message, "give it another name")
+        columns[column] = name
+
+
+def _declared(name: str, entry: ParameterEntry) -> Parameter | InvalidInputError:
+    try:
+        return Parameter.declared(name, **entry.model_dump())
+    except InvalidInputError as error:
+        return error
+
+
+def choices_of(manifest: Manifest) -> dict[str, tuple[str, ...]]:
+    """Returns the choices of each parameter, empty for numbers, as constraints take them."""
+    return {name: tuple(entry.choices or ()) for name, entry in manifest.parameters.items()}
+
+
+def _parsed_constraints(manifest: Manifest) -> Iterator[tuple[str, Constraint | InvalidInputError]]:
+    known = choices_of(manifest)
+    for index, condition in enumerate(manifest.constraints):
+        field = f"constraints[{index}]"
+        try:
+            yield field, Constraint(condition, known, field)
+        except InvalidInputError as error:
+            yield field, error
+
+
+def _constraints(manifest: Manifest) -> Iterator[Problem]:
+    for _, constraint in _parsed_constraints(manifest):
+        if isinstance(constraint, InvalidInputError):
+            yield from constraint.problems
+
+
+def _baseline(manifest: Manifest) -> Iterator[Problem]:
+    if manifest.baseline is None:
+        return
+    for name, value in manifest.baseline.items():
+        if name not in manifest.parameters:
+            yield Problem(f"baseline.{name}", "there is no such parameter", nearest(name, list(manifest.parameters)))
+        else:
+            yield from _value(f"baseline.{name}", _declared(name, manifest.parameters[name]), value)
+    for name in manifest.parameters:
+        if name not in manifest.baseline:
+            yield Problem(f"baseline.{name}", "the value is missing", "give one value per parameter")
+
+
+def _value(field: str, parameter: Parameter | InvalidInputError, value: float | str) -> Iterator[Problem]:
+    if isinstance(parameter, InvalidInputError):
+        return  # its own problems are reported
+    try:
+        parameter.index(value if isinstance(value, str) else decimal(value), field)
+    except InvalidInputError as error:
+        yield from error.problems
+
+
+def _feasibility(manifest: Manifest) -> Iterator[Problem]:
+    if manifest.baseline is None or list(_baseline(manifest)):
+        return
+    for _, constraint in _parsed_constraints(manifest):
+        if isinstance(constraint, Constraint) and not constraint.holds(manifest.baseline):
+            yield Problem("baseline", f"it breaks the constraint {shown(constraint.text)}", "change it, or the constraint")
+
+
+def _failures(names: tuple[str, ...]) -> Iterator[Problem]:
+    reserved = {breakdown.value for breakdown in Breakdown}
+    for index, name in enumerate(names):
+        if name in reserved:
+            message = f"{name} means that a run has no result"
+            yield Problem(f"failures[{index}]", message, "give a failure of the system under test another name")
+        elif name in names[:index]:
+            yield Problem(f"failures[{index}]", f"{name} is there twice", "give each failure once")
+
+
+def _ranges(scores: Mapping[str, ScoreEntry]) -> Iterator[Problem]:
+    for name, score in scores.items():
+        field, (lower, upper) = f"scores.{name}", score.range
+        if upper <= lower:
+            yield Problem(
+                f"{field}.range", f"the end {upper:g} is not above the start {lower:g}", "give the smaller number first"
+            )
+        elif score.failed is not None and not (
+            score.failed <= lower if score.direction == "maximise" else score.failed >= upper
+        ):
+            end = "at most" if score.direction == "maximise" else "at least"
+            message = f"{score.failed:g} would let failed runs win over others"
+            yield Problem(f"{field}.failed", message, f"give {end} {score.worst:g}, or leave it out")
+
+
+def _formulas(manifest: Manifest) -> Iterator[Problem]:
+    for name, score in manifest.scores.items():
+        try:
+            Formula(score.formula, manifest.measures, f"scores.{name}.formula")
+        except InvalidInputError as error:
+            yield from error.problems
+
+
+def _fmu_measures(manifest: Manifest) -> Iterator[Problem]:
+    if not isinstance(manifest.simulator, FmuSimulator):
+        return
+    reported = manifest.simulator.measures
+    for name in [name for name in reported if name not in manifest.measures]:
+        remedy = f"add it to `measures` with its unit; {nearest(name, list(manifest.measures))}"
+        yield Problem(f"simulator.measures.{name}", "the measure is not declared", remedy)
+    for name in [name for name in manifest.measures if name not in reported]:
+        yield Problem(f"measures.{name}", "the simulator does not report it", "add it to `simulator.measures`, e.g. last(x)")
+
+
+def _simulator(simulator: Any, files: Executables | None) -> Iterator[Problem]:
+    if isinstance(simulator, ProcessSimulator | CommandSimulator):
+        yield from _command("simulator.command", simulator.command, files)
+    if isinstance(simulator, CommandSimulator):
+        yield from _placeholders(simulator.command)
+    if isinstance(simulator, PythonSimulator | FmuSimulator):
+        ending = ".py" if isinstance(simulator, PythonSimulator) else ".fmu"
+        yield from _file("simulator.file", simulator.file, files)
+        if not simulator.file.endswith(ending):
+            yield Problem("simulator.file", f"{shown(simulator.file)} is no {ending} file", f"give the path of a {ending} file")
+    if isinstance(simulator, PythonSimulator) and simulator.wheels is not None:
+        folder = simulator.wheels.removesuffix("/") + "/"
+        named = None if files is None else {folder: False} if any(name.startswith(folder) for name in files) else {}
+        yield from _file("simulator.wheels", folder, named)
+    if isinstance(simulator, FmuSimulator):
+        for name, reduction in simulator.measures.items():
+            if not _REDUCTION.fullmatch(reduction):
+                remedy = "give last(x), min(x), max(x), mean(x) or integral(x) of an output x"
+                yield Problem(f"simulator.measures.{name}", f"{shown(reduction)} is no reduction of an output", remedy)
+        if simulator.step > simulator.duration:
+            yield Problem("simulator.step", "the step is longer than the duration", f"give at most {simulator.duration:g}")
+    if simulator.probe is not None:
+        yield from _command("simulator.probe", simulator.probe, files)
+
+
+def _command(field: str, words: list[str], files: Executables | None) -> Iterator[Problem]:
+    program = words[0]
+    for index, word in enumerate(words):
+        if "\x00" in word:
+            yield Problem(f"{field}[{index}]", "a word holds a NUL character", "leave it out")
+        elif word.startswith(("./", "../")) or (index == 0 and "/" in word and not word.startswith("/")):
+            yield from _file(f"{field}[{index}]", word.removeprefix("./"), files)
+    if files is None or program.startswith("/"):
+        return
+    path = program.removeprefix("./")
+    if "/" not in program and program in files:
+        yield Problem(
+            f"{field}[0]", f"{program} without ./ is looked up on PATH", f"give ./{program} for the file of the bundle"
+        )
+    elif "/" in program and files.get(path) is False:
+        yield Problem(f"{field}[0]", f"the file {shown(path)} is not executable", f"type: chmod +x {shown(path)}")
+
+
+def _file(field: str, path: str, files: Executables | None) -> Iterator[Problem]:
+    if path.startswith(("/", "~")) or re.match(r"[A-Za-z]:", path):
+        yield Problem(field, f"{shown(path)} is an absolute path", "give a path inside the folder of the problem")
+    elif ".." in path.split("/"):
+        yield Problem(field, f"{shown(path)} leaves the folder of the problem", "copy the file into the folder")
+    elif "\\" in path:
+        yield Problem(field, f"{shown(path)} has backslashes", "separate folders by /")
+    elif files is not None and path not in files:
+        close = get_close_matches(path, files, n=1)
+        remedy = f"did you mean {close[0]}?" if close else "add it to the folder"
+        yield Problem(field, f"the folder of the problem has no file {shown(path)}", remedy)
+
+
+def _placeholders(command: list[str]) -> Iterator[Problem]:
+    known = ("{parameters}", "{scenario}", "{results}")
+    for index, word in enumerate(command):
+        for placeholder in re.findall(r"\{[A-Za-z_]+\}", word):
+            if placeholder not in known:
+                yield Problem(
+                    f"simulator.command[{index}]", f"{shown(placeholder)} is no placeholder", nearest(placeholder, known)
+                )
+    for placeholder in ("{parameters}", "{results}"):
+        if not any(placeholder in word for word in command):
+            remedy = f'add "{placeholder}": the path of a JSON file'
+            yield Problem("simulator.command", f"the program is not given {placeholder}", remedy)

@@ -1,0 +1,36 @@
+"""Content of fingerprints: what decides a run of a bundle, and what decides a score of a run."""
+
+from typing import Any
+
+from drivecal.bundles.expressions import Formula
+from drivecal.bundles.manifest import Manifest, ScoreEntry
+from drivecal.domain.setups import canonical_json, digest
+from drivecal.plugins.simulators import VERSIONS
+
+_WITHOUT_EFFECT = {"timeout", "memory_mb", "deterministic"}
+"""Settings that decide whether a run has a result, or say something about it, but change no measure: a run beyond a limit has none."""
+
+
+def setup_document(manifest: Manifest, scenario: str, files: str, adapter: str | None = None) -> dict[str, Any]:
+    """Returns the document of a scenario's setup. `files`: digest of every file but `problem.yaml`; `adapter`: by default the installed.
+
+    The probe stays: results of unknown tools are not those of tools with a known version.
+    """
+    section = manifest.simulator.model_dump(mode="json", exclude=_WITHOUT_EFFECT, exclude_none=True)
+    return {
+        "simulator": section,
+        "adapter": VERSIONS[manifest.simulator.kind] if adapter is None else adapter,
+        "scenario": scenario,
+        "data": manifest.scenarios[scenario],
+        "files": files,
+    }
+
+
+def score_id(name: str, score: ScoreEntry) -> str:
+    """Returns the id of a score's ratings: its name and the digest of what changes a number.
+
+    That is the formula, the worth of failed runs, and the direction, which says on which side of that worth scores are cut off. The range
+    changes numbers only through the default of `failed`; tolerance and unit change none.
+    """
+    content = {"formula": Formula(score.formula).canonical, "direction": score.direction, "failed": score.failed_worth}
+    return f"{name} {digest(canonical_json(content).encode())}"

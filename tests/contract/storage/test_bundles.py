@@ -1,0 +1,169 @@
+"""Pushed problems: a content once, a name means the last push, and nothing is lost in a backup."""
+
+from __future__ import annotations
+
+import zipfile
+from io import BytesIO
+from pathlib import Path
+
+import pytest
+from sqlalchemy import text
+
+from drivecal.bundles.archives import content_digest
+from drivecal.campaigns.results.verification import verify
+from drivecal.domain.errors import InvalidInputError, NotFoundError, TooLargeError
+from drivecal.storage import admission
+from drivecal.storage.engine.database import Database
+from drivecal.storage.maintenance import backup
+from drivecal.storage.maintenance.transfer import copy_rows
+from drivecal.storage.problems import bundles
+from drivecal.storage.problems.bundles import StoredBundle
+
+A, B, C = "a" * 64, "b" * 64, "c" * 64
+
+
+def push(database: Database, digest: str, name: str = "acc", archive: bytes = b"PK\0\xff") -> tuple[StoredBundle, bool]:
+    with database.transaction() as connection:
+        admission.admit_problem(connection, digest, 1000)
+        return bundles.add(connection, digest=digest, name=name, manifest={"problem": name, "b": 1, "a": 2}, archive=archive)
+
+
+def listed(database: Database, limit: int = 50, name: str | None = None) -> list[str]:
+    digests: list[str] = []
+    cursor = None
+    while True:
+        with database.read() as connection:
+            page, cursor = bundles.listing(connection, name=name, limit=limit, cursor=cursor)
+        digests += [bundle.digest for bundle in page]
+        if cursor is None:
+            return digests
+
+
+def test_a_bundle_is_read_back_as_it_was_stored(database: Database) -> None:
+    stored, new = push(database, A)
+    assert new
+    assert (stored.name, stored.size, list(stored.manifest), stored.latest) == ("acc", 4, ["problem", "b", "a"], True)
+    with database.read() as connection:
+        assert bundles.by_digest(connection, A) == bundles.by_name(connection, "acc") == stored
+        assert bundles.named(connection, A) == bundles.named(connection, "acc") == stored
+        assert bundles.archive(connection, A) == b"PK\0\xff"
+
+
+def test_the_same_content_is_stored_once(database: Database) -> None:
+    first, _ = push(database, A)
+    assert push(database, A, archive=b"other bytes of the same content") == (first, False)
+    with database.read() as connection:
+        assert bundles.archive(connection, A) == b"PK\0\xff"
+    assert listed(database) == [A]
+
+
+def test_a_name_means_what_was_pushed_last_under_it(database: Database) -> None:
+    push(database, A)
+    push(database, B)
+    push(database, C, "other")
+    with database.read() as connection:
+        assert bundles.by_name(connection, "acc").digest == B
+        assert not bundles.by_digest(connection, A).latest
+    again, new = push(database, A)
+    assert (again.latest, new) == (True, False)
+    with database.read() as connection:
+        assert bundles.by_name(connection, "acc").digest == A
+        assert not bundles.by_digest(connection, B).latest
+    assert list_all(database) == [B, C, A]
+
+
+def list_all(database: Database) -> list[str]:
+    with database.read() as connection:
+        return list(bundles.digests(connection))
+
+
+def test_a_list_holds_each_name_once_and_that_of_a_name_all_its_pushes(database: Database) -> None:
+    for digest, name in ((A, "acc"), (B, "acc"), (C, "other")):
+        push(database, digest, name)
+    assert listed(database, limit=1) == listed(database) == [C, B]
+    assert listed(database, limit=1, name="acc") == listed(database, name="acc") == [B, A]
+    assert listed(database, name="nothing") == listed(database, name="\0") == []
+    with database.read() as connection, pytest.raises(InvalidInputError):
+        bundles.listing(connection, cursor="nonsense")
+
+
+@pytest.mark.parametrize("unknown", ["0" * 64, "\0", "nothing", ""])
+def test_a_bundle_that_is_not_there_is_not_found(database: Database, unknown: str) -> None:
+    push(database, A)
+    for find in (bundles.by_digest, bundles.by_name, bundles.named, bundles.archive):
+        with database.read() as connection, pytest.raises(NotFoundError, check=lambda error: error.kind == "problem"):
+            find(connection, unknown)
+
+
+def test_no_more_than_the_limit_are_kept_and_the_known_ones_may_come_again(database: Database) -> None:
+    push(database, A)
+    with database.transaction() as connection:
+        admission.admit_problem(connection, A, 1)
+        with pytest.raises(TooLargeError):
+            admission.admit_problem(connection, B, 1)
+
+
+def test_archives_are_backed_up_byte_by_byte(database: Database, tmp_path: Path) -> None:
+    archive = bytes(range(256)) * 1000
+    stored, _ = push(database, A, archive=archive)
+    backup.write(database, tmp_path / "backup.db", lambda *_: None)
+    opened = Database.open(f"sqlite:///{tmp_path / 'backup.db'}")
+    with opened.read() as connection:
+        assert bundles.by_name(connection, "acc") == stored
+        assert bundles.archive(connection, A) == archive
+    opened.dispose()
+
+
+def pushed(database: Database) -> str:
+    """Stores a problem as the API does. Returns its digest."""
+    buffer = BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        archive.writestr("problem.yaml", "whatever")
+    manifest = {
+        "problem": "acc",
+        "parameters": {"x": {"lower": 0.0, "upper": 1.0}},
+        "simulator": {"kind": "python", "file": "model.py"},
+        "scenarios": {"city": {}},
+        "measures": {"energy": "kWh"},
+        "scores": {"cost": {"formula": "energy", "direction": "minimise", "range": [0.0, 1.0]}},
+    }
+    digest = content_digest(buffer.getvalue())
+    with database.transaction() as connection:
+        bundles.add(connection, digest=digest, name="acc", manifest=manifest, archive=buffer.getvalue())
+    return digest
+
+
+@pytest.mark.parametrize(
+    ("statement", "said"),
+    [
+        ("UPDATE bundles SET archive = :other, size = 4", "cannot be read"),
+        ("UPDATE bundles SET size = size + 1", "is not stored under"),
+        ("UPDATE bundles SET digest = '" + A + "'", "is not stored under"),
+        ("UPDATE bundles SET name = 'other'", "calls itself acc"),
+        ("UPDATE bundles SET manifest = '{\"problem\": 7}'", "cannot be read"),
+    ],
+)
+def test_the_check_of_a_database_reads_every_problem(database: Database, statement: str, said: str) -> None:
+    pushed(database)
+    assert [verdict.problems for verdict in verify(database, full=False) if verdict.problems] == []
+    with database.transaction() as connection:
+        given = {"other": b"none"} if ":other" in statement else {}
+        connection.execute(text(statement), given)
+    (verdict,) = [verdict for verdict in verify(database, full=False) if verdict.problems]
+    assert verdict.name == "problems"
+    assert said in verdict.problems[0]
+
+
+def test_large_archives_are_copied_in_portions_of_bounded_size(
+    database: Database, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("drivecal.storage.maintenance.transfer.CHUNK_BYTES", 1000)
+    for digest in (A, B, C):
+        push(database, digest, archive=bytes(1001))
+    portions: list[int] = []
+    target = Database.open(f"sqlite:///{tmp_path / 'copy.db'}")
+    target.upgrade()
+    with database.read() as source, target.transaction() as connection:
+        copy_rows(source, connection, lambda table, done, _: portions.append(done) if table == "bundles" else None)
+    assert portions == [1, 2, 3]
+    target.dispose()

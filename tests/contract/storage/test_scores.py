@@ -1,0 +1,65 @@
+"""Scores of any scale are stored to the last bit, and whole ones come back as integers."""
+
+from __future__ import annotations
+
+import pytest
+from tests.support.storage import EVALUATOR, campaign, new_run, sample_set_ids, setup_id
+
+from drivecal.domain.campaigns import StageName
+from drivecal.domain.evaluations import CellScore, Outcome, Rating
+from drivecal.storage import evaluations, results
+from drivecal.storage.engine.database import Database
+from drivecal.storage.evaluations import AnsweredCell, NewEvaluation
+from drivecal.storage.references import ratings, reference_keys, runs
+
+SCORES = (6, 6.0, 0.1 + 0.2, -3.25, 99.999999999, 1e-300, 1e18, 1e300, 0)
+SHOWN = ["6", "6", repr(0.1 + 0.2), "-3.25", "99.999999999", "1e-300", "1e+18", "1e+300", "0"]
+
+
+def test_scores_of_runs_and_of_their_keys(database: Database) -> None:
+    with database.transaction() as connection:
+        setup, sets = setup_id(connection), sample_set_ids(connection, len(SCORES))
+        new = [new_run(setup, one, score=score, rating=score) for one, score in zip(sets, SCORES, strict=True)]
+        stored = runs.insert_results(connection, new)
+        assert runs.insert_results(connection, new) == stored
+        ratings.insert(
+            connection, "other 1", [(run.id, Rating(score, score)) for run, score in zip(stored, SCORES, strict=True)]
+        )
+    keys = [number.to_bytes(16) for number in range(len(SCORES))]
+    watermark = stored[-1].id
+    reference_keys.sync(database, 1, setup, EVALUATOR, watermark, lambda _, values: keys[: len(values)])
+    with database.read() as connection:
+        by_set = runs.look_up_exact(connection, setup, sets, EVALUATOR, watermark)
+        assert [repr(by_set[one].score) for one in sets] == SHOWN
+        by_key = reference_keys.look_up(connection, 1, setup, keys, EVALUATOR, watermark)
+        assert [repr(by_key[key].score) for key in keys] == SHOWN
+        scores = runs.scores(connection, [run.id for run in stored], "other 1")
+        assert [repr(scores[run.id]) for run in stored] == SHOWN
+
+
+@pytest.mark.parametrize("predicted", [False, True])
+def test_scores_of_cells(database: Database, predicted: bool) -> None:
+    with database.transaction() as connection:
+        sequence, setup = campaign(connection).sequence, setup_id(connection)
+        cells = [
+            NewEvaluation(
+                StageName.CALIBRATION,
+                0,
+                number,
+                "S1",
+                setup,
+                one,
+                Outcome.SIMULATED,
+                predicted_score=score if predicted else None,
+            )
+            for number, (one, score) in enumerate(zip(sample_set_ids(connection, len(SCORES)), SCORES, strict=True))
+        ]
+        ids = evaluations.insert(connection, sequence, cells)
+        answers = [AnsweredCell(one, Outcome.SIMULATED, score, score, None) for one, score in zip(ids, SCORES, strict=True)]
+        evaluations.answer(connection, answers)
+    with database.read() as connection:
+        rows = list(results.stream(connection, sequence))
+        assert [repr(row.score) for row in rows] == SHOWN
+        assert [repr(row.predicted_score) for row in rows] == (SHOWN if predicted else ["None"] * len(SCORES))
+        answered: list[CellScore] = list(results.answers(connection, sequence, StageName.CALIBRATION, corrected_by=EVALUATOR))
+        assert [repr(cell.score) for cell in answered] == SHOWN

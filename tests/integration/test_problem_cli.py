@@ -1,0 +1,75 @@
+"""A problem on its way to a server and back: the command line, the client, and who may."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from tests.support.command import command
+from tests.support.server import RunningApi, serving
+
+from drivecal.client import Client
+from drivecal.client.problems import read_bundle
+from drivecal.domain.errors import NotAuthorisedError, NotFoundError
+
+EXAMPLE = Path(__file__).parents[2] / "deploy" / "examples" / "problems" / "python-function"
+AUTHOR, WRITER = "author-0123456789abcdef", "writer-0123456789abcdef"
+
+
+@pytest.fixture
+def api(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[RunningApi]:
+    """A server without tokens, and commands with its home folder."""
+    monkeypatch.setenv("DRIVECAL_HOME", str(tmp_path / "home"))
+    with serving(f"sqlite:///{tmp_path / 'drivecal.db'}", home=str(tmp_path / "home")) as running:
+        yield running
+
+
+def test_a_problem_is_pushed_listed_and_shown(api: RunningApi) -> None:
+    pushed = command("problem", "push", str(EXAMPLE), "--url", api.url, "--json")
+    assert pushed.exit_code == 0, pushed.stderr
+    answer = json.loads(pushed.stdout)
+    assert (answer["name"], answer["latest"]) == ("python-function", True)
+    again = command("problem", "push", str(EXAMPLE), "--url", api.url, "--json")
+    assert json.loads(again.stdout) == answer
+    listed = json.loads(command("problem", "list", "--url", api.url, "--json").stdout)
+    assert [item["digest"] for item in listed["items"]] == [answer["digest"]]
+    for name in ("python-function", answer["digest"]):
+        assert json.loads(command("problem", "show", name, "--url", api.url, "--json").stdout) == answer
+    shown = command("problem", "show", "python-function", "--url", api.url)
+    assert {*answer["parameters"], *answer["scores"]} <= set(shown.stdout.split())
+    table = command("problem", "list", "--name", "python-function", "--url", api.url)
+    assert answer["digest"] in table.stdout
+    assert command("problem", "show", "nothing", "--url", api.url).exit_code == 5
+
+
+def test_the_client_takes_a_folder_an_archive_and_its_bytes(api: RunningApi, tmp_path: Path) -> None:
+    archive = read_bundle(EXAMPLE)[1]
+    (tmp_path / "problem.zip").write_bytes(archive)
+    with Client(api.url) as client:
+        pushed = [client.push_problem(given) for given in (EXAMPLE, str(tmp_path / "problem.zip"), archive)]
+        assert pushed[0] == pushed[1] == pushed[2] == client.problem("python-function")
+        assert [item.digest for item in client.problems().items] == [pushed[0].digest]
+        with pytest.raises(NotFoundError, check=lambda error: error.kind == "problem"):
+            client.problem("nothing")
+
+
+def test_without_the_servers_home_folder_a_push_is_refused(
+    api: RunningApi, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("DRIVECAL_HOME", str(tmp_path / "other"))
+    assert command("problem", "push", str(EXAMPLE), "--url", api.url).exit_code == 4
+    with Client(api.url) as client, pytest.raises(NotAuthorisedError):
+        client.push_problem(EXAMPLE)
+
+
+def test_on_a_server_with_tokens_the_token_decides(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "tokens").write_text(f"bea author {AUTHOR}\nanna write {WRITER}\n")
+    monkeypatch.setenv("DRIVECAL_HOME", str(tmp_path))
+    with serving(f"sqlite:///{tmp_path / 'drivecal.db'}", tokens_file=str(tmp_path / "tokens")) as running:
+        for token, code in ((WRITER, 4), (AUTHOR, 0)):
+            monkeypatch.setenv("DRIVECAL_TOKEN", token)
+            assert command("problem", "push", str(EXAMPLE), "--url", running.url).exit_code == code
+        monkeypatch.setenv("DRIVECAL_TOKEN", WRITER)
+        assert command("problem", "show", "python-function", "--url", running.url).exit_code == 0

@@ -1,0 +1,123 @@
+"""Users' simulators for tests: sessions of scripts, and what a machine still runs of them."""
+
+from __future__ import annotations
+
+import shutil
+import stat
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+
+from drivecal.adapters.kinds import simulator
+from drivecal.domain.evaluations import Breakdown
+from drivecal.plugins.simulators import Declared, NoMeasuresError, SimulatorSession, Value
+
+DECLARED = Declared("trial", ("y",), series=("t",))
+DATA = {"k": 3}
+PYTHON = sys.executable
+
+SERVER = """
+import json, os, signal, subprocess, sys, time
+
+def answer(**fields):
+    sys.stdout.write(json.dumps(fields) + "\\n")
+    sys.stdout.flush()
+
+def started():
+    {start}
+    answer(ready=True)
+
+runs = 0
+for line in sys.stdin:
+    request = json.loads(line)
+    if "quit" in request:
+        {quit}
+        break
+    if "drivecal" in request:
+        greeting = request
+        started()
+        continue
+    x = request["parameters"].get("x")
+    runs += 1
+    {body}
+    answer(id=request["id"], measures=dict(y=2.0 * x))
+"""
+"""A simulator in Python. Answers twice x, unless its `body` does something else before."""
+
+
+def write_server(folder: Path, body: str = "", start: str = "", quit: str = "") -> list[str]:  # noqa: A002
+    """Writes a simulator into a bundle and returns its command."""
+    shown = {"body": body, "start": start, "quit": quit}
+    text = SERVER
+    for name, code in shown.items():
+        indent = "        " if name == "quit" else "    "
+        text = text.replace(f"{{{name}}}", (code or "pass").strip().replace("\n", f"\n{indent}"))
+    (folder / "sim.py").write_text(text)
+    return [PYTHON, "-S", "sim.py"]
+
+
+def write_script(path: Path, text: str) -> Path:
+    """Writes an executable file."""
+    path.write_text(text)
+    path.chmod(path.stat().st_mode | stat.S_IXUSR)
+    return path
+
+
+@contextmanager
+def opened(
+    kind: str, folder: Path, declared: Declared = DECLARED, data: Mapping[str, Any] = DATA, **section: Any
+) -> Iterator[SimulatorSession]:
+    """Opens a session of scenario `S`."""
+    settings = {"timeout": 60.0, "memory_mb": 1000} | section
+    session = simulator(kind).open(settings, "S", data, folder, declared)
+    try:
+        yield session
+    finally:
+        session.close()
+
+
+def served(folder: Path, body: str = "", start: str = "", quit: str = "", **section: Any) -> Any:  # noqa: A002
+    """Opens a session of a `process` simulator with this body."""
+    return opened("process", folder, command=write_server(folder, body, start, quit), **section)
+
+
+def lost(session: SimulatorSession, parameters: Mapping[str, Value], breakdown: Breakdown) -> str:
+    """Runs a parameter set that has no result for this reason; returns the detail."""
+    with pytest.raises(NoMeasuresError) as error:
+        session.evaluate(parameters)
+    assert error.value.breakdown is breakdown, error.value.detail
+    return error.value.detail
+
+
+def compiled(compiler: str, source: Path, target: Path, *options: str) -> Path:
+    """Compiles a C or C++ file."""
+    assert shutil.which(compiler), f"the tests need a compiler: {compiler}"
+    subprocess.run([compiler, "-O1", *options, "-o", str(target), str(source)], check=True, capture_output=True)
+    return target
+
+
+def running(mark: str) -> list[psutil.Process]:
+    """The living processes whose command has a mark."""
+    processes = []
+    for process in psutil.process_iter():
+        try:
+            if process.status() != psutil.STATUS_ZOMBIE and any(mark in part for part in process.cmdline()):
+                processes.append(process)
+        except psutil.Error:
+            continue
+    return processes
+
+
+def eventually(condition: Callable[[], object], seconds: float = 60.0) -> None:
+    """Waits until a condition holds."""
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, "it never happened"
+        time.sleep(0.02)

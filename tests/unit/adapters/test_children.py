@@ -1,0 +1,219 @@
+"""Hostile children: what is held back, and what is counted."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+from tests.support.simulators import PYTHON, compiled, eventually, lost, opened, running, served, write_script, write_server
+
+from drivecal.adapters import children, keeper
+from drivecal.domain.evaluations import Breakdown
+from drivecal.plugins.simulators import NoMeasuresError
+
+SLEEPER = "[sys.executable, '-S', '-c', 'import time; time.sleep(600)', {mark!r}]"
+DAEMON = """
+import os, time
+if os.fork() == 0:
+    os.setsid()
+    if os.fork() == 0:
+        time.sleep(600)
+    os._exit(0)
+"""
+"""Leaves its process group and its parent, as a daemon does."""
+
+
+@pytest.fixture
+def mark(tmp_path: Path) -> str:
+    """A word that only this test's processes have in their commands."""
+    return f"mark-of-{tmp_path.parent.name}-{tmp_path.name}"
+
+
+@pytest.mark.parametrize("body", ["os.abort()", "os.write(1, b'nonsense\\n')", "time.sleep(600)"])
+def test_grandchildren_end_with_a_failed_run(tmp_path: Path, mark: str, body: str) -> None:
+    spawn = f"subprocess.Popen({SLEEPER.format(mark=mark)})"
+    with served(tmp_path, f"if x == 1.0:\n    {spawn}\n    {body}", timeout=2.0) as session:
+        with pytest.raises(NoMeasuresError):
+            session.evaluate({"x": 1.0})
+        assert running(mark) == []
+        assert session.evaluate({"x": 2.0}).measures == {"y": 4.0}
+
+
+def test_grandchildren_end_with_the_session(tmp_path: Path, mark: str) -> None:
+    with served(tmp_path, f"subprocess.Popen({SLEEPER.format(mark=mark)})") as session:
+        session.evaluate({"x": 1.0})
+        assert len(running(mark)) == 1
+    assert running(mark) == []
+
+
+def test_daemons_that_leave_the_group_end_too(tmp_path: Path, mark: str) -> None:
+    body = f"subprocess.run([sys.executable, '-S', '-c', {DAEMON!r}, {mark!r}])"
+    with served(tmp_path, body) as session:
+        session.evaluate({"x": 1.0})
+        eventually(lambda: len(running(mark)) == 1)
+    assert running(mark) == []
+
+
+def test_a_child_that_ignores_signals_ends(tmp_path: Path, mark: str) -> None:
+    body = "for number in (1, 2, 15): signal.signal(number, signal.SIG_IGN)\ntime.sleep(600)"
+    write_server(tmp_path, f"if x == 1.0:\n    {body.replace(chr(10), chr(10) + '    ')}")
+    with opened("process", tmp_path, command=[PYTHON, "-S", "sim.py", mark], timeout=1.0) as session:
+        lost(session, {"x": 1.0}, Breakdown.HANG)
+        assert running(mark) == []
+
+
+def test_a_child_that_is_asked_to_end_may_clean_up(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    body = f"signal.signal(15, lambda *_: (open({str(out)!r}, 'w').write('cleaned'), os._exit(1)))\ntime.sleep(600)"
+    with served(tmp_path, body, timeout=1.0) as session:
+        lost(session, {"x": 1.0}, Breakdown.HANG)
+    assert out.read_text() == "cleaned"
+
+
+def test_a_child_that_kills_its_keeper_costs_its_run_only(tmp_path: Path, mark: str) -> None:
+    spawn = f"subprocess.Popen({SLEEPER.format(mark=mark)})"
+    with served(tmp_path, f"if x == 1.0:\n    {spawn}\n    os.kill(os.getppid(), 9)\n    time.sleep(600)") as session:
+        lost(session, {"x": 1.0}, Breakdown.CRASH)
+        assert session.evaluate({"x": 2.0}).measures == {"y": 4.0}
+    eventually(lambda: running(mark) == [])
+
+
+def test_everything_ends_with_a_worker_that_is_killed(tmp_path: Path, mark: str) -> None:
+    bundle = tmp_path / "bundle"
+    bundle.mkdir()
+    write_server(bundle, f"subprocess.Popen({SLEEPER.format(mark=mark)})")
+    worker = textwrap.dedent(f"""
+        import time
+        from pathlib import Path
+        from drivecal.adapters.kinds import simulator
+        from drivecal.plugins.simulators import Declared
+        section = {{"command": [{PYTHON!r}, "-S", "sim.py", {mark!r}], "timeout": 60.0, "memory_mb": 1000}}
+        session = simulator("process").open(section, "S", {{}}, Path({str(bundle)!r}), Declared("p", ("y",)))
+        session.evaluate({{"x": 1.0}})
+        print(session._scratch.folder, flush=True)
+        time.sleep(600)
+    """)
+    with subprocess.Popen([sys.executable, "-c", worker], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        scratch = Path(process.stdout.readline().strip())
+        assert scratch.is_dir()
+        assert len([one for one in running(mark) if one.pid != process.pid]) == 2
+        process.kill()
+    eventually(lambda: running(mark) == [] and not scratch.exists())
+
+
+def test_too_many_processes_end_the_run(tmp_path: Path, mark: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The bomb itself stops at 40, in case that it is not held back."""
+    monkeypatch.setattr(children, "MOST_PROCESSES", 20)
+    spawn = f"[subprocess.Popen({SLEEPER.format(mark=mark)}) for _ in range(40)]"
+    with served(tmp_path, f"if x == 1.0:\n    {spawn}\n    time.sleep(600)") as session:
+        assert "processes, more than 20" in lost(session, {"x": 1.0}, Breakdown.ERROR)
+        assert running(mark) == []
+        assert session.evaluate({"x": 2.0}).measures == {"y": 4.0}
+
+
+def test_processes_that_multiply_while_they_are_killed_end(tmp_path: Path, mark: str) -> None:
+    """Each leaves the group and starts its successor at once; the chain ends after a while by itself."""
+    chain = "import os, time\nfor _ in range(20_000):\n    if os.fork():\n        os._exit(0)\n    os.setsid()\ntime.sleep(600)"
+    with served(tmp_path, f"subprocess.Popen([sys.executable, '-S', '-c', {chain!r}, {mark!r}])\nos.abort()") as session:
+        for _ in range(3):
+            lost(session, {"x": 1.0}, Breakdown.CRASH)
+            assert running(mark) == []
+
+
+def test_memory_of_all_processes_together_is_limited(tmp_path: Path) -> None:
+    """Shared memory does not count as data of a process."""
+    body = (
+        "import mmap\nhold = mmap.mmap(-1, 200 << 20)\nfor start in range(0, 200 << 20, 4096): hold[start] = 1\ntime.sleep(600)"
+    )
+    with served(tmp_path, f"if x == 1.0:\n    {body.replace(chr(10), chr(10) + '    ')}", memory_mb=100) as session:
+        assert "MB of memory" in lost(session, {"x": 1.0}, Breakdown.MEMORY)
+        assert session.evaluate({"x": 2.0}).measures == {"y": 4.0}
+
+
+def test_a_program_in_c_that_runs_out_of_memory_is_told_from_a_crash(tmp_path: Path) -> None:
+    source = tmp_path / "sim.cpp"
+    source.write_text(
+        "#include <iostream>\n#include <string>\n#include <vector>\nint main() { std::string line; std::getline(std::cin, line);"
+        ' std::cout << "{\\"ready\\": true}" << std::endl; std::getline(std::cin, line);'
+        " std::vector<char> hold(3000000000u, 1); std::cout << hold[5] << std::endl; }\n"
+    )
+    compiled("g++", source, tmp_path / "sim")
+    with opened("process", tmp_path, command=["./sim"], memory_mb=500) as session:
+        assert "bad_alloc" in lost(session, {"x": 1.0}, Breakdown.MEMORY)
+
+
+def test_a_child_cannot_dump_core_or_fill_the_disk_with_one_file(tmp_path: Path) -> None:
+    body = """
+import resource
+core, size = (resource.getrlimit(limit)[0] for limit in (resource.RLIMIT_CORE, resource.RLIMIT_FSIZE))
+x = float(core == 0 < size < 1 << 40)
+"""
+    with served(tmp_path, body) as session:
+        assert session.evaluate({"x": 0.0}).measures == {"y": 2.0}
+
+
+def test_a_child_leads_a_session_with_default_signals_and_no_foreign_descriptors(tmp_path: Path) -> None:
+    body = """
+handlers = [signal.getsignal(number) for number in (1, 15)]
+descriptors = sorted(os.listdir('/proc/self/fd'))  # the last is that of the folder itself
+x = float(os.getsid(0) == os.getpid() and handlers == [signal.SIG_DFL] * 2 and descriptors == ['0', '1', '2', '3'])
+"""
+    with served(tmp_path, body) as session:
+        assert session.evaluate({"x": 0.0}).measures == {"y": 2.0}
+
+
+def test_cpu_time_is_that_of_the_run(tmp_path: Path) -> None:
+    """Compared with what the child itself measured."""
+    body = "start = time.process_time()\nwhile time.process_time() < start + x: pass\nif x == 0.0: time.sleep(1.0)"
+    with served(tmp_path, body) as session:
+        session.evaluate({"x": 0.1})
+        assert 0.3 <= session.evaluate({"x": 0.3}).cpu_seconds < 0.6
+        assert session.evaluate({"x": 0.0}).cpu_seconds < 0.1
+
+
+def test_cpu_time_behind_a_shell_script_and_of_short_lived_programs_counts(tmp_path: Path) -> None:
+    busy = "import time\nstart = time.process_time()\nwhile time.process_time() < start + 0.3: pass"
+    write_server(
+        tmp_path,
+        f"while x and time.process_time() < runs * 0.3: pass\nif not x: subprocess.run([sys.executable, '-S', '-c', {busy!r}])",
+    )
+    write_script(tmp_path / "run.sh", f"#!/bin/sh\n{PYTHON} -S sim.py\nexit 0\n")
+    with opened("process", tmp_path, command=["./run.sh"]) as session:
+        assert session.evaluate({"x": 1.0}).cpu_seconds >= 0.2
+        assert session.evaluate({"x": 0.0}).cpu_seconds >= 0.25
+
+
+@pytest.mark.parametrize("body", ["os.abort()", "time.sleep(600)"])
+def test_cpu_time_of_a_lost_run_counts(tmp_path: Path, body: str) -> None:
+    with (
+        served(tmp_path, f"while time.process_time() < 0.5: pass\n{body}", timeout=5.0) as session,
+        pytest.raises(NoMeasuresError) as error,
+    ):
+        session.evaluate({"x": 1.0})
+    assert 0.4 <= error.value.cpu_seconds < 2.0
+
+
+def test_descendants_are_found_and_none_besides(mark: str) -> None:
+    with subprocess.Popen(["sh", "-c", f"{sys.executable} -S -c 'import time; time.sleep(600)' {mark}; exit 0"]) as process:
+        eventually(lambda: len(keeper.descendants(process.pid)) == 1)
+        (sleeper,) = keeper.descendants(process.pid)
+        assert sleeper.parent == process.pid
+        assert process.pid in [seen.pid for seen in keeper.descendants(os.getpid())]
+        os.kill(sleeper.pid, signal.SIGKILL)
+    assert keeper.seen(process.pid) is None
+
+
+def test_a_folder_that_was_made_unreadable_is_removed(tmp_path: Path) -> None:
+    folder = tmp_path / "scratch"
+    (folder / "deep" / "deeper").mkdir(parents=True)
+    (folder / "deep" / "file").write_text("")
+    (folder / "link").symlink_to(tmp_path)
+    (folder / "deep").chmod(0)
+    keeper.remove(folder)
+    assert list(tmp_path.iterdir()) == []

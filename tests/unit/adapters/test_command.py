@@ -1,0 +1,134 @@
+"""Simulators of kind `command`: files in, a file out, an exit code."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from tests.support.simulators import DECLARED, eventually, lost, opened, running, write_script
+
+from drivecal.adapters.kinds import longest_seconds, simulator
+from drivecal.domain.errors import NotFoundError, UnavailableError
+from drivecal.domain.evaluations import Breakdown
+from drivecal.plugins.simulators import VERSIONS
+
+COMMAND = ["./run.sh", "{parameters}", "{scenario}", "--out={results}"]
+SCRIPT = """#!/bin/sh
+results=${{3#--out=}}
+x=$(sed 's/.*"x": \\([0-9]*\\).*/\\1/' "$1")
+{body}
+echo "{{\\"measures\\": {{\\"y\\": $((2 * x))}}}}" > "$results"
+"""
+
+
+def write(folder: Path, body: str = "") -> None:
+    write_script(folder / "run.sh", SCRIPT.format(body=body))
+
+
+def test_a_command_reads_files_and_writes_one(tmp_path: Path) -> None:
+    out = tmp_path / "seen"
+    write(tmp_path, f'cat "$1" "$2" >> {out}')
+    with opened("command", tmp_path, command=COMMAND) as session:
+        assert session.evaluate({"x": 4}).measures == {"y": 8.0}
+        assert session.evaluate({"x": 5, "mode": "eco"}).measures == {"y": 10.0}
+    assert out.read_text() == '{"x": 4}{"k": 3}{"x": 5, "mode": "eco"}{"k": 3}'
+
+
+@pytest.mark.parametrize(
+    ("body", "breakdown", "detail"),
+    [
+        ("echo out; echo no licence >&2; exit 2", Breakdown.CRASH, "exit code 2; its last messages: out | no licence"),
+        ("kill -SEGV $$", Breakdown.CRASH, "SIGSEGV"),
+        ("echo done; exit 0", Breakdown.ERROR, "no results file: No such file or directory; its last messages: done"),
+        ('echo nonsense > "$results"; exit 0', Breakdown.ERROR, "the results file is not JSON: nonsense"),
+        (': > "$results"; exit 0', Breakdown.ERROR, "the results file is not JSON"),
+        ('echo \'{"error": "no mesh"}\' > "$results"; exit 0', Breakdown.ERROR, "no mesh"),
+        ('echo \'{"measures": {"y": NaN}}\' > "$results"; exit 0', Breakdown.ERROR, "not finite"),
+        ('ln -s /etc/hostname "$results"; exit 0', Breakdown.ERROR, "no results file"),
+        ('mkfifo "$results"; exit 0', Breakdown.ERROR, "not a regular file"),
+        ('mkdir "$results"; exit 0', Breakdown.ERROR, "not a regular file"),
+        ('head -c 20000000 /dev/zero > "$results"; exit 0', Breakdown.ERROR, "16 MB"),
+        ("exec sleep 600", Breakdown.HANG, "timeout"),
+    ],
+)
+def test_a_fault_costs_its_run_only(tmp_path: Path, body: str, breakdown: Breakdown, detail: str) -> None:
+    write(tmp_path, f'if [ "$x" = 1 ]; then\n{body}\nfi')
+    with opened("command", tmp_path, command=COMMAND, timeout=3.0) as session:
+        assert detail in lost(session, {"x": 1}, breakdown)
+        assert session.evaluate({"x": 2}).measures == {"y": 4.0}
+
+
+def test_a_flood_of_output_does_not_block(tmp_path: Path) -> None:
+    write(tmp_path, "head -c 5000000 /dev/zero; head -c 5000000 /dev/zero >&2")
+    with opened("command", tmp_path, command=COMMAND) as session:
+        assert session.evaluate({"x": 2}).measures == {"y": 4.0}
+
+
+def test_a_failure_needs_no_measures(tmp_path: Path) -> None:
+    write(tmp_path, 'echo \'{"failure": "collision"}\' > "$results"; exit 0')
+    with opened("command", tmp_path, command=COMMAND) as session:
+        outcome = session.evaluate({"x": 2})
+    assert (outcome.failure, outcome.measures) == ("collision", {})
+
+
+def test_each_run_starts_in_an_empty_folder_with_links_to_the_bundle(tmp_path: Path) -> None:
+    bundle = tmp_path / "bundle"
+    bundle.mkdir()
+    (bundle / "mesh").write_text("")
+    write(bundle, f"[ -e mesh ] || exit 1\n[ ! -e left ] || exit 2\nmkdir left\nrm mesh\necho . >> {tmp_path / 'count'}")
+    with opened("command", bundle, command=COMMAND) as session:
+        for _ in range(3):
+            session.evaluate({"x": 2})
+    assert (tmp_path / "count").read_text() == ".\n" * 3
+    assert sorted(path.name for path in bundle.iterdir()) == ["mesh", "run.sh"]
+
+
+def test_nothing_runs_after_a_run(tmp_path: Path) -> None:
+    mark = f"6{abs(hash(tmp_path)) % 10**8}"
+    write(tmp_path, f"sleep {mark} &\nsetsid sleep {mark} &")
+    with opened("command", tmp_path, command=COMMAND) as session:
+        assert session.evaluate({"x": 2}).measures == {"y": 4.0}
+        assert running(mark) == []
+
+
+def test_cpu_time_is_that_of_the_command(tmp_path: Path) -> None:
+    write(
+        tmp_path, 'if [ "$x" = 1 ]; then sleep 1; else i=0; while [ $i -lt 200000 ]; do i=$((i+1)); done; times > seconds; fi'
+    )
+    with opened("command", tmp_path, command=COMMAND) as session:
+        assert session.evaluate({"x": 1}).cpu_seconds < 0.2
+        busy = session.evaluate({"x": 2}).cpu_seconds
+        seconds = float((session._scratch.work / "seconds").read_text().split()[0].removeprefix("0m").removesuffix("s"))  # type: ignore[attr-defined]
+    assert seconds <= busy < seconds + 0.3
+
+
+def test_a_command_that_vanishes_costs_its_runs(tmp_path: Path) -> None:
+    write(tmp_path)
+    with opened("command", tmp_path, command=COMMAND) as session:
+        (tmp_path / "run.sh").unlink()
+        assert "cannot be started" in lost(session, {"x": 1}, Breakdown.ERROR)
+
+
+def test_the_scratch_folder_is_removed(tmp_path: Path) -> None:
+    write(tmp_path)
+    with opened("command", tmp_path, command=COMMAND) as session:
+        session.evaluate({"x": 2})
+        folder = session._scratch.folder  # type: ignore[attr-defined]
+        assert json.loads((folder / "scenario.json").read_text()) == {"k": 3}
+    eventually(lambda: not folder.exists())
+
+
+def test_a_command_that_does_not_exist_cannot_be_opened(tmp_path: Path) -> None:
+    with (
+        pytest.raises(UnavailableError, match="no-such-program"),
+        opened("command", tmp_path, DECLARED, command=["no-such-program"]),
+    ):
+        pass
+
+
+def test_kinds_have_versions_and_unknown_ones_are_named() -> None:
+    assert {kind: simulator(kind).version for kind in VERSIONS} == VERSIONS
+    with pytest.raises(NotFoundError, match="process, command, python, fmu"):
+        simulator("matlab")
+    assert longest_seconds(600.0) > 600.0

@@ -1,0 +1,156 @@
+"""Simulators of kind `fmu`: whole systems of FMI 2 and 3, built here."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.support.fmus import SECOND_DESCRIPTION, archive, build
+from tests.support.simulators import lost, opened
+
+from drivecal.adapters import fmu
+from drivecal.adapters.fmu_driver import OutputStatistics
+from drivecal.domain.errors import UnavailableError
+from drivecal.domain.evaluations import Breakdown
+from drivecal.plugins.simulators import Declared
+
+MEASURES = {
+    "end": "last(body.x[1])",
+    "least": "min(body.x[1])",
+    "most": "max( body.x[1] )",
+    "usual": "mean(body.x[1])",
+    "area": "integral(body.x[1])",
+}
+DECLARED = Declared("trial", tuple(MEASURES), series=("body.x[1]", "time"))
+SECTION: dict[str, Any] = {"duration": 2.0, "step": 0.1, "measures": MEASURES}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("fmus")
+    build(path, 2)
+    build(path, 3)
+    return path
+
+
+def run(folder: Path, file: str, declared: Declared = DECLARED, data: dict[str, Any] | None = None, **section: Any) -> Any:
+    return opened("fmu", folder, declared, data=data or {}, **(SECTION | {"file": file} | section))
+
+
+@pytest.mark.parametrize("file", ["trial2.fmu", "trial3.fmu"])
+def test_measures_of_outputs(folder: Path, file: str) -> None:
+    with run(folder, file) as session:
+        for rate in (3.0, -1.0, 3.0):  # a reset forgets the run before
+            measures = session.evaluate({"rate": rate}).measures
+            expected = {"end": 2 * rate, "least": min(0, 2 * rate), "most": max(0, 2 * rate), "usual": rate, "area": 2 * rate}
+            assert measures == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize("file", ["trial2.fmu", "trial3.fmu"])
+def test_start_values_of_all_types_come_from_data_and_parameters(folder: Path, file: str) -> None:
+    with run(folder, file, data={"rate": 5.0, "flag": True, "label": "text"}) as session:
+        assert session.evaluate({}).measures["end"] == pytest.approx(-10)
+        assert session.evaluate({"rate": 1.0, "factor": 3.0, "mode": "sport"}).measures["end"] == pytest.approx(-12)
+        assert "takes integers" in lost(session, {"factor": 1.5}, Breakdown.ERROR)
+        assert "it has eco, sport" in lost(session, {"mode": "fast"}, Breakdown.ERROR)
+        assert "no variable rat, a parameter; it has e.g. rate" in lost(session, {"rat": 1.5}, Breakdown.ERROR)
+        assert session.evaluate({}).measures["end"] == pytest.approx(-10)
+
+
+@pytest.mark.parametrize("file", ["trial2.fmu", "trial3.fmu"])
+@pytest.mark.parametrize(
+    ("rate", "breakdown", "detail"),
+    [
+        (666.0, Breakdown.CRASH, "SIGABRT"),
+        (777.0, Breakdown.CRASH, "exit code 0"),
+        (13.0, Breakdown.ERROR, "status 3 (error)"),
+        (14.0, Breakdown.CRASH, "status 4 (fatal)"),
+    ],
+)
+def test_a_fault_costs_its_run_only(folder: Path, file: str, rate: float, breakdown: Breakdown, detail: str) -> None:
+    with run(folder, file) as session:
+        assert detail in lost(session, {"rate": rate}, breakdown)
+        assert session.evaluate({"rate": 1.0}).measures["end"] == pytest.approx(2)
+
+
+def test_a_hang_and_a_flood_cost_at_most_their_run(folder: Path) -> None:
+    with run(folder, "trial2.fmu", timeout=3.0) as session:
+        assert session.evaluate({"rate": 16.0}).measures["end"] == pytest.approx(32)
+        lost(session, {"rate": 15.0}, Breakdown.HANG)
+        assert session.evaluate({"rate": 1.0}).measures["end"] == pytest.approx(2)
+
+
+def test_an_fmu_that_ends_early_has_no_result(folder: Path) -> None:
+    with run(folder, "trial3.fmu") as session:
+        assert "ended the simulation" in lost(session, {"rate": 17.0}, Breakdown.ERROR)
+        assert session.evaluate({"rate": 1.0}).measures["end"] == pytest.approx(2)
+
+
+def test_the_last_step_may_be_shorter(folder: Path) -> None:
+    with run(folder, "trial2.fmu", duration=1.0, step=0.3) as session:
+        outcome = session.evaluate({"rate": 1.0}, series=True)
+    assert outcome.measures["end"] == pytest.approx(1.0)
+    assert outcome.series["time"] == pytest.approx([0, 0.3, 0.6, 0.9, 1.0])
+    assert outcome.series["body.x[1]"] == pytest.approx([0, 0.3, 0.6, 0.9, 1.0])
+
+
+def test_the_child_is_replaced_before_it_is_worn_out(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The FMU can be instantiated once per process; `runs` counts its runs."""
+    monkeypatch.setattr(fmu, "MOST_RUNS", 3)
+    with run(folder, "trial2.fmu", Declared("p", ("n",)), measures={"n": "last(runs)"}) as session:
+        assert [session.evaluate({}).measures["n"] for _ in range(8)] == [1, 2, 3, 1, 2, 3, 1, 2]
+
+
+FMI_1 = SECOND_DESCRIPTION.replace('fmiVersion="2.0"', 'fmiVersion="1.0"').replace("<CoSimulation", "<Nothing")
+EXCHANGE = SECOND_DESCRIPTION.replace("CoSimulation", "ModelExchange")
+
+
+@pytest.mark.parametrize(
+    ("section", "detail"),
+    [
+        ({"measures": MEASURES | {"end": "last(body.y)"}}, r"no variable body\.y, a measured output; it has e\.g\. body\.x"),
+        ({"measures": MEASURES | {"end": "median(runs)"}}, "measure end: median"),
+        ({"measures": MEASURES | {"end": "last(label)"}}, "label is a text"),
+        ({"file": "fmi1.fmu"}, "FMI 1"),
+        ({"file": "exchange.fmu"}, "co-simulation"),
+        ({"file": "windows.fmu"}, "is built for win64, not for linux64"),
+        ({"file": "empty.fmu"}, "modelDescription"),
+        ({"file": "text.fmu"}, "modelDescription"),
+        ({"file": "broken.fmu"}, "trial.so"),
+        ({"file": "missing.fmu"}, "does not exist"),
+    ],
+)
+def test_an_unusable_fmu_cannot_be_opened(folder: Path, tmp_path: Path, section: dict[str, Any], detail: str) -> None:
+    (tmp_path / "trial2.fmu").symlink_to(folder / "trial2.fmu")
+    (tmp_path / "text.fmu").write_text("no archive")
+    (tmp_path / "library").write_text("no library")
+    library = tmp_path / "library"
+    archive(tmp_path / "fmi1.fmu", FMI_1, {"binaries/linux64/trial.so": library})
+    archive(tmp_path / "exchange.fmu", EXCHANGE, {"binaries/linux64/trial.so": library})
+    archive(tmp_path / "windows.fmu", SECOND_DESCRIPTION, {"binaries/win64/trial.dll": library})
+    archive(tmp_path / "broken.fmu", SECOND_DESCRIPTION, {"binaries/linux64/trial.so": library})
+    archive(tmp_path / "empty.fmu", "", {})
+    with pytest.raises(UnavailableError, match=detail), run(tmp_path, **({"file": "trial2.fmu"} | section)):
+        pass
+
+
+def test_wrong_names_in_the_data_cannot_be_opened(folder: Path) -> None:
+    with (
+        pytest.raises(UnavailableError, match="no variable gap, a name in the scenario's data"),
+        run(folder, "trial2.fmu", data={"gap": 1}),
+    ):
+        pass
+
+
+def test_a_machine_without_fmpy_cannot_open_one(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fmu, "find_spec", lambda _: None)
+    with pytest.raises(UnavailableError, match=r"drivecal\[fmu\]"), run(folder, "trial2.fmu"):
+        pass
+
+
+def test_a_value_that_is_no_number_spoils_its_statistics() -> None:
+    statistics = OutputStatistics(1.0)
+    for value in (2.0, float("nan"), 3.0):
+        statistics.add(value, 0.5)
+    assert str(statistics.min) == str(statistics.max) == str(statistics.mean) == "nan"

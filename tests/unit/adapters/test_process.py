@@ -1,0 +1,257 @@
+"""Simulators of kind `process`: the protocol, its faults, and what a fault costs."""
+
+from __future__ import annotations
+
+import json
+import pickle
+from pathlib import Path
+
+import pytest
+from tests.support.simulators import DECLARED, PYTHON, eventually, lost, opened, served, write_script, write_server
+
+from drivecal.adapters import pipes, process
+from drivecal.adapters.scratch import environment
+from drivecal.domain.errors import UnavailableError
+from drivecal.domain.evaluations import Breakdown
+from drivecal.plugins.simulators import Declared, NoMeasuresError
+
+FAULTS = {
+    "crash": ("os.abort()", Breakdown.CRASH, "SIGABRT"),
+    "exit": (
+        "sys.stderr.write('first\\nno licence\\n'); sys.exit(3)",
+        Breakdown.CRASH,
+        "exit code 3; its last messages: first | no licence",
+    ),
+    "exit in silence": ("sys.exit(0)", Breakdown.CRASH, "exit code 0"),
+    "no JSON": ("print('Simulation finished', flush=True)", Breakdown.ERROR, "not JSON: Simulation finished"),
+    "no object": ("print('[1]', flush=True)", Breakdown.ERROR, "not a JSON object"),
+    "deep JSON": ("print('[' * 100000, flush=True)", Breakdown.ERROR, "not JSON"),
+    "no UTF-8": ("os.write(1, b'\\xff\\xfe\\n')", Breakdown.ERROR, "not JSON"),
+    "other id": ("answer(id=request['id'] - 1, measures=dict(y=1.0))", Breakdown.ERROR, "id"),
+    "no id": ("answer(measures=dict(y=1.0))", Breakdown.ERROR, "id"),
+    "two answers": ("os.write(1, b'{\"id\": %d}\\n' % request['id'] * 2)", Breakdown.ERROR, "more than one line"),
+    "long line": ("os.write(1, b'[' + b'1,' * 50_000_000)", Breakdown.ERROR, "more than 16 MB"),
+    "flood": ("while True: os.write(1, b'x' * 60_000)", Breakdown.ERROR, "more than 16 MB"),
+    "flood of lines": ("while True: os.write(1, b'[]\\n' * 20_000)", Breakdown.ERROR, "not a JSON object"),
+    "closed output": ("os.close(1); time.sleep(600)", Breakdown.ERROR, "closed its standard output"),
+    "out of memory": ("bytearray(4_000_000_000)", Breakdown.MEMORY, "MemoryError"),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_fault_costs_its_run_only(tmp_path: Path, name: str) -> None:
+    body, breakdown, detail = FAULTS[name]
+    with served(tmp_path, f"if x == 1.0:\n    {body}\n") as session:
+        assert session.evaluate({"x": 0.0}).measures == {"y": 0.0}
+        for _ in range(2):
+            assert detail in lost(session, {"x": 1.0}, breakdown)
+            assert session.evaluate({"x": 2.0}).measures == {"y": 4.0}
+
+
+def test_a_hang_costs_its_run_only(tmp_path: Path) -> None:
+    with served(
+        tmp_path, "if x == 1.0:\n    sys.stderr.write('stuck')\n    sys.stderr.flush()\n    time.sleep(600)", timeout=2.0
+    ) as session:
+        assert lost(session, {"x": 1.0}, Breakdown.HANG) == "no answer after 2 s (timeout); its last messages: stuck"
+        assert session.evaluate({"x": 2.0}).measures == {"y": 4.0}
+
+
+def test_a_flood_of_messages_neither_blocks_nor_changes_a_run(tmp_path: Path) -> None:
+    with served(tmp_path, "os.write(2, b'warning ' * 2_000_000)", quit="os.write(2, b'x' * 1_000_000)") as session:
+        for x in range(3):
+            assert session.evaluate({"x": float(x)}).measures == {"y": 2.0 * x}
+
+
+def test_an_endless_flood_of_messages_is_a_hang(tmp_path: Path) -> None:
+    with served(tmp_path, "while x == 1.0: os.write(2, b'warning ' * 1000)", timeout=2.0) as session:
+        assert "warning" in lost(session, {"x": 1.0}, Breakdown.HANG)
+        assert session.evaluate({"x": 2.0}).measures == {"y": 4.0}
+
+
+def test_a_request_holds_scenario_data_parameters_and_seed(tmp_path: Path) -> None:
+    body = "open(os.path.join(os.environ['HOME'], 'log'), 'a').write(json.dumps([greeting, request]) + '\\n')"
+    with served(tmp_path, f"{body}\nanswer(id=request['id'], measures=dict(y=1.0))\ncontinue") as session:
+        session.evaluate({"x": 1.5, "n": 3, "mode": "eco"})
+        session.evaluate({"x": 2.5}, series=True)
+        (log,) = Path(scratch_of(session)).rglob("log")
+        rows = [json.loads(line) for line in log.read_text().splitlines()]
+    head = {"scenario": "S", "data": {"k": 3}, "seed": 1}
+    assert rows == [
+        [{"drivecal": 1, "problem": "trial"}, {"id": 1, **head, "parameters": {"x": 1.5, "n": 3, "mode": "eco"}}],
+        [{"drivecal": 1, "problem": "trial"}, {"id": 2, **head, "parameters": {"x": 2.5}, "series": True}],
+    ]
+
+
+def scratch_of(session: object) -> Path:
+    folder: Path = session._scratch.folder  # type: ignore[attr-defined]
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("fields", "detail"),
+    [
+        ("measures=dict(y=float('nan'))", "y is not finite"),
+        ("measures=dict(y=10**400)", "y is not finite"),
+        ("measures=dict(y='1')", "y is not a number"),
+        ("measures=dict(y=True)", "y is not a number"),
+        ("measures=dict(y=None)", "y is not a number"),
+        ("measures=dict()", "lacks measures: y"),
+        ("measures=dict(y=1, z=2)", "does not declare: z"),
+        ("measures=[1]", "no object `measures`"),
+        ("value=1", "no object `measures`"),
+        ("failure=3", "`failure` is not the name"),
+        ("failure='crashed', measures=dict(z=1)", "does not declare: z"),
+        ("error='licence server away'", "licence server away"),
+    ],
+)
+def test_a_wrong_answer_costs_its_run_and_no_restart(tmp_path: Path, fields: str, detail: str) -> None:
+    with served(tmp_path, f"if x == 1.0:\n    answer(id=request['id'], {fields})\n    continue\nx = x * runs") as session:
+        assert detail in lost(session, {"x": 1.0}, Breakdown.ERROR)
+        assert session.evaluate({"x": 3.0}).measures == {"y": 12.0}  # the second run of this process
+
+
+def test_a_failure_of_the_system_under_test_is_a_result(tmp_path: Path) -> None:
+    with served(tmp_path, "answer(id=request['id'], failure='collision', measures={})\ncontinue") as session:
+        outcome = session.evaluate({"x": 1.0})
+    assert (outcome.failure, outcome.measures) == ("collision", {})
+
+
+def test_a_failure_that_is_not_declared_is_refused_if_any_is(tmp_path: Path) -> None:
+    command = write_server(tmp_path, "answer(id=request['id'], failure='collision')\ncontinue")
+    with opened("process", tmp_path, Declared("trial", ("y",), failures=("off_road",)), command=command) as session:
+        assert "declared: off_road" in lost(session, {"x": 1.0}, Breakdown.ERROR)
+
+
+def test_time_series_are_returned_on_request_only(tmp_path: Path) -> None:
+    body = "answer(id=request['id'], measures=dict(y=1.0), series=dict(t=[0, 0.5]) if x else dict(u=[1]))\ncontinue"
+    with served(tmp_path, body) as session:
+        assert session.evaluate({"x": 1.0}, series=True).series == {"t": [0.0, 0.5]}
+        assert session.evaluate({"x": 1.0}).series == {}
+        with pytest.raises(NoMeasuresError, match="does not declare: u"):
+            session.evaluate({"x": 0.0}, series=True)
+
+
+def test_a_line_that_nobody_asked_for_costs_no_run(tmp_path: Path) -> None:
+    """It comes between two runs, so it is no answer: the process is replaced."""
+    body = "answer(id=request['id'], measures=dict(y=1.0))\ntime.sleep(0.05)\nprint('goodbye', flush=True)\ncontinue"
+    with served(tmp_path, body) as session:
+        for _ in range(3):
+            assert session.evaluate({"x": 1.0}).measures == {"y": 1.0}
+            eventually(lambda: not session._pipes.is_fresh())
+
+
+def test_a_process_that_ended_between_two_runs_costs_no_run(tmp_path: Path) -> None:
+    with served(tmp_path, "answer(id=request['id'], measures=dict(y=1.0))\nos._exit(0)") as session:
+        for _ in range(3):
+            assert session.evaluate({"x": 1.0}).measures == {"y": 1.0}
+            eventually(lambda: not session._pipes.is_fresh())
+
+
+def test_a_process_that_does_not_read_a_large_request_is_a_hang(tmp_path: Path) -> None:
+    with served(tmp_path, "if x == 1.0: time.sleep(600)", timeout=2.0) as session:
+        session._head = session._head.replace("3}", '3, "large": "' + "x" * 3_000_000 + '"}')
+        assert session.evaluate({"x": 0.0}).measures == {"y": 0.0}
+        lost(session, {"x": 1.0}, Breakdown.HANG)
+        assert session.evaluate({"x": 0.0}).measures == {"y": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("start", "breakdown", "detail"),
+    [
+        ("sys.exit('cannot load libfoo.so')", Breakdown.CRASH, "cannot load libfoo.so"),
+        ("print('MySim 1.0', flush=True)", Breakdown.ERROR, "not JSON: MySim 1.0"),
+        ("answer(ready=False)\nreturn", Breakdown.ERROR, "ready"),
+        ("time.sleep(600)", Breakdown.HANG, "timeout"),
+    ],
+)
+def test_a_start_that_fails_costs_a_run_each_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, start: str, breakdown: Breakdown, detail: str
+) -> None:
+    monkeypatch.setattr(process, "START_SECONDS", 0.5)
+    with served(tmp_path, start=start, timeout=0.5) as session:
+        for _ in range(2):
+            shown = lost(session, {"x": 1.0}, breakdown)
+            assert "does not start" in shown
+            assert detail in shown
+
+
+def test_a_simulator_that_says_it_is_not_ready_cannot_be_opened(tmp_path: Path) -> None:
+    with pytest.raises(UnavailableError, match="no licence"), served(tmp_path, start="answer(error='no licence')\nreturn"):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("command", "detail"),
+    [("./nothing", "does not exist"), ("no-such-program", "PATH"), ("./plain", "chmod"), ("./broken", "cannot be started")],
+)
+def test_a_command_that_cannot_run_cannot_be_opened(tmp_path: Path, command: str, detail: str) -> None:
+    (tmp_path / "plain").write_text("")
+    write_script(tmp_path / "broken", "#!/no/such/interpreter\n")
+    with pytest.raises(UnavailableError, match=detail), opened("process", tmp_path, command=[command]):
+        pass
+
+
+def test_a_process_works_beside_links_to_the_bundle_and_leaves_it_as_it_is(tmp_path: Path) -> None:
+    bundle = tmp_path / "bundle"
+    bundle.mkdir()
+    (bundle / "factor").write_text("7")
+    before = sorted(bundle.rglob("*"))
+    with served(bundle, "x = float(open('factor').read())\nopen('out', 'w').write('1')\nos.mkdir('deep')") as session:
+        assert session.evaluate({"x": 1.0}).measures == {"y": 14.0}
+        folder = scratch_of(session)
+        assert (folder / "work" / "out").is_file()
+    assert sorted(bundle.rglob("*")) == [*before, bundle / "sim.py"]
+    assert not folder.exists()
+
+
+def test_closing_twice_and_after_faults_leaves_nothing(tmp_path: Path) -> None:
+    before = {path.name for path in Path("/proc/self/fd").iterdir()}
+    with served(tmp_path, "os.abort()", quit="while True: pass") as session:
+        lost(session, {"x": 1.0}, Breakdown.CRASH)
+        session.close()
+    assert {path.name for path in Path("/proc/self/fd").iterdir()} == before
+
+
+def test_a_process_may_end_by_itself(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with served(tmp_path, quit=f"open({str(out)!r}, 'w').write('saved')"):
+        pass
+    assert out.read_text() == "saved"
+
+
+def test_the_environment_holds_no_secrets(tmp_path: Path) -> None:
+    inherited = {
+        "PATH": "/bin", "LM_LICENSE_FILE": "27000@host", "DRIVECAL_DATABASE_URL": "x", "RAY_AUTH_TOKEN_PATH": "x", "PGPASSWORD": "x",
+        "AWS_SECRET_ACCESS_KEY": "x", "GITHUB_TOKEN": "x", "PROXY": "http://user:word@host", "PYTHONPATH": "x", "HOME": "/root",
+        "OMP_NUM_THREADS": "4",
+    }  # fmt: skip
+    kept = environment(tmp_path, inherited)
+    assert kept["HOME"] == kept["TMPDIR"] == str(tmp_path)
+    assert kept["OMP_NUM_THREADS"] == "4"
+    assert set(kept) & set(inherited) == {"PATH", "LM_LICENSE_FILE", "HOME", "OMP_NUM_THREADS"}
+
+
+def test_a_process_gets_this_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DRIVECAL_TOKEN", "secret")
+    body = (
+        "x = float('DRIVECAL_TOKEN' in os.environ) + 2 * float(os.getcwd().startswith(os.path.dirname(os.environ['TMPDIR'])))"
+    )
+    with served(tmp_path, body) as session:
+        assert session.evaluate({"x": 1.0}).measures == {"y": 4.0}
+
+
+def test_the_error_survives_pickling() -> None:
+    error = pickle.loads(pickle.dumps(NoMeasuresError(Breakdown.HANG, "late", 1.5)))
+    assert (error.breakdown, str(error), error.cpu_seconds) == (Breakdown.HANG, "late", 1.5)
+
+
+def test_the_tail_is_the_end_of_the_messages(tmp_path: Path) -> None:
+    with served(tmp_path, "os.write(2, b'x' * 9000 + b'\\nlast\\n'); sys.exit(1)") as session:
+        assert lost(session, {"x": 1.0}, Breakdown.CRASH).endswith("x | last")
+        assert len(lost(session, {"x": 1.0}, Breakdown.CRASH)) < pipes.LONGEST_TAIL
+
+
+def test_a_program_on_the_path_can_be_used(tmp_path: Path) -> None:
+    write_server(tmp_path)
+    with opened("process", tmp_path, DECLARED, command=["env", PYTHON, "sim.py"]) as session:
+        assert session.evaluate({"x": 1.0}).measures == {"y": 2.0}

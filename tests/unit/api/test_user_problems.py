@@ -1,0 +1,241 @@
+"""Who may push a problem, what is refused, and what is listed and shown; the whole application, without a server."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import pytest
+from fastapi.testclient import TestClient
+from httpx import Response
+
+from drivecal.api.app import create_app
+from drivecal.api.dependencies import OPEN_ARCHIVES, Limits
+from drivecal.configuration.pushing import HEADER, Pushing, read_secret, sign
+from drivecal.configuration.settings import load_settings
+from drivecal.storage.engine.database import Database
+
+PROBLEMS = "/api/v1/problems"
+TOKENS = {"author": "author-0123456789abcdef", "writer": "writer-0123456789abcdef", "reader": "reader-0123456789abcdef"}
+ROLES = {"author": "author", "writer": "write", "reader": "read"}
+ZIP = {"Content-Type": "application/zip"}
+MANIFEST = """
+problem: {name}
+description: as small as can be
+parameters:
+  x: {{lower: 0, upper: 1, step: 0.1, unit: m}}
+  mode: {{choices: [eco, sport]}}
+simulator: {{kind: python, file: model.py}}
+scenarios: {{city: {{gap: 30}}}}
+measures: {{energy: kWh}}
+scores: {{cost: {{formula: "2*energy", direction: minimise, range: [0, 10]}}}}
+"""
+Serve = Callable[..., TestClient]
+
+
+def packed(name: str = "acc", model: str = "def evaluate(p, s): return {'energy': 1.0}", **files: str) -> bytes:
+    """The archive of a problem."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        for file, content in {"problem.yaml": MANIFEST.format(name=name), "model.py": model, **files}.items():
+            if content:
+                archive.writestr(file, content)
+    return buffer.getvalue()
+
+
+@pytest.fixture
+def serve(tmp_path: Path) -> Iterator[Serve]:
+    """Starts the application as it would listen on an address, with a tokens file or without, and other settings."""
+    with ExitStack() as stack:
+
+        def start(address: str = "127.0.0.1", *, tokens: bool = False, **settings: Any) -> TestClient:
+            url, home = f"sqlite:///{tmp_path / 'drivecal.db'}", tmp_path / "home"
+            file = tmp_path / "tokens"
+            file.write_text("".join(f"{name} {ROLES[name]} {token}\n" for name, token in TOKENS.items()))
+            database = Database.open(url)
+            database.upgrade()
+            database.dispose()
+            loaded = load_settings(database_url=url, home=home, tokens_file=file if tokens else None, **settings)
+            app = create_app(loaded, Pushing.of(loaded, address))
+            return stack.enter_context(TestClient(app, base_url="http://localhost:8000", raise_server_exceptions=False))
+
+        yield start
+
+
+def push(client: TestClient, archive: bytes | None = None, headers: Mapping[str, str] | None = None) -> Response:
+    content = packed() if archive is None else archive
+    response: Response = client.post(PROBLEMS, content=content, headers=ZIP | dict(headers or {}))
+    return response
+
+
+def bearer(name: str) -> dict[str, str]:
+    return {"Authorization": f"Bearer {TOKENS[name]}"}
+
+
+def signed(tmp_path: Path, archive: bytes) -> dict[str, str]:
+    """The header of the server's own user."""
+    secret = read_secret(tmp_path / "home")
+    assert secret is not None
+    return {HEADER: sign(secret, archive)}
+
+
+@pytest.mark.parametrize("address", ["127.0.0.1", "::1", "0.0.0.0", "192.168.1.5"])
+@pytest.mark.parametrize("allow", [None, True, False])
+@pytest.mark.parametrize("name", TOKENS)
+def test_a_token_pushes_if_it_is_an_authors_and_pushing_is_on(
+    serve: Serve, address: str, allow: bool | None, name: str
+) -> None:
+    response = push(serve(address, tokens=True, allow_push=allow), headers=bearer(name))
+    on = allow if allow is not None else address in {"127.0.0.1", "::1"}
+    assert response.status_code == (201 if on and name == "author" else 403), response.text
+
+
+def test_an_author_may_do_what_a_writer_may(serve: Serve) -> None:
+    client = serve(tokens=True)
+    document = {"scenarios": {"S1": {"P1": {"lower": -10}}}}
+    statuses = [client.post("/api/v1/influence-maps", json=document, headers=bearer(name)).status_code for name in TOKENS]
+    assert statuses == [201, 201, 403]
+
+
+def test_without_a_token_or_with_a_session_nothing_is_pushed(serve: Serve) -> None:
+    client = serve(tokens=True)
+    assert push(client).status_code == 401
+    assert client.post("/api/v1/session", headers=bearer("author")).status_code == 200
+    origin = {"Origin": "http://localhost:8000"}
+    assert push(client, headers=origin).status_code == 403
+    assert push(client, headers=bearer("author") | origin).status_code == 403, "no web page, whatever it knows"
+    client.cookies.clear()
+    assert push(client, headers=bearer("author")).status_code == 201
+
+
+@pytest.mark.parametrize("allow", [None, True])
+def test_without_tokens_the_secret_of_the_home_folder_is_needed(serve: Serve, tmp_path: Path, allow: bool | None) -> None:
+    client, archive = serve(allow_push=allow), packed()
+    assert (tmp_path / "home" / "push.secret").stat().st_mode & 0o777 == 0o600
+    right = signed(tmp_path, archive)[HEADER]
+    assert push(client, archive).status_code == 403
+    for wrong in ("", "x", right[:-1] + ("0" if right[-1] != "0" else "1"), sign(b"s" * 43, archive), sign(b"", archive)):
+        assert push(client, archive, {HEADER: wrong}).status_code == 403
+    assert push(client, packed("other"), {HEADER: right}).status_code == 403, "a signature is of one content"
+    assert push(client, archive, {HEADER: right, "Origin": "http://localhost:8000"}).status_code == 403
+    assert push(client, archive, {HEADER: right, "Host": "evil.example"}).status_code == 421
+    assert client.get(PROBLEMS).json()["items"] == []
+    assert push(client, archive, {HEADER: right}).status_code == 201
+
+
+def test_without_tokens_pushing_can_be_switched_off(serve: Serve, tmp_path: Path) -> None:
+    client = serve(allow_push=False)
+    assert not (tmp_path / "home" / "push.secret").exists()
+    assert push(client, headers={HEADER: sign(b"s" * 43, packed())}).status_code == 403
+
+
+def test_a_pushed_problem_is_stored_once_listed_and_shown(serve: Serve) -> None:
+    client = serve(tokens=True)
+    client.headers.update(bearer("author"))
+    archive = packed()
+    first = push(client, archive)
+    body = first.json()
+    assert (first.status_code, first.headers["location"]) == (201, f"{PROBLEMS}/{body['digest']}")
+    assert (body["name"], body["size"], body["latest"]) == ("acc", len(archive), True)
+    assert body["parameters"]["x"]["step"] == 0.1
+    assert body["scenarios"] == {"city": {"gap": 30}}
+    assert (body["measures"], body["scores"]["cost"]["direction"]) == ({"energy": "kWh"}, "minimise")
+    again = push(client, archive)
+    assert (again.status_code, again.json()) == (200, body)
+    changed = push(client, packed(model="def evaluate(p, s): return {'energy': 2.0}")).json()
+    assert changed["digest"] != body["digest"]
+    assert client.get(f"{PROBLEMS}/acc").json() == changed
+    assert client.get(f"{PROBLEMS}/{body['digest']}").json() == body | {"latest": False}
+    assert [item["digest"] for item in client.get(PROBLEMS).json()["items"]] == [changed["digest"]]
+    page = client.get(PROBLEMS, params={"name": "acc", "limit": 1}).json()
+    assert [item["digest"] for item in page["items"]] == [changed["digest"]]
+    following = client.get(PROBLEMS, params={"name": "acc", "cursor": page["next_cursor"]}).json()
+    assert [item["digest"] for item in following["items"]] == [body["digest"]]
+
+
+def test_the_archive_comes_back_as_it_was_pushed(serve: Serve) -> None:
+    client = serve(tokens=True)
+    client.headers.update(bearer("author"))
+    archive = packed()
+    push(client, archive)
+    response = client.get(f"{PROBLEMS}/acc/archive")
+    assert (response.content, response.headers["content-type"]) == (archive, "application/zip")
+    tag = {"If-None-Match": response.headers["etag"]}
+    assert client.get(f"{PROBLEMS}/acc/archive", headers=tag).status_code == 304
+
+
+@pytest.mark.parametrize("unknown", ["nothing", "0" * 64, "%00", "acc/nothing"])
+def test_what_was_not_pushed_is_not_found(serve: Serve, unknown: str) -> None:
+    client = serve()
+    assert client.get(f"{PROBLEMS}/{unknown}").status_code == 404
+    assert client.get(f"{PROBLEMS}/{unknown}/archive").status_code == 404
+
+
+BROKEN: dict[str, tuple[bytes, str]] = {
+    "no zip": (b"no zip", ""),
+    "empty": (b"", ""),
+    "no manifest": (packed()[:0] + b"PK\x05\x06" + b"\0" * 18, "problem.yaml"),
+    "a path out of the folder": (packed(**{"../evil.py": "x"}), "../evil.py"),
+    "a manifest that is no YAML": (packed("acc\nx: ["), "problem.yaml: line 5, column 11"),
+    "no such file": (packed(model=""), "problem.yaml: line 7: simulator.file"),
+    "an unknown field": (packed("acc\nunknown: 1"), "problem.yaml: line 3: unknown"),
+    "the built-in name": (packed("highway"), "problem.yaml: line 2: problem"),
+}
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_a_faulty_problem_is_refused_with_the_place_and_a_remedy(serve: Serve, name: str) -> None:
+    archive, field = BROKEN[name]
+    client = serve(tokens=True)
+    response = push(client, archive, bearer("author"))
+    assert response.status_code == 422, response.text
+    assert response.headers["content-type"] == "application/problem+json"
+    assert field in {error["field"] for error in response.json()["errors"]}
+    assert all(error["remedy"] for error in response.json()["errors"])
+    assert client.get(PROBLEMS, headers=bearer("author")).json()["items"] == []
+
+
+def test_a_bomb_is_refused(serve: Serve) -> None:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("problem.yaml", MANIFEST.format(name="acc"))
+        archive.writestr("zeros", bytes(3 * 2**20))
+    client = serve(tokens=True, problem_mb=2)
+    assert len(buffer.getvalue()) < 10_000
+    assert push(client, buffer.getvalue(), bearer("author")).status_code == 422
+
+
+def test_only_a_problem_may_be_larger_than_other_bodies(serve: Serve) -> None:
+    client = serve(tokens=True, problem_mb=2)
+    client.headers.update(bearer("author"))
+    assert push(client, packed(data="x" * 1_900_000)).status_code == 201
+    assert push(client, packed(data="x" * 2_200_000)).status_code == 413
+    assert client.post("/api/v1/influence-maps", json={"name": "x" * 1_900_000}).status_code == 413
+
+
+def test_another_type_or_encoding_is_refused(serve: Serve) -> None:
+    client = serve(tokens=True)
+    for headers in ({"Content-Type": "application/json"}, ZIP | {"Content-Encoding": "gzip"}, {"Content-Type": ""}):
+        assert client.post(PROBLEMS, content=packed(), headers=bearer("author") | headers).status_code == 415
+
+
+def test_no_more_than_the_limit_are_kept(serve: Serve) -> None:
+    client = serve(tokens=True, pushed_problems=1)
+    client.headers.update(bearer("author"))
+    assert [push(client).status_code, push(client).status_code, push(client, packed("b")).status_code] == [201, 200, 413]
+
+
+def test_only_a_few_archives_are_in_memory_at_a_time(serve: Serve) -> None:
+    client = serve(tokens=True)
+    client.headers.update(bearer("author"))
+    push(client)
+    limits: Limits = client.app.state.limits  # type: ignore[attr-defined]  # it is a FastAPI application
+    with ExitStack() as stack:
+        for _ in range(OPEN_ARCHIVES):
+            stack.enter_context(limits.archives.take())
+        assert [client.get(f"{PROBLEMS}/acc/archive").status_code, push(client).status_code] == [429, 429]
+    assert [client.get(f"{PROBLEMS}/acc/archive").status_code for _ in range(OPEN_ARCHIVES + 1)] == [200] * (OPEN_ARCHIVES + 1)

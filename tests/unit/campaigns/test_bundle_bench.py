@@ -1,0 +1,127 @@
+"""Campaigns with a problem bundle: what they resolve to, and how the coordinator rates measures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from drivecal.bundles.checks import checked
+from drivecal.campaigns.resolve.bundle_bench import Bundle, BundleBench
+from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve, resolve_evaluation
+from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
+from drivecal.domain.errors import InvalidInputError, NotFoundError
+
+EXAMPLE = Path(__file__).parents[3] / "deploy" / "examples" / "problems" / "python-function" / "problem.yaml"
+MEASURES = {"min_gap_m": 4.0, "peak_deceleration": 8.0, "rms_jerk": 2.0, "braking_s": 1.5}
+
+
+def bundle(digest: str = "d1", files: str = "f1", **changes: Any) -> Bundle:
+    return Bundle(digest, files, checked({**yaml.safe_load(EXAMPLE.read_text()), **changes}))
+
+
+def resolved(stored: Bundle | None = None, **settings: Any) -> CalibrationProblem:
+    known = stored or bundle()
+
+    def find(name: str) -> Bundle:
+        if name in {known.digest, known.manifest.problem}:
+            return known
+        raise NotFoundError("problem", name)
+
+    document = {"problem": "python-function", "sensitivity": None, "optimizer": {"population": 10, "iterations": 2}, **settings}
+    return resolve(CampaignSpecification.model_validate(document), find)
+
+
+def fields(**settings: Any) -> set[str]:
+    with pytest.raises(InvalidInputError) as caught:
+        resolved(**settings)
+    return {problem.field for problem in caught.value.problems}
+
+
+def rated(score: str, measures: dict[str, float | None], failure: str | None = None) -> float | None:
+    rating = BundleBench(bundle(), ("wet",), score).rate("wet", measures, failure)
+    return None if rating is None else rating.rating
+
+
+def test_a_name_becomes_the_digest_of_its_latest_push() -> None:
+    problem = resolved()
+    assert problem.specification.problem == "d1"
+    assert problem.scenarios == ("standing", "slower", "wet", "crossing")
+    assert [parameter.kind for parameter in problem.space.searched] == ["continuous", "grid", "grid", "integer", "choice"]
+    assert problem.bench.scale.name == "discomfort"
+    assert not problem.bench.certifiable
+
+
+def test_scenarios_and_score_are_chosen_as_for_the_built_in_problem() -> None:
+    problem = resolved(catalogue=["wet", "slower"], evaluator="safety", weights={"wet": 3})
+    assert problem.weights == {"slower": 0.25, "wet": 0.75}
+    assert problem.bench.scale.name == "safety"
+
+
+def test_everything_that_does_not_exist_is_named_at_once() -> None:
+    assert fields(problem="unknown") == {"problem"}
+    assert fields(catalogue=["wet", "dry"], evaluator="speed", driving_function="mine", robustness={}) == {
+        "catalogue[1]",
+        "evaluator",
+        "driving_function",
+        "robustness",
+    }
+
+
+def test_files_and_scenario_decide_a_setup_but_no_score() -> None:
+    setups = resolved().bench.setups
+    assert len({setup.fingerprint for setup in setups.values()}) == len(setups)
+    other_score = {"speed": {"formula": "braking_s", "direction": "minimise", "range": [0, 5]}}
+    assert resolved(bundle("d2", scores=other_score)).bench.setups == setups
+    changed = resolved(bundle("d2", "f2")).bench.setups
+    assert all(changed[name].fingerprint != setup.fingerprint for name, setup in setups.items())
+
+
+def test_the_score_is_part_of_the_evaluator() -> None:
+    scores = {"discomfort": {"formula": "braking_s", "direction": "minimise", "range": [0, 100]}}
+    assert resolved(bundle("d2", scores=scores)).bench.evaluator_id != resolved().bench.evaluator_id
+    assert resolved(bundle("d2", "f2")).bench.evaluator_id == resolved().bench.evaluator_id
+
+
+def test_a_score_is_computed_from_measures() -> None:
+    assert rated("discomfort", dict(MEASURES)) == pytest.approx(2 * 8 + 0.5 * 2 + 8 * 1.5 + 15 / 5)
+
+
+@pytest.mark.parametrize(
+    ("measures", "failure"),
+    [
+        ({}, "collision"),
+        ({**MEASURES, "min_gap_m": -1.0}, None),  # division by zero
+        ({**MEASURES, "peak_deceleration": 1000.0}, None),
+    ],
+)
+def test_nothing_is_worse_than_a_failed_run(measures: dict[str, float | None], failure: str | None) -> None:
+    assert rated("discomfort", measures, failure) == 100
+
+
+def test_a_run_without_a_measure_that_the_score_needs_is_not_rated() -> None:
+    assert rated("discomfort", {"min_gap_m": 4.0}) is None
+    assert rated("safety", {"min_gap_m": 4.0, "braking_s": None}) is None
+
+
+def test_a_single_evaluation_names_its_problem() -> None:
+    values = {"trigger_ttc": 1.61, "deceleration": 7.0, "jerk": 30.0, "confirmations": 2.0, "warning": "sound"}
+    specification = EvaluationSpecification.model_validate(
+        {"problem": "python-function", "parameters": values, "scenario": "wet"}
+    )
+    problem = resolve_evaluation(specification, lambda _: bundle())
+    assert (problem.specification.problem, list(problem.bench.scenarios)) == ("d1", ["wet"])
+    assert problem.parameter_set.floats == values
+
+
+def test_the_problem_s_baseline_is_the_default() -> None:
+    baseline = resolved().baseline
+    assert baseline is not None
+    assert baseline.floats["warning"] == "sound"
+    narrow = [{"name": "jerk", "lower": 40, "upper": 80, "step": 2}]
+    held = {"trigger_ttc": 2, "deceleration": 7, "confirmations": 2, "warning": "sound"}
+    problem = resolved(parameters=narrow, fixed=held)
+    assert problem.baseline is None
+    assert any("baseline" in note for note in problem.notes)

@@ -1,0 +1,136 @@
+"""`drivecal problem check`: what a user learns of a problem before any server sees it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.support.command import command
+
+from drivecal.bundles.manifest import Manifest
+from drivecal.domain.errors import InvalidInputError
+from drivecal.local.problems import trial_set
+
+MANIFEST = """
+problem: acc
+parameters:
+  x: {lower: 0, upper: 1}
+  n: {lower: 1, upper: 9, integer: true}
+  g: {lower: 0, upper: 1, step: 0.25}
+  mode: {choices: [eco, sport]}
+simulator: {kind: python, file: model.py, deterministic: DETERMINISTIC}
+scenarios: {city: {gap: 30}, road: {gap: 60}}
+measures: {energy: kWh}
+failures: [collision]
+scores:
+  cost: {formula: "10/energy", direction: minimise, range: [0, 10]}
+"""
+GOOD = "def evaluate(p, s):\n    return {'energy': p['x'] * p['n'] + s['gap']}\n"
+Write = Callable[..., str]
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Write:
+    """Writes a problem and returns its folder."""
+
+    def made(model: str = GOOD, manifest: str = MANIFEST, *, deterministic: bool = True) -> str:
+        (tmp_path / "problem.yaml").write_text(manifest.replace("DETERMINISTIC", str(deterministic).lower()))
+        (tmp_path / "model.py").write_text(model)
+        return str(tmp_path)
+
+    return made
+
+
+def check(folder: str, *options: str) -> tuple[int, dict[str, Any]]:
+    result = command("problem", "check", folder, "--json", *options)
+    return result.exit_code, json.loads(result.stdout)
+
+
+@pytest.mark.parametrize("kind", ["process", "command", "python"])
+def test_a_new_problem_works_as_it_is(tmp_path: Path, kind: str) -> None:
+    folder = str(tmp_path / "mine")
+    made = command("problem", "init", kind, "mine", "--folder", folder, "--json")
+    assert made.exit_code == 0, made.stderr
+    assert f"{folder}/problem.yaml" in json.loads(made.stdout)["files"]
+    code, report = check(folder)
+    assert (code, report["name"]) == (0, "mine")
+    assert command("problem", "init", kind, "mine", "--folder", folder).exit_code == 2, "nothing is overwritten"
+
+
+def test_an_unknown_kind_is_a_wrong_use(tmp_path: Path) -> None:
+    assert command("problem", "init", "magic", "mine", "--folder", str(tmp_path / "mine")).exit_code == 2
+    assert not (tmp_path / "mine").exists()
+
+
+def test_every_scenario_is_run_twice_in_the_middle_of_the_space(write: Write) -> None:
+    code, report = check(write())
+    assert code == 0
+    assert report["parameters"] == {"x": 0.5, "n": 5, "g": 0.5, "mode": "sport"}
+    city, road = report["scenarios"]
+    assert (city["scenario"], city["measures"], city["scores"]) == ("city", {"energy": 32.5}, {"cost": 10 / 32.5})
+    assert (city["repeats"], len(city["seconds"]), city["error"]) == (True, 2, None)
+    assert road["measures"] == {"energy": 62.5}
+    assert (len(report["digest"]), report["files"]) == (64, ["model.py", "problem.yaml"])
+
+
+def test_the_table_shows_scores_measures_and_times(write: Write) -> None:
+    result = command("problem", "check", write())
+    assert result.exit_code == 0
+    assert {"scenario", "cost", "energy", "seconds"} <= set(result.stdout.split())
+
+
+def test_offline_nothing_runs(write: Write) -> None:
+    code, report = check(write("raise SystemExit(7)"), "--offline")
+    assert (code, report["scenarios"], report["parameters"]) == (0, [], None)
+
+
+def test_different_bits_are_told_and_fail_where_the_simulator_claims_to_be_deterministic(write: Write) -> None:
+    noisy = "import itertools\nnumbers = itertools.count()\ndef evaluate(p, s):\n    return {'energy': 1.0 + next(numbers)}\n"
+    code, report = check(write(noisy, deterministic=False))
+    assert (code, [scenario["repeats"] for scenario in report["scenarios"]]) == (0, [False, False])
+    assert check(write(noisy))[0] == 1
+
+
+def test_a_failure_and_a_score_without_a_value_are_worth_the_worst(write: Write) -> None:
+    code, report = check(write("def evaluate(p, s):\n    return {'energy': 0.0}\n"))
+    assert (code, report["scenarios"][0]["scores"]) == (0, {"cost": 10.0})
+    assert "cost" in report["scenarios"][0]["undefined"]
+
+
+def test_a_run_without_a_result_fails_with_its_reason(write: Write) -> None:
+    code, report = check(write("def evaluate(p, s):\n    raise ValueError('no licence')\n"))
+    assert code == 1
+    assert "no licence" in report["scenarios"][0]["error"]
+
+
+def test_a_faulty_manifest_is_refused_with_its_line(write: Write) -> None:
+    result = command("problem", "check", write(manifest=MANIFEST.replace("10/energy", "10/power")))
+    assert result.exit_code == 2
+    assert "line 13" in result.stderr
+    assert command("problem", "check", "/nowhere").exit_code == 2
+
+
+def test_a_middle_that_breaks_a_constraint_asks_for_a_baseline(write: Write) -> None:
+    manifest = MANIFEST + 'constraints: ["x > 0.9"]\n'
+    assert command("problem", "check", write(manifest=manifest)).exit_code == 2
+    code, report = check(write(manifest=manifest + "baseline: {x: 0.95, n: 2, g: 0.25, mode: eco}\n"))
+    assert (code, report["parameters"]) == (0, {"x": 0.95, "n": 2, "g": 0.25, "mode": "eco"})
+
+
+def test_the_middle_of_a_grid_lies_on_it() -> None:
+    manifest = Manifest.model_validate(
+        {
+            "problem": "p",
+            "parameters": {"x": {"lower": 0.1, "upper": 0.7, "step": 0.2}, "n": {"lower": -3.0, "upper": 4.0, "integer": True}},
+            "simulator": {"kind": "python", "file": "model.py"},
+            "scenarios": {"s": {}},
+            "measures": {"m": "1"},
+            "scores": {"c": {"formula": "m", "direction": "minimise", "range": [0.0, 1.0]}},
+        }
+    )
+    assert trial_set(manifest) == {"x": 0.3, "n": 0}
+    with pytest.raises(InvalidInputError):
+        trial_set(manifest.model_copy(update={"constraints": ("x > 0.5",)}))

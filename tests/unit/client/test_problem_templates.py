@@ -1,0 +1,218 @@
+"""New problems: each template is a bundle that runs, and an FMU's description is read with care."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivecal.bundles.expressions import Formula
+from drivecal.bundles.manifest import CommandSimulator, FmuSimulator, Manifest, ProcessSimulator
+from drivecal.client.fmu_description import FmuDescription, FmuVariable, parse_description, read_fmu
+from drivecal.client.problem_templates import fmu_manifest, write_problem
+from drivecal.client.problems import read_bundle, read_manifest
+from drivecal.domain.errors import InvalidInputError
+
+EXAMPLES = Path(__file__).parents[3] / "deploy" / "examples" / "problems"
+FMI2 = """<?xml version="1.0" encoding="UTF-8"?>
+<fmiModelDescription fmiVersion="2.0" modelName="m" guid="{1}">
+  <CoSimulation modelIdentifier="m"/>
+  <TypeDefinitions><SimpleType name="t"><Real unit="N"/></SimpleType></TypeDefinitions>
+  <DefaultExperiment startTime="0" stopTime="20" stepSize="0.01"/>
+  <ModelVariables>
+    <ScalarVariable name="k" valueReference="1" causality="parameter" variability="tunable" description="stiffness">
+      <Real start="4" unit="N/m"/></ScalarVariable>
+    <ScalarVariable name="engine.mass" valueReference="2" causality="parameter"><Real start="10" min="5" max="20"/></ScalarVariable>
+    <ScalarVariable name="gear" valueReference="3" causality="parameter"><Integer start="3" min="1" max="6"/></ScalarVariable>
+    <ScalarVariable name="abs" valueReference="4" causality="parameter"><Boolean start="true"/></ScalarVariable>
+    <ScalarVariable name="table[1]" valueReference="5" causality="parameter"><Real start="1"/></ScalarVariable>
+    <ScalarVariable name="youngs" valueReference="6" causality="parameter"><Real start="2.1e11"/></ScalarVariable>
+    <ScalarVariable name="true" valueReference="9" causality="parameter"><Real/></ScalarVariable>
+    <ScalarVariable name="der(x)" valueReference="7" causality="output"><Real unit="m/s"/></ScalarVariable>
+    <ScalarVariable name="inner" valueReference="8"><Real/></ScalarVariable>
+  </ModelVariables>
+</fmiModelDescription>"""
+FMI3 = """<fmiModelDescription fmiVersion="3.0" modelName="m" instantiationToken="1">
+  <CoSimulation modelIdentifier="m"/>
+  <ModelVariables>
+    <Float64 name="k" valueReference="1" causality="parameter" start="4" unit="N/m"/>
+    <Int32 name="n" valueReference="2" causality="parameter" start="0"/>
+    <Float64 name="x" valueReference="3" causality="output"/>
+  </ModelVariables>
+</fmiModelDescription>"""
+LAUGHS = '<!DOCTYPE a [<!ENTITY b "ha"><!ENTITY c "&b;&b;">]><fmiModelDescription fmiVersion="2.0">&c;</fmiModelDescription>'
+
+
+def fmu(folder: Path, description: str | bytes, name: str = "modelDescription.xml") -> Path:
+    file = folder / "some system.fmu"
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr(name, description)
+    return file
+
+
+def answers(folder: Path, manifest: Manifest, scratch: Path) -> dict[str, dict[str, Any]]:
+    """Runs the baseline in every scenario as a worker would, by the protocols of `process`, `command` and `python`."""
+    simulator, baseline = manifest.simulator, manifest.baseline
+    if isinstance(simulator, ProcessSimulator):
+        requests = [
+            {"id": i, "data": data, "parameters": baseline, "seed": 1} for i, data in enumerate(manifest.scenarios.values())
+        ]
+        lines = [json.dumps(line) for line in [{"drivecal": 1, "problem": manifest.problem}, *requests, {"quit": True}]]
+        done = subprocess.run(simulator.command, cwd=folder, input="\n".join(lines), capture_output=True, text=True, check=True)
+        ready, *given = map(json.loads, done.stdout.splitlines())
+        assert ready == {"ready": True}
+        assert [answer["id"] for answer in given] == list(range(len(requests)))
+        return dict(zip(manifest.scenarios, given, strict=True))
+    results = {}
+    for scenario, data in manifest.scenarios.items():
+        if isinstance(simulator, CommandSimulator):
+            paths = {name: scratch / f"{name}.json" for name in ("parameters", "scenario", "results")}
+            paths["parameters"].write_text(json.dumps(baseline))
+            paths["scenario"].write_text(json.dumps(data))
+            command = [word.format(**paths) for word in simulator.command]
+            subprocess.run(command, cwd=folder, check=True)
+            results[scenario] = json.loads(paths["results"].read_text())
+        else:
+            code = "import json, sys; from model import evaluate; print(json.dumps(evaluate(*json.loads(sys.argv[1]))))"
+            command = [sys.executable, "-c", code, json.dumps([baseline, data])]
+            done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True)
+            results[scenario] = {"measures": json.loads(done.stdout)}
+    return results
+
+
+@pytest.mark.parametrize("kind", ["process", "command", "python"])
+def test_a_new_problem_is_valid_and_its_baseline_runs(kind: str, tmp_path: Path) -> None:
+    written = write_problem(kind, "my-problem", tmp_path / "folder")
+    assert len(written) == 2
+    manifest, _ = read_bundle(tmp_path / "folder")
+    assert (manifest.problem, manifest.simulator.kind) == ("my-problem", kind)
+    assert "FOLDER" not in (tmp_path / "folder" / "problem.yaml").read_text()
+    results = answers(tmp_path / "folder", manifest, tmp_path)
+    assert set(results) == set(manifest.scenarios)
+    for answer in results.values():
+        assert answer["measures"].keys() == manifest.measures.keys()
+        for score in manifest.scores.values():
+            assert 0 < Formula(score.formula, manifest.measures)(answer["measures"]) < 100
+
+
+def test_all_templates_simulate_the_same(tmp_path: Path) -> None:
+    results = []
+    for kind in ("process", "command", "python"):
+        write_problem(kind, "same", tmp_path / kind)
+        manifest, _ = read_bundle(tmp_path / kind)
+        answered = answers(tmp_path / kind, manifest, tmp_path)
+        results.append({scenario: answer["measures"] for scenario, answer in answered.items()})
+    assert results[0] == results[1] == results[2]
+
+
+def test_the_shell_example_runs(tmp_path: Path) -> None:
+    manifest, _ = read_bundle(EXAMPLES / "command-shell")
+    for answer in answers(EXAMPLES / "command-shell", manifest, tmp_path).values():
+        assert answer["measures"].keys() == manifest.measures.keys()
+
+
+def test_an_fmu_problem_without_an_fmu_says_what_to_put_where(tmp_path: Path) -> None:
+    write_problem("fmu", "my-system", tmp_path / "folder")
+    with pytest.raises(InvalidInputError) as refusal:
+        read_bundle(tmp_path / "folder")
+    assert [problem.field.split(": ")[-1] for problem in refusal.value.problems] == ["simulator.file"]
+
+
+@pytest.mark.parametrize("description", [FMI2, FMI3])
+def test_an_fmu_fills_parameters_and_outputs(description: str, tmp_path: Path) -> None:
+    write_problem("fmu", "my-system", tmp_path / "folder", fmu(tmp_path, description))
+    manifest, _ = read_bundle(tmp_path / "folder")
+    assert isinstance(manifest.simulator, FmuSimulator)
+    assert manifest.simulator.file == "some system.fmu"
+    k = manifest.parameters["k"]
+    assert (k.lower, k.upper, k.unit) == (2, 6, "N/m")
+    if description == FMI2:
+        assert set(manifest.parameters) == {"k", "engine.mass", "gear", "abs", "true"}
+        assert (manifest.parameters["gear"].integer, manifest.parameters["gear"].upper) == (True, 6)
+        assert manifest.simulator.measures == {"der_x_last": "last(der(x))"}
+        assert (manifest.simulator.duration, manifest.simulator.step) == (20, 0.01)
+
+
+@pytest.mark.parametrize(
+    "description",
+    [
+        FMI2.replace('"2.0"', '"1.0"'),
+        FMI2.replace("CoSimulation", "ModelExchange"),
+        FMI2.replace('causality="output"', ""),
+        FMI2.replace('causality="parameter"', ""),
+        FMI2[:-30],
+        LAUGHS,
+        LAUGHS.encode("utf-16"),
+        "",
+        "no XML",
+        b"\xff\xfe\x00",
+        "<a/>",
+    ],
+)
+def test_an_fmu_that_cannot_be_used_is_refused(description: str | bytes, tmp_path: Path) -> None:
+    file = fmu(tmp_path, description)
+    with pytest.raises(InvalidInputError):
+        write_problem("fmu", "my-system", tmp_path / "folder", file)
+    assert not (tmp_path / "folder").exists()
+
+
+def test_a_file_that_is_no_fmu_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "text.fmu").write_text("text")
+    for file in (tmp_path / "text.fmu", tmp_path / "missing.fmu", tmp_path, fmu(tmp_path, FMI2, "other.xml")):
+        with pytest.raises(InvalidInputError):
+            read_fmu(file)
+
+
+@settings(deadline=None, max_examples=200)
+@given(position=st.integers(0, len(FMI2) - 1), text=st.text(max_size=5))
+def test_a_damaged_description_is_refused_or_read(position: int, text: str) -> None:
+    damaged = (FMI2[:position] + text + FMI2[position + 1 :]).encode("utf-8", errors="surrogatepass")
+    try:
+        assert len(parse_description(damaged).variables) <= 10
+    except InvalidInputError as error:
+        assert len(error.problems) == 1  # noqa: PT017  # both outcomes are right
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "field"),
+    [
+        ("highway", "a", "kind"),
+        ("processes", "a", "kind"),
+        ("python", "no name", "name"),
+        ("python", "../a", "name"),
+        ("python", "highway", "problem"),
+    ],
+)
+def test_a_faulty_request_is_refused_before_anything_is_written(kind: str, name: str, field: str, tmp_path: Path) -> None:
+    with pytest.raises(InvalidInputError) as refusal:
+        write_problem(kind, name, tmp_path / "folder")
+    assert [problem.field for problem in refusal.value.problems] == [field]
+    assert not (tmp_path / "folder").exists()
+
+
+def test_nothing_is_written_over(tmp_path: Path) -> None:
+    write_problem("python", "a", tmp_path / "folder")
+    with pytest.raises(InvalidInputError):
+        write_problem("process", "a", tmp_path / "folder")
+    with pytest.raises(InvalidInputError):
+        write_problem("python", "a", tmp_path / "other", fmu(tmp_path, FMI2))
+
+
+@settings(deadline=None, max_examples=50)
+@given(text=st.text(max_size=40))
+def test_what_an_fmu_says_in_words_cannot_break_the_manifest(text: str) -> None:
+    variables = [
+        FmuVariable("k", "parameter", whole=False, start=1.0, unit=text, description=text),
+        FmuVariable(text, "parameter", whole=True, start=1.0),
+        FmuVariable("y", "output", whole=False, unit=text, description=text),
+        FmuVariable(text, "output", whole=False),
+    ]
+    manifest = fmu_manifest("a", "a", "system.fmu", FmuDescription("2.0", True, None, None, variables))
+    assert "k" in read_manifest(manifest.encode("utf-8", errors="replace")).parameters

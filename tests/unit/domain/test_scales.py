@@ -1,0 +1,48 @@
+"""What a score's numbers mean."""
+
+from __future__ import annotations
+
+import pytest
+from tests.support.scales import COST
+
+from drivecal.domain.scales import COMFORT, Scale, plain
+
+
+@pytest.mark.parametrize("scale", [COMFORT, COST])
+def test_a_scale_survives_its_document(scale: Scale) -> None:
+    assert Scale.from_json(scale.to_json()) == scale
+
+
+def test_better_scores_have_a_higher_signed_value() -> None:
+    assert COMFORT.is_better(6, 5.5)
+    assert COST.is_better(5.5, 6)
+    assert (COMFORT.best, COMFORT.worst, COMFORT.span) == (7, 0, 7)
+    assert (COST.best, COST.worst, COST.span) == (0, 100, 100)
+
+
+def test_whole_scores_are_integers_and_others_stay_what_they_are() -> None:
+    assert [repr(plain(score)) for score in (6, 6.0, -0.0, 0.1 + 0.2, 1e300)] == [
+        "6",
+        "6",
+        "0",
+        repr(0.1 + 0.2),
+        "1e+300",
+    ]
+    assert (COMFORT.is_whole, COST.is_whole) == (True, False)
+
+
+def test_no_run_is_worth_less_than_a_failed_one() -> None:
+    assert [COMFORT.worth(score) for score in (6, 0, -3)] == [6, 0, 0]
+    assert [COST.worth(score) for score in (6.5, 100, 170.25)] == [6.5, 100, 100]
+    assert (COMFORT.worth(7, failed=True), COST.worth(0.0, failed=True)) == (0, 100)
+
+
+def test_wrong_is_more_than_the_tolerance_and_equal_is_all_but_rounding() -> None:
+    assert [COMFORT.is_wrong(change) for change in (1, -1, 2, -2)] == [False, False, True, True]
+    assert [COST.is_wrong(change) for change in (2.0 + 1e-9, -2.0, 2.1)] == [False, False, True]
+    assert (COMFORT.rounding, COMFORT.bin, COST.bin) == (0, 1, 2)
+    assert 0 < COST.rounding < 1e-6
+
+
+def test_amounts_have_their_unit() -> None:
+    assert [COMFORT.amount(COMFORT.tolerance), COMFORT.amount(7), COST.amount(2)] == ["1 point", "7 points", "2"]

@@ -1,0 +1,121 @@
+"""A package that cannot be imported, or that claims what another one has, costs only what is asked of it by name."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+GOOD = """
+from drivecal.plugins import registry
+class Catalogue:
+    name = {name!r}
+    scenarios = {scenarios}
+PLUGIN = Catalogue()
+"""
+THEIRS_HAS_S1 = GOOD.format(name="theirs", scenarios="dict(list(registry.catalogue('highway').scenarios.items())[:1])")
+EMPTY = GOOD.format(name="theirs", scenarios="{}")
+
+LISTS = """
+import json
+from drivecal.api.routes import inventory
+from drivecal.plugins import registry
+from drivecal.domain.errors import InvalidInputError
+scenarios, spaces = inventory.scenarios(), inventory.parameters()
+def refusal(find):
+    try:
+        find()
+    except InvalidInputError as error:
+        return [problem.field for problem in error.problems], error.problems[0].remedy
+print(json.dumps({
+    "catalogues": sorted({scenario.catalogue for scenario in scenarios.items}),
+    "functions": sorted({space.driving_function for space in spaces.items}),
+    "broken": [[plugin.group, plugin.name, plugin.package, plugin.error] for plugin in [*scenarios.broken, *spaces.broken]],
+    "all": [str(plugin) for plugin in registry.broken()],
+    "one": inventory.scenario("S1").catalogue,
+    "named": refusal(lambda: registry.catalogue("theirs")),
+}))
+"""
+BY_ID = """
+import json
+from drivecal.campaigns.resolve.diagnostics import Diagnostics
+from drivecal.campaigns.resolve.resolvers import find_scenarios
+diagnostics = Diagnostics()
+find_scenarios(["S2", "S1"], diagnostics)
+print(json.dumps([[problem.field, problem.message] for problem in diagnostics.problems]))
+"""
+
+
+def install(folder: Path, package: str, source: str, entry: str) -> None:
+    """A package as a user would install it: a module and its entry point."""
+    (folder / f"{package}.py").write_text(source)
+    metadata = folder / f"{package}-1.0.dist-info"
+    metadata.mkdir()
+    (metadata / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
+    (metadata / "entry_points.txt").write_text(entry)
+
+
+def run(folder: Path, program: str) -> Any:
+    environment = os.environ | {"PYTHONPATH": str(folder)}
+    process = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False, env=environment)
+    assert process.returncode == 0, process.stderr
+    return json.loads(process.stdout)
+
+
+@pytest.mark.parametrize(
+    ("source", "named"),
+    [
+        ("import not_installed_anywhere", "not_installed_anywhere"),
+        ("raise RuntimeError('no licence')", "no licence"),
+        ("import sys; sys.exit('no licence')", "no licence"),
+        ("PLUGIN = None", "AttributeError"),
+        ("NOTHING = 1", "PLUGIN"),
+        ("class C:\n  name = 'theirs'\n  @property\n  def scenarios(self): raise OSError('no file')\nPLUGIN = C()", "no file"),
+    ],
+    ids=["missing import", "exception", "exit", "no catalogue", "no such object", "unreadable"],
+)
+def test_a_broken_catalogue_is_listed_with_its_error_and_nothing_else_fails(tmp_path: Path, source: str, named: str) -> None:
+    install(tmp_path, "their_package", source, "[drivecal.scenarios]\ntheirs = their_package:PLUGIN\n")
+    answer = run(tmp_path, LISTS)
+    assert (answer["catalogues"], answer["functions"], answer["one"]) == (["highway"], ["frenet"], "highway")
+    ((group, name, package, error),) = answer["broken"]
+    assert (group, name, package) == ("drivecal.scenarios", "theirs", "their_package")
+    assert named in error
+    assert len(answer["all"]) == 1
+    fields, remedy = answer["named"]
+    assert fields == ["catalogue"]
+    assert "their_package" in remedy
+
+
+def test_a_broken_driving_function_leaves_the_others_listed(tmp_path: Path) -> None:
+    entry = "[drivecal.driving_functions]\nmine = mine:PLUGIN\n[drivecal.vehicles]\nmine = mine:PLUGIN\n"
+    install(tmp_path, "mine", "import not_installed_anywhere", entry)
+    answer = run(tmp_path, LISTS)
+    assert answer["functions"] == ["frenet"]
+    assert [name for _, name, _, _ in answer["broken"]] == ["mine"]
+    assert len(answer["all"]) == 2
+
+
+def test_a_name_that_two_packages_register_is_refused_with_both(tmp_path: Path) -> None:
+    install(tmp_path, "first", EMPTY, "[drivecal.scenarios]\ntheirs = first:PLUGIN\n")
+    install(tmp_path, "second", EMPTY, "[drivecal.scenarios]\ntheirs = second:PLUGIN\n")
+    answer = run(tmp_path, LISTS)
+    ((_, name, package, error),) = answer["broken"]
+    assert (name, package) == ("theirs", "first, second")
+    assert "first:PLUGIN" in error
+    assert "second:PLUGIN" in error
+    assert answer["named"][0] == ["catalogue"]
+
+
+def test_a_scenario_id_of_two_catalogues_is_refused_with_both_names(tmp_path: Path) -> None:
+    """The last catalogue won in silence."""
+    install(tmp_path, "theirs", THEIRS_HAS_S1, "[drivecal.scenarios]\ntheirs = theirs:PLUGIN\n")
+    ((field, message),) = run(tmp_path, BY_ID)
+    assert field == "catalogue[1]"
+    assert "highway" in message
+    assert "theirs" in message

@@ -1,0 +1,160 @@
+"""Cells of problem bundles on a worker: sessions, declared measures, time series and the cache of files."""
+
+from __future__ import annotations
+
+import gzip
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from drivecal.bundles import archives
+from drivecal.contracts.work import Batch, BundleRequest, Cell
+from drivecal.domain.errors import InvalidInputError, UnavailableError
+from drivecal.domain.evaluations import Breakdown
+from drivecal.plugins.simulators import Declared, NoMeasuresError, RunOutcome, SimulatorSession
+from drivecal.runtime.bundles import MOST_SESSIONS, BundleCache, BundleSessions
+from drivecal.runtime.worker import Worker
+
+SECONDS = 0.25
+
+
+@dataclass
+class ScriptedSimulator:
+    """Answers with the measure `a` unless `answers` has another outcome for this value of x."""
+
+    answers: Mapping[float, RunOutcome | NoMeasuresError] = field(default_factory=dict)
+    opened: list[str] = field(default_factory=list)
+    closed: list[str] = field(default_factory=list)
+    version: str = "1"
+
+    def open(
+        self, section: Mapping[str, Any], scenario: str, data: Mapping[str, Any], folder: Path, declared: Declared
+    ) -> SimulatorSession:
+        assert (section["kind"], declared.measures) == ("process", ("a",))
+        if data.get("missing"):
+            raise UnavailableError("there is no such program")
+        assert (folder / "problem.yaml").is_file()
+        self.opened.append(scenario)
+        return ScriptedSession(self, scenario)
+
+
+@dataclass
+class ScriptedSession:
+    simulator: ScriptedSimulator
+    scenario: str
+
+    def evaluate(self, parameters: Mapping[str, float | str], *, series: bool = False) -> RunOutcome:
+        x = parameters["x"]
+        assert isinstance(x, float)
+        outcome = self.simulator.answers.get(x, RunOutcome({"a": x}, None, {"v": (1.0, 2.0)} if series else {}, SECONDS))
+        if isinstance(outcome, NoMeasuresError):
+            raise outcome
+        return outcome
+
+    def close(self) -> None:
+        self.simulator.closed.append(self.scenario)
+
+
+@pytest.fixture
+def archive(tmp_path: Path) -> bytes:
+    folder = tmp_path / "problem"
+    folder.mkdir()
+    (folder / "problem.yaml").write_text("problem: p\n")
+    return archives.pack(folder)
+
+
+@pytest.fixture
+def request_(archive: bytes) -> BundleRequest:
+    return BundleRequest(
+        bundle=archives.content_digest(archive),
+        problem="p",
+        scenario="city",
+        data={},
+        simulator={"kind": "process", "timeout": 10.0},
+        parameters=("x",),
+        measures=("a",),
+        failures=("collision",),
+        series=("v",),
+        run_fingerprint="fingerprint",
+    )
+
+
+def worker(tmp_path: Path, simulator: ScriptedSimulator) -> Worker:
+    return Worker("w", bundles=BundleSessions(BundleCache(tmp_path / "cache"), lambda _: simulator))
+
+
+def test_measures_come_back_unrated_with_the_cpu_time_of_children(
+    tmp_path: Path, archive: bytes, request_: BundleRequest
+) -> None:
+    works = worker(tmp_path, ScriptedSimulator())
+    works.store(request_.bundle, archive)
+    (result,) = works.run(Batch(request_, (Cell(7, {"x": 2.0, "other": 1.0}),))).results
+    assert (result.id, result.metrics, result.score, result.rating, result.breakdown) == (7, {"a": 2.0}, None, None, None)
+    assert result.milliseconds >= 1000 * SECONDS
+
+
+def test_a_batch_without_its_files_is_refused(tmp_path: Path, request_: BundleRequest) -> None:
+    result = worker(tmp_path, ScriptedSimulator()).run(Batch(request_, (Cell(1, {"x": 2.0}),)))
+    assert request_.bundle in (result.refusal or "")
+    assert result.results == ()
+
+
+def test_a_simulator_that_this_machine_lacks_is_refused(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:
+    works = worker(tmp_path, ScriptedSimulator())
+    works.store(request_.bundle, archive)
+    result = works.run(Batch(replace(request_, data={"missing": True}), (Cell(1, {"x": 2.0}),)))
+    assert result.refusal == "there is no such program"
+
+
+def test_a_run_without_measures_costs_its_cell_only(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:
+    works = worker(tmp_path, ScriptedSimulator({2.0: NoMeasuresError(Breakdown.HANG, "too long", cpu_seconds=SECONDS)}))
+    works.store(request_.bundle, archive)
+    first, second = works.run(Batch(request_, (Cell(1, {"x": 2.0}), Cell(2, {"x": 3.0})))).results
+    assert (first.breakdown, first.detail) == ("hang", "too long")
+    assert first.milliseconds >= 1000 * SECONDS
+    assert (second.breakdown, second.metrics) == (None, {"a": 3.0})
+
+
+def test_a_declared_failure_needs_no_measures(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:
+    works = worker(tmp_path, ScriptedSimulator({2.0: RunOutcome({}, failure="collision")}))
+    works.store(request_.bundle, archive)
+    (result,) = works.run(Batch(request_, (Cell(1, {"x": 2.0}),))).results
+    assert (result.failure, result.breakdown) == ("collision", None)
+
+
+def test_time_series_come_back_compressed(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:
+    works = worker(tmp_path, ScriptedSimulator())
+    works.store(request_.bundle, archive)
+    (result,) = works.run(Batch(request_, (Cell(1, {"x": 2.0}, trace=True),))).results
+    assert result.trace is not None
+    assert json.loads(gzip.decompress(result.trace)) == {"measures": {"a": 2.0}, "failure": None, "series": {"v": [1.0, 2.0]}}
+
+
+def test_the_sessions_used_last_stay_open(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:
+    simulator = ScriptedSimulator()
+    works = worker(tmp_path, simulator)
+    works.store(request_.bundle, archive)
+    scenarios = [f"s{number}" for number in range(MOST_SESSIONS + 1)]
+    for name in (*scenarios, scenarios[-1]):
+        works.run(Batch(replace(request_, scenario=name), (Cell(1, {"x": 2.0}),)))
+    assert simulator.opened == scenarios
+    assert simulator.closed == scenarios[:1]
+
+
+def test_a_bundle_is_unpacked_whole_and_once(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:
+    cache = BundleCache(tmp_path / "cache")
+    cache.store(request_.bundle, archive)
+    cache.store(request_.bundle, b"not even looked at")
+    assert cache.has(request_.bundle)
+    assert [entry.name for entry in (tmp_path / "cache").iterdir()] == [request_.bundle]
+
+
+def test_an_archive_with_another_digest_is_not_unpacked(tmp_path: Path, archive: bytes) -> None:
+    cache = BundleCache(tmp_path / "cache")
+    with pytest.raises(InvalidInputError):
+        cache.store("0" * 32, archive)
+    assert list((tmp_path / "cache").iterdir()) == []

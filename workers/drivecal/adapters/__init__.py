@@ -1,0 +1,1 @@
+"""Simulators of users in child processes: programs that answer JSON lines, commands, Python functions and FMUs."""

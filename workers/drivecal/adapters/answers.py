@@ -1,0 +1,90 @@
+"""Answers of simulators: JSON of a process or a results file, checked against what the manifest declares."""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from drivecal.domain.evaluations import Breakdown
+from drivecal.plugins.simulators import Declared, NoMeasuresError, RunOutcome
+
+MOST_SERIES_VALUES = 1_000_000
+"""Limit of the values of all time series of a run."""
+_LONGEST_TEXT = 300
+
+
+def document(content: bytes, source: str) -> dict[str, Any]:
+    """Returns the JSON object in `content`. Raises NoMeasuresError. `source`: what wrote it, for the message."""
+    try:
+        value = json.loads(content)
+    except (ValueError, RecursionError):
+        hint = "; messages belong on standard error" if source == "the answer" else ""
+        raise _error(f"{source} is not JSON: {_shown(content)}{hint}") from None
+    if not isinstance(value, dict):
+        raise _error(f"{source} is not a JSON object: {_shown(content)}")
+    return value
+
+
+def outcome(answer: Mapping[str, Any], declared: Declared, *, series: bool) -> RunOutcome:
+    """Returns the outcome that an answer reports. Raises NoMeasuresError if it reports an error or breaks the declaration."""
+    if "error" in answer:
+        raise _error(f"the simulator reports: {_shown(str(answer['error']))}")
+    failure = answer.get("failure")
+    if failure is not None:
+        _check_failure(failure, declared)
+    if not isinstance(answer.get("measures", {} if failure is not None else None), dict):
+        raise _error("the answer has no object `measures`")
+    measures = {name: _number(name, value) for name, value in answer.get("measures", {}).items()}
+    if undeclared := sorted(measures.keys() - set(declared.measures)):
+        raise _error(
+            f"measures that problem.yaml does not declare: {_joined(undeclared)}; declared: {_joined(declared.measures)}"
+        )
+    if failure is None and (missing := [name for name in declared.measures if name not in measures]):
+        raise _error(f"the answer lacks measures: {_joined(missing)}")
+    return RunOutcome(measures, failure, _series(answer.get("series", {}), declared) if series else {})
+
+
+def _check_failure(failure: object, declared: Declared) -> None:
+    if not isinstance(failure, str) or not 0 < len(failure) <= 64 or not failure.isprintable():
+        raise _error("`failure` is not the name of a failure, i.e. a text of 1 to 64 characters")
+    if declared.failures and failure not in declared.failures:
+        raise _error(f"a failure that problem.yaml does not declare: {failure}; declared: {_joined(declared.failures)}")
+
+
+def _number(name: str, value: object) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise _error(f"{_shown(name)} is not a number: {_shown(str(value))}")
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise _error(f"{_shown(name)} is not finite: {number}")
+    return number
+
+
+def _series(reported: object, declared: Declared) -> dict[str, list[float]]:
+    if not isinstance(reported, dict) or not all(isinstance(values, list) for values in reported.values()):
+        raise _error("`series` is not an object of lists of numbers")
+    if undeclared := sorted(reported.keys() - set(declared.series)):
+        raise _error(f"time series that problem.yaml does not declare: {_joined(undeclared)}")
+    if sum(map(len, reported.values())) > MOST_SERIES_VALUES:
+        raise _error(f"the time series have more than {MOST_SERIES_VALUES:,} values")
+    return {name: [_number(name, value) for value in values] for name, values in reported.items()}
+
+
+def _error(detail: str) -> NoMeasuresError:
+    return NoMeasuresError(Breakdown.ERROR, detail)
+
+
+def _joined(names: Sequence[str]) -> str:
+    shown = ", ".join(_shown(name) for name in names[:5])
+    return f"{shown} and {len(names) - 5} more" if len(names) > 5 else shown
+
+
+def _shown(content: bytes | str) -> str:
+    """Returns the start of foreign text, printable."""
+    text = content[: 4 * _LONGEST_TEXT].decode(errors="replace") if isinstance(content, bytes) else content
+    text = " ".join(text.split())
+    shortened = text if len(text) <= _LONGEST_TEXT else text[: _LONGEST_TEXT - 1] + "…"
+    return "".join(character if character.isprintable() else "?" for character in shortened)

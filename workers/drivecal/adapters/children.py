@@ -1,0 +1,215 @@
+"""Child processes of a session: one at a time, with its descendants, started and ended by a keeper (see `keeper`)."""
+
+import contextlib
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from drivecal.adapters import keeper
+from drivecal.adapters.scratch import Scratch, environment
+from drivecal.domain.errors import UnavailableError
+from drivecal.domain.evaluations import Breakdown
+from drivecal.plugins.simulators import NoMeasuresError
+
+MOST_PROCESSES = 256
+"""Limit of a child and its descendants; beyond it all are killed.
+
+RLIMIT_NPROC is not used: it counts all processes of the user, so that others' processes would fail the child's, and it does not hold root.
+"""
+LOOK_SECONDS = 1.0
+"""Shortest time between two looks at all processes of the machine for descendants; a look takes 15 microseconds for each process."""
+REPLY_SECONDS = 30.0
+"""Time after which a keeper that does not answer is taken as lost."""
+
+
+@dataclass(frozen=True, slots=True)
+class Launch:
+    """Command of a child, found beside the bundle's files or on PATH, and the limit of its memory."""
+
+    command: Sequence[str]
+    memory_mb: int
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """End of a child: return code as in `subprocess`, and the number of descendants that could not be killed."""
+
+    status: int
+    left: int = 0
+
+
+class Children:
+    """The children of one session. Not thread-safe."""
+
+    def __init__(self, launch: Launch, scratch: Scratch) -> None:
+        """Starts nothing."""
+        self._launch, self._scratch = launch, scratch
+        self._keeper: int | None = None
+        self._control: socket.socket | None = None
+        self._pid: int | None = None
+        self._family: tuple[int, ...] = ()
+        self._next_look = 0.0
+        self._lost_seconds = self._ended_seconds = 0.0
+        """CPU time of children of earlier keepers, and of ended children of this keeper."""
+
+    @property
+    def control(self) -> int:
+        """Descriptor that is readable when the child has ended: then call `ended`."""
+        return -1 if self._control is None else self._control.fileno()
+
+    def start(self, stdin: int, stdout: int, stderr: int) -> None:
+        """Starts the child with these descriptors. Raises UnavailableError if its command cannot be run."""
+        if self._control is None:
+            self._start_keeper()
+        reply = None
+        if self._control is not None:
+            with contextlib.suppress(OSError):
+                socket.send_fds(self._control, [keeper.START], [stdin, stdout, stderr])
+                reply = self._reply()
+        if reply is None:
+            self._lose()
+            raise NoMeasuresError(Breakdown.CRASH, "the child's keeper was killed")
+        if "error" in reply:
+            raise UnavailableError(f"{self._launch.command[0]} cannot be started: {reply['error']}")
+        self._pid = int(reply["pid"])
+        self._family, self._next_look = (self._pid,), time.monotonic() + LOOK_SECONDS
+
+    def ended(self) -> Ended:
+        """Waits for the end of the child, whose descendants end with it."""
+        reply = self._reply()
+        if reply is None:
+            self._lose()
+            return Ended(-signal.SIGKILL)
+        self._pid, self._family = None, ()
+        self._ended_seconds = reply["cpu"]
+        return Ended(int(reply["status"]), int(reply["left"]))
+
+    def end(self) -> Ended | None:
+        """Ends the child and its descendants by SIGTERM, then SIGKILL; returns None if no child is running."""
+        if self._pid is None or self._control is None:
+            return None
+        try:
+            self._control.sendall(keeper.END)
+        except OSError:
+            self._lose()
+            return Ended(-signal.SIGKILL)
+        return self.ended()
+
+    def cpu_seconds(self) -> float:
+        """Returns the CPU time of all children so far, the living included."""
+        total = self._lost_seconds + self._ended_seconds
+        for pid in self._family:
+            if (process := keeper.seen(pid)) is not None:
+                total += process.waited_seconds + _precise_seconds(process)
+        return total
+
+    def scan(self) -> None:
+        """Looks for descendants as `look`, if the last look is long ago compared with its own time."""
+        if time.monotonic() >= self._next_look:
+            self.look()
+
+    def look(self) -> None:
+        """Looks for descendants. Raises NoMeasuresError if they take too much memory or are too many."""
+        if self._keeper is None:
+            return
+        start = time.monotonic()
+        family = keeper.descendants(self._keeper)
+        self._family = tuple(process.pid for process in family)
+        now = time.monotonic()
+        self._next_look = now + max(LOOK_SECONDS, 50 * (now - start))
+        if len(family) > MOST_PROCESSES:
+            raise NoMeasuresError(Breakdown.ERROR, f"it runs {len(family):,} processes, more than {MOST_PROCESSES}")
+        resident = sum(process.resident for process in family) >> 20
+        if resident > self._launch.memory_mb:
+            detail = f"its processes take {resident:,} MB of memory, more than memory_mb: {self._launch.memory_mb:,}"
+            raise NoMeasuresError(Breakdown.MEMORY, detail)
+
+    def close(self) -> None:
+        """Ends everything. Idempotent."""
+        if self._control is not None:
+            with contextlib.suppress(OSError):
+                self._control.shutdown(socket.SHUT_WR)
+                while self._control.recv(65536):  # until the keeper has ended everything
+                    pass
+                self._keeper = None
+            self._lose()
+
+    def _start_keeper(self) -> None:
+        ours, theirs = socket.socketpair(type=socket.SOCK_SEQPACKET)  # a message is received as it was sent
+        settings = {
+            "command": list(self._launch.command),
+            "environment": environment(self._scratch.home),
+            "folder": str(self._scratch.work),
+            "scratch": str(self._scratch.folder),
+            "memory": self._launch.memory_mb << 20,
+        }
+        with theirs:
+            subprocess.run(  # noqa: S603  # our own program, which goes on in another process
+                [sys.executable, "-I", "-S", keeper.__file__, str(theirs.fileno())],
+                input=json.dumps(settings).encode(),
+                pass_fds=[theirs.fileno()],
+                start_new_session=True,
+                cwd="/",
+                check=False,
+            )
+        ours.settimeout(REPLY_SECONDS)
+        self._control = ours
+        reply = self._reply()
+        if reply is None:
+            self._lose()
+        else:
+            self._keeper = reply["keeper"]
+
+    def _reply(self) -> dict[str, Any] | None:
+        """Returns the keeper's next message, None if it is gone."""
+        if self._control is None:
+            return None
+        try:
+            received = self._control.recv(65536)
+        except OSError:
+            return None
+        reply: dict[str, Any] | None = json.loads(received) if received else None
+        return reply
+
+    def _lose(self) -> None:
+        """Forgets the keeper, and kills what is left of one that was killed or does not answer."""
+        if self._keeper is not None:
+            self._lost_seconds = self.cpu_seconds()
+            for pid in self._family:
+                with contextlib.suppress(OSError):
+                    os.kill(pid, signal.SIGKILL)
+            if self._pid is not None:
+                with contextlib.suppress(OSError):
+                    os.killpg(self._pid, signal.SIGKILL)
+        if self._control is not None:
+            self._control.close()
+        self._keeper, self._control, self._pid, self._family, self._ended_seconds = None, None, None, (), 0.0
+
+
+def check_command(command: Sequence[str], work: Path) -> None:
+    """Raises UnavailableError if a command is neither a program of the bundle nor on PATH."""
+    program = command[0]
+    if "/" not in program:
+        if shutil.which(program) is None:
+            raise UnavailableError(f"{program} is not on this machine's PATH; a program of the bundle is called ./{program}")
+    elif not (work / program).is_file():
+        raise UnavailableError(f"the file {program} does not exist")
+    elif not os.access(work / program, os.X_OK):
+        raise UnavailableError(f"the file {program} is not executable; type: chmod +x {program}")
+
+
+def _precise_seconds(process: keeper.Seen) -> float:
+    """Returns the CPU time of a process by its clock, which ticks in nanoseconds (`clock_getcpuclockid`; Linux numbers them so)."""
+    try:
+        return time.clock_gettime(~process.pid << 3 | 2)
+    except OSError:
+        return process.own_seconds

@@ -1,0 +1,98 @@
+"""Simulator kind `command`: a program that is started for each run, as Dakota does: parameters file in, results file out, exit code."""
+
+import json
+import os
+import stat
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from drivecal.adapters import answers
+from drivecal.adapters.children import Children, Launch, check_command
+from drivecal.adapters.pipes import LONGEST_LINE, Pipes
+from drivecal.adapters.scratch import Scratch, discard
+from drivecal.domain.errors import UnavailableError
+from drivecal.domain.evaluations import Breakdown
+from drivecal.plugins.simulators import VERSIONS, Declared, NoMeasuresError, RunOutcome, Value
+
+
+class CommandSession:
+    """A command that runs once for each parameter set, in an empty working directory with links to the bundle's files."""
+
+    def __init__(self, section: Mapping[str, Any], scratch: Scratch, declared: Declared, *, data: Mapping[str, Any]) -> None:
+        """Writes the scenario's file."""
+        self._scratch, self._declared, self._timeout = scratch, declared, section["timeout"]
+        self._files = {name: scratch.folder / f"{name}.json" for name in ("parameters", "scenario", "results")}
+        self._scenario = json.dumps(data, allow_nan=False)
+        command = section["command"]
+        for name, path in self._files.items():
+            command = [part.replace(f"{{{name}}}", str(path)) for part in command]
+        self._children = Children(Launch(command, section["memory_mb"]), scratch)
+
+    def evaluate(self, parameters: Mapping[str, Value], *, series: bool = False) -> RunOutcome:
+        """Runs the command."""
+        before = self._children.cpu_seconds()
+        try:
+            measured = self._evaluate(parameters, series=series)
+        except NoMeasuresError as error:
+            raise NoMeasuresError(error.breakdown, error.detail, self._children.cpu_seconds() - before) from None
+        cpu_seconds = self._children.cpu_seconds() - before
+        return RunOutcome(measured.measures, measured.failure, measured.series, cpu_seconds)
+
+    def close(self) -> None:
+        """Removes the scratch folder; no process runs between two runs."""
+        self._children.close()
+        self._scratch.remove()
+
+    def _evaluate(self, parameters: Mapping[str, Value], *, series: bool) -> RunOutcome:
+        self._scratch.renew()
+        for path in self._files.values():
+            discard(path)
+        self._files["parameters"].write_text(json.dumps(dict(parameters), allow_nan=False))
+        self._files["scenario"].write_text(self._scenario)
+        try:
+            pipes = Pipes(self._children, silent=True)
+        except UnavailableError as error:
+            raise NoMeasuresError(Breakdown.ERROR, str(error)) from None
+        try:
+            pipes.wait(self._timeout)
+        finally:
+            pipes.stop()
+        content = _content(self._files["results"], pipes.tail())
+        return answers.outcome(answers.document(content, "the results file"), self._declared, series=series)
+
+
+class CommandAdapter:
+    """Simulator kind `command`."""
+
+    version = VERSIONS["command"]
+
+    def open(
+        self, section: Mapping[str, Any], scenario: str, data: Mapping[str, Any], folder: Path, declared: Declared
+    ) -> CommandSession:
+        """Checks that the command exists. `scenario` is the name of `data`, which the command gets as a file."""
+        del scenario
+        scratch = Scratch(folder)
+        try:
+            check_command(section["command"], scratch.work)
+        except UnavailableError:
+            scratch.remove()
+            raise
+        return CommandSession(section, scratch, declared, data=data)
+
+
+def _content(path: Path, tail: str) -> bytes:
+    """Returns the results file. A link or a pipe in its place is refused: reading could hang or reveal another file."""
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    except OSError as error:
+        messages = f"; its last messages: {tail}" if tail else ""
+        raise NoMeasuresError(Breakdown.ERROR, f"it wrote no results file: {error.strerror}{messages}") from None
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise NoMeasuresError(Breakdown.ERROR, "the results file is not a regular file")
+    with open(descriptor, "rb") as file:  # noqa: PTH123  # a descriptor has no path
+        content = file.read(LONGEST_LINE + 1)
+    if len(content) > LONGEST_LINE:
+        raise NoMeasuresError(Breakdown.ERROR, f"the results file has more than {LONGEST_LINE >> 20} MB")
+    return content

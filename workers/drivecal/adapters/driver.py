@@ -1,0 +1,66 @@
+"""The side of the child in drivecal's own drivers: reads requests and writes answers on private copies of the standard streams.
+
+What a user's code prints goes to standard error, and its programs cannot read requests.
+"""
+
+import json
+import os
+import sys
+import traceback
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+Evaluate = Callable[[Mapping[str, Any]], Mapping[str, Any]]
+"""Answers a request, without its id."""
+
+
+def serve(prepare: Callable[[], Evaluate]) -> None:
+    """Serves requests until `quit` or the end of input. An exception of `prepare` or of a run becomes an error in the answer.
+
+    A MemoryError ends the process, which may be in any state.
+    """
+    requests = os.fdopen(os.dup(0), "rb")
+    answers = os.fdopen(os.dup(1), "wb")
+    nothing = os.open(os.devnull, os.O_RDONLY)
+    os.dup2(nothing, 0)
+    os.close(nothing)
+    os.dup2(2, 1)
+
+    def say(answer: Mapping[str, Any]) -> None:
+        answers.write(json.dumps(answer).encode() + b"\n")
+        answers.flush()
+
+    evaluate: Evaluate | None = None
+    for line in requests:
+        request = json.loads(line)
+        if "quit" in request:
+            break
+        if evaluate is None:
+            try:
+                evaluate = prepare()
+            except MemoryError:
+                raise
+            except (Exception, SystemExit) as error:  # noqa: BLE001  # a user's code may raise any exception
+                say({"error": described(error)})
+                break
+            say({"ready": True})
+            continue
+        try:
+            answer = json.dumps({**evaluate(request), "id": request["id"]})
+        except MemoryError:
+            raise
+        except (Exception, SystemExit) as error:  # noqa: BLE001  # a user's code may raise any exception
+            answer = json.dumps({"id": request["id"], "error": described(error)})
+        answers.write(answer.encode() + b"\n")
+        answers.flush()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(0)  # threads of a user's code and the unloading of libraries must not delay or crash the end
+
+
+def described(error: BaseException) -> str:
+    """Returns type, message and location of an exception."""
+    frames = [frame for frame in traceback.extract_tb(error.__traceback__) if frame.filename != __file__]
+    location = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
+    return "".join(traceback.format_exception_only(error)).strip()[-250:] + location

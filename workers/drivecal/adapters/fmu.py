@@ -1,0 +1,46 @@
+"""Simulator kind `fmu`: an FMI 2 or 3 co-simulation FMU, run by FMPy in a child that speaks the protocol of kind `process`."""
+
+from collections.abc import Mapping
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from drivecal.adapters.children import Launch
+from drivecal.adapters.process import ProcessSession
+from drivecal.adapters.python import driver_command
+from drivecal.adapters.scratch import Scratch
+from drivecal.domain.errors import UnavailableError
+from drivecal.plugins.simulators import VERSIONS, Declared
+
+MOST_RUNS = 500
+"""Runs of a child before another replaces it: FMPy has crashed after some thousand instantiations, and FMUs leak at every reset."""
+
+
+class FmuAdapter:
+    """Simulator kind `fmu`."""
+
+    version = VERSIONS["fmu"]
+
+    def open(
+        self, section: Mapping[str, Any], scenario: str, data: Mapping[str, Any], folder: Path, declared: Declared
+    ) -> ProcessSession:
+        """Starts the child, which unpacks, checks and instantiates the FMU."""
+        file = folder.resolve() / section["file"]
+        if not file.is_file():
+            raise UnavailableError(f"{section['file']} does not exist in the bundle")
+        if find_spec("fmpy") is None:
+            raise UnavailableError("this worker has no FMPy; type: pip install 'drivecal[fmu]'")
+        scratch = Scratch(folder)
+        settings = {
+            "file": str(file),
+            "unpacked": str(scratch.folder / "fmu"),
+            "duration": section["duration"],
+            "step": section["step"],
+            "measures": dict(section["measures"]),
+            "series": list(declared.series),
+            "data": dict(data),
+        }
+        launch = Launch(driver_command("fmu_driver", settings), section["memory_mb"])
+        return ProcessSession(
+            launch, scratch, declared, timeout=section["timeout"], scenario=scenario, data={}, most_runs=MOST_RUNS
+        )

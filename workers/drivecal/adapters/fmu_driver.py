@@ -1,0 +1,258 @@
+"""The child of simulator kind `fmu`: instantiates an FMU once, resets it for each run and measures its outputs.
+
+Runs as `python -I -B -m ... SETTINGS`. Start values come from the scenario's data and the parameters, by the names of the FMU's variables.
+"""
+
+import json
+import math
+import os
+import re
+import sys
+import zipfile
+from collections.abc import Iterable, Mapping
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as ET
+
+from drivecal.adapters.driver import Evaluate, described, serve
+
+FATAL = 4
+"""FMI's status after which no function of the FMU may be called."""
+_MEASURE = re.compile(r"\s*(last|min|max|mean|integral)\s*\(\s*(.+?)\s*\)\s*")
+_INTEGERS = ("Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64")
+_ACCESS = {
+    "Real": "Real",
+    "Integer": "Integer",
+    "Boolean": "Boolean",
+    "String": "String",
+    "Float32": "Float32",
+    "Float64": "Float64",
+} | {name: name for name in _INTEGERS}
+"""Type of a variable and the end of the names of the functions that read and write it."""
+
+
+class UnusableError(Exception):
+    """The FMU cannot be used as problem.yaml says."""
+
+
+class Fmu:
+    """An instantiated FMU."""
+
+    def __init__(self, file: Path, unpacked: Path) -> None:
+        """Unpacks the FMU if it is not, and instantiates it. Raises UnusableError."""
+        version = described_version(file)
+        if version[:1] not in {"2", "3"}:
+            raise UnusableError(f"{file.name} is of FMI {version}; export it as FMI 2 or 3 co-simulation")
+        self.is_third = version.startswith("3")
+        import fmpy  # 0.3 s
+
+        try:
+            self.model = fmpy.read_model_description(str(file), validate=False)
+        except Exception as error:
+            raise UnusableError(f"FMPy cannot read the modelDescription.xml of {file.name}: {error}") from error
+        if self.model.coSimulation is None:
+            raise UnusableError(f"{file.name} is for model exchange only; export it for co-simulation")
+        platforms = fmpy.supported_platforms(str(file))
+        if not {fmpy.platform, fmpy.platform_tuple} & set(platforms):
+            raise UnusableError(f"{file.name} is built for {', '.join(platforms) or 'no platform'}, not for {fmpy.platform}")
+        if not unpacked.is_dir():
+            partly = unpacked.with_name("fmu-partly")
+            fmpy.extract(str(file), unzipdir=str(partly))
+            partly.rename(unpacked)
+        self.variables = {variable.name: variable for variable in self.model.modelVariables}
+        self._slave = self._instantiated(unpacked)
+        self._is_fresh = True
+
+    def begin(self, values: Mapping[str, Any], duration: float) -> None:
+        """Resets the FMU and initialises it with start values by name."""
+        if not self._is_fresh:
+            self._slave.reset()
+        self._is_fresh = False
+        if not self.is_third:
+            self._slave.setupExperiment(startTime=0.0, stopTime=duration)
+        for name, value in values.items():
+            self._set(name, value)
+        if self.is_third:
+            self._slave.enterInitializationMode(startTime=0.0, stopTime=duration)
+        else:
+            self._slave.enterInitializationMode()
+        self._slave.exitInitializationMode()
+
+    def step(self, time: float, length: float) -> None:
+        """Simulates one communication step. Raises UnusableError if the FMU wants to end earlier."""
+        ended = self._slave.doStep(currentCommunicationPoint=time, communicationStepSize=length)
+        if self.is_third and (ended[1] or ended[2]):
+            raise UnusableError(f"the FMU ended the simulation at {ended[3]:g} s")
+
+    def reader(self, names: Iterable[str]) -> "Reader":
+        """Returns a reader of these variables."""
+        groups: dict[str, list[str]] = {}
+        for name in names:
+            if self._access(name) == "String":
+                raise UnusableError(f"the variable {name} is a text and cannot be measured")
+            groups.setdefault(self._access(name), []).append(name)
+        return Reader(
+            self._slave,
+            {f"get{key}": [(name, self.variables[name].valueReference) for name in group] for key, group in groups.items()},
+        )
+
+    def check(self, names: Iterable[str], role: str) -> None:
+        """Raises UnusableError naming the first name that the FMU does not have."""
+        for name in names:
+            if name not in self.variables:
+                similar = get_close_matches(name, self.variables, 3) or sorted(self.variables)[:5]
+                raise UnusableError(f"the FMU has no variable {name}, a {role}; it has e.g. {', '.join(similar)}")
+
+    def _access(self, name: str) -> str:
+        kind = self.variables[name].type
+        if self.variables[name].dimensions:
+            raise UnusableError(f"the variable {name} is an array, which is not supported")
+        access = ("Int64" if self.is_third else "Integer") if kind == "Enumeration" else _ACCESS.get(kind)
+        if access is None:
+            raise UnusableError(f"the variable {name} is of type {kind}, which is not supported")
+        return access
+
+    def _set(self, name: str, value: Any) -> None:
+        variable, access = self.variables[name], self._access(name)
+        if access == "String":
+            value = str(value)
+        elif isinstance(value, str):
+            value = self._item(name, value)
+        elif access not in {"Real", "Float64", "Float32"}:
+            if value != int(value):
+                raise UnusableError(f"the variable {name} takes integers, not {value}")
+            value = int(value)
+        getattr(self._slave, f"set{access}")([variable.valueReference], [value])
+
+    def _item(self, name: str, text: str) -> int:
+        """Returns the value of an enumeration's item."""
+        declared = self.variables[name].declaredType
+        items = {} if declared is None else {item.name: int(item.value) for item in declared.items}
+        if text not in items:
+            raise UnusableError(f"the variable {name} has no item {text}; it has {', '.join(items) or 'none'}")
+        return items[text]
+
+    def _instantiated(self, unpacked: Path) -> Any:
+        from fmpy.fmi2 import FMU2Slave
+        from fmpy.fmi3 import FMU3Slave
+
+        make = FMU3Slave if self.is_third else FMU2Slave
+        slave = make(
+            guid=self.model.guid,
+            unzipDirectory=str(unpacked),
+            modelIdentifier=self.model.coSimulation.modelIdentifier,
+            instanceName="drivecal",
+        )
+        slave.instantiate()
+        return slave
+
+
+class Reader:
+    """Reads a fixed list of variables; `names` has their order."""
+
+    def __init__(self, slave: Any, groups: Mapping[str, list[tuple[str, int]]]) -> None:
+        """`groups`: names and value references by the function that reads them."""
+        self.names = [name for group in groups.values() for name, _ in group]
+        self._calls = [(getattr(slave, function), [reference for _, reference in group]) for function, group in groups.items()]
+
+    def read(self) -> list[float]:
+        """Returns the values."""
+        return [float(value) for function, references in self._calls for value in function(references)]
+
+
+class OutputStatistics:
+    """Last, least, greatest, mean and integral of one output; the integral is that of straight lines between steps."""
+
+    def __init__(self, first: float) -> None:
+        """Starts with the value at time 0."""
+        self.last = self.min = self.max = first
+        self.integral = 0.0
+        self._time = 0.0
+
+    def add(self, value: float, length: float) -> None:
+        """Adds the value after a step."""
+        self.integral += 0.5 * (self.last + value) * length
+        self._time += length
+        self.last, self.min, self.max = value, min(self.min, value), max(self.max, value)
+        if math.isnan(value):  # min and max would skip it
+            self.min = self.max = value
+
+    @property
+    def mean(self) -> float:
+        """Integral by time."""
+        return self.integral / self._time
+
+
+def described_version(file: Path) -> str:
+    """Returns the version of FMI that an FMU names. Raises UnusableError if it is none."""
+    try:
+        with zipfile.ZipFile(file) as archive, archive.open("modelDescription.xml") as content:
+            return str(ET.parse(content).getroot().attrib["fmiVersion"])  # noqa: S314  # in a throw-away process
+    except (KeyError, zipfile.BadZipFile, ET.ParseError) as error:
+        raise UnusableError(f"{file.name} is not an FMU with a modelDescription.xml: {error}") from error
+
+
+def prepare(settings: Mapping[str, Any]) -> Evaluate:
+    """Instantiates the FMU and checks all names. `settings`: see `drivecal.adapters.fmu`."""
+    measures = parsed(settings["measures"])
+    duration, step = settings["duration"], settings["step"]
+    fmu = Fmu(Path(settings["file"]), Path(settings["unpacked"]))
+    fmu.check((output for _, output in measures.values()), "measured output")
+    fmu.check(settings["data"], "name in the scenario's data")
+    recorded = [name for name in settings["series"] if name in fmu.variables]
+    reader = fmu.reader(dict.fromkeys([*(output for _, output in measures.values()), *recorded]))
+    steps = max(1, math.ceil(duration / step - 1e-9))
+
+    def evaluate(request: Mapping[str, Any]) -> Mapping[str, Any]:
+        fmu.check(request["parameters"], "parameter")
+        try:
+            fmu.begin({**settings["data"], **request["parameters"]}, duration)
+            values = reader.read()
+            statistics = [OutputStatistics(value) for value in values]
+            rows = [values]
+            for number in range(steps):
+                time = number * step
+                length = min(step, duration - time)
+                fmu.step(time, length)
+                values = reader.read()
+                for entry, value in zip(statistics, values, strict=True):
+                    entry.add(value, length)
+                if "series" in request:
+                    rows.append(values)
+        except Exception as error:
+            if getattr(error, "status", None) == FATAL:
+                print(described(error), file=sys.stderr, flush=True)  # noqa: T201  # the cause of the crash
+                os._exit(1)
+            raise
+        results = dict(zip(reader.names, statistics, strict=True))
+        answer = {"measures": {name: getattr(results[output], key) for name, (key, output) in measures.items()}}
+        if "series" in request:
+            columns = dict(zip(reader.names, zip(*rows, strict=True), strict=True))
+            answer["series"] = {name: columns[name] for name in recorded}
+            if "time" in settings["series"] and "time" not in recorded:
+                answer["series"]["time"] = [min(number * step, duration) for number in range(steps + 1)]
+        return answer
+
+    return evaluate
+
+
+def parsed(measures: Mapping[str, str]) -> dict[str, tuple[str, str]]:
+    """Returns statistic and output of each measure. Raises UnusableError."""
+    found = {}
+    for name, text in measures.items():
+        match = _MEASURE.fullmatch(text)
+        if match is None:
+            raise UnusableError(f"measure {name}: {text} is not last, min, max, mean or integral of an output, e.g. last(x)")
+        found[name] = (match[1], match[2])
+    return found
+
+
+def main() -> None:
+    """Serves the FMU that the settings in the first argument name."""
+    settings = json.loads(sys.argv[1])
+    serve(lambda: prepare(settings))
+
+
+if __name__ == "__main__":
+    main()

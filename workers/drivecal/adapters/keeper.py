@@ -1,0 +1,254 @@
+"""The keeper of one session's children: a small program of its own between a worker and a user's simulator.
+
+It starts a child on request, limits it, and ends all its descendants: when the child ends, when the worker asks, or when the worker is
+gone. As a subreaper it inherits orphans, including those in sessions of their own, so none is missed. A worker cannot do this itself:
+`preexec_fn` is unsafe beside threads, the signal of a parent's death follows the starting thread, and orphans would mix with others.
+
+Runs by path, `python -I -S keeper.py FD`, with the standard library only. FD is a socket of messages (SOCK_SEQPACKET): the worker sends
+`s` with three descriptors (standard input, output, error) for a start and `t` for an end; the keeper answers in JSON, see `Keeper`.
+"""
+
+import contextlib
+import ctypes
+import json
+import os
+import resource
+import select
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+START, END = b"s", b"t"
+GRACE_SECONDS = 0.3
+"""Time between SIGTERM and SIGKILL."""
+SWEEP_SECONDS = 5.0
+"""Time after which processes that cannot be killed are given up."""
+LARGEST_FILE = 4 << 30
+"""Size limit of each file that a child writes, in bytes."""
+IGNORED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""The keeper ends with its worker only."""
+_PR_SET_PDEATHSIG, _PR_SET_CHILD_SUBREAPER = 1, 36
+
+
+class Seen(NamedTuple):
+    """A living process: its parent, CPU time (s) of its own and of children it has waited for, resident memory in bytes."""
+
+    pid: int
+    parent: int
+    own_seconds: float
+    waited_seconds: float
+    resident: int
+
+
+_TICK = os.sysconf("SC_CLK_TCK")
+_PAGE = os.sysconf("SC_PAGESIZE")
+
+
+def seen(pid: int) -> Seen | None:
+    """Returns what /proc says of a process, None if it is gone."""
+    try:
+        descriptor = os.open(f"/proc/{pid}/stat", os.O_RDONLY)  # twice in each run, in half the time of an open file
+    except OSError:
+        return None
+    try:
+        fields = os.read(descriptor, 4096).rpartition(b")")[2].split()
+    except OSError:
+        return None
+    finally:
+        os.close(descriptor)
+    own, waited = int(fields[11]) + int(fields[12]), int(fields[13]) + int(fields[14])
+    return Seen(pid, int(fields[1]), own / _TICK, waited / _TICK, int(fields[21]) * _PAGE)
+
+
+def descendants(root: int) -> list[Seen]:
+    """Returns all living descendants of a process, parents first."""
+    children: dict[int, list[Seen]] = {}
+    for name in os.listdir("/proc"):  # noqa: PTH208  # as often as above
+        if name.isdigit() and (process := seen(int(name))) is not None:
+            children.setdefault(process.parent, []).append(process)
+    family = list(children.get(root, ()))
+    for process in family:
+        family.extend(children.get(process.pid, ()))
+    return family
+
+
+class Keeper:
+    """Serves one session.
+
+    Answers `{"pid": n}` or `{"error": text}` to a start. After each child's end, and that of its descendants, whatever the cause:
+    `{"status": n, "cpu": s, "left": n}` with the return code as in `subprocess`, the CPU time of all ended processes since the keeper's
+    start, and the number of processes that could not be killed.
+    """
+
+    def __init__(self, control: socket.socket, settings: dict[str, Any]) -> None:
+        """`settings`: `command`, `environment`, `folder` (working directory) and `memory` (bytes of data of each process)."""
+        self._control, self._settings = control, settings
+        self._library = ctypes.CDLL(None, use_errno=True)
+        self._library.prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+        self._child: int | None = None
+        self._statuses: dict[int, int] = {}
+
+    def serve(self) -> None:
+        """Reports its own number as `{"keeper": n}` and serves until the worker closes the socket or dies."""
+        self._say({"keeper": os.getpid()})
+        reader, writer = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+        signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
+        signal.signal(signal.SIGCHLD, lambda *_: None)
+        control = self._control.fileno()
+        while True:
+            ready, _, _ = select.select([control, reader], [], [])
+            if reader in ready:
+                with contextlib.suppress(BlockingIOError):
+                    os.read(reader, 4096)
+            self._notice()
+            if control not in ready:
+                continue
+            message, descriptors, _, _ = socket.recv_fds(self._control, 1, 3)
+            if not message:
+                return
+            if message == START:
+                self._start(descriptors)
+            elif self._child is not None:
+                self._end(self._child)
+
+    def finish(self) -> None:
+        """Ends the child without a report."""
+        if self._child is not None:
+            self._stop(self._child)
+
+    def _say(self, message: dict[str, Any]) -> None:
+        self._control.sendall(json.dumps(message).encode())
+
+    def _start(self, descriptors: list[int]) -> None:
+        settings = self._settings
+        try:
+            child = subprocess.Popen(  # noqa: S603  # running a user's program is the purpose
+                settings["command"],
+                stdin=descriptors[0],
+                stdout=descriptors[1],
+                stderr=descriptors[2],
+                cwd=settings["folder"],
+                env=settings["environment"],
+                start_new_session=True,
+                preexec_fn=self._limit,  # noqa: PLW1509  # safe here: this process has one thread
+            )
+        except (OSError, ValueError, subprocess.SubprocessError) as error:
+            self._say({"error": str(error)})
+        else:
+            child.returncode = 0  # waited for below
+            self._child = child.pid
+            self._say({"pid": child.pid})
+        finally:
+            for descriptor in descriptors:
+                os.close(descriptor)
+
+    def _limit(self) -> None:
+        """Limits the child before its program starts.
+
+        Memory is a limit of data, not of addresses: Java, Go and Node reserve many times the addresses that they use.
+        """
+        for number in IGNORED:
+            signal.signal(number, signal.SIG_DFL)
+        self._library.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+        for limit, value in (
+            (resource.RLIMIT_DATA, self._settings["memory"]),
+            (resource.RLIMIT_CORE, 0),
+            (resource.RLIMIT_FSIZE, LARGEST_FILE),
+        ):
+            hard = resource.getrlimit(limit)[1]
+            value = value if hard == resource.RLIM_INFINITY else min(value, hard)
+            resource.setrlimit(limit, (value, value))
+
+    def _notice(self) -> None:
+        """Reaps orphans, and reports the child if it has ended."""
+        child = self._child
+        if child is None or not _has_ended(child):
+            self._reap()
+        else:
+            self._report(child, self._stop(child))
+
+    def _end(self, child: int) -> None:
+        with contextlib.suppress(OSError):
+            os.killpg(child, signal.SIGTERM)
+        deadline = time.monotonic() + GRACE_SECONDS
+        while not _has_ended(child) and time.monotonic() < deadline:
+            time.sleep(0.002)
+        self._report(child, self._stop(child))
+
+    def _report(self, child: int, left: int) -> None:
+        self._child = None
+        usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+        status = self._statuses.pop(child, -signal.SIGKILL)
+        self._statuses.clear()
+        self._say({"status": status, "cpu": usage.ru_utime + usage.ru_stime, "left": left})
+
+    def _stop(self, child: int) -> int:
+        """Kills the child's group and then every descendant; returns how many are left."""
+        with contextlib.suppress(OSError):
+            os.killpg(child, signal.SIGKILL)  # nobody has waited for the child yet, so the number is still its own
+        deadline = time.monotonic() + SWEEP_SECONDS
+        while self._reap():
+            family = descendants(os.getpid())
+            for number in (signal.SIGSTOP, signal.SIGKILL):  # stopped first: a parent cannot start another while its child dies
+                for process in family:
+                    with contextlib.suppress(OSError):
+                        os.kill(process.pid, number)
+            if time.monotonic() > deadline:
+                return len(family)
+            time.sleep(0.001)
+        return 0
+
+    def _reap(self) -> bool:
+        """Waits for ended children; returns whether there are others."""
+        while True:
+            try:
+                pid, status = os.waitpid(-1, os.WNOHANG)
+            except ChildProcessError:
+                return False
+            if pid == 0:
+                return True
+            self._statuses[pid] = os.waitstatus_to_exitcode(status)
+
+
+def _has_ended(child: int) -> bool:
+    return os.waitid(os.P_PID, child, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
+
+
+def remove(folder: Path) -> None:
+    """Removes a scratch folder, including folders that were made unreadable."""
+    for _ in range(2):
+        shutil.rmtree(folder, ignore_errors=True)
+        for parent, folders, _files in os.walk(folder):
+            for path in (Path(parent), *(Path(parent, name) for name in folders)):
+                with contextlib.suppress(OSError):
+                    if not path.is_symlink():
+                        path.chmod(0o700)
+
+
+def main() -> None:
+    """Reads the settings from standard input and serves; removes the scratch folder at the end.
+
+    Serves in a process that is not a child of the worker: Ray kills a worker's children before the keeper could end theirs.
+    """
+    for number in IGNORED:
+        signal.signal(number, signal.SIG_IGN)
+    settings = json.load(sys.stdin)
+    if os.fork():
+        os._exit(0)
+    keeper = Keeper(socket.socket(fileno=int(sys.argv[1])), settings)
+    try:
+        keeper.serve()
+    except OSError:  # the worker is gone
+        pass
+    finally:
+        keeper.finish()
+        remove(Path(settings["scratch"]))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,146 @@
+"""Simulator kind `process`: a program that answers JSON lines, started once per session. Also the base of `python` and `fmu`."""
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from drivecal.adapters import answers
+from drivecal.adapters.children import Children, Launch, check_command
+from drivecal.adapters.pipes import Pipes
+from drivecal.adapters.scratch import Scratch
+from drivecal.domain.errors import UnavailableError
+from drivecal.domain.evaluations import Breakdown
+from drivecal.plugins.simulators import VERSIONS, Declared, NoMeasuresError, RunOutcome, Value
+
+START_SECONDS = 60.0
+"""Shortest time limit of a start, which may load libraries and licences."""
+QUIT_SECONDS = 1.0
+"""Time that a program has to end after `quit`."""
+SEED = 1
+"""Seed in every request: equal random numbers for all parameter sets make them comparable."""
+_QUIT = b'{"quit": true}\n'
+
+
+class ProcessSession:
+    """A child that answers one request per run. Any fault of the protocol ends it; the next run starts another."""
+
+    def __init__(
+        self,
+        launch: Launch,
+        scratch: Scratch,
+        declared: Declared,
+        *,
+        timeout: float,
+        scenario: str,
+        data: Mapping[str, Any],
+        most_runs: float = math.inf,
+    ) -> None:
+        """Starts the child. Raises UnavailableError if it cannot be started or reports an error instead of being ready.
+
+        `most_runs`: number of runs after which another child is started.
+        """
+        self._scratch, self._declared, self._timeout, self._most_runs = scratch, declared, timeout, most_runs
+        self._children = Children(launch, scratch)
+        self._pipes: Pipes | None = None
+        self._number = self._runs = 0
+        self._head = json.dumps({"scenario": scenario, "data": data, "seed": SEED}, allow_nan=False).removesuffix("}")
+        self._failed_start: NoMeasuresError | None = None
+        try:
+            self._start()
+        except NoMeasuresError as error:
+            self._failed_start = error
+        except BaseException:
+            self.close()
+            raise
+
+    def evaluate(self, parameters: Mapping[str, Value], *, series: bool = False) -> RunOutcome:
+        """Runs one parameter set."""
+        before = self._children.cpu_seconds()
+        try:
+            measured = self._evaluate(parameters, series=series)
+        except NoMeasuresError as error:
+            raise NoMeasuresError(error.breakdown, error.detail, self._cpu_since(before)) from None
+        return RunOutcome(measured.measures, measured.failure, measured.series, self._cpu_since(before))
+
+    def close(self) -> None:
+        """Asks the child to end and ends it."""
+        if self._pipes is not None:
+            self._pipes.stop(_QUIT, QUIT_SECONDS)
+            self._pipes = None
+        self._children.close()
+        self._scratch.remove()
+
+    def _evaluate(self, parameters: Mapping[str, Value], *, series: bool) -> RunOutcome:
+        if self._failed_start is not None:
+            failed, self._failed_start = self._failed_start, None
+            raise failed
+        if self._pipes is not None and (self._runs >= self._most_runs or not self._pipes.is_fresh()):
+            self._pipes.stop(_QUIT, QUIT_SECONDS)
+            self._pipes = None
+        try:
+            pipes = self._pipes or self._start()
+        except UnavailableError as error:
+            raise NoMeasuresError(Breakdown.ERROR, str(error)) from None
+        self._number, self._runs = self._number + 1, self._runs + 1
+        request = f'{{"id": {self._number}, {self._head[1:]}, "parameters": {json.dumps(dict(parameters), allow_nan=False)}'
+        request += ', "series": true}\n' if series else "}\n"
+        try:
+            answer = answers.document(pipes.ask(request.encode(), self._timeout), "the answer")
+            if answer.get("id") != self._number or answer["id"] is True:
+                raise NoMeasuresError(
+                    Breakdown.ERROR, f"the answer's id is {answer.get('id')!r:.100}, the request's {self._number}"
+                )
+            if pipes.has_more:
+                raise NoMeasuresError(Breakdown.ERROR, "it wrote more than one line in answer to one request")
+        except NoMeasuresError:
+            self._stop()
+            raise
+        return answers.outcome(answer, self._declared, series=series)
+
+    def _start(self) -> Pipes:
+        self._pipes, self._runs = Pipes(self._children), 0
+        greeting = json.dumps({"drivecal": 1, "problem": self._declared.problem}).encode() + b"\n"
+        try:
+            answer = answers.document(self._pipes.ask(greeting, max(self._timeout, START_SECONDS)), "the answer")
+            if "error" in answer:
+                raise UnavailableError(f"the simulator is not ready: {str(answer['error'])[:300]}")
+            if answer.get("ready") is not True:
+                raise NoMeasuresError(Breakdown.ERROR, f'the first answer is not {{"ready": true}}: {answer!r:.200}')
+            self._children.look()  # a program behind a shell script has its own CPU time
+        except NoMeasuresError as error:
+            self._stop()
+            raise NoMeasuresError(error.breakdown, f"the simulator does not start: {error.detail}") from None
+        except UnavailableError:
+            self._stop()
+            raise
+        return self._pipes
+
+    def _stop(self) -> None:
+        if self._pipes is not None:
+            self._pipes.stop()
+            self._pipes = None
+
+    def _cpu_since(self, before: float) -> float:
+        return max(self._children.cpu_seconds() - before, 0.0)
+
+
+class ProcessAdapter:
+    """Simulator kind `process`."""
+
+    version = VERSIONS["process"]
+
+    def open(
+        self, section: Mapping[str, Any], scenario: str, data: Mapping[str, Any], folder: Path, declared: Declared
+    ) -> ProcessSession:
+        """Starts the program in a scratch folder beside links to the bundle's files."""
+        command = section["command"]
+        scratch = Scratch(folder)
+        try:
+            check_command(command, scratch.work)
+        except UnavailableError:
+            scratch.remove()
+            raise
+        launch = Launch(command, section["memory_mb"])
+        return ProcessSession(launch, scratch, declared, timeout=section["timeout"], scenario=scenario, data=data)

@@ -1,0 +1,105 @@
+"""The child of simulator kind `python`: imports a function of a file and serves it. Runs as `python -I -B -m ... SETTINGS`."""
+
+import json
+import platform
+import sys
+import zipfile
+from collections.abc import Mapping
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from drivecal.adapters.driver import Evaluate, serve
+
+MOST_BYTES = 4 << 30
+"""Limit of the unpacked wheels."""
+
+
+def prepare(settings: Mapping[str, Any]) -> Evaluate:
+    """Imports the function. `settings`: `file`, `function`, `wheels` (a folder or None), `packages` (where to unpack them)."""
+    if settings["wheels"] is not None:
+        sys.path.insert(0, str(unpack(Path(settings["wheels"]), Path(settings["packages"]))))
+    file = Path(settings["file"])
+    sys.path.insert(0, str(file.parent))
+    function = getattr(imported(file), settings["function"], None)
+    if not callable(function):
+        raise TypeError(f"{file.name} has no function {settings['function']}")
+
+    def evaluate(request: Mapping[str, Any]) -> Mapping[str, Any]:
+        return answer(function(request["parameters"], request["data"]))
+
+    return evaluate
+
+
+def imported(file: Path) -> ModuleType:
+    """Imports a file, which may be called like a module of the standard library."""
+    spec = spec_from_file_location(file.stem, file)
+    if spec is None or spec.loader is None:
+        raise ImportError(f"{file.name} is not a Python file")
+    module = module_from_spec(spec)
+    sys.modules.setdefault(file.stem, module)
+    spec.loader.exec_module(module)
+    return module
+
+
+def answer(returned: object) -> Mapping[str, Any]:
+    """Returns the answer that a function's result means: measures, or a whole answer with `failure` or `measures` in it."""
+    if not isinstance(returned, Mapping):
+        raise TypeError(f"the function returned {type(returned).__name__}, not a dict of measures")
+    if isinstance(returned.get("failure"), str) or isinstance(returned.get("measures"), Mapping):
+        whole = dict(returned)
+        whole["measures"] = _plain(whole.get("measures", {}))
+        if isinstance(whole.get("series"), Mapping):
+            whole["series"] = {name: [_number(value) for value in values] for name, values in whole["series"].items()}
+        return whole
+    return {"measures": _plain(returned)}
+
+
+def unpack(wheels: Path, packages: Path) -> Path:
+    """Unpacks the wheels that fit this interpreter, once; returns the folder."""
+    if packages.is_dir():
+        return packages
+    size, partly = 0, packages.with_name(packages.name + "-partly")
+    for wheel in sorted(wheels.glob("*.whl")):
+        if not fits(wheel.name):
+            continue
+        with zipfile.ZipFile(wheel) as archive:
+            size += sum(entry.file_size for entry in archive.infolist())
+            if size > MOST_BYTES:
+                raise ValueError(f"the wheels take more than {MOST_BYTES >> 30} GB")
+            archive.extractall(partly)
+    partly.mkdir(parents=True, exist_ok=True)
+    return partly.rename(packages)
+
+
+def fits(name: str) -> bool:
+    """Returns whether a wheel's tags (PEP 425) fit this interpreter and machine."""
+    python, abi, machine = name.removesuffix(".whl").split("-")[-3:]
+    own = f"cp{sys.version_info.major}{sys.version_info.minor}"
+    is_pure = bool({"py3", f"py{sys.version_info.major}{sys.version_info.minor}"} & set(python.split("."))) and abi == "none"
+    is_own = own in python.split(".") and abi in {own, "none"}
+    is_stable = abi == "abi3" and any(
+        tag.startswith("cp3") and int(tag[3:]) <= sys.version_info.minor for tag in python.split(".")
+    )
+    return (is_pure or is_own or is_stable) and (machine == "any" or ("linux" in machine and platform.machine() in machine))
+
+
+def _plain(measures: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: _number(value) for name, value in measures.items()}
+
+
+def _number(value: Any) -> Any:
+    """Converts numbers of other libraries, e.g. of numpy."""
+    return value if isinstance(value, (int, float)) or not hasattr(value, "__float__") else float(value)
+
+
+def main() -> None:
+    """Serves the function that the settings in the first argument name."""
+    settings = json.loads(sys.argv[1])
+    sys.argv[1:] = []
+    serve(lambda: prepare(settings))
+
+
+if __name__ == "__main__":
+    main()

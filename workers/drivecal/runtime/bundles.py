@@ -1,0 +1,131 @@
+"""Problem bundles on a worker: a cache of unpacked files by digest, and the open sessions of their simulators."""
+
+import gzip
+import json
+import os
+import tempfile
+import time
+from collections import OrderedDict
+from collections.abc import Callable
+from pathlib import Path
+
+from drivecal.adapters.kinds import simulator
+from drivecal.bundles.archives import unpack
+from drivecal.contracts.work import BundleRequest, Cell, CellResult
+from drivecal.domain.errors import UnavailableError
+from drivecal.domain.evaluations import Breakdown
+from drivecal.plugins.simulators import Declared, NoMeasuresError, RunOutcome, Simulator, SimulatorSession
+
+MOST_SESSIONS = 8
+"""Open sessions of a worker, least recently used first to go: each may hold a process of the user's."""
+LARGEST_SERIES = 8_000_000
+"""Largest size of compressed time series in bytes."""
+
+CACHE = "DRIVECAL_BUNDLE_CACHE"
+"""Environment variable: folder of unpacked bundles."""
+
+
+def cache_folder() -> Path:
+    """Returns the folder of unpacked bundles: `DRIVECAL_BUNDLE_CACHE`, or the user's cache, or a new temporary folder."""
+    given = os.environ.get(CACHE)
+    folder = Path(given) if given else Path("~/.cache/drivecal/bundles").expanduser()
+    try:
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    except OSError:
+        writable = False
+    else:
+        writable = os.access(folder, os.W_OK)
+    return folder if writable else Path(tempfile.mkdtemp(prefix="drivecal-bundles-"))
+
+
+class BundleCache:
+    """Unpacked bundles of a node, shared by its workers: a folder for each digest, complete or absent."""
+
+    def __init__(self, folder: Path) -> None:
+        """`folder`: is created if it does not exist."""
+        self._folder = folder
+
+    def has(self, digest: str) -> bool:
+        """Whether a bundle is there."""
+        return (self._folder / digest).is_dir()
+
+    def folder(self, digest: str) -> Path:
+        """Returns the folder of a bundle that is there."""
+        return self._folder / digest
+
+    def store(self, digest: str, archive: bytes) -> None:
+        """Unpacks a bundle unless it is there. Raises InvalidInputError if the archive is unsafe or has another digest.
+
+        Atomic, because workers of a node share the folder.
+        """
+        if self.has(digest):
+            return
+        self._folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        try:
+            unpack(archive, self._folder / digest, digest)
+        except OSError:
+            if not self.has(digest):  # else another worker was faster
+                raise
+
+
+class BundleSessions:
+    """Runs cells of bundles in sessions that stay open."""
+
+    def __init__(self, cache: BundleCache, simulators: Callable[[str], Simulator] = simulator) -> None:
+        """`simulators`: returns a simulator by its kind."""
+        self._cache = cache
+        self._simulators = simulators
+        self._sessions: OrderedDict[tuple[str, ...], SimulatorSession] = OrderedDict()
+
+    def run(self, setup: BundleRequest, cell: Cell) -> CellResult:
+        """Simulates a cell. A run without measures is a result with a `breakdown`.
+
+        Raises UnavailableError if this machine cannot run the simulator.
+        """
+        start = time.thread_time_ns()
+        session = self._session(setup)
+        try:
+            outcome = session.evaluate({name: cell.parameters[name] for name in setup.parameters}, series=cell.trace)
+            trace = _compressed(outcome) if cell.trace else None
+        except NoMeasuresError as error:
+            milliseconds = _milliseconds(start) + 1000 * error.cpu_seconds
+            return CellResult(cell.id, None, None, {}, None, milliseconds, error.breakdown.value, str(error))
+        milliseconds = _milliseconds(start) + 1000 * outcome.cpu_seconds
+        return CellResult(cell.id, None, None, dict(outcome.measures), outcome.failure, milliseconds, trace=trace)
+
+    def store(self, digest: str, archive: bytes) -> None:
+        """Unpacks a bundle unless it is there. Raises InvalidInputError if the archive is unsafe or has another digest."""
+        self._cache.store(digest, archive)
+
+    def close(self) -> None:
+        """Closes all sessions."""
+        while self._sessions:
+            self._sessions.popitem()[1].close()
+
+    def _session(self, setup: BundleRequest) -> SimulatorSession:
+        if setup.key not in self._sessions:
+            if not self._cache.has(setup.bundle):
+                raise UnavailableError(f"the files of the bundle {setup.bundle} are not on this machine")
+            folder = self._cache.folder(setup.bundle)
+            chosen = self._simulators(setup.simulator["kind"])
+            declared = Declared(setup.problem, setup.measures, setup.failures, setup.series)
+            self._sessions[setup.key] = chosen.open(setup.simulator, setup.scenario, setup.data, folder, declared)
+            if len(self._sessions) > MOST_SESSIONS:
+                self._sessions.popitem(last=False)[1].close()
+        self._sessions.move_to_end(setup.key)
+        return self._sessions[setup.key]
+
+
+def _compressed(outcome: RunOutcome) -> bytes:
+    series = {name: list(values) for name, values in outcome.series.items()}
+    document = {"measures": dict(outcome.measures), "failure": outcome.failure, "series": series}
+    content = gzip.compress(json.dumps(document, separators=(",", ":"), allow_nan=False).encode(), mtime=0)
+    if len(content) > LARGEST_SERIES:
+        detail = f"the time series take {len(content):,} bytes, more than the limit of {LARGEST_SERIES:,}"
+        raise NoMeasuresError(Breakdown.ERROR, detail)
+    return content
+
+
+def _milliseconds(start: int) -> float:
+    """Returns the CPU time of this thread since `start` (of `time.thread_time_ns`)."""
+    return (time.thread_time_ns() - start) / 1e6
