@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+import csv
+import io
+from pathlib import Path
 from typing import Any
 
+import pyarrow.parquet as pq
 import pytest
+from fastapi.testclient import TestClient
 from tests.support.computed import ComputedBackend
 from tests.support.mixed import MIXED, rated
 from tests.support.runs import dispatcher, everything, get, run, submit
 
+from drivecal.api.app import create_app
 from drivecal.campaigns.resolve.problem import resolve, resolve_evaluation
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
+from drivecal.configuration.settings import load_settings
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError
 from drivecal.plugins import registry
-from drivecal.storage import results, studies
+from drivecal.storage import campaigns, results, studies
 from drivecal.storage.engine.database import Database
 
 WANTED: dict[str, Any] = {"driving_function": "mixed", "parameters": "all", "catalogue": ["S1", "S2"], "name": "mixed"}
@@ -120,6 +127,68 @@ def test_what_does_not_fit_is_refused_at_its_field(changes: dict[str, Any], fiel
         resolve(CampaignSpecification.model_validate(WANTED | changes))
     texts = {problem.field: f"{problem.message}; {problem.remedy}" for problem in refused.value.problems}
     assert said in texts[field]
+
+
+def test_texts_reach_every_answer_table_and_file(database: Database, tmp_path: Path) -> None:
+    app = create_app(load_settings(database_url=f"sqlite:///{tmp_path / 'drivecal.db'}"))
+    with TestClient(app, base_url="http://127.0.0.1") as http:
+        wanted = WANTED | {
+            "sensitivity": ANALYSIS,
+            "optimizer": {"kind": "random", "population": 8, "iterations": 2, "seed": 3},
+            "baseline": BASELINE,
+            "fixed": {"tyre": "a"},
+        }
+        accepted = http.post("/api/v1/campaigns", json=wanted).raise_for_status().json()
+        with database.read() as connection:
+            queued = campaigns.get(connection, accepted["id"])
+        run(database, queued, ComputedBackend(answer=rated))
+        here = f"/api/v1/campaigns/{accepted['id']}"
+
+        def answer(path: str) -> Any:
+            return http.get(path).raise_for_status().json()
+
+        setup = {parameter["name"]: parameter for parameter in answer(f"{here}/setup")["parameters"]}
+        assert {name: parameter["kind"] for name, parameter in setup.items()} == {
+            "speed": "continuous",
+            "limit": "grid",
+            "gears": "integer",
+            "mode": "choice",
+            "tyre": "choice",
+        }
+        assert setup["mode"]["choices"] == ["eco", "sport", "winter"]
+        assert (setup["tyre"]["fixed"], setup["mode"]["fixed"]) == ("a", None)
+        assert answer(here)["baseline"]["parameters"] == BASELINE
+        first = answer(f"{here}/solutions")["items"][0]
+        assert first["parameters"]["mode"] in setup["mode"]["choices"]
+        cells = answer(f"{here}/evaluations?limit=1000")["items"]
+        assert {cell["mode"] for cell in cells} == {"eco", "sport", "winter"}
+        explained = [answer(f"/api/v1/evaluations/{cell['id']}/explain") for cell in cells[-20:]]
+        texts = {
+            value
+            for explanation in explained
+            for difference in explanation["differences"]
+            for value in (difference["value"], difference["reference_value"])
+            if difference["parameter"] == "mode"
+        }
+        assert texts <= {"eco", "sport", "winter"}
+        influence = {(row["scenario"], row["parameter"]): row for row in answer(f"{here}/influence")["items"]}
+        assert influence["S1", "mode"]["influential"]
+        assert not influence["S2", "mode"]["influential"]
+        for table in ("evaluations", "solutions", "optima"):
+            lines = list(csv.DictReader(io.StringIO(http.get(f"{here}/{table}", headers={"Accept": "text/csv"}).text)))
+            assert {line["mode"] for line in lines} <= {"eco", "sport", "winter"}
+            assert {line["tyre"] for line in lines} == {"a"}
+            parquet = http.get(f"{here}/{table}", headers={"Accept": "application/vnd.apache.parquet"}).raise_for_status()
+            columns = pq.read_table(io.BytesIO(parquet.content))
+            assert columns["mode"].to_pylist() == [line["mode"] for line in lines]
+            assert columns["speed"].to_pylist() == [float(line["speed"]) for line in lines]
+
+
+@pytest.mark.parametrize(("kind", "ordered"), [("genetic", False), ("swarm", True), ("cma_es", True), ("optuna", False)])
+def test_a_submission_says_how_constraints_and_choices_are_searched(kind: str, ordered: bool) -> None:
+    notes = resolve(CampaignSpecification.model_validate(WANTED | {"optimizer": {"kind": kind}})).notes
+    assert any("speed <= limit, gears * 10 <= limit" in note for note in notes)
+    assert any("mode, tyre" in note for note in notes) == ordered
 
 
 def test_an_optimizer_that_declares_nothing_is_refused_for_what_it_may_not_know(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -86,8 +86,10 @@ import numpy as np
 from drivecal.campaigns.cells.predicting import LotPlanner
 from drivecal.contracts.specification import ReductionSpecification
 from drivecal.domain.parameters import Parameter, ParameterSpace
+from drivecal.domain.scales import COMFORT
 space = ParameterSpace((Parameter("P1", Decimal(0), Decimal(1), 11),))
-planner = LotPlanner(SimpleNamespace(names=("P1",)), space, ReductionSpecification(mode="predicted"), {"S1": 1.0}, 200)
+view = SimpleNamespace(names=("P1",), bench=SimpleNamespace(scale=COMFORT))
+planner = LotPlanner(view, space, ReductionSpecification(mode="predicted"), {"S1": 1.0}, 200)
 planner.predict(dict(enumerate(space.parameter_sets(np.array([[0], [1]])))))
 assert "sklearn" not in sys.modules, "the first cells would wait until it is loaded"
 """

@@ -159,6 +159,7 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = no_bun
     space = None if found.function is None else search_space(specification, found.function, diagnostics)
     constraints = None if space is None else resolvers.find_constraints(found.function, space, diagnostics)
     resolvers.check_abilities(optimization, constraints, diagnostics)
+    notes += resolvers.note_search(optimization, constraints)
     if specification.baseline is None:
         baseline, more = resolvers.own_baseline(found.baseline, constraints)
         notes += more

@@ -31,6 +31,8 @@ from drivecal.sensitivity import thresholds
 from drivecal.sensitivity.analysis import SensitivityAnalysis
 from drivecal.sensitivity.settings import SensitivitySettings
 
+ORDERING = ("swarm", "cma_es")
+"""Built-in optimizers that move through the values of a parameter in their order."""
 MOST_WRONG_SETS = 200
 """Problems after which further start sets are not checked."""
 
@@ -227,6 +229,21 @@ def check_validation(specification: CampaignSpecification, diagnostics: Diagnost
     if wanted.of is None and wanted.largest < wanted.samples:
         message = f"{wanted.largest:,} is less than the first {wanted.samples:,} samples"
         diagnostics.add("validation.largest", message, "give at least as many")
+
+
+def note_search(optimization: Optimization | None, constraints: Constraints | None) -> tuple[str, ...]:
+    """Notes how the search treats constraints, and choices to which an optimizer gives an order."""
+    if optimization is None or constraints is None:
+        return ()
+    notes: list[str] = []
+    if constraints:
+        notes.append(f"sets that break {', '.join(constraints.listed)} are replaced by feasible ones near them")
+    choices = [parameter.name for parameter in constraints.space.searched if parameter.choices]
+    if choices and optimization.plugin.name in ORDERING:
+        notes.append(
+            f"{optimization.plugin.name} gives the choices of {', '.join(choices)} the order of their list; optuna does not"
+        )
+    return tuple(notes)
 
 
 def constraints_of(function: Parameterised, space: ParameterSpace) -> Constraints:

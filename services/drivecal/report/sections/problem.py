@@ -34,8 +34,8 @@ def setting(findings: ReportData) -> list[str]:
         [
             parameter.name,
             "" if parameter.unit == "1" else parameter.unit,
-            parameter.lower,
-            parameter.upper,
+            ", ".join(parameter.choices) or parameter.lower,
+            None if parameter.choices else parameter.upper,
             parameter.n_values,
             "searched" if parameter.fixed is None else f"held at {value_text(parameter.fixed)}",
         ]

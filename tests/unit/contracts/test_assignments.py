@@ -1,0 +1,40 @@
+"""`NAME=VALUE` on a command line: numbers, and texts for choices."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivecal.contracts.assignments import assignments, settings, value_text
+from drivecal.domain.errors import InvalidInputError
+
+CHOICE = st.text(st.characters(exclude_categories=["Cs", "Cc", "Z"]), min_size=1, max_size=12)
+
+
+def test_what_is_no_number_is_a_text() -> None:
+    assert settings(["P1=0.5", "mode=eco", "name=a=b", "P2 = -3"], "parameters") == {
+        "P1": 0.5,
+        "mode": "eco",
+        "name": "a=b",
+        "P2": -3.0,
+    }
+
+
+@given(CHOICE | st.floats(-1e6, 1e6))
+def test_a_written_value_is_read_as_it_was(value: float | str) -> None:
+    read = settings([f"x={value_text(value, 17)}"], "parameters")["x"]
+    if isinstance(value, float) or isinstance(read, str):
+        assert read == value
+
+
+@pytest.mark.parametrize("parts", [["mode"], ["=eco"], ["mode="], ["mode=eco", "mode=sport"], ["P1=1", "P1=2"]])
+def test_what_is_no_assignment_is_refused(parts: list[str]) -> None:
+    with pytest.raises(InvalidInputError) as refused:
+        settings(parts, "parameters")
+    assert all(problem.field.startswith("parameters") for problem in refused.value.problems)
+
+
+def test_weights_stay_numbers() -> None:
+    with pytest.raises(InvalidInputError):
+        assignments(["S1=eco"], "weights")
