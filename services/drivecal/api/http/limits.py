@@ -43,6 +43,7 @@ class Requests:
         app: ASGIApp,
         largest: int = LARGEST_BODY,
         seconds: float = SECONDS_FOR_A_BODY,
+        *,
         others: Mapping[str, tuple[int, float]] | None = None,
     ) -> None:
         """Limits the bytes and the seconds of bodies. `others`: these limits by path, for paths that have their own."""
