@@ -33,7 +33,7 @@ PLANTED = {
     "The workers do not know the coordinator": ("workers/drivecal/runtime", "from drivecal.reduction import keys"),
     "Only drivecal.traffic speaks to SUMO": ("workers/drivecal/episode", "import libsumo"),
     "Only drivecal.training needs the multi-body model": ("workers/drivecal/vehicle", "import vehiclemodels"),
-    "Only the forest and drivecal.training learn by scikit-learn": ("services/drivecal/sensitivity", "import sklearn"),
+    "Only the forests and drivecal.training learn by scikit-learn": ("services/drivecal/sensitivity", "import sklearn"),
     "No database and no web server beside the simulation": (
         "workers/drivecal/planner",
         "def late():\n    import sqlalchemy.orm",

@@ -2,13 +2,22 @@
 
 import numpy as np
 import numpy.typing as npt
-from sklearn.ensemble import ExtraTreesClassifier
+from sklearn.ensemble import ExtraTreesClassifier, ExtraTreesRegressor
 
 from drivecal.reduction.prediction import Bools, Floats, Predictions
 
 TREES = 50
 FEATURES = None
 """Features that each split considers: all of them, because few parameters matter in a scenario."""
+
+
+def leaf_weights(forest: ExtraTreesClassifier | ExtraTreesRegressor, known: Floats, features: Floats) -> Floats:
+    """Returns the weight of each training cell in the prediction of one set, shape (n_known,), sum 1: its mean share of the bootstrap
+    sample in the set's leaf, over the trees. `known`: the features of the training cells."""
+    shared = forest.apply(known) == forest.apply(features.reshape(1, -1))
+    drawn = np.stack([np.bincount(sample, minlength=len(shared)) for sample in forest.estimators_samples_], axis=1)
+    weights: Floats = shared * drawn
+    return np.asarray((weights / weights.sum(axis=0)).mean(axis=1), dtype=np.float64)
 
 
 class Forest:
@@ -51,13 +60,8 @@ class Forest:
         return confidence, np.abs(self._classes[chosen] - self._scores[seen]) > self._tolerance + 1e-9
 
     def weights(self, features: Floats) -> Floats:
-        """Returns the weight of each training cell in the prediction of one set, shape (n_known,), sum 1: its mean share of the bootstrap
-        sample in the set's leaf, over the trees."""
-        forest = self._fitted()
-        shared = forest.apply(self._features) == forest.apply(features.reshape(1, -1))
-        drawn = np.stack([np.bincount(sample, minlength=len(shared)) for sample in forest.estimators_samples_], axis=1)
-        weights: Floats = shared * drawn
-        return np.asarray((weights / weights.sum(axis=0)).mean(axis=1), dtype=np.float64)
+        """See `leaf_weights`."""
+        return leaf_weights(self._fitted(), self._features, features)
 
     def _fitted(self) -> ExtraTreesClassifier:
         if self._forest is None:

@@ -7,8 +7,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from tests.support.inspected import inspect
+from tests.support.scales import COST
 
 from drivecal.reduction.prediction import Bools, Floats, Predictions, ScenarioLearner
+from drivecal.reduction.regression_forest import predictor_on
 
 REPLAYS = 1000
 BATCHES, CELLS = 4, 60
@@ -25,6 +27,9 @@ class Fake:
 
     def known_errors(self) -> tuple[Floats, Bools]:
         return np.ones(500), np.zeros(500, dtype=np.bool_)
+
+    def weights(self, features: Floats) -> Floats:
+        return np.empty(len(features))
 
     def scores(self, features: Floats) -> Floats:
         """Constant."""
@@ -93,3 +98,26 @@ def test_a_thousand_replays_of_a_sabotaged_predictor_release_few_errors(
     assert len(shares) >= REPLAYS, "every replay has a lot at the least, or nothing was tried"
     assert np.mean(shares) <= limit + 3.0 * np.std(shares) / np.sqrt(len(shares))
     assert (released > 0) == (predictor in {OverConfident, Right}), "hopeless ones are rejected"
+
+
+@pytest.mark.parametrize("limit", [0.05, 0.02])
+def test_predictions_of_continuous_scores_are_released_and_keep_the_limit(limit: float) -> None:
+    """A cost with a cliff, searched in a region that moves from batch to batch."""
+    shares: list[float] = []
+    released = cells = 0
+    for number in range(8):
+        generator = np.random.default_rng(number)
+        learner = ScenarioLearner(predictor_on(COST, COST.tolerance), COST.tolerance)
+        centre = generator.random(3)
+        for batch in range(6):
+            features = (
+                generator.random((200, 3)) if batch < 2 else np.clip(centre + 0.4 * (generator.random((200, 3)) - 0.5), 0, 1)
+            )
+            costs = 40.0 * np.abs(features[:, 0] - 0.4) + 20.0 * features[:, 1] ** 2 + 10.0
+            costs[features[:, 0] + features[:, 1] > 1.7] = COST.failed
+            tally = inspect(learner, features, costs, costs, limit, number.to_bytes(4) + batch.to_bytes(4))
+            released, cells = released + tally.released, cells + tally.cells
+            if tally.inspected:
+                shares.append(tally.different / tally.inspected)
+    assert released > 0.2 * cells
+    assert np.mean(shares) <= limit + 3.0 * np.std(shares) / np.sqrt(len(shares))

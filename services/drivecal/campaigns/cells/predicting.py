@@ -11,7 +11,6 @@ from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import groupby
 
 import numpy as np
@@ -86,7 +85,7 @@ class LotPlanner:
         weights: Mapping[str, float],
         population: int,
     ) -> None:
-        from drivecal.reduction.forest import Forest  # scikit-learn loads slowly; campaigns without predictions need none
+        from drivecal.reduction.regression_forest import predictor_on  # scikit-learn loads slowly, and only predictions need it
 
         self._view = view
         self._reduction = reduction
@@ -94,7 +93,7 @@ class LotPlanner:
         self._population, self._slice = population, slice_size(population)
         self._features = FeatureSpace(space, view.names)
         self._tolerance = reduction.tolerance_on(view.bench.scale)
-        kind = partial(Forest, self._tolerance)
+        kind = predictor_on(view.bench.scale, self._tolerance)
         self._learners = {scenario: ScenarioLearner(kind, self._tolerance) for scenario in weights}
         self._lots_so_far: Sequence[StoredLot] = ()
         self._cell_seconds: Mapping[str, float] = {}

@@ -1,6 +1,5 @@
 """The prediction of a cell with the stored answers behind it: the predictor learns once more what it knew when the cell was requested."""
 
-from functools import partial
 from itertools import groupby
 
 import numpy as np
@@ -58,14 +57,14 @@ def _lot(connection: Connection, campaign_sequence: int, number: int) -> Inspect
 def _neighbours(
     connection: Connection, campaign: StoredCampaign, cell: StoredEvaluation, resolved: ResolvedSpec, most: int
 ) -> list[Neighbour]:
-    from drivecal.reduction.forest import Forest  # scikit-learn loads slowly
+    from drivecal.reduction.regression_forest import predictor_on  # scikit-learn loads slowly
 
     specification = CampaignSpecification.model_validate(campaign.spec)
     if specification.optimizer is None:
         return []
     tolerance, width = specification.reduction.tolerance_on(resolved.scale), slice_size(specification.optimizer.population)
     features = FeatureSpace(resolved.space, resolved.space.names)
-    learner = ScenarioLearner(partial(Forest, tolerance), tolerance)
+    learner = ScenarioLearner(predictor_on(resolved.scale, tolerance), tolerance)
     own = batch_of(cell.stage, cell.iteration, cell.individual, width)
     earlier = runs.rated(connection, cell.setup_id, resolved.evaluator, campaign.watermark or 0, MOST_KNOWN)
     answers, _ = results.known(connection, campaign.sequence, [cell.setup_id], after=0)
@@ -77,7 +76,7 @@ def _neighbours(
         scores = np.array([score for _, _, score in known], dtype=np.float64)
         learner.learn(features([parameters for _, parameters, _ in known]), scores, np.zeros(len(known)))
     predictor = learner.fitted()
-    if not isinstance(predictor, Forest):
+    if predictor is None:
         return []
     weights = predictor.weights(features([cell.parameters]))
     trained = [each for known in batches for each in known][: learner.trained_on][-len(weights) :]
