@@ -38,7 +38,7 @@ PLANTED = {
     ),
     "Only the FMU's child imports FMPy": ("workers/drivecal/adapters", "import fmpy.fmi2"),
     "Only drivecal.training needs the multi-body model": ("workers/drivecal/vehicle", "import vehiclemodels"),
-    "Only the forest and drivecal.training learn by scikit-learn": ("services/drivecal/sensitivity", "import sklearn"),
+    "Only the forests and drivecal.training learn by scikit-learn": ("services/drivecal/sensitivity", "import sklearn"),
     "No database and no web server beside the simulation": (
         "workers/drivecal/planner",
         "def late():\n    import sqlalchemy.orm",

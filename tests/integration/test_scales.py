@@ -11,10 +11,12 @@ from tests.support.runs import WITH_ANALYSIS, nothing_matters, post_map, run, su
 from tests.support.scales import COST
 
 from drivecal.analysis.solutions import Ranking
+from drivecal.api.responses import campaign_answer
 from drivecal.campaigns.resolve.bench import DrivingBench
 from drivecal.campaigns.resolve.problem import resolve
 from drivecal.campaigns.results.explanation import explain
 from drivecal.campaigns.stages.validation import compared
+from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.specification import CampaignSpecification, ReductionSpecification
 from drivecal.contracts.tables import ValidationRow
 from drivecal.contracts.work import Cell, CellResult
@@ -24,6 +26,7 @@ from drivecal.domain.scales import COMFORT
 from drivecal.storage import events, generations, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
+from drivecal.storage.engine.types import now
 
 
 @pytest.fixture(autouse=True)
@@ -61,6 +64,8 @@ def test_the_search_minimises_and_a_failed_run_never_wins(database: Database) ->
     assert ended.best is not None
     assert [each.objective for each in ranked] == sorted(each.objective for each in ranked)
     assert ended.best.objective == pytest.approx(ranked[0].objective)
+    answer = campaign_answer(ended, now(), None)
+    assert answer.scale == Campaign.model_validate_json(answer.model_dump_json()).scale == COST
     best = [each.best or 0.0 for each in figures]
     assert best == sorted(best, reverse=True)
     assert told == sorted(told, reverse=True)

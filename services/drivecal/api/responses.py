@@ -6,6 +6,7 @@ from datetime import datetime
 from typing import Any, get_args
 
 from drivecal.api.live.dispatcher_health import degraded
+from drivecal.campaigns.resolve.resolved_spec import stored_scale
 from drivecal.contracts.campaign import Campaign, CellCounts, Seconds
 from drivecal.contracts.evaluation import EvaluatedCell, Evaluation
 from drivecal.contracts.tables import PLACE, CampaignTable, ComparisonTable, EvaluationRow, parameter_column
@@ -34,6 +35,7 @@ def campaign_answer(stored: StoredCampaign, now: datetime, silent: str | None, c
         "degraded": degraded(stored, silent),
         "stages": {stage: CellCounts(**cells) for stage, cells in stored.stages.items()},
         "seconds": seconds_of(stored, now),
+        "scale": stored_scale(stored.resolution),
         "links": _links(stored) | ({} if comparison is None else {"run_of": f"{ROOT}/campaigns/{comparison}"}),
     }
     return Campaign(**as_it_is | changing)

@@ -10,7 +10,7 @@ from drivecal.campaigns.comparisons.runs import ComparisonJob
 from drivecal.campaigns.job import Job
 from drivecal.campaigns.resolve.bundle_source import stored_bundles
 from drivecal.campaigns.resolve.problem import CalibrationProblem
-from drivecal.campaigns.resolve.resolved_spec import problem_of
+from drivecal.campaigns.resolve.resolved_spec import problem_of, stored_scale
 from drivecal.campaigns.stages.campaign import StagedCampaign
 from drivecal.campaigns.stages.evaluation import SingleEvaluation
 from drivecal.contracts.comparison import ComparisonSpecification
@@ -77,7 +77,8 @@ def _pin(database: Database, campaign: StoredCampaign, resolution: Mapping[str, 
         with database.transaction() as connection:
             campaigns.set_resolution(connection, campaign.sequence, resolution)
         return
-    changed = [part for part, value in campaign.resolution.items() if resolution.get(part) != value]
+    begun_with = {**campaign.resolution, "scale": stored_scale(campaign.resolution).to_json()}  # earlier releases stored none
+    changed = [part for part in resolution if resolution[part] != begun_with.get(part)]
     if changed:
         raise ConflictError(
             f"the campaign was begun with another version of its {' and '.join(changed)}; submit it again: results of two versions"

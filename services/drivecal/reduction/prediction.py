@@ -14,7 +14,6 @@ import numpy.typing as npt
 from scipy.optimize import isotonic_regression
 
 from drivecal.domain.parameters import ParameterSet, ParameterSpace, billionths
-from drivecal.domain.scales import Scale
 from drivecal.reduction.lots import SamplingPlan, best_plan
 
 Floats = npt.NDArray[np.float64]
@@ -33,8 +32,6 @@ REFIT = 1.1
 """Growth of the known answers after which a predictor is trained again: training takes most of its time."""
 FEWEST_KNOWN, MOST_KNOWN = 100, 10_000
 """Known answers before the first prediction, and the newest answers that a predictor is trained on."""
-MOST_CLASSES = 100
-"""Scores of a scale that are told apart as classes."""
 ROUNDING = 1e-9
 """Difference of scores that counts as none."""
 DOUBT = 5.0
@@ -67,22 +64,6 @@ class Predictor(Protocol):
 
     def known_errors(self) -> tuple[Floats, Bools]:
         """Returns raw confidences and whether the prediction was wrong, of training data left out of the fit, each of shape (n,)."""
-
-
-def predictor_on(scale: Scale, tolerance: float) -> Callable[[], Predictor]:
-    """Returns what creates the default predictor of a scale's scores: classes for few steps, else regression.
-
-    scikit-learn loads slowly, so it loads while the first cells are simulated, if not before.
-    """
-    few = scale.step is not None and scale.span / scale.step <= MOST_CLASSES
-
-    def create() -> Predictor:
-        from drivecal.reduction.forest import Forest
-        from drivecal.reduction.regression_forest import RegressionForest
-
-        return Forest(tolerance) if few else RegressionForest(tolerance)
-
-    return create
 
 
 class FeatureSpace:

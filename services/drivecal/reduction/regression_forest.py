@@ -1,10 +1,23 @@
 """The default predictor of scores without steps: a forest of extremely randomised regression trees (Geurts, Ernst and Wehenkel 2006)."""
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 from sklearn.ensemble import ExtraTreesRegressor
 
-from drivecal.reduction.forest import FEATURES, TREES, leaf_weights
-from drivecal.reduction.prediction import ROUNDING, Bools, Floats, Predictions
+from drivecal.domain.scales import Scale
+from drivecal.reduction.forest import FEATURES, TREES, Forest, leaf_weights
+from drivecal.reduction.prediction import ROUNDING, Bools, Floats, Predictions, Predictor
+
+MOST_CLASSES = 100
+"""Scores of a scale that are told apart as classes."""
+
+
+def predictor_on(scale: Scale, tolerance: float) -> Callable[[], Predictor]:
+    """Returns what creates the default predictor of a scale's scores: classes for few steps, else regression."""
+    few = scale.step is not None and scale.span / scale.step <= MOST_CLASSES
+    return partial(Forest if few else RegressionForest, tolerance)
 
 
 class RegressionForest:

@@ -65,7 +65,10 @@ def write_comparison(comparison: ComparisonData, tables: Mapping[str, Iterable[b
     Raises InvalidInputError if a file cannot be written.
     """
     with writable(folder) as target:
-        searches = [target.draw(figure) for figure in search_figures(comparison.runs, comparison.generations)]
+        searches = [
+            target.draw(figure)
+            for figure in search_figures(comparison.runs, comparison.generations, comparison.campaign.scale.sign)
+        ]
         searches.append(
             target.draw(optima_figure(comparison.runs)) if any(run.best is not None for run in comparison.runs) else ""
         )
@@ -107,7 +110,7 @@ def _page(comparison: ComparisonData, searches: Sequence[str], reduced: str, nam
 def summary(comparison: ComparisonData) -> list[str]:
     """Returns sentences that summarise the comparison."""
     sentences = []
-    best = max((run.simulated_best for run in comparison.runs if run.simulated_best is not None), default=None)
+    best = next((run.simulated_best for run in comparison.runs if run.success), None)
     if best is not None:
         groups: dict[str, list[ComparedRun]] = {}
         for run in comparison.runs:

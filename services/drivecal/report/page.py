@@ -104,7 +104,12 @@ def _validation(findings: ReportData, drawn: Mapping[str, str]) -> list[str]:
     content = [part for studied in findings.predictions[:1] for part in predictions.validated(studied)]
     if findings.validation:
         drawings = _figures(drawn, "figure-14-")
-        return [*content, *validation.parts(findings.validation[0], identifier, by_scenario(findings.influence), drawings)]
+        return [
+            *content,
+            *validation.parts(
+                findings.validation[0], identifier, by_scenario(findings.influence), drawings, findings.campaign.scale
+            ),
+        ]
     if not findings.influence:
         return content
     return [

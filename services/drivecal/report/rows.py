@@ -7,6 +7,7 @@ from typing import Literal
 from drivecal.contracts.campaign import ErrorRate, Released
 from drivecal.contracts.comparison import ComparedGroup, ReductionEffect
 from drivecal.contracts.tables import InfluenceRow, ValidationRow
+from drivecal.domain.scales import COMFORT, Scale
 
 OUTCOMES = ("simulated", "repeated", "reused", "predicted", "certified", "failed")
 """Outcomes of requested cells, frequent ones first."""
@@ -40,13 +41,19 @@ def totals(items: Iterable[object], *names: str) -> tuple[int, ...]:
     return tuple(sum(getattr(item, name) for item in listed) for name in names)
 
 
-def errors_text(what: str, count: int, different: int, wrong: int) -> str:
+def errors_text(what: str, count: int, different: int, wrong: int, scale: Scale = COMFORT) -> str:
     """Returns a sentence about `count` compared answers, whose plural is `what`.
 
-    Wrong answers are off by more than one point (Eq. 8): R_err alone does not say how many are off by one.
+    Wrong answers are off by more than the tolerance (Eq. 8): R_err alone does not say how many are off by less.
     """
     differ = f"{different:,} had another score ({different / count:.2%})"
-    return f"Of {count:,} {what} {differ}; {wrong:,} were wrong, off by more than one point (R_err {wrong / count:.2%})."
+    tolerated = scale.amount(scale.tolerance)
+    return f"Of {count:,} {what} {differ}; {wrong:,} were wrong, off by more than {tolerated} (R_err {wrong / count:.2%})."
+
+
+def range_text(scale: Scale) -> str:
+    """Returns the usual range of a score and which end is better."""
+    return f"{scale.lower:g} to {scale.upper:g}, {'higher' if scale.sign > 0 else 'lower'} is better"
 
 
 def interval_text(rows: Sequence[ValidationRow]) -> str:

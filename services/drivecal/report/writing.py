@@ -50,7 +50,7 @@ def figures(findings: ReportData) -> Iterator[Drawn]:
     if findings.robustness:
         yield from robustness_degrees.drawn(findings.robustness)
     if findings.validation:
-        yield from validation.drawn(findings.validation[0].rows)
+        yield from validation.drawn(findings.validation[0].rows, findings.campaign.scale)
 
 
 def _influence(findings: ReportData) -> Iterator[Drawn]:

@@ -5,6 +5,8 @@ from typing import Any, Generic, TypeVar
 
 from pydantic import BaseModel, ConfigDict, computed_field, model_validator
 
+from drivecal.domain.scales import COMFORT, Scale
+
 RowModel = TypeVar("RowModel", bound=BaseModel)
 
 Score = int | float
@@ -211,6 +213,8 @@ class Campaign(CellsByStage):
     stage: str | None = None
     iteration: int | None = None
     progress: Progress = Progress()
+    scale: Scale = COMFORT
+    """What the numbers of scores mean: direction, usual range, tolerance, unit. Of a comparison that of the comfort score."""
     error_rate: dict[str, ErrorRate] = {}
     released: dict[str, Released] = {}
     """Predicted answers by scenario; empty if the campaign predicts nothing."""

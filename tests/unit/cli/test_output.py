@@ -6,6 +6,7 @@ import re
 from typing import Any
 
 import pytest
+from tests.support.scales import COST
 from typer.testing import CliRunner
 
 from drivecal.cli.commands.campaigns import kind_text
@@ -19,11 +20,13 @@ from drivecal.cli.views.output import (
     print_columns,
     print_solutions,
     saved,
+    self_check_text,
 )
 from drivecal.cli.views.progress import Lines
 from drivecal.contracts.campaign import Best, Campaign, CellCounts, ErrorRate, Progress, Released, Seconds
 from drivecal.contracts.tables import Solution
 from drivecal.domain.evaluations import Outcome
+from drivecal.domain.scales import COMFORT
 
 CELLS = CellCounts(proposed=100, carried_over=40, requested=60, repeated=6, reused=9, simulated=44, failed=1, audited=2)
 PREDICTED = CellCounts(proposed=100, requested=100, repeated=5, reused=5, predicted=40, certified=10, simulated=40, sampled=8)
@@ -97,7 +100,7 @@ def test_a_campaign_shows_all_that_matters(capsys: pytest.CaptureFixture[str]) -
         "running, calibration, iteration 3, 60 of 100 cells, about 1 min 01 s left, degraded: 1 of 2 workers is gone",
         "5.5000  P1=0.5 P2=3",
         "S1 5  S2 6",
-        "20 reusable cells were simulated all the same: 2 scored differently, 1 by more than 1; reuse was stopped in S1",
+        "20 reusable cells were simulated all the same: 2 scored differently, 1 by more than 1 point; reuse was stopped in S1",
         "weight is 0: S3",
         "1 min 30 s, of which the workers simulated 1 min 40 s",
     ):
@@ -172,3 +175,12 @@ def test_version_and_usage() -> None:
     assert CliRunner().invoke(app, ["show"]).exit_code == 2
     assert CliRunner().invoke(app, ["list", "--limit", "0"]).exit_code == 2
     assert CliRunner().invoke(app, ["list", "--state", "odd"]).exit_code == 2
+
+
+def test_wrong_answers_are_off_by_more_than_the_campaigns_own_tolerance() -> None:
+    rates = {"S1": ErrorRate(audited=20, different=2, wrong=1)}
+    told = [
+        self_check_text(Campaign(id="0" * 32, name="mine", state="running", scale=scale, error_rate=rates))
+        for scale in (COMFORT, COST)
+    ]
+    assert [text.rpartition("more than ")[2] for text in told] == ["1 point", "2"]

@@ -10,7 +10,8 @@ import pytest
 from tests.support.inspected import Tally, inspect
 from tests.support.scales import COST
 
-from drivecal.reduction.prediction import Bools, Floats, Predictions, ScenarioLearner, predictor_on
+from drivecal.reduction.prediction import Bools, Floats, Predictions, ScenarioLearner
+from drivecal.reduction.regression_forest import predictor_on
 
 REPLAYS = 1000
 BATCHES, CELLS = 4, 60

@@ -12,7 +12,21 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
-from tests.unit.report.rows import OPTIMA, PARAMETERS, ROBUST, VALIDATED, findings, nowhere, optimum, robust, row, study, trial
+from tests.support.scales import COST
+from tests.unit.report.rows import (
+    OPTIMA,
+    PARAMETERS,
+    ROBUST,
+    VALIDATED,
+    findings,
+    nowhere,
+    optimum,
+    robust,
+    row,
+    study,
+    trial,
+    validated,
+)
 
 from drivecal.contracts.tables import ValidationRow
 from drivecal.report.data import Studied
@@ -184,8 +198,28 @@ def test_small_figures_have_room_for_their_labels() -> None:
 
 def test_what_differs_by_a_point_is_told_beside_what_is_wrong() -> None:
     told = "".join(validation.parts(Studied(study("validation"), VALIDATED), "0" * 32, {}, ""))
-    assert "Of 100 variants 10 had another score (10.00%); 6 were wrong, off by more than one point (R_err 6.00%)." in told
+    assert "Of 100 variants 10 had another score (10.00%); 6 were wrong, off by more than 1 point (R_err 6.00%)." in told
 
 
 def test_a_region_of_a_single_value_cannot_be_reduced() -> None:
     assert validation.reducible([row("S1", "P1", 1, 9), row("S1", "P2", 0, 8), row("S1", "P3", None, None)]) == ["P2"]
+
+
+def test_costs_without_steps_are_drawn_in_bars_of_their_tolerance() -> None:
+    known = validated("S1", {0: 90, -1: 4, 2: 5, 60: 1})
+    costs = known.model_copy(update={"histogram_step": COST.bin})
+    (drawn,) = validation.drawn([costs], COST)
+    found = bars(drawn.figure)
+    assert {name: bar.get_x() + bar.get_width() / 2 for name, bar in found.items()} == pytest.approx(
+        {"S1.0": 0, "S1.-1": -2, "S1.2": 4, "S1.60": 120}
+    )
+    assert {name for name, bar in found.items() if bar.get_hatch()} == {"S1.2", "S1.60"}
+    assert drawn.figure.axes[0].get_xlim()[1] > 120
+    html = "".join(validation.parts(Studied(study("validation"), [costs]), "0" * 32, {}, "", COST))
+    assert [cell for line in html.split("<tr>") for cell in re.findall(r"<td[^>]*>([^<]*)</td>", line)][-5:] == [
+        "S1",
+        "4",
+        "90",
+        "5",
+        "1",
+    ]

@@ -11,6 +11,7 @@ from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import groupby
 
 import numpy as np
@@ -22,7 +23,7 @@ from drivecal.contracts.specification import ReductionSpecification
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.parameters import ParameterSet, ParameterSpace
-from drivecal.domain.scales import plain
+from drivecal.domain.scales import Scale, plain
 from drivecal.reduction.lots import SamplingPlan, most_released
 from drivecal.reduction.prediction import (
     FEWEST_KNOWN,
@@ -33,9 +34,9 @@ from drivecal.reduction.prediction import (
     Floats,
     Lot,
     Predictions,
+    Predictor,
     ScenarioLearner,
     choose_lot,
-    predictor_on,
 )
 from drivecal.storage import evaluations, lots, results
 from drivecal.storage.engine.types import ORDER
@@ -78,6 +79,13 @@ class _Forecast:
     seconds: float
 
 
+def _predictor(scale: Scale, tolerance: float) -> Predictor:
+    """Returns an untrained predictor. scikit-learn loads slowly, so it loads while the first cells are simulated, if not before."""
+    from drivecal.reduction.regression_forest import predictor_on
+
+    return predictor_on(scale, tolerance)()
+
+
 class LotPlanner:
     """The predictors of one calibration."""
 
@@ -95,7 +103,7 @@ class LotPlanner:
         self._population, self._slice = population, slice_size(population)
         self._features = FeatureSpace(space, view.names)
         self._tolerance = reduction.tolerance_on(view.bench.scale)
-        kind = predictor_on(view.bench.scale, self._tolerance)
+        kind = partial(_predictor, view.bench.scale, self._tolerance)
         self._learners = {scenario: ScenarioLearner(kind, self._tolerance) for scenario in weights}
         self._lots_so_far: Sequence[StoredLot] = ()
         self._cell_seconds: Mapping[str, float] = {}

@@ -52,5 +52,10 @@ def resolved_spec(campaign: StoredCampaign) -> ResolvedSpec:
     resolution: Mapping[str, Any] = campaign.resolution or problem_of(campaign).resolution()
     fixed = fixed_from_document(resolution.get("fixed", {}))
     space = ParameterSpace(space_from_document(resolution["space"]), fixed)
-    scale = Scale.from_json(resolution["scale"]) if "scale" in resolution else COMFORT
-    return ResolvedSpec(resolution["evaluator"], space, resolution.get("weights", {}), resolution["setups"], scale)
+    weights, setups = resolution.get("weights", {}), resolution["setups"]
+    return ResolvedSpec(resolution["evaluator"], space, weights, setups, stored_scale(resolution))
+
+
+def stored_scale(resolution: Mapping[str, Any] | None) -> Scale:
+    """The scale that is stored with a campaign; before it starts, and in campaigns of earlier releases, that of the comfort score."""
+    return Scale.from_json(resolution["scale"]) if resolution is not None and "scale" in resolution else COMFORT

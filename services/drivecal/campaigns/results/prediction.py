@@ -9,7 +9,7 @@ from drivecal.campaigns.cells.predicting import batch_of, slice_size
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec
 from drivecal.contracts.explanation import InspectedLot, Neighbour, Prediction
 from drivecal.contracts.specification import CampaignSpecification
-from drivecal.reduction.prediction import MOST_KNOWN, FeatureSpace, ScenarioLearner, predictor_on
+from drivecal.reduction.prediction import MOST_KNOWN, FeatureSpace, ScenarioLearner
 from drivecal.storage import lots, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.references import runs
@@ -57,6 +57,8 @@ def _lot(connection: Connection, campaign_sequence: int, number: int) -> Inspect
 def _neighbours(
     connection: Connection, campaign: StoredCampaign, cell: StoredEvaluation, resolved: ResolvedSpec, most: int
 ) -> list[Neighbour]:
+    from drivecal.reduction.regression_forest import predictor_on  # scikit-learn loads slowly
+
     specification = CampaignSpecification.model_validate(campaign.spec)
     if specification.optimizer is None:
         return []

@@ -170,7 +170,7 @@ def _print_whole(client: Client, campaign: Campaign, as_json: bool) -> None:
     if compared:
         print_comparison(client.compared_groups(campaign.id), client.reduction_effects(campaign.id))
     print_narrowed(campaign.narrowed)
-    print_error_rates(campaign.error_rate)
+    print_error_rates(campaign.error_rate, campaign.scale)
     print_lots(campaign.released)
     if account is not None:
         print_accounting(account)

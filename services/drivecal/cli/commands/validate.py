@@ -12,6 +12,7 @@ from drivecal.cli.views.output import dumped, print_columns, print_json
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.tables import ValidationRow
 from drivecal.domain.errors import ConflictError
+from drivecal.domain.scales import COMFORT, Scale
 from drivecal.report.rows import PREDICTIONS, errors_text, interval_text, percent, predictions, totals
 
 ALL = 1_000_000
@@ -48,9 +49,9 @@ def validate(
     if as_json:
         print_json(dumped(rows))
     elif predicted:
-        print_released(rows)
+        print_released(rows, campaign.scale)
     else:
-        print_validation(rows)
+        print_validation(rows, campaign.scale)
 
 
 def _map_of(campaign: Campaign) -> dict[str, str]:
@@ -60,15 +61,15 @@ def _map_of(campaign: Campaign) -> dict[str, str]:
     return {"map": link.rpartition("/")[2]}
 
 
-def print_released(rows: Sequence[ValidationRow]) -> None:
+def print_released(rows: Sequence[ValidationRow], scale: Scale = COMFORT) -> None:
     """Prints how many released predictions are right."""
     print_columns(PREDICTIONS, predictions(rows))
     compared, different, wrong = totals(rows, "compared", "different", "wrong")
     if compared:
-        typer.echo(errors_text("predictions", compared, different, wrong))
+        typer.echo(errors_text("predictions", compared, different, wrong, scale))
 
 
-def print_validation(rows: Sequence[ValidationRow]) -> None:
+def print_validation(rows: Sequence[ValidationRow], scale: Scale = COMFORT) -> None:
     """Prints Tables 1 and 2 of the paper for this map."""
     print_columns(
         ["scenario", "n", "n*_LHS", "n_ref", "compared", "different", "wrong", "R_err", "95 % interval", "effects covered"],
@@ -84,7 +85,7 @@ def print_validation(rows: Sequence[ValidationRow]) -> None:
     )
     compared, different, wrong = totals(rows, "compared", "different", "wrong")
     if compared:
-        typer.echo(errors_text("variants", compared, different, wrong))
+        typer.echo(errors_text("variants", compared, different, wrong, scale))
         typer.echo(interval_text(rows))
     nothing = [row.scenario for row in rows if not row.compared]
     if nothing:

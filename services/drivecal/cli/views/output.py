@@ -163,8 +163,9 @@ def self_check_text(campaign: Campaign) -> str:
     audited, different, wrong = totals(rates.values(), "audited", "different", "wrong")
     if not audited:
         return ""
+    tolerated = campaign.scale.amount(campaign.scale.tolerance)
     cells = "1 reusable cell was" if audited == 1 else f"{audited:,} reusable cells were"
-    text = f"{cells} simulated all the same: {different:,} scored differently, {wrong:,} by more than 1"
+    text = f"{cells} simulated all the same: {different:,} scored differently, {wrong:,} by more than {tolerated}"
     stopped = [name for name, rate in rates.items() if rate.stopped]
     return f"{text}; reuse was stopped in {', '.join(stopped)}" if stopped else text
 

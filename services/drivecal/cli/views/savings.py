@@ -7,15 +7,17 @@ import typer
 from drivecal.cli.views.output import duration, print_columns
 from drivecal.contracts.accounting import DEDUCTIONS, Accounting, BreakEven
 from drivecal.contracts.campaign import ErrorRate, Narrowed, Released
+from drivecal.domain.scales import COMFORT, Scale
 from drivecal.report.rows import error_rates, released_lots, totals
 
 
-def print_error_rates(rates: Mapping[str, ErrorRate]) -> None:
+def print_error_rates(rates: Mapping[str, ErrorRate], scale: Scale = COMFORT) -> None:
     """Prints a line per scenario that was audited or has contradictions."""
     rows = error_rates(rates)
     if not rows:
         return
-    typer.echo("\nerrors of reused results, found by simulating some of them all the same (wrong: by more than 1)")
+    tolerated = scale.amount(scale.tolerance)
+    typer.echo(f"\nerrors of reused results, found by simulating some of them all the same (wrong: by more than {tolerated})")
     header = ["scenario", "audited", "different", "wrong", "R_err", "at most (95 %)", "contradictions", "reuse"]
     print_columns(header, rows)
 

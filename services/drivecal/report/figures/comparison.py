@@ -21,10 +21,13 @@ Kind = tuple[int, str]
 """Population and reduction of a run."""
 
 
-def search_figures(runs: Sequence[ComparedRun], generations: Mapping[str, Sequence[Generation]]) -> Iterator[Drawn]:
+def search_figures(
+    runs: Sequence[ComparedRun], generations: Mapping[str, Sequence[Generation]], sign: int = 1
+) -> Iterator[Drawn]:
     """Yields one figure per optimizer, with a line per run: the best objective over iterations and over simulations.
 
-    If all runs always have the same best objective, the latter shows the rating of the best set.
+    If all runs always have the same best objective, the latter shows the rating of the best set. `sign`: -1 if lower
+    objectives are better.
     """
     kinds = list(dict.fromkeys((run.population, run.reduction) for run in runs))
     values = [entry.best for listed in generations.values() for entry in listed if entry.best is not None]
@@ -43,7 +46,7 @@ def search_figures(runs: Sequence[ComparedRun], generations: Mapping[str, Sequen
                 for axes in (left, right) if low < high else (left,):
                     axes.set_ylim(low - margin, high + margin)
                 _label(figure, left, right, optimizer, kinds, by_rating=low == high)
-            best = max((run.best for run in mine if run.best is not None), default=None)
+            best = max((run.best for run in mine if run.best is not None), key=lambda value: sign * value, default=None)
             best_text = "nothing is answered yet" if best is None else f"the best objective found is {best:.3f}"
             name = _unlike(f"search-{_slug(optimizer)}", names)
             names.add(name)

@@ -6,7 +6,7 @@ from drivecal.contracts.campaign import Baseline, Best, Campaign
 from drivecal.contracts.tables import OptimumRow, RobustnessRow, Solution
 from drivecal.report.data import ReportData
 from drivecal.report.markup import bullets, paragraph, table
-from drivecal.report.rows import Number, errors_text, fixed, totals
+from drivecal.report.rows import Number, errors_text, fixed, range_text, totals
 from drivecal.report.sections import reuse, search
 
 SHOWN = 20
@@ -24,7 +24,7 @@ def summary(findings: ReportData) -> list[str]:
     least = "at least " * (len(findings.optima) < best.alternatives)
     where = f", in {least}{regions} distinct regions" if regions > 1 else ""
     share = "1 parameter set has it" if best.alternatives == 1 else f"{best.alternatives:,} parameter sets share it{where}"
-    first = f"The best objective is {best.objective:.4f} of 7; {share}."
+    first = f"The best objective is {best.objective:.4f} ({range_text(campaign.scale)}); {share}."
     if campaign.baseline is not None and campaign.baseline.objective is not None:
         first += f" The baseline has {campaign.baseline.objective:.4f}."
     if findings.solutions and findings.solutions[0].reused:
@@ -43,7 +43,7 @@ def _errors(campaign: Campaign) -> str:
     if not audited:
         return ""
     stopped = [name for name, error_rate in campaign.error_rate.items() if error_rate.stopped]
-    text = errors_text("audited answers", audited, different, wrong)
+    text = errors_text("audited answers", audited, different, wrong, campaign.scale)
     return text + (f" Reuse was stopped in {', '.join(stopped)}." if stopped else "")
 
 
@@ -73,14 +73,15 @@ def _studies(findings: ReportData) -> list[str]:
     for validated in findings.validation[:1]:
         compared, different, wrong = totals(validated.rows, "compared", "different", "wrong")
         if compared:
-            sentences.append(errors_text("variants in the validation of the influence map", compared, different, wrong))
+            what = "variants in the validation of the influence map"
+            sentences.append(errors_text(what, compared, different, wrong, findings.campaign.scale))
     return sentences
 
 
 def _compared(findings: ReportData, best: Best) -> str:
     baseline, recommended = findings.campaign.baseline, findings.recommended
     rows = [_row("best", best, best)]
-    caption = "The best set: its score (0 to 7) in each scenario and its parameter values"
+    caption = f"The best set: its score ({range_text(findings.campaign.scale)}) in each scenario and its parameter values"
     if recommended is not None:
         rows.append(_row("recommended", recommended, best))
         caption += "; beside it the set that the robustness study recommends"

@@ -22,7 +22,8 @@ def cells_by_stage(campaign: Campaign) -> str:
 def self_check(campaign: Campaign, account: Accounting | None) -> list[str]:
     """Returns the results of audits, of inspected lots, of checked certificates, and of certificates of reused cells."""
     header = ["scenario", "audited", "different", "wrong", "R_err", "95 % bound", "contradictions", "reuse"]
-    caption = "Self-check: reusable cells that were simulated all the same; wrong: the scores differ by more than 1"
+    tolerated = campaign.scale.amount(campaign.scale.tolerance)
+    caption = f"Self-check: reusable cells that were simulated all the same; wrong: the scores differ by more than {tolerated}"
     rows = error_rates(campaign.error_rate)
     content = [table(header, rows, caption)] if rows else []
     lots = lots_table(campaign)
@@ -53,7 +54,7 @@ def lots_table(campaign: Campaign) -> list[str]:
 
 
 def proved(account: Accounting | None) -> tuple[int, ...]:
-    """Returns the number of reused cells with a certificate of their own result, of different scores, and of scores off by more than 1."""
+    """Returns the number of reused cells with a certificate of their own result, of different scores, and of wrong scores."""
     return totals([] if account is None else account.scenarios, *PROVED)
 
 

@@ -6,18 +6,18 @@ from collections.abc import Iterator, Sequence
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
-from matplotlib.ticker import NullFormatter, StrMethodFormatter
+from matplotlib.ticker import MaxNLocator, NullFormatter, StrMethodFormatter
 
 from drivecal.contracts.tables import InfluenceRow, ValidationRow
+from drivecal.domain.scales import COMFORT, Scale
 from drivecal.report.data import Studied
 from drivecal.report.figures.drawing import BLUE, INK, VERMILION, Drawn, style
 from drivecal.report.markup import paragraph, table
 from drivecal.report.rows import errors_text, interval_text, percent, totals
 
-LARGEST_AGREEING = 1
-"""Points: a difference beyond it is wrong (Eq. 8)."""
-POINTS = range(-7, 8)
 PANELS_PER_SHEET = 12
+MOST_COLUMNS = 15
+"""Differences that the table lists even if no variant has them."""
 
 
 def reducible(rows: Sequence[InfluenceRow]) -> list[str]:
@@ -38,12 +38,13 @@ def reducible(rows: Sequence[InfluenceRow]) -> list[str]:
     return parameters
 
 
-def drawn(rows: Sequence[ValidationRow]) -> Iterator[Drawn]:
+def drawn(rows: Sequence[ValidationRow], scale: Scale = COMFORT) -> Iterator[Drawn]:
     """Yields the sheets of Figure 14; none if nothing was compared."""
     compared = [row for row in rows if row.compared]
     caption = (
         "Figure 14. How far the scores of variants, which differ from a basis only where the map says that it does not matter, are from "
-        "the score of the basis; on a logarithmic scale, or all but the zeros would be invisible. Hatched: by more than one point, wrong."
+        "the score of the basis; on a logarithmic scale, or all but the zeros would be invisible. Hatched: by more than "
+        f"{scale.amount(scale.tolerance)}, wrong."
     )
     for number, start in enumerate(range(0, len(compared), PANELS_PER_SHEET), 1):
         sheet = compared[start : start + PANELS_PER_SHEET]
@@ -51,11 +52,13 @@ def drawn(rows: Sequence[ValidationRow]) -> Iterator[Drawn]:
             f"{row.scenario}: {row.histogram.get(0, 0):,} of {row.compared:,} unchanged, {row.wrong:,} wrong" for row in sheet
         )
         name = "figure-14-validation" if number == 1 else f"figure-14-validation-{number}"
-        yield Drawn(name, caption, validation_figure(sheet), alt=f"Histograms of deviations. {alt}.")
+        yield Drawn(name, caption, validation_figure(sheet, scale), alt=f"Histograms of deviations. {alt}.")
 
 
-def validation_figure(rows: Sequence[ValidationRow]) -> Figure:
-    """Draws a histogram per scenario of the differences between variants and their bases, in points."""
+def validation_figure(rows: Sequence[ValidationRow], scale: Scale = COMFORT) -> Figure:
+    """Draws a histogram per scenario of the differences between variants and their bases, in units of the score."""
+    bins = _bins(rows, scale)
+    last, width = bins[-1] * rows[0].histogram_step, rows[0].histogram_step
     columns = min(3, len(rows))
     lines = math.ceil(len(rows) / columns)
     top = max(max(row.histogram.values(), default=1) for row in rows)
@@ -66,36 +69,42 @@ def validation_figure(rows: Sequence[ValidationRow]) -> Figure:
             if place >= len(rows):
                 axes.set_axis_off()
                 continue
-            _panel(axes, rows[place])
-            axes.set(yscale="log", ylim=(0.7, 2.5 * top), xlim=(-7.6, 7.6))
-            axes.set_xticks(range(-6, 7, 2))
+            _panel(axes, rows[place], scale)
+            axes.set(yscale="log", ylim=(0.7, 2.5 * top), xlim=(-last - 0.6 * width, last + 0.6 * width))
+            axes.xaxis.set_major_locator(MaxNLocator(8, integer=scale.is_whole, symmetric=True))
             axes.yaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
             axes.yaxis.set_minor_formatter(NullFormatter())
             axes.grid(visible=False, axis="x")
-        figure.supxlabel("difference from the basis, points", fontsize=8)
+        unit = "" if scale.unit == "1" else f", {scale.unit}"
+        figure.supxlabel(f"difference from the basis{unit}", fontsize=8)
         figure.supylabel("variants", fontsize=8)
         handles = [
-            Patch(facecolor=BLUE, edgecolor=INK, linewidth=0.4, label=f"up to {LARGEST_AGREEING} point"),
+            Patch(facecolor=BLUE, edgecolor=INK, linewidth=0.4, label=f"up to {scale.amount(scale.tolerance)}"),
             Patch(facecolor=VERMILION, edgecolor="white", hatch="////", linewidth=0.4, label="wrong"),
         ]
         figure.legend(handles=handles, loc="outside upper right", ncols=2)  # below it would lie on the label
     return figure
 
 
-def _panel(axes: Axes, row: ValidationRow) -> None:
-    for points in POINTS:
-        count = row.histogram.get(points, 0)
+def _panel(axes: Axes, row: ValidationRow, scale: Scale) -> None:
+    for number, count in row.histogram.items():
         if not count:
             continue
-        wrong = abs(points) > LARGEST_AGREEING
-        (bar,) = axes.bar(points, count, width=0.85, color=VERMILION if wrong else BLUE, hatch="////" if wrong else None)
-        bar.set(edgecolor="white" if wrong else INK, linewidth=0.4, gid=f"{row.scenario}.{points}")
+        difference = number * row.histogram_step
+        wrong = scale.is_wrong(difference)
+        colour, hatch = (VERMILION, "////") if wrong else (BLUE, None)
+        (bar,) = axes.bar(difference, count, width=0.85 * row.histogram_step, color=colour, hatch=hatch)
+        bar.set(edgecolor="white" if wrong else INK, linewidth=0.4, gid=f"{row.scenario}.{number}")
     rate = "" if row.error_rate is None else f": {row.different / row.compared:.1%} differ, R_err {row.error_rate:.2%}"
     axes.set_title(f"{row.scenario}{rate}")
 
 
 def parts(
-    studied: Studied[ValidationRow], campaign: str, by_scenario: dict[str, list[InfluenceRow]], drawings: Sequence[str]
+    studied: Studied[ValidationRow],
+    campaign: str,
+    by_scenario: dict[str, list[InfluenceRow]],
+    drawings: Sequence[str],
+    scale: Scale = COMFORT,
 ) -> list[str]:
     """Returns the section: the comparison, Tables 1 and 2, the figure."""
     rows = studied.rows
@@ -104,13 +113,13 @@ def parts(
         "Sets were drawn from Latin hypercubes until those that lie in some non-influential region covered the main effects and "
         "interactions of the reducible parameters; each was compared with variants that differ from it inside such regions only. "
     )
-    text += errors_text("variants", compared, different, wrong) if compared else ""
+    text += errors_text("variants", compared, different, wrong, scale) if compared else ""
     if studied.study.campaign != campaign:
         text += f" Campaign {studied.study.campaign} made this study."
     nothing = [row.scenario for row in rows if not row.compared]
     if nothing:
         text += f" There was nothing to validate in {', '.join(nothing)}."
-    return [paragraph(text), _sizes(rows, by_scenario), _rates(rows), *drawings, _histograms(rows)]
+    return [paragraph(text), _sizes(rows, by_scenario), _rates(rows), *drawings, _histograms(rows, scale)]
 
 
 def _sizes(rows: Sequence[ValidationRow], by_scenario: dict[str, list[InfluenceRow]]) -> str:
@@ -135,10 +144,25 @@ def _sizes(rows: Sequence[ValidationRow], by_scenario: dict[str, list[InfluenceR
     return table(header, lines, caption)
 
 
-def _histograms(rows: Sequence[ValidationRow]) -> str:
-    lines = [[row.scenario, *(row.histogram.get(points, 0) for points in POINTS)] for row in rows if row.compared]
-    header = ["scenario", *(f"{points:+d}".replace("-", "\N{MINUS SIGN}") if points else "0" for points in POINTS)]
-    return table(header, lines, "Figure 14 in numbers: variants by their difference from the basis, in points") if lines else ""
+def _bins(rows: Sequence[ValidationRow], scale: Scale) -> range:
+    """Numbers of the bars from the largest negative difference of the scale, or of a row, to the largest positive one."""
+    usual = round(scale.span / rows[0].histogram_step)
+    last = max([usual, *(abs(number) for row in rows for number in row.histogram)])
+    return range(-last, last + 1)
+
+
+def _histograms(rows: Sequence[ValidationRow], scale: Scale) -> str:
+    compared = [row for row in rows if row.compared]
+    if not compared:
+        return ""
+    bins: Sequence[int] = _bins(compared, scale)
+    if len(bins) > MOST_COLUMNS:
+        bins = sorted({0, *(number for row in compared for number in row.histogram)})
+    lines = [[row.scenario, *(row.histogram.get(number, 0) for number in bins)] for row in compared]
+    differences = [number * compared[0].histogram_step for number in bins]
+    header = ["scenario", *(f"{value:+g}".replace("-", "\N{MINUS SIGN}") if value else "0" for value in differences)]
+    unit = "" if scale.unit == "1" else f", in {scale.unit}"
+    return table(header, lines, f"Figure 14 in numbers: variants by their difference from the basis{unit}")
 
 
 def _rates(rows: Sequence[ValidationRow]) -> str:

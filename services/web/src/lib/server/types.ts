@@ -9,7 +9,7 @@ export interface Specification {
   weights?: Record<string, number>;
   optimizer?: { kind: string; population?: number; iterations?: number } | null;
   sensitivity?: Record<string, unknown> | null;
-  reduction?: { mode: string; audit: number; max_error: number; certified?: boolean; confirm?: number; tolerance?: number; limit?: number };
+  reduction?: { mode: string; audit: number; max_error: number; certified?: boolean; confirm?: number; tolerance?: number | null; limit?: number };
   robustness?: Record<string, unknown> | null;
   validation?: Record<string, unknown> | null;
   [more: string]: unknown;

@@ -1,5 +1,5 @@
 import { describe, expect, test } from "vitest";
-import { ago, duration, number, percent } from "./format";
+import { ago, duration, number, percent, tolerated } from "./format";
 
 test("a part is never rounded to nothing, nor to the whole", () => {
   expect(percent(0)).toBe("0.0 %");
@@ -26,4 +26,10 @@ describe("times", () => {
     expect(ago("2026-01-02T11:10:00Z", now)).toBe("50 min ago");
     expect(ago("2026-01-02T12:00:05Z", now)).toBe("just now");
   });
+});
+
+test("what is no error is told in the unit of the score", () => {
+  expect(tolerated({ tolerance: 1, unit: "points" })).toBe("1 point");
+  expect(tolerated({ tolerance: 2, unit: "1" })).toBe("2");
+  expect(tolerated({ tolerance: 0.5, unit: "kWh" })).toBe("0.5 kWh");
 });

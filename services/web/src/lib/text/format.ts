@@ -45,3 +45,10 @@ export function ago(moment: string | null, now: number): string {
 export function clock(moment: string): string {
   return new Date(moment).toLocaleTimeString("en-GB");
 }
+
+/** The largest difference of scores that is no error, with its unit. */
+export function tolerated(scale: { tolerance: number; unit?: string }): string {
+  const unit = scale.unit ?? "1";
+  if (unit === "1") return String(scale.tolerance);
+  return scale.tolerance === 1 && unit === "points" ? "1 point" : `${scale.tolerance} ${unit}`;
+}

@@ -22,8 +22,8 @@ test("what was asked for is told with all settings that were chosen, and nothing
 test("predictions are told with their tolerance and limit, where a campaign predicts", () => {
   const settings = { audit: 0.02, max_error: 0.02, confirm: 0, tolerance: 1, limit: 0.01 };
   const said = (mode: string): string => asked({ kind: "calibration", spec: { optimizer: { kind: "genetic" }, reduction: { mode, ...settings } } }, null).at(-1)?.[1] ?? "";
-  expect(said("predicted")).toMatch(/1 points.*1\.0 %/);
-  expect(said("both")).toMatch(/2\.0 % audited.*1 points.*1\.0 %/);
+  expect(said("predicted")).toMatch(/within 1,.*1\.0 %/);
+  expect(said("both")).toMatch(/2\.0 % audited.*within 1,.*1\.0 %/);
   expect(said("exact")).not.toContain("predict");
 });
 

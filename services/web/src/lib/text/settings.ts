@@ -56,7 +56,7 @@ export function asked(campaign: Asked, setup: CampaignSetup | null): [string, st
   if (isSettings(spec.reduction) && spec.optimizer !== null) {
     const { mode, audit, max_error: most, confirm, tolerance, limit } = spec.reduction;
     const reuses = mode === "influence" || mode === "both";
-    const lots = mode === "predicted" || mode === "both" ? `predictions right within ${number(Number(tolerance ?? 0))} points, an error expected in at most ${percent(Number(limit))} of those released` : "";
+    const lots = mode === "predicted" || mode === "both" ? `predictions right within ${tolerance === undefined || tolerance === null ? "the score's tolerance (0 if it has steps)" : number(Number(tolerance))}, an error expected in at most ${percent(Number(limit))} of those released` : "";
     const audits = reuses ? `${percent(Number(audit))} audited, stopped where more than ${percent(Number(most))} are wrong` : "";
     const confirmed = reuses && confirm ? `the best confirmed by simulation, at most ${String(confirm)} sets` : "";
     rows.push(["Reduction", named(mode, [audits, lots, list(spec.reduction, ["mode", "audit", "max_error", "confirm", "tolerance", "limit"]), confirmed].filter(Boolean).join(", "))]);
