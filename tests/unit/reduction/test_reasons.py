@@ -62,7 +62,7 @@ def test_a_difference_is_told_with_its_regions(difference: Difference, words: st
             {"agrees": True, "wrong": False},
             "would have repeated evaluation 17 (calibration iteration 2, individual 5), with the",
         ),
-        ("reused", {"agrees": False, "wrong": False}, "with score 4: reuse is off by no more than 1."),
+        ("reused", {"agrees": False, "wrong": False}, "with score 4: reuse is off by no more than 1"),
         ("reused", {"agrees": False, "wrong": True}, "with score 4: reuse is wrong here."),
         ("reused", {"agrees": None, "wrong": None}, "A certificate says that a simulation would have repeated evaluation 17 ("),
         (
