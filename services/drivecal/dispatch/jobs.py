@@ -60,6 +60,9 @@ def take_up(database: Database, sequence: int) -> Job:
         campaign = campaigns.by_sequence(connection, sequence)
     if campaign.kind == "comparison":
         resolved = resolve_comparison(validated(ComparisonSpecification, campaign.spec), stored_bundles(database))
+        if campaign.resolution is None:  # its runs pin the rest
+            with database.transaction() as connection:
+                campaigns.set_resolution(connection, sequence, {"scale": resolved.problems[0].bench.scale.to_json()})
         return ComparisonJob(database, campaign, resolved, lambda number: take_up(database, number))
     problem = problem_of(campaign, stored_bundles(database))
     _pin(database, campaign, problem.resolution())

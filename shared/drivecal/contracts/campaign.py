@@ -214,7 +214,7 @@ class Campaign(CellsByStage):
     iteration: int | None = None
     progress: Progress = Progress()
     scale: Scale = COMFORT
-    """What the numbers of scores mean: direction, usual range, tolerance, unit. Of a comparison that of the comfort score."""
+    """What the numbers of scores mean: direction, usual range, tolerance, unit. That of the comfort score before a campaign starts."""
     error_rate: dict[str, ErrorRate] = {}
     released: dict[str, Released] = {}
     """Predicted answers by scenario; empty if the campaign predicts nothing."""

@@ -203,7 +203,7 @@ class OptimumRow(Solution):
     """An alternative optimum: a set with the best objective (Section IV-C).
 
     `region`: sets of one number are neighbours, or joined by a chain of neighbours; `to_worse`: how far, as a root mean square in shares
-    of the searched ranges, the nearest set of a lower objective lies; null if there is none.
+    of the searched ranges, the nearest set of a worse objective lies; null if there is none.
     """
 
     region: int
@@ -250,7 +250,7 @@ class RobustnessRow(Answer):
 
     `scores`: simulated in the nominal vehicle. `degree`: the multiples of delta up to which the condition holds, at least so many where
     `at_least`; `radius`: the widest box in which it held (delta_max from below). `region`: sets of one number are neighbours;
-    `to_worse`: how far, in shares of the ranges, the nearest set of a lower objective lies.
+    `to_worse`: how far, in shares of the ranges, the nearest set of a worse objective lies.
     """
 
     rank: int

@@ -19,13 +19,13 @@ class Outcome(StrEnum):
     CERTIFIED = "certified"
     """Stored run that is proved to be bit-identical to the simulation."""
     SIMULATED = "simulated"
-    """Simulated run, including a failure with score 0."""
+    """Simulated run, including a failure, which is worth the scale's `failed`."""
     FAILED = "failed"
     """No result after all attempts: score null, ranked last, never a reference."""
 
 
 class Failure(StrEnum):
-    """Reason for which a simulated run scores 0."""
+    """Reason for which a simulated run is worth the scale's `failed`."""
 
     COLLISION = "collision"
     OFF_ROAD = "off_road"

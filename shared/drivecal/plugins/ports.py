@@ -207,7 +207,7 @@ class SeriesEvaluator(Protocol):
     """Optional protocol of an evaluator that needs the time series of a run: workers call `rate_series` instead of `rate`.
 
     Its `rate` raises ValueError. Stored runs have metrics only and keep the ratings of other evaluators; they are simulated again, once,
-    when a rating by this evaluator is needed. Runs that failed score 0 without it.
+    when a rating by this evaluator is needed. Failed runs need no rating.
     """
 
     def rate_series(self, manoeuvre: Manoeuvre, series: Series) -> Rating:

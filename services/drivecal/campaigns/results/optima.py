@@ -17,7 +17,7 @@ from drivecal.storage.references import parameter_sets
 MOST_BEST = 10_000
 """Largest number of best sets to compare, best rated first: the work grows with its square."""
 MOST_WORSE = 20_000
-"""Sets of a lower objective to search for the nearest."""
+"""Sets of a worse objective to search for the nearest."""
 
 
 def unit_cube(space: ParameterSpace, sets: Sequence[ParameterSet]) -> Floats:

@@ -18,7 +18,7 @@ from drivecal.bundles.archives import content_digest
 from drivecal.bundles.manifest import Manifest
 from drivecal.campaigns.comparisons.resolve import runs_of
 from drivecal.campaigns.resolve.maps import stored_map
-from drivecal.campaigns.resolve.resolved_spec import resolved_spec
+from drivecal.campaigns.resolve.resolved_spec import resolved_spec, stored_scale
 from drivecal.contracts.comparison import ComparisonSpecification
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
 from drivecal.domain.errors import DrivecalError
@@ -140,10 +140,11 @@ def _unreadable(kind: str, ids: Iterable[str], read: Callable[[str], object]) ->
 def _campaign(connection: Connection, campaign_id: str) -> None:
     campaign = campaigns.get(connection, campaign_id)
     _SPECIFICATIONS[campaign.kind].model_validate(campaign.spec)
-    if campaign.resolution is not None:
-        resolved_spec(campaign)
     if campaign.kind == "comparison":
+        stored_scale(campaign.resolution)
         _check_runs(connection, campaign)
+    elif campaign.resolution is not None:
+        resolved_spec(campaign)
 
 
 def _check_runs(connection: Connection, campaign: StoredCampaign) -> None:
