@@ -11,11 +11,14 @@ from typing import Any
 import pytest
 import typer
 
+from drivecal.bundles.archives import content_digest, files_digest
 from drivecal.campaigns.comparisons.resolve import resolve_comparison
+from drivecal.campaigns.resolve.bundle_bench import Bundle
 from drivecal.campaigns.resolve.maps import resolve_map
 from drivecal.campaigns.resolve.problem import resolve
 from drivecal.cli.main import app
 from drivecal.client.documents import read_document
+from drivecal.client.problems import read_bundle
 from drivecal.contracts.comparison import ComparisonSpecification
 from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import CampaignSpecification, InfluenceMapSpecification
@@ -73,6 +76,12 @@ def test_a_command_that_does_not_exist_would_be_noticed(words: list[str]) -> Non
         parse(typer.main.get_command(app), "drivecal", words)
 
 
+def example(name: str) -> Bundle:
+    """The bundle of an example folder."""
+    manifest, archive = read_bundle(ROOT / "deploy" / "examples" / "problems" / name)
+    return Bundle(content_digest(archive), files_digest(archive), manifest)
+
+
 @pytest.mark.parametrize("file", EXAMPLES, ids=lambda file: file.name)
 def test_every_example_file_can_be_used(file: Path) -> None:
     document = read_document(str(file))
@@ -81,7 +90,7 @@ def test_every_example_file_can_be_used(file: Path) -> None:
     elif "optimizers" in document:
         assert resolve_comparison(validated(ComparisonSpecification, document)).runs
     else:
-        assert resolve(validated(CampaignSpecification, document)).scenarios
+        assert resolve(validated(CampaignSpecification, document), example).scenarios
 
 
 def test_the_values_of_the_example_are_the_defaults_where_it_says_so() -> None:
