@@ -9,7 +9,7 @@ from enum import IntEnum
 
 from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult
 from drivecal.domain.evaluations import Breakdown
-from drivecal.execution.backend import Finished, Lost, Slot, WorkerInfo
+from drivecal.execution.backend import LONGEST_QUEUED, Finished, Lost, Slot, WorkerInfo
 
 
 class Behaviour(IntEnum):
@@ -77,11 +77,10 @@ class FakeBackend:
         self._sequence = 0
 
     def submit(self, worker: str, batch_id: int, batch: Batch, expected_seconds: float | None, *, alone: bool = False) -> None:
-        del expected_seconds
         chosen = self._named(worker)
         assert self._room(chosen, alone=alone), f"{worker} has no slot"
         chosen.queue.append((batch_id, batch))
-        chosen.alone = alone
+        chosen.alone = alone or (expected_seconds or 0.0) > LONGEST_QUEUED
         self.sizes.append((self.now, batch.setup.scenario, len(batch.cells)))
         if len(chosen.queue) == 1:
             self._begin(chosen)

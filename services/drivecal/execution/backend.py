@@ -12,6 +12,10 @@ DEADLINE_FACTOR = 20.0
 """A batch hangs if it takes longer than both the deadline and this multiple of its expected time."""
 
 
+LONGEST_QUEUED = 20.0
+"""Longest expected time of a batch, s, behind which another one is queued: another worker would begin that one sooner."""
+
+
 class BackendLostError(DrivecalError):
     """The whole backend is gone for good; its process has to start again."""
 

@@ -11,7 +11,7 @@ from tests.support.misbehaviour import misbehaving_cells, misbehaving_setup
 
 from drivecal.contracts.work import Batch
 from drivecal.domain.evaluations import Breakdown
-from drivecal.execution.backend import Backend, Finished, Lost
+from drivecal.execution.backend import LONGEST_QUEUED, Backend, Finished, Lost
 
 WELL, CRASH, HANG, ERROR, MEMORY = Behaviour
 PLENTY = 10.0
@@ -90,6 +90,12 @@ def test_every_worker_takes_one_batch_and_one_behind_it(backend: Backend) -> Non
 
 def test_nothing_is_queued_behind_a_batch_that_is_alone(backend: Backend) -> None:
     send(backend, 1, batch(WELL), alone=True)
+    assert room(backend) == (1, 0)
+    collect(backend, 1)
+
+
+def test_nothing_is_queued_behind_a_batch_that_is_expected_to_take_long(backend: Backend) -> None:
+    send(backend, 1, batch(WELL), expected=2 * LONGEST_QUEUED)
     assert room(backend) == (1, 0)
     collect(backend, 1)
 

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivecal.api.tables.files import download
-from drivecal.contracts.tables import Column, EvaluationRow, Solution, columns_of
+from drivecal.contracts.tables import Column, EvaluationRow, Kind, Solution, columns_of
 
 COLUMNS = [
     Column("id", "integer"),
@@ -72,7 +72,7 @@ def test_csv_gives_back_what_was_written(pieces: list[list[dict[str, Any]]]) -> 
 
 
 def test_scores_have_whole_columns_on_whole_scales_only() -> None:
-    keys = {"scores": ["S1"], "parameters": ["P1"]}
+    keys: dict[str, list[str] | dict[str, Kind]] = {"scores": ["S1"], "parameters": {"P1": "number"}}
     for whole, kind in ((True, "integer"), (False, "number")):
         evaluation = {column.name: column.kind for column in EvaluationRow.file_columns({"P1": "number"}, whole_scores=whole)}
         solution = {column.name: column.kind for column in columns_of(Solution, keys, whole_scores=whole)}

@@ -7,11 +7,9 @@ from typing import Any
 
 from drivecal.cluster.members import Node
 from drivecal.domain.evaluations import Breakdown
-from drivecal.execution.backend import Lost
+from drivecal.execution.backend import LONGEST_QUEUED, Lost
 
 CALLS_PER_ACTOR = 2
-LONGEST_QUEUED = 5.0
-"""Longest expected call, s, behind which another one is queued: another worker would begin it sooner."""
 LONGEST_PAUSE = 30.0
 """Between two attempts to start a worker that does not start, s."""
 
