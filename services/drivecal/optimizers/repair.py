@@ -37,6 +37,8 @@ class Repair:
             raise ValueError("nothing is feasible: there is no anchor")
         self._last = n_values - 1
         self._unordered = np.array([kind == "choice" for kind in kinds], dtype=np.bool_)
+        self._halvings = int(self._last.max(initial=0)).bit_length() + 1
+        """Steps of a bisection, the same for every row: a row's replacement must not depend on the rows beside it."""
         self._feasible = feasible
         self._anchors = anchors
         drawing = np.random.Generator(np.random.PCG64(SEED))
@@ -89,7 +91,7 @@ class Repair:
         """Returns feasible points on the lines from rows to feasible targets, by bisection; the first ones if each line crosses the border
         once."""
         near, far = np.zeros(len(rows)), np.ones(len(rows))
-        for _ in range(int(np.abs(targets - rows).max(initial=0)).bit_length() + 1):
+        for _ in range(self._halvings):
             middle = (near + far) / 2
             allowed = self._feasible(self._between(rows, targets, middle))
             far, near = np.where(allowed, middle, far), np.where(allowed, near, middle)

@@ -71,6 +71,11 @@ def test_repair_is_feasible_idempotent_and_a_pure_function_of_the_row(population
     assert REPAIR(population[:1]).tolist() == repaired[:1].tolist()
 
 
+def test_a_row_is_repaired_alike_in_every_company() -> None:
+    population = np.random.default_rng(1).integers(0, LAST + 1, (300, len(LAST)))
+    assert REPAIR(population).tolist() == [REPAIR(row[np.newaxis]).tolist()[0] for row in population]
+
+
 @given(populations)
 @settings(deadline=None)
 def test_a_replacement_is_no_farther_than_the_nearest_anchor(population: Indices) -> None:
