@@ -105,7 +105,7 @@ class Cell:
     """One parameter set to simulate: `parameters` by name, numbers or texts of choices; `id` is the dispatcher's own.
 
     `certify`: it may be answered by a run that it provably repeats, and its own run may answer others; `check`: it is simulated even so, to
-    see whether both agree.
+    see whether both agree. A cell of a bundle with `check` is simulated twice.
     """
 
     id: int
@@ -165,10 +165,13 @@ class CellResult:
     this setup turned out not to be deterministic."""
     probed: tuple[tuple[int, int], ...] = ()
     """Known probes: the id, and the id of the cell whose run it would repeat."""
+    repeats: bool | None = None
+    """Whether a second run of a bundle's cell gave the same measures, bit by bit; None if there was none."""
     trace: bytes | None = None
     """The time series that were wanted, as gzipped JSON."""
     certifying: float = 0.0
-    """CPU time of certificates (ms), part of `milliseconds`: walks that look for a proof, recording of the run, probes."""
+    """CPU time of certificates (ms), part of `milliseconds`: walks that look for a proof, recording of the run, probes; or of the second run
+    of a bundle's cell."""
 
     @property
     def run_milliseconds(self) -> float:

@@ -106,6 +106,12 @@ def test_a_run_without_a_measure_that_the_score_needs_is_not_rated() -> None:
     assert rated("safety", {"min_gap_m": 4.0, "braking_s": None}) is None
 
 
+def test_simulators_that_claim_nothing_are_run_twice_now_and_then() -> None:
+    simulator = {**yaml.safe_load(EXAMPLE.read_text())["simulator"], "deterministic": False}
+    assert resolved().bench.repeated_share is None
+    assert resolved(bundle(simulator=simulator)).bench.repeated_share == pytest.approx(0.02)
+
+
 def test_a_single_evaluation_names_its_problem() -> None:
     values = {"trigger_ttc": 1.61, "deceleration": 7.0, "jerk": 30.0, "confirmations": 2.0, "warning": "sound"}
     specification = EvaluationSpecification.model_validate(

@@ -119,6 +119,25 @@ def test_a_run_without_measures_costs_its_cell_only(tmp_path: Path, archive: byt
     assert (second.breakdown, second.metrics) == (None, {"a": 3.0})
 
 
+@pytest.mark.parametrize("noise", [0.0, 1e-9])
+def test_a_checked_cell_runs_twice_to_find_noise(tmp_path: Path, archive: bytes, request_: BundleRequest, noise: float) -> None:
+    outcomes = iter([RunOutcome({"a": 2.0}, cpu_seconds=SECONDS), RunOutcome({"a": 2.0 + noise}, cpu_seconds=SECONDS)] * 2)
+
+    class Noisy(ScriptedSession):
+        def evaluate(self, parameters: Mapping[str, float | str], *, series: bool = False) -> RunOutcome:
+            return next(outcomes)
+
+    class NoisySimulator(ScriptedSimulator):
+        def open(self, *_: Any) -> SimulatorSession:
+            return Noisy(self, "city")
+
+    works = worker(tmp_path, NoisySimulator())
+    works.store(request_.bundle, archive)
+    (result,) = works.run(Batch(request_, (Cell(1, {"x": 2.0}, check=True),))).results
+    assert (result.metrics, result.repeats) == ({"a": 2.0}, noise == 0)
+    assert result.run_milliseconds < result.milliseconds - 900 * SECONDS
+
+
 def test_a_declared_failure_needs_no_measures(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:
     works = worker(tmp_path, ScriptedSimulator({2.0: RunOutcome({}, failure="collision")}))
     works.store(request_.bundle, archive)

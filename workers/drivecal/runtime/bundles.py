@@ -6,8 +6,9 @@ import os
 import tempfile
 import time
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 from drivecal.adapters.kinds import simulator
 from drivecal.bundles.archives import unpack
@@ -83,15 +84,36 @@ class BundleSessions:
         Raises UnavailableError if this machine cannot run the simulator.
         """
         start = time.thread_time_ns()
-        session = self._session(setup)
+        session, parameters = self._session(setup), {name: cell.parameters[name] for name in setup.parameters}
         try:
-            outcome = session.evaluate({name: cell.parameters[name] for name in setup.parameters}, series=cell.trace)
+            outcome = session.evaluate(parameters, series=cell.trace)
             trace = _compressed(outcome) if cell.trace else None
         except NoMeasuresError as error:
             milliseconds = _milliseconds(start) + 1000 * error.cpu_seconds
             return CellResult(cell.id, None, None, {}, None, milliseconds, error.breakdown.value, str(error))
         milliseconds = _milliseconds(start) + 1000 * outcome.cpu_seconds
-        return CellResult(cell.id, None, None, dict(outcome.measures), outcome.failure, milliseconds, trace=trace)
+        repeats, spent = self._repeated(session, parameters, outcome) if cell.check else (None, 0.0)
+        return CellResult(
+            id=cell.id,
+            rating=None,
+            score=None,
+            metrics=dict(outcome.measures),
+            failure=outcome.failure,
+            milliseconds=milliseconds + spent,
+            repeats=repeats,
+            trace=trace,
+            certifying=spent,
+        )
+
+    def _repeated(self, session: SimulatorSession, parameters: Mapping[str, Any], outcome: RunOutcome) -> tuple[bool, float]:
+        """Runs a cell again. Returns whether the outcome is the same, and the CPU time (ms)."""
+        start = time.thread_time_ns()
+        try:
+            again = session.evaluate(parameters)
+        except NoMeasuresError as error:
+            return False, _milliseconds(start) + 1000 * error.cpu_seconds
+        same = (again.failure, dict(again.measures)) == (outcome.failure, dict(outcome.measures))
+        return same, _milliseconds(start) + 1000 * again.cpu_seconds
 
     def store(self, digest: str, archive: bytes) -> None:
         """Unpacks a bundle unless it is there. Raises InvalidInputError if the archive is unsafe or has another digest."""

@@ -219,9 +219,10 @@ class CellTracker:
 
     def _cell(self, pending: StoredEvaluation) -> Cell:
         """Returns the cell to simulate. An audited cell is always simulated, and checks a certificate on the way."""
-        share = self._view.checked_certificates
+        share, repeated = self._view.checked_certificates, self._view.bench.repeated_share
         if share is None:
-            return Cell(pending.id, pending.parameters.floats, trace=self._view.traced)
+            twice = repeated is not None and is_checked(pending.scenario, pending.parameters, repeated, self._view.campaign)
+            return Cell(pending.id, pending.parameters.floats, check=twice, trace=self._view.traced)
         check = pending.audited or is_checked(pending.scenario, pending.parameters, share, self._view.campaign)
         return Cell(pending.id, pending.parameters.floats, certify=True, check=check)
 
@@ -256,7 +257,7 @@ class CellTracker:
     def _simulated(self, cell: StoredEvaluation, completion: Completed, run: StoredRun, answers: list[AnsweredCell]) -> None:
         if completion.result.score is None or completion.result.rating is None:
             raise ValueError(f"the worker gave no score for evaluation {cell.id}")
-        self._counts["unrepeatable"] += not run.agrees
+        self._counts["unrepeatable"] += not run.agrees or completion.result.repeats is False
         if completion.result.agrees is False:
             self._refuted = _refutation(cell, completion)
             self._refuted_setups.add(cell.setup_id)

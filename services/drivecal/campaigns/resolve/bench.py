@@ -60,6 +60,10 @@ class Bench(Protocol):
     def rates(self) -> bool:
         """Whether the coordinator rates the results of workers; otherwise workers do."""
 
+    @property
+    def repeated_share(self) -> float | None:
+        """Share of simulated cells that run twice, because nothing says that the simulator is deterministic; None for none."""
+
     def rate(self, scenario: str, metrics: Mapping[str, float | None], failure: str | None) -> Rating | None:
         """Rates a run by what is stored of it; None if it lacks a metric. A metric is None if it was not finite."""
 
@@ -144,6 +148,11 @@ class DrivingBench:
     def rates(self) -> bool:
         """Workers rate, because evaluators may need time series."""
         return False
+
+    @property
+    def repeated_share(self) -> float | None:
+        """None: the closed loop is deterministic, and certificates check it."""
+        return None
 
     def rate(self, scenario: str, metrics: Mapping[str, float | None], failure: str | None) -> Rating | None:
         """Rates a run by its metrics; a failed run scores 0 with every evaluator."""

@@ -15,6 +15,9 @@ from drivecal.domain.parameters import Parameter
 from drivecal.domain.scales import Scale
 from drivecal.domain.setups import BundleSetup
 
+REPEATED = 0.02
+"""Share of cells that run twice on a simulator that does not claim to be deterministic."""
+
 
 @dataclass(frozen=True)
 class Bundle:
@@ -109,6 +112,11 @@ class BundleBench:
     def rates(self) -> bool:
         """The coordinator rates."""
         return True
+
+    @property
+    def repeated_share(self) -> float | None:
+        """A small share unless the manifest claims that the simulator is deterministic."""
+        return None if self.bundle.manifest.simulator.deterministic else REPEATED
 
     def rate(self, scenario: str, metrics: Mapping[str, float | None], failure: str | None) -> Rating | None:
         """Rates a run by its measures; None if it lacks one.
