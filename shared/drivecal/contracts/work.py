@@ -170,7 +170,7 @@ class CellResult:
     trace: bytes | None = None
     """The time series that were wanted, as gzipped JSON."""
     certifying: float = 0.0
-    """CPU time of certificates (ms), part of `milliseconds`: walks that look for a proof, recording of the run, probes; or of the second run
+    """CPU time (ms), part of `milliseconds`, of certificates (walks that look for a proof, recording of the run, probes) or of the second run
     of a bundle's cell."""
 
     @property

@@ -124,7 +124,7 @@ def test_a_checked_cell_runs_twice_to_find_noise(tmp_path: Path, archive: bytes,
     outcomes = iter([RunOutcome({"a": 2.0}, cpu_seconds=SECONDS), RunOutcome({"a": 2.0 + noise}, cpu_seconds=SECONDS)] * 2)
 
     class Noisy(ScriptedSession):
-        def evaluate(self, parameters: Mapping[str, float | str], *, series: bool = False) -> RunOutcome:
+        def evaluate(self, *_: Any, **__: Any) -> RunOutcome:
             return next(outcomes)
 
     class NoisySimulator(ScriptedSimulator):
