@@ -170,8 +170,8 @@ class CellResult:
     trace: bytes | None = None
     """The time series that were wanted, as gzipped JSON."""
     certifying: float = 0.0
-    """CPU time (ms), part of `milliseconds`, of certificates (walks that look for a proof, recording of the run, probes) or of the second run
-    of a bundle's cell."""
+    """CPU time (ms), part of `milliseconds`, of certificates (walks that look for a proof, recording of the run, probes) or of a bundle's
+    second run."""
 
     @property
     def run_milliseconds(self) -> float:
