@@ -81,7 +81,17 @@ def test_the_account_has_what_predictions_saved_and_what_they_cost(ended: Ended)
 
 
 def test_no_ranked_set_has_a_predicted_score(ended: Ended) -> None:
-    predicted = {(row["iteration"], row["individual"]) for row in ended.rows if row["outcome"] == Outcome.PREDICTED}
+    names = [parameter["name"] for parameter in SPACE]
+    cells = {id(row): (row["scenario"], *(row[name] for name in names)) for row in ended.rows}
+    known = {
+        cells[id(row)] for row in ended.rows if row["outcome"] != Outcome.PREDICTED
+    }  # a set may be proposed, and simulated, again
+    predicted = {
+        (row["iteration"], row["individual"])
+        for row in ended.rows
+        if row["outcome"] == Outcome.PREDICTED and cells[id(row)] not in known
+    }
+    assert predicted
     solutions = ended.api.http.get(ended.campaign.links["solutions"], params={"limit": 1000}).json()["items"]
     assert solutions
     assert not {(str(solution["iteration"]), str(solution["individual"])) for solution in solutions} & predicted
