@@ -92,6 +92,16 @@ class FeatureSpace:
         features: Floats = (values - self._lowest) / self._spans
         return features
 
+    def holds(self, parameters: ParameterSet) -> bool:
+        """Whether a set has these parameters, with values of their kinds; a problem may have had others when the set was simulated."""
+        if set(parameters.names) != set(self._names):
+            return False
+        values = zip(parameters.names, parameters.billionths, strict=True)
+        return all(
+            value in self._choices[name].choices if name in self._choices else not isinstance(value, str)
+            for name, value in values
+        )
+
     def _number(self, name: str, stored: int | str) -> int | str:
         return self._choices[name].number(stored) if name in self._choices else stored
 

@@ -23,7 +23,15 @@ def setup_document(manifest: Manifest, scenario: str, files: str, adapter: str |
         "scenario": scenario,
         "data": manifest.scenarios[scenario],
         "files": files,
-    }
+    } | _said(manifest)
+
+
+def _said(manifest: Manifest) -> dict[str, Any]:
+    """Returns what else a simulator is told: which values are whole numbers, and the problem's name in the greeting of a process."""
+    said: dict[str, Any] = {"integers": list(manifest.integers)} if manifest.integers else {}
+    if manifest.simulator.kind == "process":
+        said["problem"] = manifest.problem
+    return said
 
 
 def score_id(name: str, score: ScoreEntry) -> str:

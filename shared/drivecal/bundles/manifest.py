@@ -129,3 +129,8 @@ class Manifest(Model):
     failures: Annotated[tuple[Identifier, ...], Field(max_length=100, strict=False)] = ()
     series: Annotated[dict[Identifier, Unit], Field(max_length=100, default_factory=dict)]
     scores: Annotated[dict[Identifier, ScoreEntry], Field(min_length=1, max_length=100)]
+
+    @property
+    def integers(self) -> tuple[str, ...]:
+        """Names of the integer parameters, sorted. A simulator gets 3 for them, not 3.0."""
+        return tuple(sorted(name for name, entry in self.parameters.items() if entry.integer))

@@ -64,6 +64,8 @@ class BundleRequest:
     simulator: Mapping[str, Any]
     """The manifest's section."""
     parameters: tuple[str, ...]
+    integers: tuple[str, ...]
+    """Parameters that are sent as whole numbers: 3, not 3.0."""
     measures: tuple[str, ...]
     failures: tuple[str, ...]
     series: tuple[str, ...]

@@ -281,13 +281,13 @@ def test_a_setup_follows_the_simulator_the_scenario_and_the_files_only() -> None
         ("constraints", None),
         ("baseline", None),
         ("scenarios/motorway", {"gap": 1}),
-        ("problem", "other"),
     ):
         assert setup(path, value) == same
     for path, value in (
         ("simulator/command", ["./mysim"]),
         ("simulator/probe", None),
         ("scenarios/city/gap", 31),
+        ("problem", "other"),  # the greeting of a process names it
     ):
         assert setup(path, value) != same
     assert setup("problem", "other", "g") != same

@@ -79,6 +79,16 @@ def test_files_and_scenario_decide_a_setup_but_no_score() -> None:
     assert all(changed[name].fingerprint != setup.fingerprint for name, setup in setups.items())
 
 
+def test_what_a_simulator_is_told_is_part_of_a_setup() -> None:
+    fractions = {**yaml.safe_load(EXAMPLE.read_text())["parameters"], "confirmations": {"lower": 1, "upper": 6, "step": 1}}
+    assert resolved(bundle(parameters=fractions)).bench.setups != resolved().bench.setups
+    process = {"kind": "process", "command": ["./braking"], "deterministic": True}
+    one, other = (resolved(bundle(simulator=process, problem=name), problem="d1").bench.setups for name in ("one", "other"))
+    assert one["wet"].fingerprint != other["wet"].fingerprint, "the greeting names the problem"
+    renamed = resolved(bundle(problem="other"), problem="d1").bench.setups
+    assert renamed == resolved().bench.setups
+
+
 def test_the_score_is_part_of_the_evaluator() -> None:
     scores = {"discomfort": {"formula": "braking_s", "direction": "minimise", "range": [0, 100]}}
     assert resolved(bundle("d2", scores=scores)).bench.evaluator_id != resolved().bench.evaluator_id

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from drivecal.domain.parameter_sets import ParameterSet
 from drivecal.domain.parameters import Parameter, ParameterSpace
 from drivecal.reduction.forest import Forest
 from drivecal.reduction.lots import outgoing_errors
@@ -149,3 +150,18 @@ def test_features_are_positions_in_the_searched_ranges_in_the_order_of_the_colum
     sets = space.parameter_sets(np.array([[5, 0], [10, 2]]))
     assert FeatureSpace(space, ("P1", "P2"))(sets).tolist() == [[0.5, 0.0], [1.0, 1.0]]
     assert FeatureSpace(space, ("P2", "P1"))(sets).tolist() == [[0.0, 0.5], [1.0, 1.0]]
+
+
+def test_sets_of_other_parameters_are_no_training_data() -> None:
+    speed, mode = Parameter.from_step("v", Decimal(0), Decimal(1), Decimal("0.1")), Parameter.choice("mode", ["eco", "sport"])
+    features = FeatureSpace(ParameterSpace((speed, mode)), ("v", "mode"))
+    assert features.holds(ParameterSet.of({"mode": "eco", "v": Decimal("0.5")}))
+    others: tuple[dict[str, Decimal | str], ...] = (
+        {"v": Decimal("0.5")},
+        {"v": Decimal("0.5"), "mode": "eco", "x": Decimal(1)},
+        {"v": Decimal("0.5"), "mode": "race"},
+        {"v": Decimal("0.5"), "mode": Decimal(1)},
+        {"v": "eco", "mode": "eco"},
+    )
+    for other in others:
+        assert not features.holds(ParameterSet.of(other))

@@ -76,6 +76,7 @@ def request_(archive: bytes) -> BundleRequest:
         data={},
         simulator={"kind": "process", "timeout": 10.0},
         parameters=("x",),
+        integers=(),
         measures=("a",),
         failures=("collision",),
         series=("v",),
@@ -136,6 +137,24 @@ def test_a_checked_cell_runs_twice_to_find_noise(tmp_path: Path, archive: bytes,
     (result,) = works.run(Batch(request_, (Cell(1, {"x": 2.0}, check=True),))).results
     assert (result.metrics, result.repeats) == ({"a": 2.0}, noise == 0)
     assert result.run_milliseconds < result.milliseconds - 900 * SECONDS
+
+
+def test_whole_numbers_are_sent_as_such(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:
+    sent: list[Mapping[str, float | str]] = []
+
+    class Listening(ScriptedSession):
+        def evaluate(self, parameters: Mapping[str, float | str], *, series: bool = False) -> RunOutcome:
+            sent.append(parameters)
+            return super().evaluate(parameters, series=series)
+
+    class ListeningSimulator(ScriptedSimulator):
+        def open(self, *_: Any) -> SimulatorSession:
+            return Listening(self, "city")
+
+    works = worker(tmp_path, ListeningSimulator())
+    works.store(request_.bundle, archive)
+    works.run(Batch(replace(request_, parameters=("x", "n"), integers=("n",)), (Cell(1, {"x": 2.0, "n": 3.0}),)))
+    assert [json.dumps(dict(parameters)) for parameters in sent] == ['{"x": 2.0, "n": 3}']
 
 
 def test_a_declared_failure_needs_no_measures(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:

@@ -84,7 +84,9 @@ class BundleSessions:
         Raises UnavailableError if this machine cannot run the simulator.
         """
         start = time.thread_time_ns()
-        session, parameters = self._session(setup), {name: cell.parameters[name] for name in setup.parameters}
+        session = self._session(setup)
+        parameters = {name: cell.parameters[name] for name in setup.parameters}
+        parameters |= {name: int(parameters[name]) for name in setup.integers}
         try:
             outcome = session.evaluate(parameters, series=cell.trace)
             trace = _compressed(outcome) if cell.trace else None

@@ -119,9 +119,10 @@ class LotPlanner:
         if self._newest is None:
             self._newest = 0
             for scenario, learner in self._learners.items():
-                known = runs.rated(
+                rated = runs.rated(
                     connection, setups[scenario], self._view.bench.evaluator_id, self._view.watermark, MOST_KNOWN
                 )
+                known = [run for run in rated if self._features.holds(run.parameters)]
                 if known:
                     scores, ratings = (
                         np.array([getattr(run, name) for run in known], dtype=np.float64) for name in ("score", "rating")

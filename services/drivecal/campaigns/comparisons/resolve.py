@@ -14,7 +14,7 @@ from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve
 from drivecal.campaigns.resolve.workbench import no_bundles
 from drivecal.contracts.comparison import LARGEST_RUNS, ComparedOptimizer, ComparisonSpecification
 from drivecal.contracts.input_errors import validated
-from drivecal.contracts.specification import CampaignSpecification, ReductionSpecification
+from drivecal.contracts.specification import HIGHWAY, CampaignSpecification, ReductionSpecification
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.storage import campaigns
 from drivecal.storage.campaigns import StoredCampaign
@@ -120,7 +120,7 @@ def queue(
     )
     if not campaigns.runs_of(connection, stored.sequence):
         for run in problem.runs:
-            campaigns.insert(
+            made = campaigns.insert(
                 connection,
                 name=run.specification.name,
                 spec=run.specification.model_dump(mode="json"),
@@ -128,6 +128,8 @@ def queue(
                 parent_sequence=stored.sequence,
                 priority=specification.priority,
             )
+            if specification.problem != HIGHWAY:  # it cannot change until the run starts, as plug-ins can
+                campaigns.set_resolution(connection, made.sequence, problem.problems[0].resolution())
     return stored
 
 

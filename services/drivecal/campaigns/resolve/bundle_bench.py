@@ -79,6 +79,7 @@ class BundleBench:
                 data=manifest.scenarios[name],
                 simulator=manifest.simulator.model_dump(mode="json"),
                 parameters=tuple(manifest.parameters),
+                integers=manifest.integers,
                 measures=tuple(manifest.measures),
                 failures=manifest.failures,
                 series=tuple(manifest.series),

@@ -68,7 +68,7 @@ def _neighbours(
     own = batch_of(cell.stage, cell.iteration, cell.individual, width)
     earlier = runs.rated(connection, cell.setup_id, resolved.evaluator, campaign.watermark or 0, MOST_KNOWN)
     answers, _ = results.known(connection, campaign.sequence, [cell.setup_id], after=0)
-    batches = [[(run.evaluation, run.parameters, run.score) for run in earlier]]
+    batches = [[(run.evaluation, run.parameters, run.score) for run in earlier if features.holds(run.parameters)]]
     for batch, listed in groupby(answers, lambda answer: batch_of(answer.stage, answer.iteration, answer.individual, width)):
         if batch < own:
             batches.append([(answer.id, answer.parameters, answer.score) for answer in listed])

@@ -63,7 +63,13 @@ def rerun(
         str | None, typer.Option(metavar="S1=2,S2=1", help="The new weights; a scenario that is not named has weight 1.")
     ] = None,
     evaluator: Annotated[
-        str | None, typer.Option(help="Who rates comfort now: reference, learned or a plug-in; stored runs are rated anew.")
+        str | None,
+        typer.Option(
+            help="Another score: reference, learned, a plug-in, or one of the problem's; stored runs are rated by it."
+        ),
+    ] = None,
+    problem: Annotated[
+        str | None, typer.Option(help="Another push of the same problem, e.g. with another formula of its score.")
     ] = None,
     name: Annotated[str | None, typer.Option(help="A name for the rerun.")] = None,
     wait: WaitOption = False,
@@ -72,9 +78,10 @@ def rerun(
     as_json: JsonOption = False,
 ) -> None:
     """Run an ended campaign again with other weights or another evaluator, on the results that are there already."""
-    if weights is None and evaluator is None:
-        raise typer.BadParameter("say what is to be other than it was: --weights, --evaluator or both")
-    changes: dict[str, object] = {key: value for key, value in (("name", name), ("evaluator", evaluator)) if value is not None}
+    if weights is None and evaluator is None and problem is None:
+        raise typer.BadParameter("say what changes: --weights, --evaluator or --problem")
+    given = {"name": name, "evaluator": evaluator, "problem": problem}
+    changes: dict[str, object] = {key: value for key, value in given.items() if value is not None}
     with connect(url) as client:
         first = client.campaign(full_id(client, identifier))
         changes["weights"] = first.spec["weights"] if weights is None else assignments(weights.split(","), "--weights")

@@ -13,6 +13,7 @@ from drivecal.cli.views.output import parameters_text, print_answer, print_colum
 from drivecal.client.client import Client
 from drivecal.contracts.assignments import assignments, settings
 from drivecal.contracts.evaluation import Evaluation, TraceAnswer
+from drivecal.contracts.specification import HIGHWAY
 from drivecal.domain.campaigns import CampaignState
 
 SECONDS_BETWEEN_QUESTIONS = 0.3
@@ -21,7 +22,8 @@ SECONDS_BETWEEN_QUESTIONS = 0.3
 @app.command()
 def evaluate(
     parameters: Annotated[list[str], typer.Argument(metavar="P1=VALUE...", help="One value for each parameter.")],
-    scenario: Annotated[str | None, typer.Option(help="One scenario; else all of the catalogue.")] = None,
+    scenario: Annotated[str | None, typer.Option(help="One scenario; else all.")] = None,
+    problem: Annotated[str, typer.Option(help="The problem: highway, or the name or digest of a pushed one.")] = HIGHWAY,
     catalogue: Annotated[str, typer.Option(help="The scenario catalogue.")] = "highway",
     vehicle: Annotated[str, typer.Option(help="The vehicle model: single_track, hybrid or a plug-in.")] = "single_track",
     vehicle_parameters: Annotated[
@@ -29,7 +31,12 @@ def evaluate(
         typer.Option(metavar="NAME=VALUE,...", help="Parameters of the vehicle that differ from its nominal ones."),
     ] = None,
     driving_function: Annotated[str, typer.Option(help="Who drives: frenet or a plug-in.")] = "frenet",
-    evaluator: Annotated[str, typer.Option(help="Who rates comfort: reference, learned or a plug-in.")] = "reference",
+    evaluator: Annotated[
+        str,
+        typer.Option(
+            help="The score: reference, learned or a plug-in; of another problem one of its scores, by default the first."
+        ),
+    ] = "reference",
     trace: Annotated[
         Path | None,
         typer.Option(help="Write the run's time series there: .csv or .parquet (one row per step) or .json (all of it)."),
@@ -38,10 +45,11 @@ def evaluate(
     url: UrlOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Drive one parameter set and show how comfortable it was."""
+    """Simulate one parameter set and show its scores."""
     differing = {} if vehicle_parameters is None else assignments(vehicle_parameters.split(","), "--vehicle-parameters")
     specification: dict[str, object] = {
         "parameters": settings(parameters, "parameters"),
+        "problem": problem,
         "catalogue": catalogue,
         "driving_function": driving_function,
         "vehicle": {"model": vehicle, "parameters": differing},

@@ -11,11 +11,12 @@ from drivecal.cli.application import code_of_state, tell
 from drivecal.cli.views.progress import follow
 from drivecal.client.client import Client
 from drivecal.contracts.campaign import Campaign
+from drivecal.contracts.specification import HIGHWAY
 from drivecal.contracts.studies import STUDIES, StudyName
 from drivecal.domain.campaigns import CampaignState
 
 STAGES = ("optimizer", "sensitivity", *STUDIES)
-BENCH = ("catalogue", "weights", "driving_function", "vehicle", "evaluator")
+BENCH = ("problem", "catalogue", "weights", "driving_function", "vehicle", "evaluator")
 """Settings that a study takes from its subject by default."""
 _STUDIES = re.compile(rf"( \(({'|'.join(STUDIES)})( in [^()]*)?\))+$")
 
@@ -32,13 +33,17 @@ class Wanted:
         """Returns whether a campaign's study is the wanted one."""
         settings = maker.spec.get(self.stage) or {}
         same = all(settings.get(name) == value for name, value in self.settings.items())
-        return same and all(maker.spec.get(name) == value for name, value in self.bench.items())
+        return same and _bench(maker) == self.bench
 
 
 def wanted_of(campaign: Campaign, stage: StudyName, given: Mapping[str, Any]) -> Wanted:
     """Returns the wanted study of a campaign in its own vehicle, with the settings that the user gave."""
     settings = {name: value for name, value in given.items() if value is not None}
-    return Wanted(stage, settings, {name: campaign.spec.get(name) for name in BENCH})
+    return Wanted(stage, settings, _bench(campaign))
+
+
+def _bench(campaign: Campaign) -> dict[str, Any]:
+    return {"problem": HIGHWAY} | {name: campaign.spec[name] for name in BENCH if name in campaign.spec}
 
 
 def known(client: Client, campaign: Campaign, wanted: Wanted) -> Campaign | None:

@@ -34,6 +34,8 @@ from drivecal.runtime.worker import Worker
 
 TRIES_TO_START = 3
 """Attempts without a started worker after which a local Ray is given up: a new process may succeed. A cluster is waited for."""
+MOST_ARCHIVES = 8
+"""Archives of bundles that are kept in Ray's store for workers to come."""
 LONGEST_REASON = 600
 """Characters of a reason."""
 
@@ -98,10 +100,16 @@ class RayBackend(Backend):
         """Sends a bundle's files to a worker that has not got them. Its calls run in order, so that they are there for the next batch."""
         if bundle is None or bundle in actor.bundles or self._options.archive is None:
             return
-        if bundle not in self._archives:
-            self._archives[bundle] = self._ray.put(self._options.archive(bundle))
+        try:
+            if bundle not in self._archives:
+                self._archives[bundle] = self._ray.put(self._options.archive(bundle))
+        except (DrivecalError, self._ray.exceptions.RayError) as error:
+            log.warning("the files of %s cannot be read, so %s refuses its cells for now: %s", bundle, actor.place, error)
+            return
         actor.handle.store.remote(bundle, self._archives[bundle])
         actor.bundles.add(bundle)
+        while len(self._archives) > MOST_ARCHIVES:
+            del self._archives[next(iter(self._archives))]
 
     def wait(self, timeout: float) -> list[Finished | Lost]:
         until = time.monotonic() + timeout

@@ -16,8 +16,8 @@ def evaluation(
     It has an option for each setting that differs from the command's default.
     """
     usual = EvaluationSpecification.model_fields
-    given = ((name, spec.get(name)) for name in ("catalogue", "driving_function", "evaluator"))
-    words = [shlex.quote(f"{name}={value_text(value, 10)}") for name, value in parameters.items()]
+    given = ((name, spec.get(name)) for name in ("problem", "catalogue", "driving_function", "evaluator"))
+    words = [shlex.quote(f"{name}={value_text(value, 16)}") for name, value in parameters.items()]
     words += [
         f"--{name.replace('_', '-')} {value}"
         for name, value in given
