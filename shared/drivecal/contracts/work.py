@@ -167,6 +167,8 @@ class CellResult:
     this setup turned out not to be deterministic."""
     probed: tuple[tuple[int, int], ...] = ()
     """Known probes: the id, and the id of the cell whose run it would repeat."""
+    contained: bool = False
+    """Whether a `breakdown` happened in a child process of a user's simulator: it says nothing about the worker."""
     repeats: bool | None = None
     """Whether a second run of a bundle's cell gave the same measures, bit by bit; None if there was none."""
     trace: bytes | None = None

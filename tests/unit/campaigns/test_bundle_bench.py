@@ -132,6 +132,17 @@ def test_a_single_evaluation_names_its_problem() -> None:
     assert problem.parameter_set.floats == values
 
 
+@pytest.mark.parametrize(
+    ("name", "value"), [("confirmations", 1.5), ("jerk", 81.0), ("warning", "horn"), ("warning", 1.0), ("trigger_ttc", 1e-12)]
+)
+def test_a_single_evaluation_stays_in_the_space(name: str, value: float | str) -> None:
+    values = {"trigger_ttc": 1.61, "deceleration": 7.0, "jerk": 30.0, "confirmations": 2.0, "warning": "sound", name: value}
+    specification = EvaluationSpecification.model_validate({"problem": "python-function", "parameters": values})
+    with pytest.raises(InvalidInputError) as caught:
+        resolve_evaluation(specification, lambda _: bundle())
+    assert {problem.field for problem in caught.value.problems} == {f"parameters.{name}"}
+
+
 def test_the_problem_s_baseline_is_the_default() -> None:
     baseline = resolved().baseline
     assert baseline is not None

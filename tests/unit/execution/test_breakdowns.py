@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from tests.support.plant import TARGET, answers, cells, ids, setup
 
@@ -10,6 +12,7 @@ from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.scheduling.batching import BatchPolicy
 from drivecal.execution.scheduling.in_flight import Work
 from drivecal.execution.scheduling.scheduler import ATTEMPTS, MOST_PASSED_OVER, Completed, Dispatch, Scheduler
+from drivecal.execution.scheduling.worker_health import BATCHES_WITHOUT_RESULT
 
 W, V = "worker 1", "worker 2"
 
@@ -245,3 +248,16 @@ def test_a_breakdown_in_company_is_never_the_last() -> None:
     again = send(one)
     assert again.alone
     assert again.breakdowns in ({1: 2}, {11: 2})
+
+
+def test_breakdowns_in_children_of_a_worker_say_nothing_about_the_worker() -> None:
+    for contained in (False, True):
+        one = scheduler(SMALL)
+        one.add(Work(setup(), cells(400)), "a", 0)
+        for _ in range(BATCHES_WITHOUT_RESULT):
+            sent = send(one)
+            result = erroneous(sent)
+            one.finished(
+                sent.batch_id, replace(result, results=tuple(replace(each, contained=contained) for each in result.results))
+            )
+        assert (one.replacement(W) is None) == contained

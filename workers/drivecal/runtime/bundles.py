@@ -92,7 +92,7 @@ class BundleSessions:
             trace = _compressed(outcome) if cell.trace else None
         except NoMeasuresError as error:
             milliseconds = _milliseconds(start) + 1000 * error.cpu_seconds
-            return CellResult(cell.id, None, None, {}, None, milliseconds, error.breakdown.value, str(error))
+            return CellResult(cell.id, None, None, {}, None, milliseconds, error.breakdown.value, str(error), contained=True)
         milliseconds = _milliseconds(start) + 1000 * outcome.cpu_seconds
         repeats, spent = self._repeated(session, parameters, outcome) if cell.check else (None, 0.0)
         return CellResult(

@@ -203,7 +203,7 @@ def _value(given: Setting) -> Value:
 
 
 def _check_free(function: Parameterised, usual: Parameter, value: Value, field: str, diagnostics: Diagnostics) -> None:
-    """Adds a problem if a value is no choice of `usual`, or no exact number within the limits of the driving function."""
+    """Adds a problem if a value is no choice or whole number of `usual`, or no exact number within the limits of the function."""
     if usual.choices or isinstance(value, str):
         diagnostics.attempt(lambda: usual.index(value, field))
         return
@@ -211,6 +211,8 @@ def _check_free(function: Parameterised, usual: Parameter, value: Value, field: 
         billionths(value)
     except ValueError as error:
         diagnostics.add(field, str(error), "round it")
+    if usual.kind == "integer" and value != value.to_integral_value():
+        diagnostics.add(field, f"{value} is no whole number", f"give e.g. {value.to_integral_value()}")
     _within_limits(function, usual.name, value, field, diagnostics)
 
 

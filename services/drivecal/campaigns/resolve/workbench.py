@@ -95,8 +95,12 @@ class BundleFunction:
 
     @property
     def limits(self) -> Mapping[str, tuple[float | None, float | None]]:
-        """A campaign may search beyond the manifest's ranges."""
-        return {}
+        """The manifest's ranges: what a simulator says beyond them is anybody's guess. A push with wider ones keeps all results."""
+        return {
+            parameter.name: (float(parameter.lower), float(parameter.upper))
+            for parameter in self.parameters
+            if not parameter.choices
+        }
 
 
 def _stored(wanted: Wanted, bundle: Bundle, diagnostics: Diagnostics) -> Workbench:

@@ -77,7 +77,7 @@ class WorkerHealth:
             still[worker] = result.refusal
         if still:
             self._refusals[setup] = still
-        if any(answer.breakdown is None for answer in result.results):
+        if any(answer.breakdown is None or answer.contained for answer in result.results):
             self._note(worker, _Shown(proven=True))
         elif result.refusal is None:
             self.failed(worker, (result.results[-1].detail if result.results else None) or "it says nothing")
