@@ -148,6 +148,8 @@ class Explanation(Answer):
     outcome: str | None
     score: Score | None
     failure: str | None
+    detail: str | None = None
+    """What the last attempt at a cell without a result reported."""
     reason: Reason
     sentence: str
     reference: Reference | None = None

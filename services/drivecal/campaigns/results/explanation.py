@@ -274,6 +274,7 @@ def _explanation(
         outcome=cell.outcome,
         score=cell.score,
         failure=cell.failure,
+        detail=cell.detail,
         reason=reason,
         sentence="",
         reference=reference,

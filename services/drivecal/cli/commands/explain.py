@@ -39,6 +39,8 @@ def print_explanation(explanation: Explanation) -> None:
     if explanation.failure:
         result += f" ({explanation.failure})"
     typer.echo(f"evaluation {explanation.evaluation}: {where}\n{result}\n\n{explanation.sentence}")
+    if explanation.detail is not None:
+        typer.echo(explanation.detail)
     if explanation.reference is not None:
         reference = explanation.reference
         score = "no score yet" if reference.score is None else f"score {reference.score}"
