@@ -78,7 +78,8 @@ def _robustness(findings: ReportData, drawn: Mapping[str, str]) -> list[str]:
     if findings.robustness:
         drawings = _figures(drawn, "figure-12-robustness")
         return robustness.parts(findings.robustness, findings.optima, identifier, drawings)
-    if not findings.optima:
+    drives = any(scenario.vehicle for scenario in findings.setup.scenarios)
+    if not findings.optima or not drives:
         return []
     return [
         paragraph("Not studied. This drives the best sets in other vehicles:"),

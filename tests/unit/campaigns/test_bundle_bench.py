@@ -47,7 +47,9 @@ def rated(score: str, measures: dict[str, float | None], failure: str | None = N
 
 def test_a_name_becomes_the_digest_of_its_latest_push() -> None:
     problem = resolved()
-    assert problem.specification.problem == "d1"
+    specification = problem.specification
+    assert (specification.problem, specification.evaluator) == ("d1", "discomfort")
+    assert specification.catalogue == ["standing", "slower", "wet", "crossing"]
     assert problem.scenarios == ("standing", "slower", "wet", "crossing")
     assert [parameter.kind for parameter in problem.space.searched] == ["continuous", "grid", "grid", "integer", "choice"]
     assert problem.bench.scale.name == "discomfort"

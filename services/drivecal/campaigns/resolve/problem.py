@@ -169,7 +169,7 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = no_bun
     robust_sets = resolvers.find_robust_sets(
         specification, found.vehicle, found.vehicle_parameters, list(weights), constraints, diagnostics
     )
-    if specification.robustness is not None and found.problem != HIGHWAY:
+    if specification.robustness is not None and specification.problem != HIGHWAY:
         diagnostics.add("robustness", f"the problem {specification.problem} has no vehicle parameters", "leave it out")
     resolvers.check_validation(specification, diagnostics)
     if specification.reduction.narrow and specification.sensitivity is None:
@@ -183,7 +183,7 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = no_bun
     diagnostics.raise_if_any()
     if found.make is None or space is None or constraints is None:
         raise AssertionError("a part is missing without a finding")
-    specification = specification.model_copy(update={"problem": found.problem})
+    specification = specification.model_copy(update=dict(found.settled))
     bench = found.make(weights)
     resolvers.check_units(specification, bench.scale, diagnostics)
     diagnostics.raise_if_any()
@@ -210,7 +210,7 @@ def resolve_evaluation(specification: EvaluationSpecification, bundles: BundleSo
     resolvers.constraints_of(found.function, ParameterSpace(next(iter(found.function.spaces.values())))).check(
         parameter_set, "parameters"
     )
-    specification = specification.model_copy(update={"problem": found.problem})
+    specification = specification.model_copy(update=dict(found.settled))
     return EvaluationProblem(specification, found.make(scenarios), parameter_set)
 
 

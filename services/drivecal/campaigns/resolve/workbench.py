@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from drivecal.bundles.manifest import Manifest
 from drivecal.campaigns.resolve import resolvers
@@ -24,8 +25,8 @@ Wanted = ProblemSpecification | EvaluationSpecification
 class Workbench:
     """Everything that a specification's problem offers; parts that do not exist are None, with their problems in the diagnostics."""
 
-    problem: str
-    """`highway`, or the digest of a bundle."""
+    settled: Mapping[str, Any]
+    """What the settings of a specification mean: the digest of a bundle, its scenarios, its score."""
     scenarios: tuple[str, ...] = ()
     function: Parameterised | None = None
     vehicle: Vehicle | None = None
@@ -49,7 +50,7 @@ def find_workbench(wanted: Wanted, bundles: BundleSource, diagnostics: Diagnosti
         bundle = bundles(wanted.problem)
     except NotFoundError as error:
         diagnostics.add("problem", str(error), "push it with `drivecal problem push DIR`; `drivecal problem list` shows them")
-        return Workbench(wanted.problem)
+        return Workbench({"problem": wanted.problem})
     return _stored(wanted, bundle, diagnostics)
 
 
@@ -76,7 +77,7 @@ def _installed(wanted: Wanted, diagnostics: Diagnostics) -> Workbench:
         def make(scenarios: Collection[str]) -> Bench:
             return DrivingBench({name: catalogued[name] for name in scenarios}, driver, driven, values, rater)
 
-    return Workbench(HIGHWAY, tuple(catalogued), function, vehicle, values, make)
+    return Workbench({"problem": HIGHWAY}, tuple(catalogued), function, vehicle, values, make)
 
 
 @dataclass(frozen=True)
@@ -110,7 +111,10 @@ def _stored(wanted: Wanted, bundle: Bundle, diagnostics: Diagnostics) -> Workben
     score = _score(wanted.evaluator, manifest, diagnostics)
     function = BundleFunction(manifest.problem, parameters_of(manifest), constraints_of(manifest))
     make = None if score is None else lambda chosen: BundleBench(bundle, tuple(chosen), score)
-    return Workbench(bundle.digest, scenarios, function, make=make, baseline=manifest.baseline)
+    settled: dict[str, Any] = {"problem": bundle.digest, "evaluator": score}
+    if isinstance(wanted, ProblemSpecification):
+        settled["catalogue"] = list(scenarios)
+    return Workbench(settled, scenarios, function, make=make, baseline=manifest.baseline)
 
 
 def _refuse_driving_settings(wanted: Wanted, diagnostics: Diagnostics) -> None:

@@ -62,15 +62,16 @@ def _settings(value: object) -> str:
 def versions(setup: CampaignSetup, version: str) -> list[str]:
     """Returns the versions of the runs and their fingerprints in the reference table."""
     program = f"drivecal {version}" if version == setup.server else f"drivecal {version} of a server {setup.server}"
-    known = [scenario for scenario in setup.scenarios if scenario.driving_function is not None]
+    known = [scenario for scenario in setup.scenarios if scenario.simulator is not None]
     used: dict[str, list[str | None]] = {
         "this report": [program],
         "driving function": [solution.driving_function for solution in known],
         "vehicle": [solution.vehicle for solution in known],
         "simulator": [solution.simulator for solution in known],
+        "files of the problem": [solution.files for solution in known],
         "evaluator": [setup.evaluator],
     }
-    rows = [[name, ", ".join(dict.fromkeys(value for value in values if value))] for name, values in used.items()]
+    rows = [[name, ", ".join(dict.fromkeys(value for value in values if value))] for name, values in used.items() if any(values)]
     fingerprints = [[scenario.scenario, scenario.fingerprint, scenario.scenario_digest] for scenario in setup.scenarios]
     parts = [
         table(["", "version"], rows, "Versions"),

@@ -41,8 +41,11 @@ export function asked(campaign: Asked, setup: CampaignSetup | null): [string, st
     rows.push(["Scenarios", spec["catalogue"] === undefined ? null : text(spec["catalogue"])]);
     rows.push(["Weights", isSettings(spec.weights) && Object.keys(spec.weights).length > 0 ? list(spec.weights) : null]);
   }
-  rows.push(["Driving function", function_ === undefined ? null : String(function_)]);
-  rows.push(["Vehicle", model === undefined ? null : named(model, isSettings(vehicle) && isSettings(vehicle["parameters"]) ? list(vehicle["parameters"]) : "")]);
+  const own = typeof spec["problem"] === "string" && spec["problem"] !== "highway"; // a simulator of the user's own drives no vehicle of ours
+  rows.push(["Problem", own ? String(spec["problem"]) : null]);
+  rows.push(["Simulator", own ? (setup?.scenarios.find((scenario) => scenario.simulator)?.simulator ?? null) : null]);
+  rows.push(["Driving function", own || function_ === undefined ? null : String(function_)]);
+  rows.push(["Vehicle", own ? null : model === undefined ? null : named(model, isSettings(vehicle) && isSettings(vehicle["parameters"]) ? list(vehicle["parameters"]) : "")]);
   rows.push(["Evaluator", setup?.evaluator ?? (spec["evaluator"] === undefined ? null : String(spec["evaluator"]))]);
   rows.push(["Held fixed", isSettings(spec["fixed"]) ? list(spec["fixed"]) : null]);
   rows.push(["To compare with", isSettings(spec["baseline"]) ? list(spec["baseline"]) : null]);
