@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 import yaml
+from tests.support.fmus import build
 from tests.support.serve import Server, serving, until
 
 from drivecal.client import Client
@@ -24,9 +25,36 @@ SPEC: dict[str, Any] = {
 RESULTS = ("outcome", "score", "failure", "iteration", "individual", "scenario")
 
 
+FMU = {
+    "problem": "fmu",
+    "parameters": {
+        "rate": {"lower": -3, "upper": 3},
+        "factor": {"lower": 1, "upper": 4, "integer": True},
+        "mode": {"choices": ["eco", "sport"]},
+    },
+    "simulator": {
+        "kind": "fmu",
+        "file": "trial2.fmu",
+        "duration": 2.0,
+        "step": 0.1,
+        "measures": {"end": "last(body.x[1])", "most": "max(body.x[1])"},
+        "deterministic": True,
+    },
+    "scenarios": {"plain": {}, "flagged": {"flag": True}},
+    "measures": {"end": "m", "most": "m"},
+    "scores": {"miss": {"formula": "abs(end - 4)", "direction": "minimise", "range": [0, 40]}},
+}
+"""A whole system, compiled by the test."""
+
+
 def problem(name: str, folder: Path) -> Path:
-    """A copy of an example, ready to be pushed."""
+    """A problem's folder, ready to be pushed: a copy of an example, or an FMU with its manifest."""
     copy = folder / name
+    if name == "fmu":
+        copy.mkdir()
+        build(copy, 2)
+        (copy / "problem.yaml").write_text(yaml.safe_dump(FMU, sort_keys=False))
+        return copy
     shutil.copytree(EXAMPLES / name, copy)
     if (copy / "Makefile").is_file():
         subprocess.run(["make", "-s"], cwd=copy, check=True)
@@ -58,7 +86,7 @@ def rows(client: Client, campaign: str) -> list[tuple[object, ...]]:
     return [tuple(row) for row in page[list(RESULTS)].itertuples(index=False, name=None)]
 
 
-@pytest.mark.parametrize("name", ["acc-process", "command-shell", "python-function"])
+@pytest.mark.parametrize("name", ["acc-process", "command-shell", "python-function", "fmu"])
 def test_an_example_is_calibrated_and_rated_anew_without_a_simulation(name: str, server: Server, tmp_path: Path) -> None:
     folder = problem(name, tmp_path)
     with Client(server.url) as client:
