@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
+import io
 import random
+import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 from tests.support.computed import ComputedBackend
 from tests.support.runs import WITH_ANALYSIS, dispatcher, get, influenced, run
 
 from drivecal.api import submission
 from drivecal.api.dependencies import Limits
+from drivecal.bundles.archives import content_digest
+from drivecal.bundles.checks import checked
 from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.cells.rerating import rate_stored_runs
-from drivecal.campaigns.resolve.maps import map_from_document
-from drivecal.campaigns.resolve.problem import resolve
+from drivecal.campaigns.resolve.bundle_source import stored_bundles
+from drivecal.campaigns.resolve.maps import basis_of, map_from_document
+from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve
+from drivecal.campaigns.resolve.resolved_spec import problem_of
+from drivecal.campaigns.resolve.spaces import space_to_document
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, RerunSpecification
 from drivecal.contracts.work import Cell, CellResult
@@ -31,9 +39,12 @@ from drivecal.plugins.ports import Evaluator
 from drivecal.storage import campaigns, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
+from drivecal.storage.problems import bundles
 from drivecal.storage.references import influence_maps
 
 LIMITS = Limits.of(load_settings())
+EXAMPLE = Path(__file__).parents[2] / "deploy" / "examples" / "problems" / "python-function"
+SCORES = {"cost": {"formula": "rms_jerk", "direction": "minimise", "range": [0, 100], "tolerance": 2, "failed": 100}}
 
 
 @dataclass(frozen=True)
@@ -281,3 +292,66 @@ def test_an_evaluator_that_is_not_installed_is_refused(database: Database) -> No
     first = _run(database)
     with pytest.raises(InvalidInputError, check=lambda error: error.problems[0].field == "evaluator"):
         submission.rerun(database, LIMITS, first.id, RerunSpecification(weights={}, evaluator="learnt"), None)
+
+
+def _ended_with_a_map(database: Database) -> StoredCampaign:
+    """A cancelled campaign on a pushed problem, with the map of an analysis."""
+    _push(database, "f1", SCORES)
+    analysis = {"intervals": 3, "samples": 4, "threshold": 0.02}
+    document = {"problem": "python-function", "sensitivity": analysis, "optimizer": {"population": 10, "iterations": 2}}
+    queued = submission.submit(database, LIMITS, CampaignSpecification.model_validate(document), None)
+    problem = problem_of(queued, stored_bundles(database))
+    assert isinstance(problem, CalibrationProblem)
+    with database.transaction() as connection:
+        made = influence_maps.insert(
+            connection,
+            name="made",
+            source=queued.id,
+            driving_function=problem.bench.function,
+            parameters=space_to_document(problem.space.searched),
+            scenarios={},
+            basis=basis_of(problem),
+        )
+        campaigns.set_influence_map(connection, queued.sequence, made.id)
+        campaigns.request_action(connection, queued.id, "cancel")
+    dispatcher(database, ComputedBackend()).step()
+    with database.read() as connection:
+        return campaigns.get(connection, queued.id)
+
+
+def _push(database: Database, file: str, scores: Mapping[str, Any]) -> str:
+    """Stores a problem; gives its digest."""
+    document = yaml.safe_load((EXAMPLE / "problem.yaml").read_text()) | {"scores": dict(scores)}
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w") as archive:
+        archive.writestr("problem.yaml", yaml.safe_dump(document))
+        archive.writestr("braking.py", file)
+    digest = content_digest(content.getvalue())
+    with database.transaction() as connection:
+        bundles.add(
+            connection,
+            digest=digest,
+            name="python-function",
+            manifest=checked(document).model_dump(mode="json"),
+            archive=content.getvalue(),
+        )
+    return digest
+
+
+@pytest.mark.parametrize(
+    ("file", "change", "again"),
+    [("f1", {"unit": "EUR"}, False), ("f2", {}, True), ("f1", {"tolerance": 9}, True), ("f1", {"range": [0, 90]}, True)],
+)
+def test_a_rerun_on_another_push_analyses_again_if_the_map_does_not_hold(
+    database: Database, file: str, change: dict[str, Any], *, again: bool
+) -> None:
+    first = _ended_with_a_map(database)
+    digest = _push(database, file, {"cost": SCORES["cost"] | change})
+    changes = RerunSpecification.model_validate({"weights": {}, "problem": "python-function"})
+    rerun = submission.rerun(database, LIMITS, first.id, changes, None)
+    assert rerun.spec["problem"] == digest
+    if again:
+        assert rerun.spec["sensitivity"] == first.spec["sensitivity"]
+        assert rerun.influence_map_id is None
+    else:
+        assert rerun.influence_map_id == first.influence_map_id

@@ -119,8 +119,8 @@ def test_the_default_tolerance_of_predictions_is_the_scores() -> None:
 def test_validations_count_differences_in_steps_of_the_scale() -> None:
     row = compared(np.array([0.0, 1e-9, 0.9, -2.0, 2.1, -50.0]), COST)
     assert (row["compared"], row["wrong"], row["different"]) == (6, 2, 4)
-    assert row["histogram"] == {"-25": 1, "-1": 1, "0": 3, "1": 1}
-    assert row["histogram_step"] == 2
+    assert row["histogram"] == {"-12": 1, "0": 4, "1": 1}
+    assert row["histogram_step"] == 4
     points = compared(np.array([0.0, 1.0, -1.0, 2.0]), COMFORT)
     assert (points["wrong"], points["different"], points["histogram"]) == (1, 3, {"-1": 1, "0": 1, "1": 1, "2": 1})
     assert ValidationRow.model_fields["histogram_step"].default == COMFORT.bin

@@ -8,11 +8,9 @@ from sqlalchemy import Connection
 
 from drivecal.api.dependencies import Limits
 from drivecal.api.responses import refuse_comparison
-from drivecal.campaigns.resolve.bundle_bench import BundleSource
 from drivecal.campaigns.resolve.bundle_source import stored_bundles
-from drivecal.campaigns.resolve.maps import check_basis, doubts
+from drivecal.campaigns.resolve.maps import check_basis, doubts, is_outdated
 from drivecal.campaigns.resolve.problem import CalibrationProblem, EvaluationProblem, resolve, resolve_evaluation
-from drivecal.campaigns.resolve.workbench import rated_by
 from drivecal.campaigns.stages.prediction_validation import check_predictions
 from drivecal.campaigns.stages.robustness import check_source
 from drivecal.contracts.campaign import ExpectedRuns
@@ -87,9 +85,11 @@ def rerun(database: Database, limits: Limits, first_id: str, changes: RerunSpeci
         raise ConflictError(f"{first_id} is a single evaluation, which has no weights; post another one to /api/v1/evaluations")
     if not first.state.ended:
         raise ConflictError(f"campaign {first_id} is {first.state}; rerun it when it has ended, or cancel it first")
-    problem = _checked(
-        database, limits, validated(CampaignSpecification, _changed(first, used, changes, stored_bundles(database)))
-    )
+    document = _changed(first, used, changes)
+    problem = _checked(database, limits, validated(CampaignSpecification, document))
+    if used is not None and used.basis is not None and is_outdated(used, problem.bench):
+        document["sensitivity"] = used.basis["sensitivity"]  # made again, from stored runs if only ratings are others
+        problem = _checked(database, limits, validated(CampaignSpecification, document))
     with database.transaction() as connection:
         return _queue(connection, limits, problem, key, digest_of(f"campaigns/{first_id}/rerun", changes), rerun_of=first_id)
 
@@ -160,13 +160,8 @@ def named_map(connection: Connection, problem: CalibrationProblem) -> str | None
     return stored.id
 
 
-def _changed(
-    first: StoredCampaign, used: StoredInfluenceMap | None, changes: RerunSpecification, bundles: BundleSource
-) -> dict[str, Any]:
-    """Returns the first campaign's specification with the changes and the influence map that it `used`.
-
-    A map computed from the ratings of another evaluator does not hold, so that its analysis is made again, mostly from stored runs.
-    """
+def _changed(first: StoredCampaign, used: StoredInfluenceMap | None, changes: RerunSpecification) -> dict[str, Any]:
+    """Returns the first campaign's specification with the changes and the influence map that it `used`."""
     document = dict(first.spec)
     document["weights"] = dict(changes.weights)
     document["name"] = changes.name or f"{first.name.removesuffix(' (rerun)')[:190]} (rerun)"
@@ -178,11 +173,7 @@ def _changed(
         if getattr(changes, name) is not None:
             document[name] = getattr(changes, name)
     if used is not None:
-        rater = rated_by(document.get("problem", HIGHWAY), document["evaluator"], bundles)
-        if used.basis is not None and used.basis["evaluator"] != rater:
-            document["sensitivity"] = used.basis["sensitivity"]
-        else:
-            document["sensitivity"] = {"map": used.id}
+        document["sensitivity"] = {"map": used.id}
     return document
 
 

@@ -9,8 +9,9 @@ from pathlib import Path
 from drivecal.adapters.kinds import simulator
 from drivecal.bundles.archives import remove, unpack
 from drivecal.bundles.checks import choices_of
-from drivecal.bundles.expressions import Constraint, Formula, UndefinedError
+from drivecal.bundles.expressions import Constraint, Formula
 from drivecal.bundles.manifest import Manifest, ParameterEntry
+from drivecal.bundles.scoring import rate
 from drivecal.domain.errors import InvalidInputError, Problem, UnavailableError
 from drivecal.plugins.simulators import Declared, NoMeasuresError, RunOutcome, SimulatorSession, Value
 
@@ -96,16 +97,15 @@ def _run(session: SimulatorSession, parameters: Mapping[str, Value], *, series: 
 
 def _rated(manifest: Manifest, outcome: RunOutcome) -> tuple[dict[str, float], dict[str, str]]:
     """Returns the scores by name, and why some have no value."""
-    scores: dict[str, float] = {}
-    undefined: dict[str, str] = {}
-    for name, entry in manifest.scores.items():
-        scores[name] = entry.failed_worth
-        if outcome.failure is None:
-            try:
-                scores[name] = Formula(entry.formula, manifest.measures)(outcome.measures)
-            except UndefinedError as error:
-                undefined[name] = str(error)
-    return scores, undefined
+    rated = {
+        name: rate(Formula(entry.formula, manifest.measures), entry.scale(name), outcome.measures, outcome.failure)
+        for name, entry in manifest.scores.items()
+    }
+    known = {name: scored for name, scored in rated.items() if scored is not None}
+    return (
+        {name: scored.value for name, scored in known.items()},
+        {name: scored.undefined for name, scored in known.items() if scored.undefined is not None},
+    )
 
 
 def _bits(outcome: RunOutcome) -> tuple[object, ...]:

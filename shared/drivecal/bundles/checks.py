@@ -26,6 +26,8 @@ from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.evaluations import Breakdown
 from drivecal.domain.parameters import Parameter, decimal
 
+SMALLEST_SPAN = 1e-3
+"""Smallest width of a score's range: objectives count as equal to nine decimals, whatever the unit."""
 Executables = Mapping[str, bool]
 """Files of a bundle by path, and whether each is executable."""
 _DIGEST = re.compile(r"[0-9a-f]{64}")
@@ -187,6 +189,11 @@ def _ranges(scores: Mapping[str, ScoreEntry]) -> Iterator[Problem]:
             yield Problem(
                 f"{field}.range", f"the end {upper:g} is not above the start {lower:g}", "give the smaller number first"
             )
+        elif upper - lower < SMALLEST_SPAN * (1 - 1e-9):  # rounding of the ends is no fault
+            message = (
+                f"its width of {upper - lower:g} is below {SMALLEST_SPAN:g}, so that different scores could count as equal"
+            )
+            yield Problem(f"{field}.range", message, "change the unit of the formula, e.g. multiply it and the range by 1000")
         elif score.failed is not None and not (
             score.failed <= lower if score.direction == "maximise" else score.failed >= upper
         ):
@@ -235,6 +242,9 @@ def _simulator(simulator: Any, files: Executables | None) -> Iterator[Problem]:
                 yield Problem(f"simulator.measures.{name}", f"{shown(reduction)} is no reduction of an output", remedy)
         if simulator.step > simulator.duration:
             yield Problem("simulator.step", "the step is longer than the duration", f"give at most {simulator.duration:g}")
+    for index, name in enumerate(simulator.environment or ()):
+        if name.upper().startswith(("DRIVECAL", "RAY")):
+            yield Problem(f"simulator.environment[{index}]", f"{name} is a variable of the worker itself", "leave it out")
     if simulator.probe is not None:
         yield from _command("simulator.probe", simulator.probe, files)
 

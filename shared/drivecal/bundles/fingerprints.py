@@ -14,7 +14,8 @@ _WITHOUT_EFFECT = {"timeout", "memory_mb", "deterministic"}
 def setup_document(manifest: Manifest, scenario: str, files: str, adapter: str | None = None) -> dict[str, Any]:
     """Returns the document of a scenario's setup. `files`: digest of every file but `problem.yaml`; `adapter`: by default the installed.
 
-    The probe stays: results of unknown tools are not those of tools with a known version.
+    The probe stays: results of unknown tools are not those of tools with a known version. So do the names of variables, whose
+    values on workers are not known here.
     """
     section = manifest.simulator.model_dump(mode="json", exclude=_WITHOUT_EFFECT, exclude_none=True)
     return {

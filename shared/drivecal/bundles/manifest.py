@@ -17,6 +17,9 @@ File = Annotated[str, StringConstraints(min_length=1, max_length=255)]
 """Path inside the bundle, with forward slashes."""
 Command = Annotated[list[Annotated[str, StringConstraints(min_length=1, max_length=4096)]], Field(min_length=1, max_length=100)]
 
+Variable = Annotated[str, StringConstraints(min_length=1, max_length=255, pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
+"""Name of an environment variable."""
+
 
 class ParameterEntry(Model):
     """A parameter: a grid (`step`), continuous (none), integer, or a choice."""
@@ -35,12 +38,14 @@ class SimulatorEntry(Model):
 
     `timeout` (s, wall-clock) and `memory_mb` limit each run. `deterministic`: the simulator claims equal measures for equal inputs.
     `probe`: a command whose output is the version of tools outside of the bundle.
+    `environment`: names of further variables that its processes get from the worker.
     """
 
     timeout: Annotated[float, Field(gt=0, le=86_400)] = 60.0
     memory_mb: Annotated[int, Field(ge=16, le=1_000_000)] = 2000
     deterministic: bool = False
     probe: Command | None = None
+    environment: Annotated[list[Variable], Field(max_length=50)] | None = None
 
 
 class ProcessSimulator(SimulatorEntry):

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 from pydantic import BaseModel, ConfigDict, Field
 
 from drivecal.contracts.campaign import Answer, Page, Score
+from drivecal.domain.scales import MOST_BARS
 
 Kind = Literal["integer", "number", "score", "text", "truth", "numbers"]
 """A `score` is an integer or a number, depending on the campaign's scale."""
@@ -108,8 +109,11 @@ def _kind(annotation: Any) -> Kind:
 
 
 def _counts_by_bin(histogram: Mapping[int, int]) -> list[float]:
-    last = max([LEAST_BINS, *map(abs, histogram)])
-    return [float(histogram.get(number, 0)) for number in range(-last, last + 1)]
+    last = min(MOST_BARS + 1, max([LEAST_BINS, *map(abs, histogram)]))
+    counts = [0.0] * (2 * last + 1)
+    for number, count in histogram.items():
+        counts[max(-last, min(last, number)) + last] += count
+    return counts
 
 
 CampaignTable = Literal["evaluations", "generations", "solutions", "optima", "influence", "robustness", "validation"]
@@ -276,7 +280,7 @@ class ValidationRow(Answer):
     `covered`. `drawn`: the size of the Latin hypercube, of which `bases` that qualify were kept (n*_LHS), each compared with
     `references` variants (n_ref). `wrong`: |dF| > the scale's tolerance; R_err = wrong / compared (Eq. 8); `different`: any change.
     `lower_95` and `upper_95` limit the mean over base sets of the share of wrong variants, with a confidence of at least 95 %. `histogram`:
-    how many variants differ from their base by how many times `histogram_step`.
+    how many variants differ from their base by how many times `histogram_step`; the outermost numbers hold all beyond the scale's span.
 
     For the predictions of a campaign: `released` ones, of them `compared` with a simulation, `beyond` the tolerance (or without a result);
     the expected number of these among all released ones is at most `limit` times the `inspected` predictions. Null for a map.

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from enum import StrEnum
+from math import ceil
 from typing import Any
 
 LARGEST_EXACT = 2**53
 """Whole numbers below it are the same as floats."""
 ROUNDING_SHARE = 1e-9
 """Share of the span up to which scores without steps count as equal."""
+
+MOST_BARS = 100
+"""Bars on each side of a histogram of differences, without the outermost, which holds all that is beyond the span."""
 
 
 class Direction(StrEnum):
@@ -87,8 +91,14 @@ class Scale:
 
     @property
     def bin(self) -> float:
-        """Width of a bar in a histogram of differences."""
-        return self.step or self.tolerance or self.span / 100
+        """Width of a bar in a histogram of differences: a step, else such that the middle bar ends at the tolerance, but not too narrow."""
+        narrowest = self.span / MOST_BARS
+        return self.step if self.step is not None and self.step >= narrowest else max(2 * self.tolerance, narrowest)
+
+    @property
+    def last_bar(self) -> int:
+        """Number of the bar with differences of the span, from 0 in the middle; the next one holds all beyond."""
+        return max(1, ceil(self.span / self.bin - 0.5 - ROUNDING_SHARE))
 
     def amount(self, value: float) -> str:
         """Returns a difference of scores with its unit, for readers."""

@@ -115,6 +115,7 @@ def scratch_of(session: object) -> Path:
         ("measures=[1]", "no object `measures`"),
         ("value=1", "no object `measures`"),
         ("failure=3", "`failure` is not the name"),
+        ("failure='hang'", "hang means that a run has no result"),
         ("failure='crashed', measures=dict(z=1)", "does not declare: z"),
         ("error='licence server away'", "licence server away"),
     ],
@@ -239,11 +240,14 @@ def test_the_environment_holds_no_secrets(tmp_path: Path) -> None:
         "PATH": "/bin", "LM_LICENSE_FILE": "27000@host", "DRIVECAL_DATABASE_URL": "x", "RAY_AUTH_TOKEN_PATH": "x", "PGPASSWORD": "x",
         "AWS_SECRET_ACCESS_KEY": "x", "GITHUB_TOKEN": "x", "PROXY": "http://user:word@host", "PYTHONPATH": "x", "HOME": "/root",
         "OMP_NUM_THREADS": "4",
+        "INTERNAL_CONFIG": "x", "LANG": "C.UTF-8", "LC_ALL": "C.UTF-8", "TZ": "UTC", "LD_LIBRARY_PATH": "/opt/lib", "PYTHONHASHSEED": "0",
+        "MATLAB_HOME": "/opt/matlab", "GUROBI_LICENSE": "/opt/gurobi.lic",
     }  # fmt: skip
-    kept = environment(tmp_path, inherited)
+    kept = environment(tmp_path, ["MATLAB_HOME", "HOME", "NOT_SET"], inherited)
     assert kept["HOME"] == kept["TMPDIR"] == str(tmp_path)
     assert kept["OMP_NUM_THREADS"] == "4"
-    assert set(kept) & set(inherited) == {"PATH", "LM_LICENSE_FILE", "HOME", "OMP_NUM_THREADS"}
+    common = {"PATH", "LANG", "LC_ALL", "TZ", "LD_LIBRARY_PATH", "PYTHONHASHSEED", "LM_LICENSE_FILE", "GUROBI_LICENSE"}
+    assert set(kept) & set(inherited) == common | {"HOME", "OMP_NUM_THREADS", "MATLAB_HOME"}
 
 
 def test_a_process_gets_this_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -253,6 +257,16 @@ def test_a_process_gets_this_environment(tmp_path: Path, monkeypatch: pytest.Mon
     )
     with served(tmp_path, body) as session:
         assert session.evaluate({"x": 1.0}).measures == {"y": 4.0}
+
+
+def test_a_process_gets_the_variables_that_its_manifest_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MATLAB_HOME", "/opt/matlab")
+    monkeypatch.setenv("INTERNAL_CONFIG", "x")
+    body = "x = float('MATLAB_HOME' in os.environ) + 2 * float('INTERNAL_CONFIG' in os.environ)"
+    with served(tmp_path, body, environment=["MATLAB_HOME"]) as session:
+        assert session.evaluate({"x": 1.0}).measures == {"y": 2.0}
+    with served(tmp_path, body, environment=None) as session:
+        assert session.evaluate({"x": 1.0}).measures == {"y": 0.0}
 
 
 def test_the_error_survives_pickling() -> None:

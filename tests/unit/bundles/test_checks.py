@@ -172,6 +172,10 @@ def test_the_examples_pass_with_their_files(name: str) -> None:
         ("scores/cost/direction", "down", "scores.cost.direction"),
         ("scores/cost/range", [100, 0], "scores.cost.range"),
         ("scores/cost/range", [1, 1], "scores.cost.range"),
+        ("scores/cost/range", [0, 0.0009], "scores.cost.range"),
+        ("simulator/environment", ["A=B"], "simulator.environment[0]"),
+        ("simulator/environment", ["MATLAB_HOME", "DRIVECAL_TOKEN"], "simulator.environment[1]"),
+        ("simulator/environment", [f"N{number}" for number in range(51)], "simulator.environment"),
         ("scores/cost/failed", 99, "scores.cost.failed"),
         ("scores/comfort/failed", 1, "scores.comfort.failed"),
         ("scores/cost/tolerance", -1, "scores.cost.tolerance"),
@@ -292,3 +296,14 @@ def test_a_setup_follows_the_simulator_the_scenario_and_the_files_only() -> None
         assert setup(path, value) != same
     assert setup("problem", "other", "g") != same
     assert setup_document(checked(VALID), "city", "f", "2") != same
+
+
+def test_the_smallest_range_of_a_score_is_a_thousandth() -> None:
+    """Scores count as equal to nine decimals, whatever their unit."""
+    assert checked(changed("scores/comfort/range", [1, 1.001])).scores["comfort"].range == (1, 1.001)
+
+
+def test_names_of_variables_are_part_of_a_setup_if_there_are_any() -> None:
+    assert "environment" not in setup_document(checked(VALID), "city", "f")["simulator"]
+    named = checked(changed("simulator/environment", ["MATLAB_HOME"]))
+    assert setup_document(named, "city", "f")["simulator"]["environment"] == ["MATLAB_HOME"]

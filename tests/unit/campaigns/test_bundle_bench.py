@@ -8,11 +8,13 @@ from typing import Any
 import pytest
 import yaml
 
+from drivecal.analysis.solutions import Ranking
 from drivecal.bundles.checks import checked
 from drivecal.campaigns.resolve.bundle_bench import Bundle, BundleBench
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve, resolve_evaluation
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
 from drivecal.domain.errors import InvalidInputError, NotFoundError
+from drivecal.domain.evaluations import CellScore
 
 EXAMPLE = Path(__file__).parents[3] / "deploy" / "examples" / "problems" / "python-function" / "problem.yaml"
 MEASURES = {"min_gap_m": 4.0, "peak_deceleration": 8.0, "rms_jerk": 2.0, "braking_s": 1.5}
@@ -116,6 +118,15 @@ def test_nothing_is_worse_than_a_failed_run(measures: dict[str, float | None], f
 def test_a_run_without_a_measure_that_the_score_needs_is_not_rated() -> None:
     assert rated("discomfort", {"min_gap_m": 4.0}) is None
     assert rated("safety", {"min_gap_m": 4.0, "braking_s": None}) is None
+
+
+def test_an_immense_score_can_be_ranked() -> None:
+    scores = {"margin": {"formula": "min_gap_m**100 * min_gap_m**100", "direction": "maximise", "range": [0, 10]}}
+    rating = BundleBench(bundle(scores=scores), ("wet",), "margin").rate("wet", {"min_gap_m": 33.0}, None)
+    assert rating is not None
+    ranking = Ranking({"wet": 1.0})
+    ranking.add([CellScore(1, "wet", rating.score, rating.rating, own=True, iteration=0, individual=0)])
+    assert [solution.objective for solution in ranking.ranking()] == [0.0]
 
 
 def test_simulators_that_claim_nothing_are_run_twice_now_and_then() -> None:

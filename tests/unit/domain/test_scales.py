@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from tests.support.scales import COST
 
@@ -40,8 +42,15 @@ def test_no_run_is_worth_less_than_a_failed_one() -> None:
 def test_wrong_is_more_than_the_tolerance_and_equal_is_all_but_rounding() -> None:
     assert [COMFORT.is_wrong(change) for change in (1, -1, 2, -2)] == [False, False, True, True]
     assert [COST.is_wrong(change) for change in (2.0 + 1e-9, -2.0, 2.1)] == [False, False, True]
-    assert (COMFORT.rounding, COMFORT.bin, COST.bin) == (0, 1, 2)
+    assert (COMFORT.rounding, COMFORT.bin, COST.bin) == (0, 1, 4)
     assert 0 < COST.rounding < 1e-6
+
+
+def test_bars_are_no_narrower_than_a_hundredth_of_the_span() -> None:
+    scales = [replace(COST, tolerance=tolerance) for tolerance in (0.0, 1e-9, 0.4, 0.5, 3.0, 70.0)]
+    assert [scale.bin for scale in scales] == [1, 1, 1, 1, 6, 140]
+    assert [scale.last_bar for scale in scales] == [100, 100, 100, 100, 17, 1]
+    assert (COMFORT.last_bar, COST.last_bar, replace(COMFORT, step=1e-6, tolerance=0.0).last_bar) == (7, 25, 100)
 
 
 def test_amounts_have_their_unit() -> None:

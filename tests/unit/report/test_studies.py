@@ -205,21 +205,18 @@ def test_a_region_of_a_single_value_cannot_be_reduced() -> None:
     assert validation.reducible([row("S1", "P1", 1, 9), row("S1", "P2", 0, 8), row("S1", "P3", None, None)]) == ["P2"]
 
 
-def test_costs_without_steps_are_drawn_in_bars_of_their_tolerance() -> None:
-    known = validated("S1", {0: 90, -1: 4, 2: 5, 60: 1})
-    costs = known.model_copy(update={"histogram_step": COST.bin})
+def test_costs_without_steps_are_drawn_in_bars_with_edges_at_the_tolerance() -> None:
+    known = validated("S1", {0: 90, -1: 4, 2: 5, 26: 1})
+    costs = known.model_copy(update={"histogram_step": COST.bin, "different": 20})
     (drawn,) = validation.drawn([costs], COST)
     found = bars(drawn.figure)
     assert {name: bar.get_x() + bar.get_width() / 2 for name, bar in found.items()} == pytest.approx(
-        {"S1.0": 0, "S1.-1": -2, "S1.2": 4, "S1.60": 120}
+        {"S1.0": 0, "S1.-1": -4, "S1.2": 8, "S1.26": 104}
     )
-    assert {name for name, bar in found.items() if bar.get_hatch()} == {"S1.2", "S1.60"}
-    assert drawn.figure.axes[0].get_xlim()[1] > 120
+    assert {name for name, bar in found.items() if bar.get_hatch()} == {"S1.-1", "S1.2", "S1.26"}
+    assert drawn.figure.axes[0].get_xlim()[1] > 104
+    assert "80 of 100 unchanged" in drawn.alt
     html = "".join(validation.parts(Studied(study("validation"), [costs]), "0" * 32, {}, "", COST))
-    assert [cell for line in html.split("<tr>") for cell in re.findall(r"<td[^>]*>([^<]*)</td>", line)][-5:] == [
-        "S1",
-        "4",
-        "90",
-        "5",
-        "1",
-    ]
+    cells = [cell for line in html.split("<tr>") for cell in re.findall(r"<td[^>]*>([^<]*)</td>", line)]
+    assert cells[-5:] == ["S1", "4", "90", "5", "1"]
+    assert re.findall(r"<th[^>]*>([^<]*)</th>", html)[-4:] == ["\N{MINUS SIGN}4", "0", "+8", "beyond +100"]

@@ -47,6 +47,8 @@ def outcome(answer: Mapping[str, Any], declared: Declared, *, series: bool) -> R
 def _check_failure(failure: object, declared: Declared) -> None:
     if not isinstance(failure, str) or not 0 < len(failure) <= 64 or not failure.isprintable():
         raise _error("`failure` is not the name of a failure, i.e. a text of 1 to 64 characters")
+    if failure in set(Breakdown):
+        raise _error(f"{failure} means that a run has no result; give a failure of the system under test another name")
     if declared.failures and failure not in declared.failures:
         raise _error(f"a failure that problem.yaml does not declare: {failure}; declared: {_joined(declared.failures)}")
 

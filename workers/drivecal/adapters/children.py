@@ -1,5 +1,7 @@
 """Child processes of a session: one at a time, with its descendants, started and ended by a keeper (see `keeper`)."""
 
+from __future__ import annotations
+
 import contextlib
 import json
 import os
@@ -9,7 +11,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -33,10 +35,16 @@ REPLY_SECONDS = 30.0
 
 @dataclass(frozen=True, slots=True)
 class Launch:
-    """Command of a child, found beside the bundle's files or on PATH, and the limit of its memory."""
+    """Command of a child, found beside the bundle's files or on PATH, the limit of its memory, and names of variables that it inherits."""
 
     command: Sequence[str]
     memory_mb: int
+    environment: Sequence[str] = ()
+
+    @classmethod
+    def of(cls, command: Sequence[str], section: Mapping[str, Any]) -> Launch:
+        """Returns a launch with the settings of a manifest's section `simulator`."""
+        return cls(command, section["memory_mb"], section.get("environment") or ())
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +155,7 @@ class Children:
         ours, theirs = socket.socketpair(type=socket.SOCK_SEQPACKET)  # a message is received as it was sent
         settings = {
             "command": list(self._launch.command),
-            "environment": environment(self._scratch.home),
+            "environment": environment(self._scratch.home, self._launch.environment),
             "folder": str(self._scratch.work),
             "scratch": str(self._scratch.folder),
             "memory": self._launch.memory_mb << 20,

@@ -27,7 +27,7 @@ class CommandSession:
         command = section["command"]
         for name, path in self._files.items():
             command = [part.replace(f"{{{name}}}", str(path)) for part in command]
-        self._children = Children(Launch(command, section["memory_mb"]), scratch)
+        self._children = Children(Launch.of(command, section), scratch)
 
     def evaluate(self, parameters: Mapping[str, Value], *, series: bool = False) -> RunOutcome:
         """Runs the command."""

@@ -142,5 +142,5 @@ class ProcessAdapter:
         except UnavailableError:
             scratch.remove()
             raise
-        launch = Launch(command, section["memory_mb"])
+        launch = Launch.of(command, section)
         return ProcessSession(launch, scratch, declared, timeout=section["timeout"], scenario=scenario, data=data)

@@ -34,7 +34,7 @@ class PythonAdapter:
             "wheels": None if wheels is None else str(folder / wheels),
             "packages": str(scratch.folder / "packages"),
         }
-        launch = Launch(driver_command("python_driver", settings), section["memory_mb"])
+        launch = Launch.of(driver_command("python_driver", settings), section)
         return ProcessSession(launch, scratch, declared, timeout=section["timeout"], scenario=scenario, data=data)
 
 

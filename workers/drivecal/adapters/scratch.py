@@ -3,15 +3,13 @@
 import os
 import re
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 from drivecal.adapters.keeper import remove
 
-_OWN = re.compile(r"(DRIVECAL|RAY|PG|PYTHON)", re.IGNORECASE)
-"""Start of the names of variables that concern drivecal, its cluster and its database."""
-_SECRET = re.compile(r"TOKEN|SECRET|PASSW|CREDENTIAL|PRIVATE|API_?KEY|ACCESS_?KEY|AUTH", re.IGNORECASE)
-_ADDRESS_WITH_PASSWORD = re.compile(r"://[^/\s@]*:[^/\s@]*@")
+_INHERITED = re.compile(r"PATH|LANG|LC_\w+|TZ|LD_LIBRARY_PATH|PYTHONHASHSEED|\w+_LICENSE\w*")
+"""Names of variables that every child gets: what programs need to start, to write numbers and dates, and to reach licence servers."""
 _THREADS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 """A worker is one of several on its machine, so that a simulator gets one thread if nothing else is set."""
 
@@ -50,15 +48,16 @@ def discard(path: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-def environment(home: Path, inherited: Mapping[str, str] | None = None) -> dict[str, str]:
-    """Returns the environment of a child: the worker's without drivecal's and Ray's variables and without what looks like a secret.
+def environment(home: Path, named: Collection[str] = (), inherited: Mapping[str, str] | None = None) -> dict[str, str]:
+    """Returns the environment of a child: a few of the worker's variables, and those that the manifest has `named`.
 
-    This prevents accidents, not theft: a child of the same user can read the worker's memory and files.
+    A list of what is kept and not of what is dropped: no pattern knows all secrets. This prevents accidents, not theft: a child of the same
+    user can read the worker's memory and files.
     """
     kept = {
         name: value
         for name, value in (os.environ if inherited is None else inherited).items()
-        if not (_OWN.match(name) or _SECRET.search(name) or _ADDRESS_WITH_PASSWORD.search(value))
+        if name in named or name in _THREADS or _INHERITED.fullmatch(name)
     }
     places = dict.fromkeys(("HOME", "TMPDIR", "TMP", "TEMP"), str(home))
     return _THREADS | kept | places

@@ -9,7 +9,8 @@ from fastapi import APIRouter
 from drivecal.api.dependencies import DatabaseDependency
 from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.responses import calibration
-from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec
+from drivecal.campaigns.resolve.maps import measure
+from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec, stored_scale
 from drivecal.contracts.setup import CampaignSetup, ScenarioSetup, SearchedParameter
 from drivecal.contracts.studies import Study, StudyPage
 from drivecal.domain.parameters import Parameter, Value
@@ -22,7 +23,7 @@ from drivecal.storage.studies import StoredStudy
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["results"], route_class=StrictRoute)
 
 SAME_FOR_A_MAP = ("setups", "evaluator", "space", "fixed")
-"""Parts of the setup that a validation shares with every campaign whose map it confirms."""
+"""Parts of the setup that a validation shares with every campaign whose map it confirms, beside the measure of the scale."""
 
 
 @router.get("/setup")
@@ -72,11 +73,17 @@ def _scenario(name: str, begun_with: ResolvedSpec, documents: Mapping[str, Mappi
 
 
 def _of_the_same(made: StoredStudy, campaign: StoredCampaign) -> bool:
-    """Returns whether a study is about this campaign: about its sets, or about its map with equal scenarios, space and evaluator."""
+    """Returns whether a study is about this campaign: about its sets, or about its map with equal scenarios, space, evaluator and scale."""
     if made.campaign_sequence == campaign.sequence or made.stage == "robustness":
         return True
     theirs, ours = made.resolution, campaign.resolution
-    return theirs is not None and ours is not None and all(theirs.get(field) == ours.get(field) for field in SAME_FOR_A_MAP)
+    return theirs is not None and ours is not None and is_same_for_a_map(theirs, ours)
+
+
+def is_same_for_a_map(theirs: Mapping[str, Any], ours: Mapping[str, Any]) -> bool:
+    """Returns whether campaigns with these resolutions can use the same maps."""
+    alike = measure(stored_scale(theirs)) == measure(stored_scale(ours))
+    return alike and all(theirs.get(field) == ours.get(field) for field in SAME_FOR_A_MAP)
 
 
 def _study(made: StoredStudy) -> Study:

@@ -5,9 +5,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from drivecal.bundles.checks import choices_of
-from drivecal.bundles.expressions import Constraint, Formula, UndefinedError
+from drivecal.bundles.expressions import Constraint, Formula
 from drivecal.bundles.fingerprints import score_id, setup_document
 from drivecal.bundles.manifest import Manifest, ScoreEntry
+from drivecal.bundles.scoring import rate
 from drivecal.contracts.work import BundleRequest
 from drivecal.domain.constraints import Constraint as Allows
 from drivecal.domain.evaluations import Rating
@@ -120,23 +121,11 @@ class BundleBench:
         return None if self.bundle.manifest.simulator.deterministic else REPEATED
 
     def rate(self, scenario: str, metrics: Mapping[str, float | None], failure: str | None) -> Rating | None:
-        """Rates a run by its measures; None if it lacks one.
-
-        A failed run, and a run for which the formula is undefined, is worth `scale.failed`; no run is worth less.
-        """
+        """Rates a run by its measures; None if it lacks one."""
         del scenario
-        scale = self.scale
-        if failure is not None:
-            return Rating(scale.failed, scale.failed)
         known = {name: value for name, value in metrics.items() if value is not None}
-        if not self._formula.names <= known.keys():
-            return None
-        try:
-            value = self._formula(known)
-        except UndefinedError:
-            value = scale.failed
-        worth = scale.worth(value)
-        return Rating(worth, worth)
+        scored = rate(self._formula, self.scale, known, failure)
+        return None if scored is None else Rating(scored.value, scored.value)
 
     @property
     def _entry(self) -> ScoreEntry:

@@ -8,10 +8,12 @@ from typing import Any
 
 from sqlalchemy import Connection
 
+from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.problem import CalibrationProblem, catalogue_scenarios
 from drivecal.campaigns.resolve.spaces import (
     covers,
     fixed_from_document,
+    fixed_to_document,
     search_parameters,
     space_from_document,
     space_to_document,
@@ -20,6 +22,7 @@ from drivecal.contracts.specification import InfluenceMapSpecification, Influenc
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.influence import Influence, InfluenceMap
 from drivecal.domain.parameters import Parameter, decimal, shown, text
+from drivecal.domain.scales import COMFORT, Scale
 from drivecal.plugins import registry
 from drivecal.sensitivity.scenario import ScenarioInfluence
 from drivecal.storage.engine.types import finite
@@ -103,23 +106,51 @@ def _influence(given: InfluenceSpecification, parameter: Parameter, where: str) 
     return Influence(influential=True, lower=lower, upper=upper)
 
 
+def basis_of(problem: CalibrationProblem) -> dict[str, Any]:
+    """Returns the conditions of a campaign's own map, so that other campaigns cannot misuse it."""
+    return {
+        "sensitivity": problem.specification.model_dump(mode="json")["sensitivity"],
+        "fixed": fixed_to_document(problem.space.fixed),
+        "setups": {scenario: setup.fingerprint for scenario, setup in problem.bench.setups.items()},
+        "evaluator": problem.bench.evaluator_id,
+        "scale": measure(problem.bench.scale),
+    }
+
+
+def measure(scale: Scale) -> dict[str, float]:
+    """Returns what an analysis takes from a scale: s_rel are shares of the span, and `auto` tolerates changes by the tolerance."""
+    return {"tolerance": scale.tolerance, "span": scale.span}
+
+
+def is_outdated(stored: StoredInfluenceMap, bench: Bench) -> bool:
+    """Whether a map was made from other runs, ratings or measures than a bench has. Posted maps never are."""
+    return stored.basis is not None and bool(_differences(stored.basis, bench))
+
+
+def _differences(basis: Mapping[str, Any], bench: Bench) -> list[str]:
+    reasons: list[str] = []
+    fingerprints = {scenario: setup.fingerprint for scenario, setup in bench.setups.items()}
+    other = [
+        scenario for scenario, fingerprint in fingerprints.items() if basis["setups"].get(scenario, fingerprint) != fingerprint
+    ]
+    if other:
+        reasons.append(f"it was made with another setup (version, vehicle or simulator) of {', '.join(other)}")
+    if basis["evaluator"] != bench.evaluator_id:
+        reasons.append(f"it was made for the evaluator {basis['evaluator']}, not {bench.evaluator_id}")
+    made, own = basis.get("scale", measure(COMFORT)), measure(bench.scale)  # earlier releases stored none
+    reasons += [f"it was made for a {name} of {made[name]:g}, not {own[name]:g}" for name in own if made[name] != own[name]]
+    return reasons
+
+
 def check_basis(stored: StoredInfluenceMap, problem: CalibrationProblem) -> None:
-    """Raises InvalidInputError if an analysis's map is invalid for a campaign: another setup, evaluator or space.
+    """Raises InvalidInputError if an analysis's map is invalid for a campaign: another setup, evaluator, scale or space.
 
     Posted maps rest on expert knowledge and are not checked here.
     """
     basis = stored.basis
     if basis is None:
         return
-    reasons: list[str] = []
-    fingerprints = {scenario: setup.fingerprint for scenario, setup in problem.bench.setups.items()}
-    other = [
-        scenario for scenario, fingerprint in fingerprints.items() if basis["setups"].get(scenario, fingerprint) != fingerprint
-    ]
-    if other:
-        reasons.append(f"it was made with another setup (version, vehicle or simulator) of {', '.join(other)}")
-    if basis["evaluator"] != problem.bench.evaluator_id:
-        reasons.append(f"it was made for the evaluator {basis['evaluator']}, not {problem.bench.evaluator_id}")
+    reasons = _differences(basis, problem.bench)
     for name, value in fixed_from_document(basis["fixed"]).items():
         if problem.space.fixed.get(name) != value:
             reasons.append(f"it was made with {name} held at {shown(value)}")

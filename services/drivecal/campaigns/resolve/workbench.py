@@ -6,7 +6,7 @@ from typing import Any
 
 from drivecal.bundles.manifest import Manifest
 from drivecal.campaigns.resolve import resolvers
-from drivecal.campaigns.resolve.bench import Bench, DrivingBench, evaluator_id
+from drivecal.campaigns.resolve.bench import Bench, DrivingBench
 from drivecal.campaigns.resolve.bundle_bench import Bundle, BundleBench, BundleSource, constraints_of, parameters_of
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.spaces import Parameterised
@@ -52,17 +52,6 @@ def find_workbench(wanted: Wanted, bundles: BundleSource, diagnostics: Diagnosti
         diagnostics.add("problem", str(error), "push it with `drivecal problem push DIR`; `drivecal problem list` shows them")
         return Workbench({"problem": wanted.problem})
     return _stored(wanted, bundle, diagnostics)
-
-
-def rated_by(problem: str, evaluator: str, bundles: BundleSource) -> str:
-    """Returns the `evaluator_id` that a specification's benches have. Raises InvalidInputError if the evaluator does not exist."""
-    if problem == HIGHWAY:
-        return evaluator_id(registry.evaluator(evaluator))
-    diagnostics = Diagnostics()
-    bundle = bundles(problem)
-    score = _score(evaluator, bundle.manifest, diagnostics)
-    diagnostics.raise_if_any()
-    return BundleBench(bundle, (), score or "").evaluator_id
 
 
 def _installed(wanted: Wanted, diagnostics: Diagnostics) -> Workbench:

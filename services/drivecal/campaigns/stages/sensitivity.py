@@ -9,9 +9,9 @@ import numpy as np
 from sqlalchemy import Connection
 
 from drivecal.campaigns.cells.planning import View
-from drivecal.campaigns.resolve.maps import analysis_to_document, smallest_s_rel, stored_map
+from drivecal.campaigns.resolve.maps import analysis_to_document, basis_of, smallest_s_rel, stored_map
 from drivecal.campaigns.resolve.problem import CalibrationProblem
-from drivecal.campaigns.resolve.spaces import fixed_to_document, space_to_document
+from drivecal.campaigns.resolve.spaces import space_to_document
 from drivecal.campaigns.stages.stage import CampaignStage, Round
 from drivecal.contracts.campaign import StageCellCounts
 from drivecal.domain.campaigns import StageName
@@ -145,13 +145,8 @@ class Sensitivity(CampaignStage):
                 )
 
     def _basis(self, analysis: Mapping[str, ScenarioInfluence]) -> dict[str, Any]:
-        """The conditions of the map, so that other campaigns cannot misuse it, and the resolution of its measures."""
-        bench, space = self._problem.bench, self._problem.space
-        return {
-            "sensitivity": self._problem.specification.model_dump(mode="json")["sensitivity"],
-            "fixed": fixed_to_document(space.fixed),
-            "setups": {scenario: setup.fingerprint for scenario, setup in bench.setups.items()},
-            "evaluator": bench.evaluator_id,
+        """The conditions of the map, and the resolution of its measures."""
+        return basis_of(self._problem) | {
             "smallest_s_rel": smallest_s_rel(analysis),
             "runs": self._tracker.counts.get("requested", 0),
             "simulated": self._tracker.counts.get("simulated", 0),

@@ -14,7 +14,7 @@ from drivecal.campaigns.stages.study import StudyStage
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import CellScore
 from drivecal.domain.influence import InfluenceMap
-from drivecal.domain.parameters import Parameter, ParameterSpace, billionths
+from drivecal.domain.parameters import Indices, Parameter, ParameterSpace, billionths
 from drivecal.domain.scales import Scale
 from drivecal.plugins.ports import Floats
 from drivecal.reduction.assignment import RequestedCell
@@ -53,7 +53,7 @@ def compared(differences: Floats, scale: Scale) -> dict[str, Any]:
     """Returns the fields of a row that follow from differences of scores, shape (n,)."""
     total, away = len(differences), np.abs(differences)
     wrong = int((away > scale.largest_agreeing).sum())
-    bins, counts = np.unique(np.rint(differences / scale.bin).astype(np.int64), return_counts=True)
+    bins, counts = np.unique(_bars(differences, scale), return_counts=True)
     return {
         "compared": total,
         "wrong": wrong,
@@ -62,6 +62,17 @@ def compared(differences: Floats, scale: Scale) -> dict[str, Any]:
         "histogram": {str(number): count for number, count in zip(bins.tolist(), counts.tolist(), strict=True)},
         "histogram_step": scale.bin,
     }
+
+
+def _bars(differences: Floats, scale: Scale) -> Indices:
+    """Returns numbers of bars, 0 in the middle: a bar is wrong exactly if its differences are; the outermost hold all beyond the span."""
+    last = scale.last_bar + 1
+    numbers = np.clip(np.rint(differences / scale.bin), -last, last)
+    agreeing = next((number - 1 for number in range(1, last) if scale.is_wrong(number * scale.bin)), last - 1)
+    sizes = np.abs(numbers)
+    wrong = np.abs(differences) > scale.largest_agreeing
+    sizes = np.where(wrong, np.maximum(sizes, agreeing + 1), np.minimum(sizes, agreeing))
+    return (np.copysign(1, differences) * sizes).astype(np.int64)
 
 
 class ValidationStage(StudyStage):

@@ -71,7 +71,9 @@ def versions(setup: CampaignSetup, version: str) -> list[str]:
         "files of the problem": [solution.files for solution in known],
         "evaluator": [setup.evaluator],
     }
-    rows = [[name, ", ".join(dict.fromkeys(value for value in values if value))] for name, values in used.items() if any(values)]
+    rows = [
+        [name, ", ".join(dict.fromkeys(value for value in values if value))] for name, values in used.items() if any(values)
+    ]
     fingerprints = [[scenario.scenario, scenario.fingerprint, scenario.scenario_digest] for scenario in setup.scenarios]
     parts = [
         table(["", "version"], rows, "Versions"),

@@ -49,7 +49,8 @@ def drawn(rows: Sequence[ValidationRow], scale: Scale = COMFORT) -> Iterator[Dra
     for number, start in enumerate(range(0, len(compared), PANELS_PER_SHEET), 1):
         sheet = compared[start : start + PANELS_PER_SHEET]
         alt = "; ".join(
-            f"{row.scenario}: {row.histogram.get(0, 0):,} of {row.compared:,} unchanged, {row.wrong:,} wrong" for row in sheet
+            f"{row.scenario}: {row.compared - row.different:,} of {row.compared:,} unchanged, {row.wrong:,} wrong"
+            for row in sheet
         )
         name = "figure-14-validation" if number == 1 else f"figure-14-validation-{number}"
         yield Drawn(name, caption, validation_figure(sheet, scale), alt=f"Histograms of deviations. {alt}.")
@@ -151,6 +152,13 @@ def _bins(rows: Sequence[ValidationRow], scale: Scale) -> range:
     return range(-last, last + 1)
 
 
+def _difference(number: int, width: float, scale: Scale) -> str:
+    """Returns the middle of a bar, or from where on it holds all differences."""
+    is_outermost = width == scale.bin and abs(number) > scale.last_bar
+    text = f"{math.copysign(scale.span, number) if is_outermost else number * width:+g}".replace("-", "\N{MINUS SIGN}")
+    return f"beyond {text}" if is_outermost else text if number else "0"
+
+
 def _histograms(rows: Sequence[ValidationRow], scale: Scale) -> str:
     compared = [row for row in rows if row.compared]
     if not compared:
@@ -159,8 +167,7 @@ def _histograms(rows: Sequence[ValidationRow], scale: Scale) -> str:
     if len(bins) > MOST_COLUMNS:
         bins = sorted({0, *(number for row in compared for number in row.histogram)})
     lines = [[row.scenario, *(row.histogram.get(number, 0) for number in bins)] for row in compared]
-    differences = [number * compared[0].histogram_step for number in bins]
-    header = ["scenario", *(f"{value:+g}".replace("-", "\N{MINUS SIGN}") if value else "0" for value in differences)]
+    header = ["scenario", *(_difference(number, compared[0].histogram_step, scale) for number in bins)]
     unit = "" if scale.unit == "1" else f", in {scale.unit}"
     return table(header, lines, f"Figure 14 in numbers: variants by their difference from the basis{unit}")
 

@@ -1,0 +1,30 @@
+"""Scores of runs: one function for campaigns and for the check of a problem before its push."""
+
+from __future__ import annotations
+
+import pytest
+from tests.support.scales import COST
+
+from drivecal.bundles.expressions import Formula
+from drivecal.bundles.scoring import Scored, rate
+
+FORMULA = Formula("1 / gap")
+
+
+def test_a_score_is_the_formula_s_value_and_never_worse_than_a_failed_run() -> None:
+    assert rate(FORMULA, COST, {"gap": 0.25, "other": 3.0}, None) == Scored(4.0)
+    assert rate(FORMULA, COST, {"gap": 0.001}, None) == Scored(100.0)
+    assert rate(FORMULA, COST, {"gap": 0.25}, "collision") == Scored(100.0)
+    assert rate(FORMULA, COST, {}, "collision") == Scored(100.0)
+
+
+def test_a_run_without_a_measure_of_the_formula_has_no_score() -> None:
+    assert rate(FORMULA, COST, {"other": 1.0}, None) is None
+
+
+@pytest.mark.parametrize("gap", [0.0, 1e-16, -1e-16, -1e-300])
+def test_no_value_and_an_immense_one_are_undefined(gap: float) -> None:
+    scored = rate(FORMULA, COST, {"gap": gap}, None)
+    assert scored is not None
+    assert scored.value == 100.0
+    assert scored.undefined

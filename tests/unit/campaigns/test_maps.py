@@ -1,0 +1,76 @@
+"""Influence maps of analyses hold where their runs and ratings do."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from typing import Any
+
+import pytest
+import yaml
+from tests.unit.campaigns.test_bundle_bench import EXAMPLE, bundle, resolved
+
+from drivecal.api.routes.background import is_same_for_a_map
+from drivecal.campaigns.resolve.bundle_bench import Bundle
+from drivecal.campaigns.resolve.maps import basis_of, check_basis, is_outdated
+from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve
+from drivecal.campaigns.resolve.spaces import space_to_document
+from drivecal.contracts.specification import CampaignSpecification
+from drivecal.domain.errors import InvalidInputError
+from drivecal.storage.references.influence_maps import StoredInfluenceMap
+
+
+def stored(problem: CalibrationProblem, **changes: Any) -> StoredInfluenceMap:
+    basis = basis_of(problem) | changes
+    space = space_to_document(problem.space.searched)
+    return StoredInfluenceMap(
+        sequence=1, id="m", name="m", source="c", driving_function=problem.bench.function, parameters=space, scenarios={}, basis=basis,
+        created_at=datetime.now(UTC),
+    )  # fmt: skip
+
+
+def with_score(files: str = "f1", **changes: Any) -> Bundle:
+    scores = yaml.safe_load(EXAMPLE.read_text())["scores"]
+    scores["discomfort"] |= {"failed": 1000} | changes
+    return bundle("d2", files, scores=scores)
+
+
+@pytest.mark.parametrize(
+    ("changed", "holds"),
+    [
+        (with_score(), True),
+        (with_score(unit="EUR"), True),
+        (with_score(tolerance=7), False),
+        (with_score(range=[0, 50]), False),
+        (with_score(formula="braking_s"), False),
+        (with_score(files="f2"), False),
+    ],
+)
+def test_a_map_of_other_runs_ratings_or_measures_does_not_hold(changed: Bundle, *, holds: bool) -> None:
+    made, problem = stored(resolved(with_score())), resolved(changed)
+    assert is_outdated(made, problem.bench) != holds
+    if holds:
+        check_basis(made, problem)
+    else:
+        with pytest.raises(InvalidInputError) as caught:
+            check_basis(made, problem)
+        assert {fault.field for fault in caught.value.problems} == {"sensitivity.map"}
+
+
+def test_maps_without_a_scale_were_made_in_points_of_comfort() -> None:
+    highway = resolve(CampaignSpecification(sensitivity=None))
+    earlier = stored(highway)
+    assert earlier.basis is not None
+    assert earlier.basis.pop("scale") == {"tolerance": 1.0, "span": 7.0}  # type: ignore[attr-defined]
+    check_basis(earlier, highway)
+    made = stored(resolved(with_score()))
+    assert made.basis is not None
+    del made.basis["scale"]  # type: ignore[attr-defined]
+    assert is_outdated(made, resolved(with_score()).bench)
+
+
+def test_a_validation_is_about_maps_of_its_own_scale() -> None:
+    first, other = resolved(with_score()).resolution(), resolved(with_score(tolerance=7)).resolution()
+    assert is_same_for_a_map(first, dict(first))
+    assert not is_same_for_a_map(first, other)
+    comfort = resolve(CampaignSpecification(sensitivity=None)).resolution()
+    assert is_same_for_a_map(comfort, {name: value for name, value in comfort.items() if name != "scale"})
