@@ -380,9 +380,7 @@ class Calibration(CampaignStage):
             if rate.stopped:
                 notes.append(f"reuse in {scenario} was stopped: {rate.wrong} of {rate.audited} audited cells were wrong")
         if counts.unrepeatable:
-            notes.append(
-                f"{counts.unrepeatable} simulations gave other results than another run of the same cell: scores are samples"
-            )
+            notes.append(f"{counts.unrepeatable} simulations differ from another run of the same cell: scores are samples")
             if not self._repeatable_no_more:
                 events.add(connection, self._campaign.sequence, EventKind.NOTE, {"text": notes[-1]})
                 self._repeatable_no_more = True
