@@ -72,7 +72,8 @@ def _bars(differences: Floats, scale: Scale) -> Indices:
     sizes = np.abs(numbers)
     wrong = np.abs(differences) > scale.largest_agreeing
     sizes = np.where(wrong, np.maximum(sizes, agreeing + 1), np.minimum(sizes, agreeing))
-    return (np.copysign(1, differences) * sizes).astype(np.int64)
+    bars: Indices = (np.copysign(1, differences) * sizes).astype(np.int64)
+    return bars
 
 
 class ValidationStage(StudyStage):
