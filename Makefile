@@ -21,7 +21,7 @@ test: $(INSTALLED) ## run the whole test suite: real SUMO, Ray, HTTP, SQLite and
 
 test-faults: $(INSTALLED) ## kill, stop and starve everything there is, at random points: the long forms of the fault suite (hours)
 	@$(BIN)/pytest tests/faults -m faults
-	@DRIVECAL_LONG=1 $(BIN)/pytest tests/integration/test_api_schema.py
+	@DRIVECAL_LONG=1 $(BIN)/pytest tests/integration/test_api_schema.py tests/unit/reduction/test_sabotage.py
 
 test-compose: $(INSTALLED) ## build, start, break, scale and restore the cluster of docker-compose.yml on a Docker engine (minutes)
 	@$(BIN)/pytest tests/compose -m compose -s
