@@ -17,7 +17,8 @@ import pytest
 
 from drivecal.adapters.kinds import simulator
 from drivecal.domain.evaluations import Breakdown
-from drivecal.plugins.simulators import Declared, NoMeasuresError, SimulatorSession, Value
+from drivecal.domain.values import Setting
+from drivecal.plugins.simulators import Declared, NoMeasuresError, SimulatorSession
 
 DECLARED = Declared("trial", ("y",), series=("t",))
 DATA = {"k": 3}
@@ -88,7 +89,7 @@ def served(folder: Path, body: str = "", start: str = "", quit: str = "", **sect
     return opened("process", folder, command=write_server(folder, body, start, quit), **section)
 
 
-def lost(session: SimulatorSession, parameters: Mapping[str, Value], breakdown: Breakdown) -> str:
+def lost(session: SimulatorSession, parameters: Mapping[str, Setting], breakdown: Breakdown) -> str:
     """Runs a parameter set that has no result for this reason; returns the detail."""
     with pytest.raises(NoMeasuresError) as error:
         session.evaluate(parameters)

@@ -53,7 +53,7 @@ def main() -> int:
 
 
 def _pushing(settings: Settings, address: str) -> Pushing:
-    """Returns who may push problems: nobody if the secret for it cannot be written, for everything else works without it."""
+    """Returns who may push problems: no user if the secret for it cannot be written; everything else works without it."""
     try:
         return Pushing.of(settings, address)
     except InvalidInputError as error:

@@ -40,7 +40,7 @@ from drivecal.storage.engine.database import PROMPT, Database
 
 
 def create_app(settings: Settings, pushing: Pushing = OFF) -> FastAPI:
-    """Creates the ASGI application. `pushing`: who may push problems, nobody by default.
+    """Creates the ASGI application. `pushing`: who may push problems; by default no user.
 
     Raises DatabaseError if the database is unusable, InvalidInputError if the tokens file is.
     """

@@ -13,7 +13,8 @@ from drivecal.bundles.expressions import Constraint, Formula
 from drivecal.bundles.manifest import Manifest, ParameterEntry
 from drivecal.bundles.scoring import rate
 from drivecal.domain.errors import InvalidInputError, Problem, UnavailableError
-from drivecal.plugins.simulators import Declared, NoMeasuresError, RunOutcome, SimulatorSession, Value
+from drivecal.domain.values import Setting
+from drivecal.plugins.simulators import Declared, NoMeasuresError, RunOutcome, SimulatorSession
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +37,7 @@ class CheckedScenario:
     error: str | None = None
 
 
-def trial_set(manifest: Manifest) -> dict[str, Value]:
+def trial_set(manifest: Manifest) -> dict[str, Setting]:
     """Returns the baseline, or the middle of the space. Raises InvalidInputError if the middle breaks a constraint."""
     if manifest.baseline is not None:
         return {name: _typed(entry, manifest.baseline[name]) for name, entry in manifest.parameters.items()}
@@ -47,7 +48,7 @@ def trial_set(manifest: Manifest) -> dict[str, Value]:
     return values
 
 
-def run_problem(manifest: Manifest, archive: bytes, parameters: Mapping[str, Value]) -> Iterator[CheckedScenario]:
+def run_problem(manifest: Manifest, archive: bytes, parameters: Mapping[str, Setting]) -> Iterator[CheckedScenario]:
     """Yields the result of each scenario. Raises UnavailableError if this machine cannot run the simulator."""
     with tempfile.TemporaryDirectory(prefix="drivecal-") as made:
         folder = Path(made) / "bundle"
@@ -59,7 +60,7 @@ def run_problem(manifest: Manifest, archive: bytes, parameters: Mapping[str, Val
             remove(folder)
 
 
-def _checked(manifest: Manifest, scenario: str, folder: Path, parameters: Mapping[str, Value]) -> CheckedScenario:
+def _checked(manifest: Manifest, scenario: str, folder: Path, parameters: Mapping[str, Setting]) -> CheckedScenario:
     section = manifest.simulator.model_dump(mode="json", exclude_none=True)
     declared = Declared(manifest.problem, tuple(manifest.measures), manifest.failures, tuple(manifest.series))
     began = time.perf_counter()
@@ -89,7 +90,7 @@ def _checked(manifest: Manifest, scenario: str, folder: Path, parameters: Mappin
     )
 
 
-def _run(session: SimulatorSession, parameters: Mapping[str, Value], *, series: bool) -> tuple[RunOutcome, float]:
+def _run(session: SimulatorSession, parameters: Mapping[str, Setting], *, series: bool) -> tuple[RunOutcome, float]:
     began = time.perf_counter()
     outcome = session.evaluate(parameters, series=series)
     return outcome, time.perf_counter() - began
@@ -115,7 +116,7 @@ def _bits(outcome: RunOutcome) -> tuple[object, ...]:
     return outcome.failure, measures, series
 
 
-def _middle(entry: ParameterEntry) -> Value:
+def _middle(entry: ParameterEntry) -> Setting:
     if entry.choices is not None:
         return entry.choices[len(entry.choices) // 2]
     lower, upper = entry.lower or 0.0, entry.upper or 0.0
@@ -124,5 +125,5 @@ def _middle(entry: ParameterEntry) -> Value:
     return _typed(entry, round(value, 9))
 
 
-def _typed(entry: ParameterEntry, value: Value) -> Value:
+def _typed(entry: ParameterEntry, value: Setting) -> Setting:
     return int(value) if entry.integer else value

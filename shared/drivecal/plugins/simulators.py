@@ -8,9 +8,8 @@ from typing import Any, Protocol
 
 from drivecal.domain.errors import DrivecalError
 from drivecal.domain.evaluations import Breakdown
+from drivecal.domain.values import Setting
 
-Value = float | str
-"""A number, or the text of a choice."""
 VERSIONS: Mapping[str, str] = MappingProxyType({"process": "1", "command": "1", "python": "1", "fmu": "1"})
 """Version of the adapter of each kind that runs in child processes (`drivecal.adapters`). Here, because the coordinator needs it, too."""
 
@@ -55,7 +54,7 @@ class NoMeasuresError(DrivecalError):
 class SimulatorSession(Protocol):
     """A simulator that is ready for runs of one scenario. After a NoMeasuresError it restarts itself and the next run is unaffected."""
 
-    def evaluate(self, parameters: Mapping[str, Value], *, series: bool = False) -> RunOutcome:
+    def evaluate(self, parameters: Mapping[str, Setting], *, series: bool = False) -> RunOutcome:
         """Runs one parameter set. `series`: report time series, too. Raises NoMeasuresError without a result."""
 
     def close(self) -> None:

@@ -135,6 +135,12 @@ def test_simulators_that_claim_nothing_are_run_twice_now_and_then() -> None:
     assert resolved(bundle(simulator=simulator)).bench.repeated_share == pytest.approx(0.02)
 
 
+def test_a_probe_that_is_not_run_is_noted() -> None:
+    simulator = {**yaml.safe_load(EXAMPLE.read_text())["simulator"], "probe": ["python3", "--version"]}
+    assert any("probe" in note for note in resolved(bundle(simulator=simulator)).notes)
+    assert not any("probe" in note for note in resolved().notes)
+
+
 def test_a_single_evaluation_names_its_problem() -> None:
     values = {"trigger_ttc": 1.61, "deceleration": 7.0, "jerk": 30.0, "confirmations": 2.0, "warning": "sound"}
     specification = EvaluationSpecification.model_validate(

@@ -172,6 +172,13 @@ def test_time_series_come_back_compressed(tmp_path: Path, archive: bytes, reques
     assert json.loads(gzip.decompress(result.trace)) == {"measures": {"a": 2.0}, "failure": None, "series": {"v": [1.0, 2.0]}}
 
 
+def test_time_series_that_are_not_finite_cost_their_cell(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:
+    works = worker(tmp_path, ScriptedSimulator({2.0: RunOutcome({"a": 2.0}, None, {"v": (float("nan"),)})}))
+    works.store(request_.bundle, archive)
+    first, second = works.run(Batch(request_, (Cell(1, {"x": 2.0}, trace=True), Cell(2, {"x": 3.0})))).results
+    assert (first.breakdown, second.breakdown) == ("error", None)
+
+
 def test_the_sessions_used_last_stay_open(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:
     simulator = ScriptedSimulator()
     works = worker(tmp_path, simulator)

@@ -13,7 +13,8 @@ from drivecal.adapters.pipes import LONGEST_LINE, Pipes
 from drivecal.adapters.scratch import Scratch, discard
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
-from drivecal.plugins.simulators import VERSIONS, Declared, NoMeasuresError, RunOutcome, Value
+from drivecal.domain.values import Setting
+from drivecal.plugins.simulators import VERSIONS, Declared, NoMeasuresError, RunOutcome
 
 
 class CommandSession:
@@ -29,7 +30,7 @@ class CommandSession:
             command = [part.replace(f"{{{name}}}", str(path)) for part in command]
         self._children = Children(Launch.of(command, section), scratch)
 
-    def evaluate(self, parameters: Mapping[str, Value], *, series: bool = False) -> RunOutcome:
+    def evaluate(self, parameters: Mapping[str, Setting], *, series: bool = False) -> RunOutcome:
         """Runs the command."""
         before = self._children.cpu_seconds()
         try:
@@ -44,7 +45,7 @@ class CommandSession:
         self._children.close()
         self._scratch.remove()
 
-    def _evaluate(self, parameters: Mapping[str, Value], *, series: bool) -> RunOutcome:
+    def _evaluate(self, parameters: Mapping[str, Setting], *, series: bool) -> RunOutcome:
         self._scratch.renew()
         for path in self._files.values():
             discard(path)

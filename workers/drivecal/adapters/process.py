@@ -12,7 +12,8 @@ from drivecal.adapters.pipes import Pipes
 from drivecal.adapters.scratch import Scratch
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
-from drivecal.plugins.simulators import VERSIONS, Declared, NoMeasuresError, RunOutcome, Value
+from drivecal.domain.values import Setting
+from drivecal.plugins.simulators import VERSIONS, Declared, NoMeasuresError, RunOutcome
 
 START_SECONDS = 60.0
 """Shortest time limit of a start, which may load libraries and licences."""
@@ -55,7 +56,7 @@ class ProcessSession:
             self.close()
             raise
 
-    def evaluate(self, parameters: Mapping[str, Value], *, series: bool = False) -> RunOutcome:
+    def evaluate(self, parameters: Mapping[str, Setting], *, series: bool = False) -> RunOutcome:
         """Runs one parameter set."""
         before = self._children.cpu_seconds()
         try:
@@ -72,7 +73,7 @@ class ProcessSession:
         self._children.close()
         self._scratch.remove()
 
-    def _evaluate(self, parameters: Mapping[str, Value], *, series: bool) -> RunOutcome:
+    def _evaluate(self, parameters: Mapping[str, Setting], *, series: bool) -> RunOutcome:
         if self._failed_start is not None:
             failed, self._failed_start = self._failed_start, None
             raise failed

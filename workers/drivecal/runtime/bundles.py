@@ -1,7 +1,5 @@
 """Problem bundles on a worker: a cache of unpacked files by digest, and the open sessions of their simulators."""
 
-import gzip
-import json
 import os
 import tempfile
 import time
@@ -13,14 +11,13 @@ from typing import Any
 from drivecal.adapters.kinds import simulator
 from drivecal.bundles.archives import unpack
 from drivecal.contracts.work import BundleRequest, Cell, CellResult
-from drivecal.domain.errors import UnavailableError
+from drivecal.domain.errors import ConflictError, UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins.simulators import Declared, NoMeasuresError, RunOutcome, Simulator, SimulatorSession
+from drivecal.runtime.results import compressed, milliseconds_since
 
 MOST_SESSIONS = 8
 """Open sessions of a worker, least recently used first to go: each may hold a process of the user's."""
-LARGEST_SERIES = 8_000_000
-"""Largest size of compressed time series in bytes."""
 
 CACHE = "DRIVECAL_BUNDLE_CACHE"
 """Environment variable: folder of unpacked bundles."""
@@ -89,11 +86,11 @@ class BundleSessions:
         parameters |= {name: int(parameters[name]) for name in setup.integers}
         try:
             outcome = session.evaluate(parameters, series=cell.trace)
-            trace = _compressed(outcome) if cell.trace else None
+            trace = _series(outcome) if cell.trace else None
         except NoMeasuresError as error:
-            milliseconds = _milliseconds(start) + 1000 * error.cpu_seconds
+            milliseconds = milliseconds_since(start) + 1000 * error.cpu_seconds
             return CellResult(cell.id, None, None, {}, None, milliseconds, error.breakdown.value, str(error), contained=True)
-        milliseconds = _milliseconds(start) + 1000 * outcome.cpu_seconds
+        milliseconds = milliseconds_since(start) + 1000 * outcome.cpu_seconds
         repeats, spent = self._repeated(session, parameters, outcome) if cell.check else (None, 0.0)
         return CellResult(
             id=cell.id,
@@ -113,9 +110,9 @@ class BundleSessions:
         try:
             again = session.evaluate(parameters)
         except NoMeasuresError as error:
-            return False, _milliseconds(start) + 1000 * error.cpu_seconds
+            return False, milliseconds_since(start) + 1000 * error.cpu_seconds
         same = (again.failure, dict(again.measures)) == (outcome.failure, dict(outcome.measures))
-        return same, _milliseconds(start) + 1000 * again.cpu_seconds
+        return same, milliseconds_since(start) + 1000 * again.cpu_seconds
 
     def store(self, digest: str, archive: bytes) -> None:
         """Unpacks a bundle unless it is there. Raises InvalidInputError if the archive is unsafe or has another digest."""
@@ -140,16 +137,10 @@ class BundleSessions:
         return self._sessions[setup.key]
 
 
-def _compressed(outcome: RunOutcome) -> bytes:
+def _series(outcome: RunOutcome) -> bytes:
+    """Returns a run with its time series. Raises NoMeasuresError if they are too large or not finite."""
     series = {name: list(values) for name, values in outcome.series.items()}
-    document = {"measures": dict(outcome.measures), "failure": outcome.failure, "series": series}
-    content = gzip.compress(json.dumps(document, separators=(",", ":"), allow_nan=False).encode(), mtime=0)
-    if len(content) > LARGEST_SERIES:
-        detail = f"the time series take {len(content):,} bytes, more than the limit of {LARGEST_SERIES:,}"
-        raise NoMeasuresError(Breakdown.ERROR, detail)
-    return content
-
-
-def _milliseconds(start: int) -> float:
-    """Returns the CPU time of this thread since `start` (of `time.thread_time_ns`)."""
-    return (time.thread_time_ns() - start) / 1e6
+    try:
+        return compressed({"measures": dict(outcome.measures), "failure": outcome.failure, "series": series})
+    except (ConflictError, ValueError) as error:
+        raise NoMeasuresError(Breakdown.ERROR, f"its time series cannot be kept: {error}", outcome.cpu_seconds) from error

@@ -1,7 +1,5 @@
 """A worker, which runs batches of cells in sequence and turns every error of a cell into plain data."""
 
-import gzip
-import json
 import logging
 import math
 import os
@@ -17,19 +15,18 @@ from typing import Any
 
 from drivecal.certification.memory import Memory
 from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult, CertificateMemory, DriveRequest, Probe, RecordedRun
-from drivecal.domain.errors import ConflictError, DrivecalError, UnavailableError
+from drivecal.domain.errors import DrivecalError, UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.domain.scales import plain
 from drivecal.runtime.bundles import BundleCache, BundleSessions, cache_folder
 from drivecal.runtime.compilation import prepare_cache
+from drivecal.runtime.results import compressed, milliseconds_since
 from drivecal.runtime.runners import RefusedError, Runner, make_runner
 
 log = logging.getLogger(__name__)
 
 MOST_RUNNERS = 32
 """Size of the least-recently-used cache of runners. Studies of vehicle parameters use hundreds of setups."""
-LARGEST_TRACE = 8_000_000
-"""Largest size of time series in bytes; the built-in scenarios stay far below."""
 LONGEST_DETAIL = 500
 """Largest length of an error description in characters."""
 
@@ -138,14 +135,14 @@ class Worker:
             if cell.probes:
                 probing = time.thread_time_ns()
                 probed = _probed(runner, cell.probes)
-                certifying += _milliseconds(probing)
+                certifying += milliseconds_since(probing)
             return CellResult(
                 id=cell.id,
                 rating=rating,
                 score=plain(_finite("the score", result.rating.score)),
                 metrics=metrics,
                 failure=failure,
-                milliseconds=_milliseconds(start),
+                milliseconds=milliseconds_since(start),
                 proven_by=result.proven_by,
                 agrees=result.agrees,
                 probed=probed,
@@ -178,7 +175,7 @@ class Worker:
 
     def _broken(self, setup: DriveRequest, cell: Cell, cause: Breakdown, error: BaseException, start: int) -> CellResult:
         self._interrupt(setup)
-        return CellResult(cell.id, None, None, {}, None, _milliseconds(start), cause.value, describe(error))
+        return CellResult(cell.id, None, None, {}, None, milliseconds_since(start), cause.value, describe(error))
 
 
 def describe(error: BaseException) -> str:
@@ -196,22 +193,15 @@ def describe(error: BaseException) -> str:
 
 def _traced(cell: Cell, document: Mapping[str, Any], start: int) -> CellResult:
     """Returns the result of a run with its compressed time series."""
-    content = gzip.compress(json.dumps(document, separators=(",", ":"), allow_nan=False).encode(), mtime=0)
-    if len(content) > LARGEST_TRACE:
-        raise ConflictError(f"the time series of the run take {len(content):,} bytes, more than the limit of {LARGEST_TRACE:,}")
+    content = compressed(document)
     rating, score, metrics, failure = (document[name] for name in ("rating", "score", "metrics", "failure"))
-    return CellResult(cell.id, rating, score, metrics, failure, _milliseconds(start), trace=content)
+    return CellResult(cell.id, rating, score, metrics, failure, milliseconds_since(start), trace=content)
 
 
 def _probed(runner: Runner, probes: Sequence[Probe]) -> tuple[tuple[int, int], ...]:
     """Returns the ids of proven probes with the numbers of their runs."""
     runs = ((probe.id, runner.prove([probe.parameters[name] for name in runner.parameters])) for probe in probes)
     return tuple((probe, run) for probe, run in runs if run is not None)
-
-
-def _milliseconds(start: int) -> float:
-    """Returns the CPU time of this thread since `start` (of `time.thread_time_ns`), without Ray's own threads."""
-    return (time.thread_time_ns() - start) / 1e6
 
 
 def _finite(name: str, value: float) -> float:

@@ -156,6 +156,7 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = no_bun
     weights, notes = resolvers.normalise_weights(specification.weights, found.scenarios, diagnostics)
     notes += resolvers.note_vehicle(found.vehicle, found.vehicle_parameters)
     notes += resolvers.note_threshold(specification)
+    notes += found.notes
     space = None if found.function is None else search_space(specification, found.function, diagnostics)
     constraints = None if space is None else resolvers.find_constraints(found.function, space, diagnostics)
     resolvers.check_abilities(optimization, constraints, diagnostics)

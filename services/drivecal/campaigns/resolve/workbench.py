@@ -35,6 +35,7 @@ class Workbench:
     """Makes the bench of some scenarios."""
     baseline: Mapping[str, Setting] | None = None
     """The problem's own baseline."""
+    notes: tuple[str, ...] = ()
 
 
 def no_bundles(name: str) -> Bundle:
@@ -85,7 +86,7 @@ class BundleFunction:
 
     @property
     def limits(self) -> Mapping[str, tuple[float | None, float | None]]:
-        """The manifest's ranges: what a simulator says beyond them is anybody's guess. A push with wider ones keeps all results."""
+        """The manifest's ranges: its author has not claimed that it works beyond them. A push with wider ones keeps all results."""
         return {
             parameter.name: (float(parameter.lower), float(parameter.upper))
             for parameter in self.parameters
@@ -103,7 +104,15 @@ def _stored(wanted: Wanted, bundle: Bundle, diagnostics: Diagnostics) -> Workben
     settled: dict[str, Any] = {"problem": bundle.digest, "evaluator": score}
     if isinstance(wanted, ProblemSpecification):
         settled["catalogue"] = list(scenarios)
-    return Workbench(settled, scenarios, function, make=make, baseline=manifest.baseline)
+    return Workbench(settled, scenarios, function, make=make, baseline=manifest.baseline, notes=_notes(manifest))
+
+
+def _notes(manifest: Manifest) -> tuple[str, ...]:
+    if manifest.simulator.probe is None:
+        return ()
+    return (
+        "the problem's `probe` is not run yet: after a change of tools outside of its files, change a file, or old results are reused",
+    )
 
 
 def _refuse_driving_settings(wanted: Wanted, diagnostics: Diagnostics) -> None:
