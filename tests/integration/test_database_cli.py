@@ -41,11 +41,11 @@ def test_a_database_goes_through_a_file_to_another_backend_and_back(url: str, po
     there, back = tmp_path / "there.db", tmp_path / "back.db"
     with locks.hold(url):  # a server may run
         written = db("backup", there, "--database-url", url)
-    assert (written.exit_code, written.stderr) == (0, "")
+    assert written.exit_code == 0
     assert f"{there} holds" in written.stdout
     assert "2 campaigns" in written.stdout
     restored = db("restore", there, "--database-url", postgres_url)
-    assert (restored.exit_code, restored.stderr) == (0, "")
+    assert restored.exit_code == 0, restored.stderr  # which tells the progress of a slow copy
     assert restored.stdout.splitlines()[-1].endswith("is current and whole")
     again = db("backup", back, "--database-url", postgres_url, "--json")
     report = json.loads(again.stdout)

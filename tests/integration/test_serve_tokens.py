@@ -6,6 +6,7 @@ from pathlib import Path
 
 import httpx
 import pytest
+from tests.support.logs import log_left_as_it_was
 from tests.support.serve import environment, gone, serving, until
 from typer.testing import CliRunner
 
@@ -16,7 +17,8 @@ TOKEN, READER, MINE = "writer-0123456789abcdef", "reader-0123456789abcdef", "som
 
 def refused(folder: Path, *arguments: str, **settings: str) -> tuple[int, str]:
     """Exit code and words of a `serve` that is expected not to start."""
-    done = CliRunner().invoke(app, ["serve", *arguments], env=environment(folder) | settings)
+    with log_left_as_it_was():
+        done = CliRunner().invoke(app, ["serve", *arguments], env=environment(folder) | settings)
     return done.exit_code, done.stderr
 
 
