@@ -201,6 +201,36 @@ def test_tables_are_exported_whole(run: Run, api: RunningApi, submitted: str, tm
     assert "score_S4" in run("export", submitted, "--table", "solutions").stdout
 
 
+def test_the_set_of_a_rank_goes_to_calibration_tools_and_back(
+    run: Run, api: RunningApi, submitted: str, tmp_path: Path
+) -> None:
+    carry_out(api.database, submitted)
+    best = json.loads(run("solutions", submitted, "--json").stdout)["items"][1]
+    names = tmp_path / "names.yaml"
+    names.write_text("P1: ACC_tGap_C\nP3: ACC_v_C\n")
+    shape = ("export", submitted, "--table", "solutions", "--row", "2")
+    for form in ("dcm", "cdfx"):
+        file = tmp_path / f"set.{form}"
+        result = run(*shape, "--format", form, "-o", str(file), "--names", str(names))
+        assert result.exit_code == 0, result.output
+        assert submitted in file.read_text()
+        first = file.read_bytes()
+        run(*shape, "--format", form, "-o", str(file), "--names", str(names))
+        assert file.read_bytes() == first
+        back = json.loads(run("parameters", str(file), "--names", str(names), "--json").stdout)
+        assert back["baseline"] == best["parameters"]
+    assert "ACC_tGap_C: {" in run("parameters", str(file)).stdout
+    rows = list(csv.DictReader(io.StringIO(run(*shape, "--names", str(names)).stdout)))
+    assert {row["name"]: float(row["value"]) for row in rows}["ACC_v_C"] == best["parameters"]["P3"]
+    for wrong in (
+        ("export", submitted, "--format", "dcm"),
+        (*shape[:-1], "999", "--format", "dcm"),
+        (*shape, "--format", "parquet"),
+        ("parameters", str(names)),
+    ):
+        assert run(*wrong).exit_code == 2, wrong
+
+
 def test_an_export_that_cannot_be_written_leaves_nothing_behind(run: Run, submitted: str, tmp_path: Path) -> None:
     result = run("export", submitted, "-o", str(tmp_path / "no" / "cells.csv"))
     assert result.exit_code == 2
