@@ -162,9 +162,15 @@ def test_a_table_of_any_length_is_scrolled_row_by_row(shown: Shown, opening: Ope
 
 def test_a_campaign_is_submitted_from_a_form_that_says_what_it_costs_and_what_is_wrong(shown: Shown, opening: Opening) -> None:
     page = opening(f"{shown.api.url}/#/submit", expected=("422",))
-    page.get_by_role("checkbox", name="sensitivity").uncheck()
     page.get_by_label("population").fill("10")
     page.get_by_label("iterations").fill("2")
+    mode, analysed = page.get_by_label("mode", exact=True), page.get_by_role("checkbox", name="sensitivity")
+    expect(mode).to_have_value("predicted")
+    analysed.check()
+    expect(mode).to_have_value("both")
+    expect(page.get_by_text("takes more runs than the search")).to_be_visible()
+    analysed.uncheck()
+    expect(mode).to_have_value("predicted")
     page.get_by_label("name").fill("from the form")
     expect(page.get_by_text("runs for 120 proposed cells")).to_be_visible()
     page.get_by_label("weights").fill('{"S9": 1}')
@@ -184,6 +190,7 @@ def test_a_campaign_is_submitted_from_a_form_that_says_what_it_costs_and_what_is
     expect(page.get_by_role("heading", level=1)).to_have_text("from the form")
     stored = shown.api.http.get(f"/api/v1/campaigns/{page.url.rpartition('/')[2]}").json()["spec"]
     assert (stored["sensitivity"], stored["weights"], stored["optimizer"]["population"]) == (None, {"S1": 3}, 10)
+    assert stored["reduction"]["mode"] == "predicted"
     page.get_by_role("button", name="Cancel").click()
     page.get_by_role("button", name="Really cancel").click()
     expect(page.get_by_text("cancelled").first).to_be_visible()

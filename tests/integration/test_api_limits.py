@@ -124,8 +124,8 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
             "60,000 cells, 60,000 of them here: 1,000 individuals x 10 iterations x 6 scenarios",
         ),
         ({"sensitivity": None, "optimizer": {"population": 100_000, "iterations": 10_000}}, "optimizer", "6,000,000,000 cells"),
-        ({"optimizer": None}, "sensitivity", "cells, "),
-        ({"optimizer": {"population": 10, "iterations": 3}}, "sensitivity", "cells, "),
+        ({"sensitivity": {}, "optimizer": None}, "sensitivity", "cells, "),
+        ({"sensitivity": {}, "optimizer": {"population": 10, "iterations": 3}}, "sensitivity", "cells, "),
         (
             {"optimizer": {"population": 1500, "iterations": 1}, "sensitivity": {"samples": 4, "intervals": 2}},
             "optimizer",

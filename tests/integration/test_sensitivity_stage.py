@@ -13,6 +13,7 @@ from tests.support.computed import ComputedBackend
 from tests.support.runs import WITH_ANALYSIS, dispatcher
 
 from drivecal.campaigns.resolve.maps import map_from_document
+from drivecal.campaigns.resolve.resolved_spec import specification_of
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import CampaignState, StageName
@@ -168,6 +169,20 @@ def test_an_analysis_that_was_stored_before_there_was_a_sequential_one_makes_all
     ended = _run(database, stored)
     assert ended.state is CampaignState.SUCCEEDED
     assert _interval_cells(database, ended)[0] == 2 * 8 * (1 + 4 * (2 * 5 - 1))
+
+
+def test_a_campaign_that_was_stored_before_there_was_a_confirmation_has_none(database: Database) -> None:
+    specification = CampaignSpecification.model_validate(WITH_ANALYSIS).model_dump(mode="json")
+    del specification["reduction"]["confirm"]
+    with database.transaction() as connection:
+        stored = campaigns.insert(connection, name="stored", spec=specification)
+    assert specification_of(stored).reduction.confirm == 0
+    ended = _run(database, stored)
+    with database.read() as connection:
+        rows = list(results.stream(connection, ended.sequence))
+    assert (
+        max(row.iteration for row in rows if row.stage is StageName.CALIBRATION) == WITH_ANALYSIS["optimizer"]["iterations"] - 1
+    )
 
 
 def test_an_analysis_of_its_own_ends_with_a_map_that_a_later_campaign_names(database: Database) -> None:

@@ -23,7 +23,7 @@ OTHER_WEIGHTS = {"S1": 3, "S5": 0}
 PARAMETERS = tuple(f"P{number}" for number in range(1, 12))
 BOLD = {name: {"influential": False} for name in PARAMETERS[3:]}
 """A map that claims too much, so that even a small campaign reuses; what is reused wrongly may be."""
-REDUCTION = {"audit": 0.2, "max_error": 1}
+REDUCTION = {"mode": "influence", "audit": 0.2, "max_error": 1}
 NOT_COMPARED = {"milliseconds", "worker", "proven_by", "proof_agrees"}
 """Columns of an evaluation that say who simulated it and how fast, not what came out."""
 

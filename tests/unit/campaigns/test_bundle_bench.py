@@ -47,6 +47,28 @@ def rated(score: str, measures: dict[str, float | None], failure: str | None = N
     return None if rating is None else rating.rating
 
 
+@pytest.mark.parametrize(
+    ("tolerance", "reduction", "noted"),
+    [
+        (0.0, {}, True),
+        (0.0, {"tolerance": 0.5}, False),
+        (0.0, {"mode": "exact"}, False),
+        (0.0, {"mode": "both"}, True),
+        (2.0, {}, False),
+        (2.0, {"tolerance": 0.0}, True),
+    ],
+)
+def test_a_score_that_tolerates_no_difference_is_noted_where_it_is_predicted(
+    tolerance: float, reduction: dict[str, Any], noted: bool
+) -> None:
+    scores = yaml.safe_load(EXAMPLE.read_text())["scores"]
+    changed = bundle(scores={name: {**score, "tolerance": tolerance} for name, score in scores.items()})
+    notes = resolved(changed, reduction=reduction).notes
+    assert any("tolerance" in note for note in notes) == noted
+    alone = {"optimizer": None, "sensitivity": {"samples": 2, "intervals": 2}}
+    assert not any("tolerance" in note for note in resolved(changed, reduction=reduction, **alone).notes)
+
+
 def test_a_name_becomes_the_digest_of_its_latest_push() -> None:
     problem = resolved()
     specification = problem.specification

@@ -87,7 +87,7 @@ def pays_text(share: float) -> str:
     """Returns the meaning of `ExpectedRuns.break_even_share` for a coming campaign."""
     if share > 1:
         return "the analysis cannot pay within this campaign: it takes more runs than there are cells to reuse; reruns share its map"
-    return f"the analysis pays within this campaign if {share:.1%} of the requested cells are reused"
+    return f"the analysis pays within this campaign if its map answers {share:.1%} of the requested cells"
 
 
 def print_narrowed(narrowed: list[Narrowed] | None) -> None:
