@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.support.effort import examples
 from tests.unit.sensitivity.synthetic import Score, drive, space_of, staircase
 
 from drivecal.domain.errors import InvalidInputError
@@ -385,7 +386,7 @@ def test_where_every_parameter_is_fixed_there_is_nothing_to_analyse() -> None:
     st.sampled_from(["lines", "paper"]),
     st.integers(0, 10_000),
 )
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 def test_whatever_the_scores_are_the_analysis_ends_within_what_was_announced(
     sizes: list[int], intervals: int, design: Literal["lines", "paper"], seed: int
 ) -> None:
