@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import re
 import signal
@@ -17,7 +16,7 @@ from sqlalchemy import text
 from tests.support.computed import ComputedBackend
 from tests.support.revisions import load
 from tests.support.runs import MOST_STEPS, dispatcher, get, post_map, submit
-from tests.support.storage import campaign
+from tests.support.storage import PROCESSES, campaign
 
 from drivecal.campaigns.results.verification import verify
 from drivecal.domain.campaigns import CampaignState
@@ -325,7 +324,7 @@ def test_a_killed_restore_leaves_the_database_empty(
     file = tmp_path / "backup.db"
     written = backup.write(used, file, silent)
     url = target_url(backend)
-    process = multiprocessing.get_context("spawn").Process(target=_restore_and_die, args=(file, url))
+    process = PROCESSES.Process(target=_restore_and_die, args=(file, url))
     process.start()
     process.join()
     assert process.exitcode == -signal.SIGKILL

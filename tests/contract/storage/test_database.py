@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import multiprocessing
 import re
 import sqlite3
 from concurrent.futures import ThreadPoolExecutor
@@ -12,7 +11,7 @@ import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 from sqlalchemy import text
-from tests.support.storage import campaign
+from tests.support.storage import PROCESSES, campaign
 
 from drivecal.domain.errors import DatabaseError, UnavailableError
 from drivecal.storage import campaigns
@@ -40,7 +39,7 @@ def test_a_new_database_is_usable_after_its_upgrade_and_a_second_one_changes_not
 
 
 def test_several_processes_may_upgrade_a_new_database_at_once(empty_url: str) -> None:
-    with multiprocessing.get_context("spawn").Pool(2) as pool:
+    with PROCESSES.Pool(2) as pool:
         pool.map(_upgrade, [empty_url] * 2)
     Database.open(empty_url).check()
 

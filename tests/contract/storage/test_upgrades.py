@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import signal
 from collections.abc import Iterator
@@ -14,6 +13,7 @@ from tests.support import effort
 from tests.support.computed import ComputedBackend
 from tests.support.revisions import load
 from tests.support.runs import MOST_STEPS, dispatcher, get, run, submit
+from tests.support.storage import PROCESSES
 
 from drivecal.campaigns.results.verification import verify
 from drivecal.domain.campaigns import CampaignState
@@ -220,7 +220,7 @@ def test_a_killed_upgrade_leaves_the_old_revision_or_the_new_one(empty_url: str,
         columns = columns_of(connection)
         before = stored(connection, columns)
     database.dispose()
-    process = multiprocessing.get_context("spawn").Process(target=_upgrade_and_die, args=(empty_url, statement))
+    process = PROCESSES.Process(target=_upgrade_and_die, args=(empty_url, statement))
     process.start()
     process.join()
     assert process.exitcode == -signal.SIGKILL
@@ -255,7 +255,7 @@ def _upgrade_and_die(url: str, at: int | None) -> None:
 def test_two_processes_may_upgrade_an_old_database_at_once(empty_url: str) -> None:
     database = Database.open(empty_url)
     load.create(database, "0001")
-    with multiprocessing.get_context("spawn").Pool(2) as pool:
+    with PROCESSES.Pool(2) as pool:
         pool.map(_upgrade, [empty_url] * 2)
     assert [verdict for verdict in verify(database, full=True) if verdict.problems] == []
     database.dispose()

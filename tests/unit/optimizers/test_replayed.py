@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy import stats
+from tests.support.effort import tries
 
 from drivecal.domain.errors import InvalidInputError, ReplayError
 from drivecal.domain.parameters import Indices
@@ -182,8 +183,8 @@ def test_they_beat_random_search(plugin: OptimizerPlugin, chosen: dict[str, Any]
             found = max(found, float(ratings.max()))
         return found
 
-    theirs = [best(plugin, chosen, seed) for seed in range(10)]
-    floor = [best(RANDOM, {"renewal": 1.0}, seed) for seed in range(10)]
+    theirs = [best(plugin, chosen, seed) for seed in range(tries(6, 10))]
+    floor = [best(RANDOM, {"renewal": 1.0}, seed) for seed in range(tries(6, 10))]
     assert stats.mannwhitneyu(theirs, floor, alternative="greater").pvalue < 0.01
 
 
