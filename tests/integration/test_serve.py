@@ -106,11 +106,11 @@ def test_what_cannot_work_is_refused_with_a_remedy(tmp_path: Path) -> None:
     file = tmp_path / "notes.txt"
     file.write_text("This is no database. " * 100)
     code, words = refused(tmp_path, "--port", "0", DRIVECAL_DATABASE_URL=f"sqlite:///{file}")
-    assert (code, "no SQLite database" in words) == (1, True)
+    assert (code, str(file) in words) == (1, True)
     code, words = refused(tmp_path, "--host", "no such host", "--port", "0")
-    assert (code, "--host: 'no such host' is no address" in words) == (2, True)
+    assert (code, "--host: 'no such host'" in words) == (2, True)
     code, words = refused(tmp_path, "--host", "203.0.113.7", "--port", "0")
-    assert (code, "--host: '203.0.113.7' is no address of this machine" in words) == (2, True)
+    assert (code, "--host: '203.0.113.7'" in words) == (2, True)
     code, words = refused(tmp_path, "--port", "70000")
     assert (code, "--port" in words) == (2, True)
     code, words = refused(tmp_path, "--port", "0", "--home", str(file / "below"))
@@ -124,7 +124,6 @@ def test_serve_keeps_others_off_its_database_and_stops_cleanly(server: Server) -
     assert {"raylet", "gcs_server"} <= {process.name() for process in family}
     code, words = refused(server.folder, "--port", "0")
     assert code == 1
-    assert "another drivecal server" in words
     assert "DRIVECAL_DATABASE_URL" in words
     begin = time.monotonic()
     server.process.send_signal(signal.SIGTERM)

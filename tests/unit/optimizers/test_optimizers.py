@@ -190,7 +190,7 @@ def test_telling_twice_is_refused(plugin: OptimizerPlugin) -> None:
     optimizer = plugin.create(chosen(plugin, population=4), SMALL)
     answers = coarse(optimizer.ask().population)
     optimizer.tell(*answers)
-    with pytest.raises(RuntimeError, match="ask for the next one"):
+    with pytest.raises(RuntimeError):
         optimizer.tell(*answers)
 
 
@@ -201,23 +201,23 @@ def test_telling_twice_is_refused(plugin: OptimizerPlugin) -> None:
 def test_answers_that_do_not_fit_are_refused(plugin: OptimizerPlugin, wrong: Floats) -> None:
     optimizer = plugin.create(chosen(plugin, population=4), SMALL)
     optimizer.ask()
-    with pytest.raises(ValueError, match="objectives must be 4 numbers"):
+    with pytest.raises(ValueError, match=r"^objectives"):
         optimizer.tell(wrong, np.zeros(4))
-    with pytest.raises(ValueError, match="tie_breakers must be 4 numbers"):
+    with pytest.raises(ValueError, match=r"^tie_breakers"):
         optimizer.tell(np.zeros(4), wrong)
 
 
 @every
 def test_a_state_of_another_population_is_refused(plugin: OptimizerPlugin) -> None:
     state = plugin.create(chosen(plugin, population=4), SMALL).state()
-    with pytest.raises(InvalidInputError, match=r"the saved population is \(4, 4\), not \(5, 4\)"):
+    with pytest.raises(InvalidInputError, match=r"\(4, 4\).*\(5, 4\)"):
         plugin.restore(chosen(plugin, population=5), SMALL, state)
 
 
 def test_settings_of_another_optimizer_are_refused() -> None:
-    with pytest.raises(TypeError, match="must be GeneticSettings, not RandomSettings"):
+    with pytest.raises(TypeError, match=r"GeneticSettings.*RandomSettings"):
         GENETIC.create(RandomSettings(), SMALL)
-    with pytest.raises(TypeError, match="must be RandomSettings, not GeneticSettings"):
+    with pytest.raises(TypeError, match=r"RandomSettings.*GeneticSettings"):
         RANDOM.restore(GeneticSettings(), SMALL, {})
 
 

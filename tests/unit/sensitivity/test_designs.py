@@ -166,7 +166,7 @@ def test_on_a_small_grid_every_value_that_is_far_enough_is_drawn(width: int, sta
 
 
 def test_a_box_without_a_step_is_refused() -> None:
-    with pytest.raises(ValueError, match="no step can be made"):
+    with pytest.raises(ValueError, match="step"):
         auxiliary_points(SobolRows(4, 1), 0, np.array([[3, 3]]), np.array([3, 0]), np.array([3, 9]))
 
 
