@@ -19,7 +19,7 @@ setting() { # NAME DEFAULT: from the environment, else from .env, without quotes
     printf '%s' "${value:-$2}"
 }
 random() { od -An -tx1 -N32 /dev/urandom | tr -d ' \n'; }
-make() { # FILE CONTENT: in one step, so that nobody ever reads half a secret
+make() { # FILE CONTENT: in one step, so that no reader sees half a secret
     [ -e "$folder/$1" ] && return
     printf '%s\n' "$2" >"$folder/$1.$$"
     chmod 644 "$folder/$1.$$"
@@ -38,7 +38,7 @@ quoted() { # for eval: whatever a token or an address holds, the shell takes it 
     printf "'%s'" "$(printf '%s' "$1" | sed "s/'/'\\\\''/g")"
 }
 address=$(setting DRIVECAL_BIND 127.0.0.1)
-case $address in # everybody's address is nobody's to call; in a URL, one with colons stands in brackets
+case $address in # a client cannot call 0.0.0.0 or ::; in a URL, an address with colons stands in brackets
 0.0.0.0) address=127.0.0.1 ;;
 :: | '[::]') address='[::1]' ;;
 \[*) ;;

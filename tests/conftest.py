@@ -10,18 +10,49 @@ import hypothesis
 import psycopg
 import pytest
 from sqlalchemy import make_url
+from tests.support import effort
 from tests.support.misbehaviour import FOLDER
 from tests.support.postgres import running_postgres
+from tests.support.tree import PROJECT
+from xdist.remote import Producer
+from xdist.scheduler import LoadFileScheduling
 
 from drivecal.campaigns.resolve.problem import trial
 from drivecal.execution.ray.backend import RayBackend, RayOptions
 
-# No test asserts a time: a first example that imports or compiles something may take as long as it likes.
-hypothesis.settings.register_profile("drivecal", deadline=None)
-hypothesis.settings.load_profile("drivecal")
+# Everyday examples are the same everywhere, so that a newcomer's first run is no lottery. No test asserts a time: a first example that
+# imports or compiles something may take as long as it likes.
+hypothesis.settings.register_profile("everyday", deadline=None, derandomize=True)
+hypothesis.settings.register_profile("wide", deadline=None, max_examples=effort.examples(100), print_blob=True)
+hypothesis.settings.load_profile("wide" if effort.LONG else "everyday")
 
 # A shell that runs the tests in the background has SIGINT ignored, and every process that a test starts would inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+SHARE_RAY = {"tests/contract/backend/test_backend.py", "tests/faults/test_poison.py", "tests/integration/test_ray_backend.py"}
+"""The files that use `ray_backend`: one process runs them all and starts Ray once."""
+SUITES = ("compose", "faults", "browser", "integration", "contract", "golden", "architecture", "unit")
+"""From those with long files to those with short ones."""
+
+
+class WholeFiles(LoadFileScheduling):  # type: ignore[misc]  # xdist ships no types
+    """Gives each process whole files, so that what a file starts is started once."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        file = str(super()._split_scope(nodeid))
+        return "ray" if file in SHARE_RAY else file
+
+
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> WholeFiles | None:
+    """The scheduler of `make test`."""
+    return WholeFiles(config, log) if config.option.dist == "loadfile" else None
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Puts long files first, so that no process is left alone with one at the end."""
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: (item.path not in slow, SUITES.index(item.path.relative_to(PROJECT / "tests").parts[0])))
 
 
 @pytest.hookimpl(wrapper=True)

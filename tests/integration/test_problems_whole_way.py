@@ -16,6 +16,7 @@ from tests.support.serve import Server, serving, until
 
 from drivecal.client import Client
 
+pytestmark = pytest.mark.slow
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples" / "problems"
 SPEC: dict[str, Any] = {
     "sensitivity": None,
@@ -70,7 +71,7 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         yield folder
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="module")  # the last test kills it
 def server(home: Path) -> Iterator[Server]:
     with started(home) as running:
         yield running
@@ -125,17 +126,14 @@ def test_a_killed_server_resumes_a_problem_to_the_same_results(server: Server, h
         client.push_problem(folder)
         expected = client.wait(client.submit(spec).id)
         results = rows(client, expected.id)
-    (tmp_path / "home").mkdir()
-    shutil.copy(home / "home" / "push.secret", tmp_path / "home")
-    with started(tmp_path) as killed, Client(killed.url) as client:
-        client.push_problem(folder)
         begun = client.submit(spec)
         until(lambda: client.campaign(begun.id).cells.simulated > 30, "some cells are simulated")
-        family = killed.family()
-        killed.process.kill()
-        for process in family:
-            process.kill()
-    with started(tmp_path) as resumed, Client(resumed.url) as client:
+    family = server.family()
+    server.process.kill()
+    for process in family:
+        process.kill()
+    server.process.wait()
+    with started(home) as resumed, Client(resumed.url) as client:
         ended = client.wait(begun.id)
         assert (ended.state, ended.best) == ("succeeded", expected.best)
         assert rows(client, begun.id) == results

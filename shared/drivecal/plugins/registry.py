@@ -1,7 +1,7 @@
 """Discovery of plug-ins by Python entry points, for built-in plug-ins and other installed packages alike.
 
-A plug-in that cannot be used (its import fails, two packages claim its name) is reported by `broken`, refused where somebody names it, and
-missing from the lists; nothing else fails with it.
+A plug-in that cannot be used (its import fails, two packages claim its name) is reported by `broken`, refused when it is named, and missing
+from the lists; nothing else fails with it.
 """
 
 from collections.abc import Callable, Iterator, Mapping

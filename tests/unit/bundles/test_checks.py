@@ -12,6 +12,7 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.support.effort import examples
 
 from drivecal.bundles.checks import checked
 from drivecal.bundles.fingerprints import score_id, setup_document
@@ -237,7 +238,7 @@ def paths(inner: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
     return [path, *(deeper for key, child in children for deeper in paths(child, (*path, key)))]
 
 
-@settings(deadline=None, max_examples=400)
+@settings(deadline=None, max_examples=examples(400))
 @given(path=st.sampled_from(paths(VALID)[1:]), value=values)
 def test_whatever_stands_at_a_place_is_taken_or_refused(path: tuple[Any, ...], value: Any) -> None:
     given = document()
