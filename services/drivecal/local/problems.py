@@ -3,10 +3,12 @@
 import tempfile
 import time
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from drivecal.adapters.kinds import simulator
+from drivecal.adapters.probe import run_probe
 from drivecal.bundles.archives import remove, unpack
 from drivecal.bundles.checks import choices_of
 from drivecal.bundles.expressions import Constraint, Formula
@@ -50,12 +52,26 @@ def trial_set(manifest: Manifest) -> dict[str, Setting]:
 
 def run_problem(manifest: Manifest, archive: bytes, parameters: Mapping[str, Setting]) -> Iterator[CheckedScenario]:
     """Yields the result of each scenario. Raises UnavailableError if this machine cannot run the simulator."""
+    with _unpacked(archive) as folder:
+        for scenario in manifest.scenarios:
+            yield _checked(manifest, scenario, folder, parameters)
+
+
+def ask_probe(manifest: Manifest, archive: bytes) -> str | None:
+    """Returns what the problem's `probe` answers here, None without a probe. Raises UnavailableError if it gives no answer."""
+    if manifest.simulator.probe is None:
+        return None
+    with _unpacked(archive) as folder:
+        return run_probe(manifest.simulator.model_dump(mode="json"), folder)
+
+
+@contextmanager
+def _unpacked(archive: bytes) -> Iterator[Path]:
     with tempfile.TemporaryDirectory(prefix="drivecal-") as made:
         folder = Path(made) / "bundle"
         unpack(archive, folder)
         try:
-            for scenario in manifest.scenarios:
-                yield _checked(manifest, scenario, folder, parameters)
+            yield folder
         finally:
             remove(folder)
 

@@ -15,6 +15,7 @@ from drivecal.domain.errors import ConflictError, UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins.simulators import Declared, NoMeasuresError, RunOutcome, Simulator, SimulatorSession
 from drivecal.runtime.results import compressed, milliseconds_since
+from drivecal.runtime.tools import Tools
 
 MOST_SESSIONS = 8
 """Open sessions of a worker, least recently used first to go: each may hold a process of the user's."""
@@ -69,9 +70,12 @@ class BundleCache:
 class BundleSessions:
     """Runs cells of bundles in sessions that stay open."""
 
-    def __init__(self, cache: BundleCache, simulators: Callable[[str], Simulator] = simulator) -> None:
-        """`simulators`: returns a simulator by its kind."""
+    def __init__(
+        self, cache: BundleCache, simulators: Callable[[str], Simulator] = simulator, tools: Tools | None = None
+    ) -> None:
+        """`simulators`: returns a simulator by its kind; `tools`: runs probes, by default in child processes."""
         self._cache = cache
+        self._tools = tools or Tools()
         self._simulators = simulators
         self._sessions: OrderedDict[tuple[str, ...], SimulatorSession] = OrderedDict()
 
@@ -114,6 +118,10 @@ class BundleSessions:
         same = (again.failure, dict(again.measures)) == (outcome.failure, dict(outcome.measures))
         return same, milliseconds_since(start) + 1000 * again.cpu_seconds
 
+    def probe(self, setup: BundleRequest) -> str:
+        """Returns what the bundle's `probe` answers. Raises UnavailableError if it gives no answer."""
+        return self._tools.ask(setup, self._folder(setup))
+
     def store(self, digest: str, archive: bytes) -> None:
         """Unpacks a bundle unless it is there. Raises InvalidInputError if the archive is unsafe or has another digest."""
         self._cache.store(digest, archive)
@@ -124,10 +132,10 @@ class BundleSessions:
             self._sessions.popitem()[1].close()
 
     def _session(self, setup: BundleRequest) -> SimulatorSession:
+        if setup.tools is not None:
+            self._tools.check(setup, self._folder(setup))
         if setup.key not in self._sessions:
-            if not self._cache.has(setup.bundle):
-                raise UnavailableError(f"the files of the bundle {setup.bundle} are not on this machine")
-            folder = self._cache.folder(setup.bundle)
+            folder = self._folder(setup)
             chosen = self._simulators(setup.simulator["kind"])
             declared = Declared(setup.problem, setup.measures, setup.failures, setup.series)
             self._sessions[setup.key] = chosen.open(setup.simulator, setup.scenario, setup.data, folder, declared)
@@ -135,6 +143,12 @@ class BundleSessions:
                 self._sessions.popitem(last=False)[1].close()
         self._sessions.move_to_end(setup.key)
         return self._sessions[setup.key]
+
+    def _folder(self, setup: BundleRequest) -> Path:
+        """Returns the folder of a bundle. Raises UnavailableError if it is not there."""
+        if not self._cache.has(setup.bundle):
+            raise UnavailableError(f"the files of the bundle {setup.bundle} are not on this machine")
+        return self._cache.folder(setup.bundle)
 
 
 def _series(outcome: RunOutcome) -> bytes:

@@ -58,13 +58,15 @@ def check(
         "size": len(archive),
         "files": list(files_of(archive)),
         "deterministic": manifest.simulator.deterministic,
+        "tools": None,
         "parameters": None,
         "scenarios": [],
     }
     checked: list[CheckedScenario] = []
     if not offline:
-        from drivecal.local.problems import run_problem, trial_set  # the workers' code, for this command only
+        from drivecal.local.problems import ask_probe, run_problem, trial_set  # the workers' code, for this command only
 
+        report["tools"] = ask_probe(manifest, archive)
         report["parameters"] = parameters = trial_set(manifest)
         for result in run_problem(manifest, archive, parameters):
             if not as_json:
@@ -141,6 +143,8 @@ def _values(entry: Mapping[str, Any]) -> str:
 
 def _print_check(report: Mapping[str, Any], checked: Sequence["CheckedScenario"]) -> None:
     typer.echo(f"{report['name']}  {report['digest']}  ({len(report['files'])} files, {_size(report['size'])})")
+    if report["tools"] is not None:
+        typer.echo(f"probe     {' '.join(report['tools'].split())}")
     if report["parameters"] is not None:
         typer.echo(f"tried at  {_pairs(report['parameters'])}")
     ran = [result for result in checked if result.error is None]
