@@ -43,13 +43,13 @@ class Tools:
         self._answers[setup.bundle] = answer, self._clock()
         return answer
 
-    def check(self, setup: BundleRequest, folder: Path) -> None:
+    def check(self, setup: BundleRequest, folder: Callable[[], Path]) -> None:
         """Raises OtherToolsError if the tools are not those of the setup. The probe runs unless its last answer is recent and agrees."""
         if setup.tools is None:
             return
         answer, since = self._answers.get(setup.bundle, ("", 0.0))
         if answer != setup.tools or self._clock() >= since + ASK_AGAIN_SECONDS:
-            answer = self.ask(setup, folder)
+            answer = self.ask(setup, folder())
         if answer != setup.tools:
             raise OtherToolsError(" ".join(setup.simulator["probe"]), answer, setup.tools)
 

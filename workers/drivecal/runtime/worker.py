@@ -28,7 +28,8 @@ from drivecal.contracts.work import (
 from drivecal.domain.errors import DrivecalError, UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.domain.scales import plain
-from drivecal.runtime.bundles import BundleCache, BundleSessions, cache_folder
+from drivecal.runtime.bundles import BundleSessions
+from drivecal.runtime.cache import BundleCache, cache_folder
 from drivecal.runtime.compilation import prepare_cache
 from drivecal.runtime.results import compressed, milliseconds_since
 from drivecal.runtime.runners import RefusedError, Runner, make_runner
