@@ -46,11 +46,13 @@ class Breakdown(StrEnum):
 class Rating:
     """A run in units of the campaign's scale: `score` is what counts, `rating` a finer number that orders equal scores.
 
-    The comfort scale rounds its `rating` to whole points; on continuous scales both are the same.
+    The comfort scale rounds its `rating` to whole points; on continuous scales both are the same. `undefined`: why the formula of the score
+    has no value, so that the run has the worth of a failed one.
     """
 
     rating: float
     score: float
+    undefined: str | None = None
 
 
 FAILED_RATING = Rating(rating=0.0, score=0)
