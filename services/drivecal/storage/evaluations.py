@@ -12,6 +12,7 @@ from drivecal.domain.parameters import ParameterSet
 from drivecal.storage import leases
 from drivecal.storage.engine.bulk import rows_among
 from drivecal.storage.engine.tables import evaluations, parameter_sets, runs
+from drivecal.storage.references.runs import occupying
 
 COPIES = (Outcome.REPEATED, Outcome.REUSED)
 DONORS = (Outcome.SIMULATED, Outcome.CERTIFIED)
@@ -146,9 +147,9 @@ def draw_sample(connection: Connection, evaluation_ids: Sequence[int]) -> None:
 
 
 def mean_seconds(connection: Connection, campaign_sequence: int) -> dict[str, float]:
-    """Returns the mean CPU time of the runs that answered a campaign's cells, by scenario."""
+    """Returns the mean time for which the runs that answered a campaign's cells occupied their workers, by scenario."""
     query = (
-        select(evaluations.c.scenario, func.avg(runs.c.milliseconds) / 1000.0)
+        select(evaluations.c.scenario, func.avg(occupying()) / 1000.0)
         .join(runs, runs.c.id == evaluations.c.run_id)
         .where(evaluations.c.campaign_sequence == campaign_sequence, runs.c.milliseconds.is_not(None))
     )

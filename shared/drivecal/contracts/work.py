@@ -180,6 +180,9 @@ class CellResult:
     """CPU time (ms), part of `milliseconds`, of certificates (walks that look for a proof, recording of the run, probes) or of a bundle's
     second run."""
 
+    wall_milliseconds: float | None = None
+    """Wall-clock time of the run, without a second one; None for simulations that never wait."""
+
     @property
     def run_milliseconds(self) -> float:
         """CPU time that the cell would have taken without certificates; next to nothing if it was certified."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import json
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -189,3 +190,20 @@ def test_the_sessions_used_last_stay_open(tmp_path: Path, archive: bytes, reques
         works.run(Batch(replace(request_, scenario=name), (Cell(1, {"x": 2.0}),)))
     assert simulator.opened == scenarios
     assert simulator.closed == scenarios[:1]
+
+
+def test_a_run_that_waits_reports_its_wall_clock_time(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:
+    class Sleeping(ScriptedSession):
+        def evaluate(self, *_: Any, **__: Any) -> RunOutcome:
+            time.sleep(0.05)
+            return RunOutcome({"a": 1.0})
+
+    class SleepingSimulator(ScriptedSimulator):
+        def open(self, *_: Any) -> SimulatorSession:
+            return Sleeping(self, "city")
+
+    works = worker(tmp_path, SleepingSimulator())
+    works.store(request_.bundle, archive)
+    (result,) = works.run(Batch(request_, (Cell(1, {"x": 2.0}),))).results
+    assert result.wall_milliseconds is not None
+    assert result.wall_milliseconds >= 50 > result.milliseconds

@@ -35,7 +35,7 @@ class BundleSessions:
 
         Raises UnavailableError if this machine cannot run the simulator.
         """
-        start = time.thread_time_ns()
+        start, began = time.thread_time_ns(), time.perf_counter()
         session = self._session(setup)
         parameters = {name: cell.parameters[name] for name in setup.parameters}
         parameters |= {name: int(parameters[name]) for name in setup.integers}
@@ -46,6 +46,7 @@ class BundleSessions:
             milliseconds = milliseconds_since(start) + 1000 * error.cpu_seconds
             return CellResult(cell.id, None, None, {}, None, milliseconds, error.breakdown.value, str(error), contained=True)
         milliseconds = milliseconds_since(start) + 1000 * outcome.cpu_seconds
+        wall_milliseconds = 1000 * (time.perf_counter() - began)
         repeats, spent = self._repeated(session, parameters, outcome) if cell.check else (None, 0.0)
         return CellResult(
             id=cell.id,
@@ -57,6 +58,7 @@ class BundleSessions:
             repeats=repeats,
             trace=trace,
             certifying=spent,
+            wall_milliseconds=wall_milliseconds,
         )
 
     def _repeated(self, session: SimulatorSession, parameters: Mapping[str, Any], outcome: RunOutcome) -> tuple[bool, float]:

@@ -351,6 +351,7 @@ class CellTracker:
             metrics=completion.result.metrics,
             failure=completion.result.failure,
             milliseconds=completion.result.run_milliseconds,
+            wall_milliseconds=completion.result.wall_milliseconds,
             worker=completion.worker,
             evaluator=self._evaluator_id,
             score=completion.result.score,

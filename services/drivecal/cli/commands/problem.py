@@ -61,10 +61,16 @@ def check(
         "tools": None,
         "parameters": None,
         "scenarios": [],
+        "warnings": [],
     }
     checked: list[CheckedScenario] = []
     if not offline:
-        from drivecal.local.problems import ask_probe, run_problem, trial_set  # the workers' code, for this command only
+        from drivecal.local.problems import (
+            ask_probe,
+            doubtful_ranges,
+            run_problem,
+            trial_set,
+        )  # the workers' code, for this command only
 
         report["tools"] = ask_probe(manifest, archive)
         report["parameters"] = parameters = trial_set(manifest)
@@ -72,6 +78,7 @@ def check(
             if not as_json:
                 tell(f"{result.scenario}: {_sentence(result)}")
             checked.append(result)
+        report["warnings"] = doubtful_ranges(manifest, checked)
     report["scenarios"] = [asdict(result) for result in checked]
     if as_json:
         print_json(report)
@@ -162,6 +169,8 @@ def _print_check(report: Mapping[str, Any], checked: Sequence["CheckedScenario"]
             for result in ran
         ]
         print_columns(["scenario", *scores, *measures, "failure", "same bits", "seconds"], rows)
+    for warning in report["warnings"]:
+        typer.echo(f"warning   {warning}")
 
 
 def _sentence(result: "CheckedScenario") -> str:

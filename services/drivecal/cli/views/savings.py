@@ -46,7 +46,8 @@ def print_failures(causes: Sequence[FailureCause]) -> None:
 
 def print_accounting(accounting: Accounting) -> None:
     """Prints the balance of a campaign in seconds of its workers."""
-    typer.echo("\nwhat was saved, in CPU time of the workers")
+    clock = "CPU time" if accounting.clock == "cpu" else "wall-clock time"
+    typer.echo(f"\nwhat was saved, in {clock} of the workers")
     lines = [
         *((f"{outcome} cells", seconds) for outcome, seconds in accounting.savings.items()),
         *((DEDUCTIONS.get(name, name), -seconds) for name, seconds in accounting.deductions.items()),

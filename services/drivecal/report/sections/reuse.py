@@ -118,7 +118,9 @@ def accounting(account: Accounting | None) -> list[str]:
     if account is None:
         return []
     rows = [[item, Number(f"{round(seconds, 1) + 0.0:,.1f}")] for item, seconds in seconds_of(account)]
-    parts = [paragraph(account.sentence), table(["", "CPU seconds"], rows, "Cost accounting, in CPU time of the workers")]
+    clock = "CPU" if account.clock == "cpu" else "wall-clock"
+    caption = f"Cost accounting, in {clock} time of the workers"
+    parts = [paragraph(account.sentence), table(["", f"{clock} seconds"], rows, caption)]
     even = account.break_even
     if even is not None and even.requested_cells is None:
         parts.append(paragraph("Reuse saved nothing, so at this rate the influence map never pays."))
