@@ -21,7 +21,7 @@ from drivecal.configuration.settings import load_settings
 from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns
 from drivecal.contracts.comparison import ComparedGroup, ComparedPair, ComparedRun, ExpectedComparison, ReductionEffect
-from drivecal.contracts.evaluation import Evaluation, TraceAnswer
+from drivecal.contracts.evaluation import Evaluation, FailurePage, TraceAnswer
 from drivecal.contracts.events import PROGRESS, CampaignEvent, CampaignProgress
 from drivecal.contracts.explanation import Explanation
 from drivecal.contracts.inventory import InfluenceMapAnswer, InfluenceMapPage, ScenarioPage, WorkerPage
@@ -217,6 +217,10 @@ class Client:
     def setup(self, identifier: str) -> CampaignSetup:
         """Returns a campaign's setup: parameters, versions, fingerprints."""
         return self._get(CampaignSetup, "campaigns", identifier, "setup")
+
+    def failures(self, identifier: str) -> FailurePage:
+        """Returns the causes of a campaign's failed cells, frequent ones first."""
+        return self._get(FailurePage, "campaigns", identifier, "failures")
 
     def studies(self, identifier: str) -> StudyPage:
         """Returns the robustness and validation studies of a campaign's best sets and map, made by any campaign."""

@@ -1,8 +1,10 @@
 """Answers about single evaluations: a parameter set in a scenario, or in all scenarios of a catalogue."""
 
+from typing import Literal
+
 from pydantic import Field
 
-from drivecal.contracts.campaign import Answer, Score
+from drivecal.contracts.campaign import Answer, Page, Score
 
 
 class EvaluatedCell(Answer):
@@ -69,3 +71,23 @@ class Evaluation(Answer):
     metrics: dict[str, float | None] | None = None
     error: str | None = None
     links: dict[str, str] = Field(default_factory=dict)
+
+
+class FailureCause(Answer):
+    """Cells of a campaign that failed alike.
+
+    `kind`: `no_result` (cause: crash, hang, memory or error; `detail`: what was reported last), `failed` (the failure that the simulation
+    reports of the system under test) or `undefined` (the formula has no value for the measures; cause: why). `example`: the number of the
+    first of these `cells`; details that differ in numbers and temporary paths only are one cause, with the example's detail.
+    """
+
+    kind: Literal["no_result", "failed", "undefined"]
+    cause: str
+    detail: str | None = None
+    scenarios: list[str]
+    cells: int
+    example: int
+
+
+class FailurePage(Page[FailureCause]):
+    """The causes of a campaign, frequent ones first: at most 100."""

@@ -8,9 +8,11 @@ from fastapi import APIRouter
 
 from drivecal.api.dependencies import DatabaseDependency
 from drivecal.api.http.bodies import StrictRoute
-from drivecal.api.responses import calibration
+from drivecal.api.responses import calibration, refuse_comparison
 from drivecal.campaigns.resolve.maps import measure
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec, stored_scale
+from drivecal.campaigns.results.failures import causes_of
+from drivecal.contracts.evaluation import FailurePage
 from drivecal.contracts.setup import CampaignSetup, ScenarioSetup, SearchedParameter
 from drivecal.contracts.studies import Study, StudyPage
 from drivecal.domain.parameters import Parameter, Value
@@ -48,6 +50,15 @@ def list_studies(campaign_id: str, database: DatabaseDependency) -> StudyPage:
         campaign = calibration(campaigns.get(connection, campaign_id))
         made = studies.about(connection, campaign.id, campaign.sequence, campaign.influence_map_id)
     return StudyPage(items=[_study(study) for study in made if _of_the_same(study, campaign)])
+
+
+@router.get("/failures")
+def failures(campaign_id: str, database: DatabaseDependency) -> FailurePage:
+    """The causes of its failed cells with their counts: no result, failures of the system under test, scores without a value."""
+    with database.read() as connection:
+        campaign = campaigns.get(connection, campaign_id)
+        refuse_comparison(campaign)
+        return FailurePage(items=causes_of(connection, campaign))
 
 
 def _searched(parameter: Parameter, fixed: Mapping[str, Value]) -> SearchedParameter:
