@@ -3,6 +3,8 @@
 from pydantic import Field
 
 from drivecal.contracts.campaign import Answer, Score
+from drivecal.contracts.tables import EvaluationRow
+from drivecal.domain.scales import Scale
 
 
 class EvaluatedCell(Answer):
@@ -21,6 +23,27 @@ class EvaluatedCell(Answer):
     """Why there is no result, in words, where all attempts failed."""
     metrics: dict[str, float | None] | None = None
     """The measured metrics, their units in their names; null is one that this run does not define."""
+
+
+class CampaignOfEvaluation(Answer):
+    """What an evaluation's numbers mean: `problem` is highway or the digest of a bundle, `scale` that of its score."""
+
+    id: str
+    problem: str
+    scale: Scale
+
+
+class EvaluationDetail(EvaluationRow):
+    """A row of a campaign's evaluations with all that is known of it.
+
+    `detail`: why there is no result, in words. `metrics`: the measures of its run, null without one. `parameters`: the values of its
+    parameters, which are fields of the row as well.
+    """
+
+    detail: str | None
+    metrics: dict[str, float | None] | None
+    parameters: dict[str, float | str]
+    campaign: CampaignOfEvaluation
 
 
 class PendingTrace(Answer):
@@ -49,6 +72,14 @@ class TraceAnswer(Answer):
     ego: dict[str, list[float]]
     neighbours: dict[str, dict[str, list[float]]]
     plans: list[dict[str, float | list[float]]]
+
+
+class SeriesAnswer(Answer):
+    """A run of a problem bundle with the time series that its simulator reported; the manifest has their units."""
+
+    measures: dict[str, float | None]
+    failure: str | None
+    series: dict[str, list[float]]
 
 
 class Evaluation(Answer):

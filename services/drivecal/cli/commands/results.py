@@ -3,10 +3,10 @@
 import json
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, BinaryIO, Literal
+from typing import Annotated, Any, BinaryIO, Literal
 
 import typer
 
@@ -50,13 +50,25 @@ def export(
     table: Annotated[TableName, typer.Option(help="Which table.")] = "evaluations",
     form: Annotated[Format, typer.Option("--format", help="In which format.")] = "csv",
     output: Annotated[str, typer.Option("--output", "-o", metavar="FILE", help="Where to; - is standard output.")] = "-",
+    where: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="CONDITION", help="Only such rows: COLUMN=VALUE, COLUMN>=NUMBER or COLUMN<=NUMBER; can be given again."
+        ),
+    ] = None,
+    weights: Annotated[
+        str | None, typer.Option(metavar="S1=2,S2=1", help="Of the table solutions: ranked under these weights.")
+    ] = None,
     url: UrlOption = None,
     as_json: Annotated[bool, typer.Option("--json", help="The same as --format json.")] = False,
 ) -> None:
     """Write a whole table of a campaign to a file."""
     form = "json" if as_json else form
+    if weights is not None and table != "solutions":
+        raise typer.BadParameter("--weights needs --table solutions")
+    query = {name: value for name, value in (("where", where), ("weights", weights)) if value}
     with connect(url) as client:
-        pieces = _pieces(client, full_id(client, identifier), table, form)
+        pieces = _pieces(client, full_id(client, identifier), table, form, query)
         if output == "-":
             if form == "parquet" and sys.stdout.isatty():
                 raise InvalidInputError(Problem("--output", "Parquet is no text for a terminal", "give -o FILE"))
@@ -71,12 +83,12 @@ def export(
     tell(f"{output}: {size:,} bytes")
 
 
-def _pieces(client: Client, identifier: str, table: TableName, form: Format) -> Iterator[bytes]:
+def _pieces(client: Client, identifier: str, table: TableName, form: Format, query: Mapping[str, Any]) -> Iterator[bytes]:
     if form != "json":
-        yield from client.table(identifier, table, form)
+        yield from client.table(identifier, table, form, **query)
         return
     separator = "["
-    for row in client.rows(identifier, table):
+    for row in client.rows(identifier, table, **query):
         yield f"{separator}\n{json.dumps(row, ensure_ascii=False)}".encode()
         separator = ","
     yield b"\n]\n" if separator == "," else b"[]\n"
