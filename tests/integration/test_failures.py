@@ -111,15 +111,15 @@ def test_every_failed_cell_is_counted_under_its_cause(database: Database) -> Non
     ended = run(database, submit(database), Simulated(broken=0.2, undefined=0.6, collides=0.8))
     assert ended.state is CampaignState.SUCCEEDED
     found = {(cause.kind, cause.cause): cause for cause in causes(database, ended)}
-    assert {kind for kind, _ in found} == {"no_result", "failed", "undefined"}
+    assert {kind for kind, _ in found} == {"no_result", "failed", "unscored"}
     assert len(found) == 3
     crash = found["no_result", "crash"]
     assert crash.cells == ended.cells.failed > 1
     assert "no licence" in (crash.detail or "")
     assert set(crash.scenarios) == {"city", "road"}
-    [undefined] = [cause for cause in found.values() if cause.kind == "undefined"]
+    [undefined] = [cause for cause in found.values() if cause.kind == "unscored"]
     assert "division by zero" in undefined.cause
-    assert undefined.cells == ended.cells.undefined > 1
+    assert undefined.cells == ended.cells.unscored > 1
     assert sum(cause.cells for cause in found.values()) < ended.cells.requested
     with database.read() as connection:
         assert list(check_counters(connection)) == []
@@ -128,15 +128,15 @@ def test_every_failed_cell_is_counted_under_its_cause(database: Database) -> Non
 def test_scores_without_a_value_are_noted_and_told_once(database: Database) -> None:
     campaign = submit(database)
     ended = run(database, campaign, Simulated(undefined=0.5))
-    assert any(f"{ended.cells.undefined}" in note and "no value" in note for note in ended.notes)
+    assert any(f"{ended.cells.unscored}" in note and "no value" in note for note in ended.notes)
     with database.read() as connection:
         told = [
             event for event in events.since(connection, campaign.sequence, 0, 1_000) if "division by zero" in str(event.data)
         ]
     assert len(told) == 1
     again = run(database, submit(database), Simulated())
-    assert (again.cells.undefined, again.cells.simulated) == (0, 0), "only simulations count"
-    assert [cause.kind for cause in causes(database, again)] == ["undefined"], "the causes are those of all cells"
+    assert (again.cells.unscored, again.cells.simulated) == (0, 0), "only simulations count"
+    assert [cause.kind for cause in causes(database, again)] == ["unscored"], "the causes are those of all cells"
 
 
 def test_a_campaign_without_failures_has_no_cause(database: Database) -> None:

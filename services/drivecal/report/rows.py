@@ -122,7 +122,7 @@ def error_rates(rates: Mapping[str, ErrorRate]) -> list[list[object]]:
 
 
 FAILURES = ("cells", "what", "cause", "last message", "scenarios", "example")
-_WHAT = {"no_result": "no result", "failed": "failed run", "undefined": "score without a value"}
+_WHAT = {"no_result": "no result", "failed": "failed run", "unscored": "score without a value"}
 
 
 def failure_causes(causes: Sequence[FailureCause]) -> list[list[object]]:

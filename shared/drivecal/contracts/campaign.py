@@ -55,7 +55,7 @@ class CellCounts(Answer):
     """Certified cells that were simulated all the same, to check the certificate; among `simulated`. One that differs ends the campaign."""
     unrepeatable: int = 0
     """Simulations that gave other bits than the stored run of the same cell: the setup does not name all that decides a run."""
-    undefined: int = 0
+    unscored: int = 0
     """Simulations for whose measures the score's formula has no value, which are worth a failed run; among `simulated`."""
 
 
@@ -71,7 +71,7 @@ class StageCellCounts(Answer):
     pending: int = 0
     checked: int = 0
     unrepeatable: int = 0
-    undefined: int = 0
+    unscored: int = 0
 
 
 EARLIER_NAMES = {stage: f"{stage}_cells" for stage in ("sensitivity", "robustness", "validation")} | {"calibration": "cells"}

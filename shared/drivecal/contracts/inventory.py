@@ -133,6 +133,21 @@ class ParameterSpacePage(Page[ParameterSpaceAnswer]):
     broken: list[BrokenPluginAnswer] = Field(default_factory=list)
 
 
+class OptimizerAnswer(Answer):
+    """An installed optimizer. `supports`: the kinds of parameters that it searches, and `constraints`; `settings`: the JSON schema of the
+    section `optimizer` for it."""
+
+    name: str
+    supports: list[str]
+    settings: dict[str, Any]
+
+
+class OptimizerPage(Page[OptimizerAnswer]):
+    """All optimizers. `broken`: those that cannot be used."""
+
+    broken: list[BrokenPluginAnswer] = Field(default_factory=list)
+
+
 class ReferenceAnswer(Answer):
     """Number of a setup's runs in the reference table. A bundle's setup has neither driving function nor vehicle."""
 

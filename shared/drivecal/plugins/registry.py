@@ -155,6 +155,11 @@ def optimizer(name: str, field: str = "optimizer.kind") -> OptimizerPlugin:
     return cast("OptimizerPlugin", _find(OPTIMIZERS, name, field))
 
 
+def optimizers() -> list[OptimizerPlugin]:
+    """Returns all installed optimizers that can be used."""
+    return _usable(OPTIMIZERS)
+
+
 def catalogue(name: str, field: str = "catalogue") -> Catalogue:
     """Returns a scenario catalogue by name. Raises InvalidInputError listing the installed names."""
     return cast("Catalogue", _find(CATALOGUES, name, field))

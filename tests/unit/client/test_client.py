@@ -20,8 +20,10 @@ import pyarrow as pa
 import pytest
 from pyarrow import parquet
 
+from drivecal.cli.views.traces import save
 from drivecal.client import Client, DownloadedTable, following
 from drivecal.contracts.campaign import Campaign
+from drivecal.contracts.evaluation import SeriesAnswer
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.domain.errors import (
     ConflictError,
@@ -366,3 +368,23 @@ def test_the_python_of_the_readme_runs(monkeypatch: pytest.MonkeyPatch, download
     assert len(names["evaluations"]) == 2
     assert names["result"].scores["S1"] is not None
     assert not script.answers
+
+
+def test_time_series_of_a_bundle_are_those_of_its_simulator() -> None:
+    body = {"measures": {"cost": 2.0, "gap": None}, "failure": "collision", "series": {"v": [1.0, 2.0], "gap": [3.0]}}
+    with server((200, {"Content-Type": "application/json"}, json.dumps(body).encode())) as (client, _):
+        trace = client.trace("7")
+    assert isinstance(trace, SeriesAnswer)
+    assert (trace.failure, trace.measures, trace.series["v"]) == ("collision", {"cost": 2.0, "gap": None}, [1.0, 2.0])
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".json"])
+def test_series_of_different_lengths_are_saved(tmp_path: Path, suffix: str) -> None:
+    file = tmp_path / f"series{suffix}"
+    save(SeriesAnswer(measures={}, failure=None, series={"v": [1.0, 2.0], "gap": [3.0]}), file)
+    if suffix == ".csv":
+        assert file.read_text().splitlines() == ["v,gap", "1.0,3.0", "2.0,"]
+    elif suffix == ".parquet":
+        assert parquet.read_table(file).to_pydict() == {"v": [1.0, 2.0], "gap": [3.0, None]}
+    else:
+        assert json.loads(file.read_text())["series"] == {"v": [1.0, 2.0], "gap": [3.0]}

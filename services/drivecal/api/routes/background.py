@@ -10,6 +10,7 @@ from drivecal.api.dependencies import DatabaseDependency
 from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.responses import calibration, refuse_comparison
 from drivecal.campaigns.resolve.maps import measure
+from drivecal.campaigns.resolve.meanings import Meanings, meanings
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec, stored_scale
 from drivecal.campaigns.results.failures import causes_of
 from drivecal.contracts.evaluation import FailurePage
@@ -35,10 +36,11 @@ def setup(campaign_id: str, database: DatabaseDependency) -> CampaignSetup:
         campaign = calibration(campaigns.get(connection, campaign_id))
         begun_with = resolved_spec(campaign)
         documents = setups.documents(connection, list(begun_with.setups.values()))
+        words = meanings(connection, campaign.spec)
     return CampaignSetup(
         evaluator=begun_with.evaluator,
-        parameters=[_searched(parameter, begun_with.space.fixed) for parameter in begun_with.space.parameters],
-        scenarios=[_scenario(name, begun_with, documents) for name in begun_with.weights],
+        parameters=[_searched(parameter, begun_with.space.fixed, words) for parameter in begun_with.space.parameters],
+        scenarios=[_scenario(name, begun_with, documents, words) for name in begun_with.weights],
         server=version("drivecal"),
     )
 
@@ -61,22 +63,25 @@ def failures(campaign_id: str, database: DatabaseDependency) -> FailurePage:
         return FailurePage(items=causes_of(connection, campaign))
 
 
-def _searched(parameter: Parameter, fixed: Mapping[str, Value]) -> SearchedParameter:
+def _searched(parameter: Parameter, fixed: Mapping[str, Value], words: Meanings) -> SearchedParameter:
     as_it_is = {name: getattr(parameter, name) for name in SearchedParameter.model_fields if name != "fixed"}
     held = fixed.get(parameter.name)
     value = held if held is None or isinstance(held, str) else float(held)
-    return SearchedParameter.model_validate(as_it_is | {"fixed": value})
+    description = words.parameters.get(parameter.name, "")
+    return SearchedParameter.model_validate(as_it_is | {"fixed": value, "description": description})
 
 
-def _scenario(name: str, begun_with: ResolvedSpec, documents: Mapping[str, Mapping[str, Any]]) -> ScenarioSetup:
+def _scenario(
+    name: str, begun_with: ResolvedSpec, documents: Mapping[str, Mapping[str, Any]], words: Meanings
+) -> ScenarioSetup:
     fingerprint = begun_with.setups[name]
-    known: dict[str, Any] = {}
+    known: dict[str, Any] = {"title": words.scenarios.get(name, "")}
     document = documents.get(fingerprint, {})
     if "files" in document:
-        known = {"simulator": BundleSetup(name, document).simulator, "files": document["files"]}
+        known |= {"simulator": BundleSetup(name, document).simulator, "files": document["files"]}
     elif document:
         made_of = DrivenSetup.from_document(document)
-        known = {field: getattr(made_of, field) for field in ("scenario_digest", "simulator", "step_seconds", "seed")}
+        known |= {field: getattr(made_of, field) for field in ("scenario_digest", "simulator", "step_seconds", "seed")}
         known["driving_function"] = f"{made_of.driving_function} {made_of.driving_function_version}"
         known["vehicle"] = f"{made_of.vehicle} {made_of.vehicle_version}"
         known["vehicle_parameters"] = dict(made_of.vehicle_parameters)

@@ -12,6 +12,8 @@ from drivecal.campaigns.resolve.bundle_bench import Bundle, parameters_of
 from drivecal.campaigns.resolve.bundle_source import stored_bundles
 from drivecal.contracts.inventory import (
     BrokenPluginAnswer,
+    OptimizerAnswer,
+    OptimizerPage,
     ParameterAnswer,
     ParameterSpaceAnswer,
     ParameterSpacePage,
@@ -33,6 +35,7 @@ from drivecal.domain.parameters import Parameter
 from drivecal.domain.roads import reference_line
 from drivecal.domain.scenarios import EgoStart, Scenario, TrafficVehicle
 from drivecal.domain.setups import BundleSetup, DrivenSetup
+from drivecal.optimizers.abilities import supported
 from drivecal.plugins import registry
 from drivecal.storage import processes
 from drivecal.storage.engine.database import Database
@@ -88,6 +91,16 @@ def parameters(database: DatabaseDependency, problem: str | None = None) -> Para
         for name, space in function.spaces.items()
     ]
     return ParameterSpacePage(items=spaces, broken=_broken(registry.DRIVING_FUNCTIONS))
+
+
+@router.get("/optimizers")
+def optimizers() -> OptimizerPage:
+    """The installed optimizers with their settings, and those that cannot be used."""
+    items = [
+        OptimizerAnswer(name=plugin.name, supports=sorted(supported(plugin)), settings=plugin.settings.model_json_schema())
+        for plugin in registry.optimizers()
+    ]
+    return OptimizerPage(items=items, broken=_broken(registry.OPTIMIZERS))
 
 
 @router.get("/references")

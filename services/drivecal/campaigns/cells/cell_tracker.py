@@ -255,7 +255,7 @@ class CellTracker:
         if rating is None:
             raise ValueError(f"evaluation {cell.id} lacks a measure that its score needs")
         if rating.undefined is not None:
-            self._counts["undefined"] += 1
+            self._counts["unscored"] += 1
             self.undefined = self.undefined or rating.undefined
         return replace(completion, result=replace(result, score=rating.score, rating=rating.rating))
 

@@ -58,7 +58,7 @@ def _undefined(connection: Connection, campaign: StoredCampaign) -> list[Failure
         for run in evaluations.scored(connection, campaign.sequence, begun_with.scale.failed, MOST_GROUPS)
     )
     return [
-        FailureCause(kind="undefined", cause=rating.undefined, scenarios=[run.scenario], cells=run.cells, example=run.example)
+        FailureCause(kind="unscored", cause=rating.undefined, scenarios=[run.scenario], cells=run.cells, example=run.example)
         for run, rating in rated
         if rating is not None and rating.undefined is not None
     ]

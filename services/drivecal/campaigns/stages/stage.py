@@ -58,7 +58,7 @@ class Stage(Job):
         self._eta = EtaEstimate(clock, counts.requested)
         self._resumed = False
         self._round: Round | None = None
-        self._told_undefined = counts.undefined > 0
+        self._told_undefined = counts.unscored > 0
         self.finished = False
 
     @abstractmethod
@@ -108,7 +108,7 @@ class Stage(Job):
 
     def _undefined_notes(self) -> list[str]:
         """Returns a note on scores without a value."""
-        count = self._tracker.counts.get("undefined", 0)
+        count = self._tracker.counts.get("unscored", 0)
         if not count:
             return []
         return [
