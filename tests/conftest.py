@@ -18,7 +18,9 @@ from xdist.remote import Producer
 from xdist.scheduler import LoadFileScheduling
 
 from drivecal.campaigns.resolve.problem import trial
+from drivecal.execution.processes.backend import ProcessBackend
 from drivecal.execution.ray.backend import RayBackend, RayOptions
+from drivecal.execution.supervised import WorkerLimits
 
 # Everyday examples are the same everywhere, so that a newcomer's first run is no lottery. No test asserts a time: a first example that
 # imports or compiles something may take as long as it likes.
@@ -75,6 +77,21 @@ def ray_backend(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RayBackend
     backend.close()
     os.environ.clear()
     os.environ.update(environment)
+
+
+@pytest.fixture(scope="session")
+def processes_backend(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ProcessBackend]:
+    """Two workers as processes of this machine on which the plug-in of `tests.support` is installed."""
+    before = {name: os.environ.get(name) for name in ("HOME", "PYTHONPATH")}
+    os.environ.update(HOME=str(tmp_path_factory.mktemp("home")), PYTHONPATH=str(FOLDER))
+    backend = ProcessBackend(WorkerLimits(workers=2, deadline_seconds=10.0), trial())
+    while len(backend.slots()) < 2:
+        backend.wait(1.0)
+    yield backend
+    backend.close()
+    os.environ.update({name: value for name, value in before.items() if value is not None})
+    for name in [name for name, value in before.items() if value is None]:
+        del os.environ[name]
 
 
 @pytest.fixture(scope="session")

@@ -24,7 +24,7 @@ IMAGES = PROJECT / "deploy" / "images"
 OURS = ("migrate", "api", "ray-head", "ray-worker", "dispatcher")
 ROLES = ("api", "dispatcher", "ray-head", "ray-worker")
 OF_CLIENTS = {"url", "token"}
-FIXED = {"home", "database_url", "database_password_file", "tokens_file", "ray_address"}
+FIXED = {"home", "database_url", "database_password_file", "tokens_file", "ray_address", "backend"}
 """Settings that the compose file gives its services itself."""
 
 

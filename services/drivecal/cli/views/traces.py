@@ -5,9 +5,6 @@ from collections.abc import Mapping, Sequence
 from itertools import zip_longest
 from pathlib import Path
 
-import pyarrow as pa
-import pyarrow.parquet as pq
-
 from drivecal.contracts.evaluation import SeriesAnswer, TraceAnswer
 from drivecal.domain.errors import InvalidInputError, Problem
 
@@ -34,6 +31,9 @@ def save(trace: TraceAnswer | SeriesAnswer, file: Path) -> None:
         if file.suffix == ".json":
             file.write_text(trace.model_dump_json(indent=1), encoding="utf-8")
         elif file.suffix == ".parquet":
+            import pyarrow as pa  # not installed with the client alone
+            import pyarrow.parquet as pq
+
             pq.write_table(pa.table(_filled(columns)), file)
         else:
             with file.open("w", newline="", encoding="utf-8") as out:
