@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
+import numpy.typing as npt
 
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
@@ -166,12 +167,25 @@ def _track(chain: Chain, lanes: Lanes, places: _Places, line: Floats) -> tuple[T
     at = np.clip(np.searchsorted([piece[1] for piece in pieces], stations, side="right") - 1, 0, None)
     columns = (
         np.interp(stations, s, d),
-        np.array([lane.width for lane, _, _ in pieces])[at],
+        _widths(measured, at, stations),
         np.array([lane.limit for lane, _, _ in pieces])[at],
     )
     centre, width, limit = (np.where(there, column, np.nan) for column in columns)
     named = tuple(LanePiece(lane.edge, lane.index, start, stop) for lane, start, stop in pieces)
     return Track(named, float(begin), float(end), chain.last < len(lanes.edges) - 1), (centre, width, limit)
+
+
+def _widths(measured: Sequence[tuple[Lane, Floats]], at: npt.NDArray[np.int64], stations: Floats) -> Floats:
+    """Returns a track's width at each station; `at`: the piece there."""
+    widths = np.empty(len(stations))
+    for number, (lane, place) in enumerate(measured):
+        here = at == number
+        if lane.widths is None:
+            widths[here] = lane.width
+        else:
+            share = np.interp(stations[here], place[:, 1], place[:, 0] / max(lane.length, 1e-9))
+            widths[here] = np.interp(share, *lane.widths.T)
+    return widths
 
 
 def _measured_pieces(chain: Chain, places: _Places) -> Iterator[tuple[Lane, Floats]]:
