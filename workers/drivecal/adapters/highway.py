@@ -1,4 +1,4 @@
-"""Simulator kind `highway`: a vehicle with a user's controller among SUMO's vehicles, in a child that speaks the protocol of kind `process`."""
+"""Simulator kind `highway`: a vehicle with a user's controller in SUMO, in a child that speaks the protocol of kind `process`."""
 
 from collections.abc import Mapping
 from importlib.util import find_spec
