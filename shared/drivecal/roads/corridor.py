@@ -1,0 +1,203 @@
+"""Corridors: the lanes of a route along one smooth reference line, in the coordinates of the network.
+
+The line follows the guide's lanes. Every lane of the route has its place as an offset from the line, measured from the points of the
+file, so that tracks lie where the network has them even if the line does not follow a corner of a polyline.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+
+from drivecal.contracts.strict_json import shown
+from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.domain.roads import Floats
+from drivecal.roads.guide import Guide, guide_of
+from drivecal.roads.lines import lengths, nodes_of, project
+from drivecal.roads.network import Lane, Network
+from drivecal.roads.route import Chain, Lanes, lanes_of, refusal
+
+SAMPLES = 1.0
+"""Metres between the points at which lanes are measured, beside those of the file."""
+LARGEST_BACKWARDS = 1.0
+"""Metres that a lane may seem to run backwards along the line, at a corner."""
+NARROWEST = 0.9
+"""Largest product of a line's curvature and a lane's offset: beyond 1, s and d are ambiguous."""
+
+
+@dataclass(frozen=True, slots=True)
+class LanePiece:
+    """A lane of the network, inside of a junction or not, from s = `begin` to `end` of the corridor (m)."""
+
+    edge: str
+    index: int
+    begin: float
+    end: float
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """A chain of connected lanes along the route. `ends`: it ends before the route does, as acceleration lanes and exits do."""
+
+    lanes: tuple[LanePiece, ...]
+    begin: float
+    end: float
+    ends: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Corridor:
+    """The lanes of a route in Frenet coordinates.
+
+    `line`: the reference line (n, 5) as in `domain.roads`; `tracks`: from right to left. At `stations` (k,), equally spaced in s:
+    offsets of the tracks' centres from the line `centres` (k, m), positive to the left, NaN if the track is not there; lane `widths`
+    and speed `limits` (k, m), in m and m/s, which hold from a station to the next.
+    """
+
+    line: Floats
+    tracks: tuple[Track, ...]
+    stations: Floats
+    centres: Floats
+    widths: Floats
+    limits: Floats
+    name: str = ""
+    places: Mapping[tuple[str, int], Floats] = field(default_factory=dict, repr=False)
+    """Positions along each lane (m, as SUMO counts) with their s and d: (n, 3)."""
+
+    @property
+    def length(self) -> float:
+        """Length (m) of the line."""
+        return float(self.line[-1, 0])
+
+    def position(self, edge: str, lane: int, s: float) -> tuple[float, float]:
+        """Returns s and d of a position along a lane's centre. Raises InvalidInputError if lane or position are not on the route."""
+        place = self.places.get((edge, lane))
+        if place is None:
+            lanes = [index for name, index in self.places if name == edge]
+            message = f"the edge {shown(edge, 80)} has no lane {lane} for passenger cars on the route"
+            remedy = f"give one of {', '.join(map(str, sorted(lanes)))}" if lanes else "give an edge of the route"
+            raise InvalidInputError(Problem("lane" if lanes else "edge", f"{self.name}: {message}", remedy))
+        length = float(place[-1, 0])
+        if not 0.0 <= s <= length:
+            message = f"the lane {shown(f'{edge}_{lane}', 90)} is {length:.2f} m long, and has no position {s:g} m"
+            raise InvalidInputError(Problem("s", f"{self.name}: {message}", f"give 0 to {length:.2f}"))
+        return float(np.interp(s, place[:, 0], place[:, 1])), float(np.interp(s, place[:, 0], place[:, 2]))
+
+    def lane_at(self, s: float, d: float) -> int | None:
+        """Returns the track whose lane holds a point, None if there is none. Of two that overlap, the closer centre counts."""
+        if not 0.0 <= s <= self.length:
+            return None
+        row = s / self.stations[1]
+        low = min(int(row), len(self.stations) - 2)
+        share = row - low
+        centres = (1.0 - share) * self.centres[low] + share * self.centres[low + 1]
+        off = np.abs(d - centres)
+        off[~(off <= 0.5 * self.widths[low])] = np.inf  # NaN is no lane
+        best = int(np.argmin(off))
+        return best if off[best] < np.inf else None
+
+
+def corridor(network: Network, route: Sequence[str], name: str) -> Corridor:
+    """Returns the corridor of a route. `name`: the network's file in messages.
+
+    Raises InvalidInputError with fields `route` or `route[i]` if the route cannot be driven.
+    """
+    lanes = lanes_of(network, route)
+    guide = guide_of(network, lanes)
+    places = _Places(network, guide)
+    tracks, columns = zip(*(_track(chain, lanes, places, guide.line) for chain in lanes.chains), strict=True)
+    centres, widths, limits = (np.column_stack([column[part] for column in columns]) for part in range(3))
+    result = Corridor(guide.line, tracks, guide.line[:, 0].copy(), centres, widths, limits, name, places.table)
+    _check(result, network, lanes, places)
+    return result
+
+
+class _Places:
+    """Lanes measured from the line. `table` collects them by edge and index."""
+
+    def __init__(self, network: Network, guide: Guide) -> None:
+        self._network, self.guide = network, guide
+        self.table: dict[tuple[str, int], Floats] = {}
+
+    def of(self, lane: Lane, begin: float, end: float, index: int) -> Floats:
+        """Returns positions, s and d (n, 3) of a lane that lies about between two places of the line; `index`: its edge on the route."""
+        key = (lane.edge, lane.index)
+        if key not in self.table:
+            self.table[key] = self._measured(lane, begin, end, index)
+        return self.table[key]
+
+    def _measured(self, lane: Lane, begin: float, end: float, index: int) -> Floats:
+        points = _dense(lane.shape)
+        positions = lengths(points)
+        share = positions / max(positions[-1], 1e-9)
+        s, d = project(self.guide.line, points, begin + share * (end - begin))
+        where = f"line {lane.line}, the lane {shown(f'{lane.edge}_{lane.index}', 90)}"
+        if np.isnan(s).any() or np.max(np.maximum.accumulate(s) - s) > LARGEST_BACKWARDS:
+            raise refusal(
+                index, self._network, f"{where} does not run along the route: it turns too tightly", "give another route"
+            )
+        return np.column_stack([share * lane.length, np.maximum.accumulate(s), d])
+
+
+def _dense(shape: Floats) -> Floats:
+    """Returns the points of a lane, and more between them."""
+    s = lengths(shape)
+    return nodes_of(shape, SAMPLES) if s[-1] < SAMPLES else np.vstack(list(_parts(shape, s)))
+
+
+def _parts(shape: Floats, s: Floats) -> Iterator[Floats]:
+    for (first, second), step in zip(pairwise(shape), np.diff(s), strict=True):
+        share = np.arange(0.0, 1.0, 1.0 / max(1, int(np.ceil(step / SAMPLES))))[:, None]
+        yield first + share * (second - first)
+    yield shape[-1:]
+
+
+def _track(chain: Chain, lanes: Lanes, places: _Places, line: Floats) -> tuple[Track, tuple[Floats, Floats, Floats]]:
+    """Returns a track, and the columns of its centres, widths and limits."""
+    measured = list(_measured_pieces(chain, places))
+    pieces = [(lane, float(place[0, 1]), float(place[-1, 1])) for lane, place in measured]
+    s = np.maximum.accumulate(np.concatenate([place[:, 1] for _, place in measured]))
+    d = np.concatenate([place[:, 2] for _, place in measured])
+    stations = line[:, 0]
+    begin = 0.0 if chain.first == 0 else max(0.0, pieces[0][1])
+    end = stations[-1] if chain.last == len(lanes.edges) - 1 else min(stations[-1], pieces[-1][2])
+    there = (stations >= begin) & (stations <= end)
+    at = np.clip(np.searchsorted([piece[1] for piece in pieces], stations, side="right") - 1, 0, None)
+    columns = (
+        np.interp(stations, s, d),
+        np.array([lane.width for lane, _, _ in pieces])[at],
+        np.array([lane.limit for lane, _, _ in pieces])[at],
+    )
+    centre, width, limit = (np.where(there, column, np.nan) for column in columns)
+    named = tuple(LanePiece(lane.edge, lane.index, start, stop) for lane, start, stop in pieces)
+    return Track(named, float(begin), float(end), chain.last < len(lanes.edges) - 1), (centre, width, limit)
+
+
+def _measured_pieces(chain: Chain, places: _Places) -> Iterator[tuple[Lane, Floats]]:
+    ranges = places.guide.ranges
+    for number, lane in enumerate(chain.lanes):
+        index = chain.first + number
+        begin, end = ranges[index]
+        yield lane, places.of(lane, begin, end, index)
+        if number < len(chain.inside):
+            for inner in chain.inside[number]:
+                yield inner, places.of(inner, end, ranges[index + 1][0], index + 1)
+
+
+def _check(result: Corridor, network: Network, lanes: Lanes, places: _Places) -> None:
+    """Raises InvalidInputError if lanes are not ordered from the right, or the line turns too tightly for them."""
+    for index, edge in enumerate(lanes.edges):
+        offsets = [float(np.median(places.table[edge.id, lane.index][:, 2])) for lane in edge.lanes if lane.for_cars]
+        if any(left <= right for right, left in pairwise(offsets)):
+            message = f"line {edge.line}, the edge {shown(edge.id, 80)}: its lanes are not ordered from right to left"
+            raise refusal(index, network, message, "give a network for right-hand traffic")
+    reach = np.nanmax(np.abs(result.centres) + 0.5 * result.widths, axis=1)
+    tight = np.abs(result.line[:, 4]) * reach
+    worst = int(np.argmax(tight))
+    if tight[worst] > NARROWEST:
+        s = result.line[worst, 0]
+        index = max(number for number, (begin, _) in enumerate(places.guide.ranges) if begin <= s or number == 0)
+        radius = 1.0 / abs(result.line[worst, 4])
+        message = f"the route turns with a radius of {radius:.1f} m at the edge {shown(lanes.edges[index].id, 80)}"
+        raise refusal(index, network, message, "give a route along a motorway or a road without crossings")
