@@ -142,6 +142,7 @@ SERIES: Mapping[str, Quantity] = MappingProxyType(
         "gap_m": Quantity("m", f"gap to the leader in the own lane, {FAR:g} without one"),
         "leader_speed_mps": Quantity("m/s", "speed of the leader in the own lane, the own speed without one"),
         "rear_gap_m": Quantity("m", f"gap to the follower in the own lane, {FAR:g} without one"),
+        "follower_speed_mps": Quantity("m/s", "speed of the follower in the own lane, the own speed without one"),
     }
 )
 """Time series that a manifest may declare: a value at the start and after each step of the traffic."""

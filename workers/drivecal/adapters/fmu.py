@@ -40,7 +40,7 @@ class FmuAdapter:
             "series": list(declared.series),
             "data": dict(data),
         }
-        launch = Launch.of(driver_command("drivecal.adapters.fmu_driver", settings), section)
+        launch = Launch.of(driver_command("fmu_driver", settings), section)
         return ProcessSession(
             launch, scratch, declared, timeout=section["timeout"], scenario=scenario, data={}, most_runs=MOST_RUNS
         )

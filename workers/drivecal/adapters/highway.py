@@ -1,5 +1,8 @@
 """Simulator kind `highway`: a vehicle with a user's controller in SUMO, in a child that speaks the protocol of kind `process`."""
 
+import json
+import os
+import sys
 from collections.abc import Mapping
 from importlib.util import find_spec
 from pathlib import Path
@@ -7,7 +10,6 @@ from typing import Any
 
 from drivecal.adapters.children import Launch
 from drivecal.adapters.process import ProcessSession
-from drivecal.adapters.python import driver_command
 from drivecal.adapters.scratch import Scratch
 from drivecal.domain.errors import UnavailableError
 from drivecal.plugins.simulators import VERSIONS, Declared
@@ -42,11 +44,15 @@ class HighwayAdapter:
             "scratch": str(scratch.folder),
             "simulator": dict(section),
             "scenario": scenario,
+            "data": dict(data),
+            "kernels": os.environ.get("NUMBA_CACHE_DIR"),
             "measures": list(declared.measures),
             "series": list(declared.series),
         }
-        launch = Launch.of(driver_command("drivecal.highway.driver", settings), section)
+        file = scratch.folder / "highway.json"  # scenarios may be larger than a command line
+        file.write_text(json.dumps(settings, allow_nan=False))
+        launch = Launch.of([sys.executable, "-I", "-B", "-m", "drivecal.highway.driver", str(file)], section)
         most_runs = MOST_FMU_RUNS if controller["kind"] == "fmu" else MOST_RUNS
         return ProcessSession(
-            launch, scratch, declared, timeout=section["timeout"], scenario=scenario, data=data, most_runs=most_runs
+            launch, scratch, declared, timeout=section["timeout"], scenario=scenario, data={}, most_runs=most_runs
         )

@@ -34,11 +34,11 @@ class PythonAdapter:
             "wheels": None if wheels is None else str(folder / wheels),
             "packages": str(scratch.folder / "packages"),
         }
-        launch = Launch.of(driver_command("drivecal.adapters.python_driver", settings), section)
+        launch = Launch.of(driver_command("python_driver", settings), section)
         return ProcessSession(launch, scratch, declared, timeout=section["timeout"], scenario=scenario, data=data)
 
 
 def driver_command(module: str, settings: Mapping[str, Any]) -> list[str]:
     """Returns the command of one of drivecal's own drivers: without environment variables and user packages, and without writing bytecode
     beside the bundle's files."""
-    return [sys.executable, "-I", "-B", "-m", module, json.dumps(settings)]
+    return [sys.executable, "-I", "-B", "-m", f"drivecal.adapters.{module}", json.dumps(settings)]

@@ -35,6 +35,11 @@ class SingleTrackModel:
         """
         return self._pose
 
+    @property
+    def steering(self) -> float:
+        """Steering angle of the front wheels (rad)."""
+        return self._state.item(8)
+
     def follow(self, trajectory: Floats, since: float, duration: float, dynamics: Floats) -> bool:
         """Tracks `trajectory` from `since` seconds after its start for `duration` seconds; see `ports.VehicleModel.follow`.
 
