@@ -14,11 +14,10 @@ from xml.etree.ElementTree import fromstring, indent, tostring
 
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem, UnavailableError
-from drivecal.roads.network import read_network
+from drivecal.roads.network import read_network, source_comment
 from drivecal.roads.opendrive import DRIVEN, IGNORED, RoadFile, read_opendrive
 from drivecal.roads.placement import place
 
-ENDING = ".xodr"
 DEFAULT_WIDTH = 3.65
 """Metres; netconvert's own for lanes without a width."""
 TIMEOUT = 300.0
@@ -50,7 +49,7 @@ def converted(content: bytes, name: str) -> Conversion:
     net = fromstring(raw)  # noqa: S314  # written by netconvert
     notes += place(net, file)
     indent(net, "    ")
-    network = b'<?xml version="1.0" encoding="UTF-8"?>\n' + tostring(net) + b"\n"
+    network = b'<?xml version="1.0" encoding="UTF-8"?>\n' + source_comment(content) + tostring(net) + b"\n"
     read_network(network, name)
     notes += [f"{count} x {element} ({IGNORED[element]}): ignored" for element, count in sorted(file.ignored.items())]
     notes += [f"netconvert: {warning}" for warning in warnings]

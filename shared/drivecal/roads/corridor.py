@@ -85,6 +85,19 @@ class Corridor:
             raise InvalidInputError(Problem("s", f"{self.name}: {message}", f"give 0 to {length:.2f}"))
         return float(np.interp(s, place[:, 0], place[:, 1])), float(np.interp(s, place[:, 0], place[:, 2]))
 
+    def piece(self, s: float, lane: int) -> LanePiece:
+        """Returns the lane of this index on the edge at s. Raises InvalidInputError if there is none, or a junction is there."""
+        if not 0.0 <= s <= self.length:
+            message = f"the route is {self.length:.1f} m long, and has no s = {s:g} m"
+            raise InvalidInputError(Problem("s", f"{self.name}: {message}", f"give 0 to {self.length:.1f}"))
+        here = [piece for track in self.tracks for piece in track.lanes if piece.begin <= s <= piece.end]
+        roads = {piece.index: piece for piece in here if not piece.edge.startswith(":")}
+        if lane in roads:
+            return roads[lane]
+        message = f"there is no lane {lane} for passenger cars on the route at s = {s:g} m"
+        remedy = f"give one of {', '.join(map(str, sorted(roads)))}" if roads else "there is a junction: give another s"
+        raise InvalidInputError(Problem("lane" if roads else "s", f"{self.name}: {message}", remedy))
+
     def lane_at(self, s: float, d: float) -> int | None:
         """Returns the track whose lane holds a point, None if there is none. Of two that overlap, the closer centre counts."""
         if not 0.0 <= s <= self.length:
@@ -171,7 +184,8 @@ def _track(chain: Chain, lanes: Lanes, places: _Places, line: Floats) -> tuple[T
         np.array([lane.limit for lane, _, _ in pieces])[at],
     )
     centre, width, limit = (np.where(there, column, np.nan) for column in columns)
-    named = tuple(LanePiece(lane.edge, lane.index, start, stop) for lane, start, stop in pieces)
+    stops = [max(stop, following[1]) for (_, _, stop), following in pairwise(pieces)] + [pieces[-1][2]]
+    named = tuple(LanePiece(lane.edge, lane.index, start, stop) for (lane, start, _), stop in zip(pieces, stops, strict=True))
     return Track(named, float(begin), float(end), chain.last < len(lanes.edges) - 1), (centre, width, limit)
 
 

@@ -4,6 +4,8 @@ Nothing is repaired: a number that is missing, absurd or not finite, two element
 are refused. Positions keep the file's coordinates.
 """
 
+import hashlib
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -34,6 +36,27 @@ MOST_POINTS = 200_000
 """Points of a lane."""
 WIDTHS = "drivecal.widths"
 """Parameter of lanes whose width changes: pairs of a share of the shape's length and a width (m), which SUMO ignores."""
+
+
+CONVERTED = ".net.xml"
+"""Ending of a converted network's file, after that of its OpenDRIVE file."""
+_SOURCE = re.compile(rb"<!-- converted from an OpenDRIVE file of SHA-256 ([0-9a-f]{64}) -->")
+
+
+def network_file(name: str) -> str:
+    """Returns the file of a bundle that holds a network: that of an OpenDRIVE file stands beside it since the bundle was packed."""
+    return name + CONVERTED if name.endswith(".xodr") else name
+
+
+def source_of(network: bytes) -> str | None:
+    """Returns the digest of the OpenDRIVE file that a network was converted from, None if it was not converted by drivecal."""
+    match = _SOURCE.search(network, 0, 300)
+    return None if match is None else match[1].decode()
+
+
+def source_comment(content: bytes) -> bytes:
+    """Returns the line of a converted network by which `source_of` finds the digest of its OpenDRIVE file."""
+    return b"<!-- converted from an OpenDRIVE file of SHA-256 %s -->\n" % hashlib.sha256(content).hexdigest().encode()
 
 
 @dataclass(frozen=True, eq=False, slots=True)

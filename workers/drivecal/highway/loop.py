@@ -85,7 +85,17 @@ class Loop:
         geometry.settle(road.line, traffic.raw, traffic.others, traffic.outlines, self._step, vehicle.pose, self._size)
         geometry.hit(traffic.outlines, vehicle.pose, self._size)
         geometry.observe(
-            road.line, road.lanes, road.ends, traffic.others, motion, vehicle.pose, vehicle.steering, 1.0, 0.0, 0.0, self._signals
+            road.line,
+            road.lanes,
+            road.ends,
+            traffic.others,
+            motion,
+            vehicle.pose,
+            vehicle.steering,
+            1.0,
+            0.0,
+            0.0,
+            self._signals,
         )
         geometry.path_of(road.line, road.lanes, 0, motion.item(geometry.S), vehicle.pose.item(3), self._path)
         self._record(0, 0.0)
