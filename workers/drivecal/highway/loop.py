@@ -85,7 +85,17 @@ class Loop:
         geometry.settle(road.line, traffic.raw, traffic.others, traffic.outlines, self._step, vehicle.pose, self._size)
         geometry.hit(traffic.outlines, vehicle.pose, self._size)
         geometry.observe(
-            road.line, road.lanes, road.ends, traffic.others, motion, vehicle.pose, vehicle.steering, 1.0, 0.0, 0.0, self._signals
+            road.line,
+            road.lanes,
+            road.ends,
+            traffic.others,
+            motion,
+            vehicle.pose,
+            vehicle.steering,
+            1.0,
+            0.0,
+            0.0,
+            self._signals,
         )
         geometry.path_of(road.line, road.lanes, 0, motion.item(geometry.S), vehicle.pose.item(3), self._path)
         self._record(0, 0.0)
@@ -137,7 +147,8 @@ class Loop:
                 failure = "off_road" if stable else "unstable"
                 break
             if ticks % per_step == 0:
-                traffic.advance(index // per_step, motion, front)
+                if not traffic.advance(index // per_step, motion, front, pose.item(3)):
+                    break  # the end of the route
                 hit = geometry.settle(line, traffic.raw, traffic.others, traffic.outlines, step, pose, size)
                 self._record(rows, ticks * tick)
                 rows += 1
