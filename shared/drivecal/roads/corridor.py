@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
+import numpy.typing as npt
 
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
@@ -83,6 +84,19 @@ class Corridor:
             message = f"the lane {shown(f'{edge}_{lane}', 90)} is {length:.2f} m long, and has no position {s:g} m"
             raise InvalidInputError(Problem("s", f"{self.name}: {message}", f"give 0 to {length:.2f}"))
         return float(np.interp(s, place[:, 0], place[:, 1])), float(np.interp(s, place[:, 0], place[:, 2]))
+
+    def piece(self, s: float, lane: int) -> LanePiece:
+        """Returns the lane of this index on the edge at s. Raises InvalidInputError if there is none, or a junction is there."""
+        if not 0.0 <= s <= self.length:
+            message = f"the route is {self.length:.1f} m long, and has no s = {s:g} m"
+            raise InvalidInputError(Problem("s", f"{self.name}: {message}", f"give 0 to {self.length:.1f}"))
+        here = [piece for track in self.tracks for piece in track.lanes if piece.begin <= s <= piece.end]
+        roads = {piece.index: piece for piece in here if not piece.edge.startswith(":")}
+        if lane in roads:
+            return roads[lane]
+        message = f"there is no lane {lane} for passenger cars on the route at s = {s:g} m"
+        remedy = f"give one of {', '.join(map(str, sorted(roads)))}" if roads else "there is a junction: give another s"
+        raise InvalidInputError(Problem("lane" if roads else "s", f"{self.name}: {message}", remedy))
 
     def lane_at(self, s: float, d: float) -> int | None:
         """Returns the track whose lane holds a point, None if there is none. Of two that overlap, the closer centre counts."""
@@ -166,12 +180,26 @@ def _track(chain: Chain, lanes: Lanes, places: _Places, line: Floats) -> tuple[T
     at = np.clip(np.searchsorted([piece[1] for piece in pieces], stations, side="right") - 1, 0, None)
     columns = (
         np.interp(stations, s, d),
-        np.array([lane.width for lane, _, _ in pieces])[at],
+        _widths(measured, at, stations),
         np.array([lane.limit for lane, _, _ in pieces])[at],
     )
     centre, width, limit = (np.where(there, column, np.nan) for column in columns)
-    named = tuple(LanePiece(lane.edge, lane.index, start, stop) for lane, start, stop in pieces)
+    stops = [max(stop, following[1]) for (_, _, stop), following in pairwise(pieces)] + [pieces[-1][2]]
+    named = tuple(LanePiece(lane.edge, lane.index, start, stop) for (lane, start, _), stop in zip(pieces, stops, strict=True))
     return Track(named, float(begin), float(end), chain.last < len(lanes.edges) - 1), (centre, width, limit)
+
+
+def _widths(measured: Sequence[tuple[Lane, Floats]], at: npt.NDArray[np.int64], stations: Floats) -> Floats:
+    """Returns a track's width at each station; `at`: the piece there."""
+    widths = np.empty(len(stations))
+    for number, (lane, place) in enumerate(measured):
+        here = at == number
+        if lane.widths is None:
+            widths[here] = lane.width
+        else:
+            share = np.interp(stations[here], place[:, 1], place[:, 0] / max(lane.length, 1e-9))
+            widths[here] = np.interp(share, *lane.widths.T)
+    return widths
 
 
 def _measured_pieces(chain: Chain, places: _Places) -> Iterator[tuple[Lane, Floats]]:

@@ -15,12 +15,12 @@ TOLERANCE = 0.09
 """Metres between the line and the file's points, before rounding."""
 FASTEST_TURN = 8.0
 """Lateral acceleration (m/s²) at the speed limit that no car reaches: the line leaves short corners that ask for more."""
-SHORTEST_TURN = 40.0
+SHORTEST_TURN = 20.0
 """Metres. Longer turns are the road's own."""
 AROUND = 25.0
 """Metres before and after such a corner in which the line leaves the lane."""
-WIDENINGS = 7
-"""Times that the tolerance is doubled there, at most."""
+WIDENINGS = 10
+"""Times that the tolerance grows by half there, at most."""
 LARGEST_GAP = 100.0
 """Metres between lanes that follow each other."""
 SHORTEST, LONGEST = 10.0, 200_000.0
@@ -128,7 +128,7 @@ def _drivable(nodes: Floats, limits: Floats) -> tuple[Floats, tuple[tuple[float,
         wider = np.zeros(len(nodes), np.bool_)
         for begin, end in corners:
             wider |= (s >= begin - AROUND) & (s <= end + AROUND)
-        tolerance[wider] *= 2.0
+        tolerance[wider] *= 1.5
     return line, _runs(s, tolerance > TOLERANCE)
 
 

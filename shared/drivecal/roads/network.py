@@ -4,8 +4,10 @@ Nothing is repaired: a number that is missing, absurd or not finite, two element
 are refused. Positions keep the file's coordinates.
 """
 
+import hashlib
+import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -32,6 +34,29 @@ MOST_LANES = 32
 """Lanes of an edge."""
 MOST_POINTS = 200_000
 """Points of a lane."""
+WIDTHS = "drivecal.widths"
+"""Parameter of lanes whose width changes: pairs of a share of the shape's length and a width (m), which SUMO ignores."""
+
+
+CONVERTED = ".net.xml"
+"""Ending of a converted network's file, after that of its OpenDRIVE file."""
+_SOURCE = re.compile(rb"<!-- converted from an OpenDRIVE file of SHA-256 ([0-9a-f]{64}) -->")
+
+
+def network_file(name: str) -> str:
+    """Returns the file of a bundle that holds a network: that of an OpenDRIVE file stands beside it since the bundle was packed."""
+    return name + CONVERTED if name.endswith(".xodr") else name
+
+
+def source_of(network: bytes) -> str | None:
+    """Returns the digest of the OpenDRIVE file that a network was converted from, None if it was not converted by drivecal."""
+    match = _SOURCE.search(network, 0, 300)
+    return None if match is None else match[1].decode()
+
+
+def source_comment(content: bytes) -> bytes:
+    """Returns the line of a converted network by which `source_of` finds the digest of its OpenDRIVE file."""
+    return b"<!-- converted from an OpenDRIVE file of SHA-256 %s -->\n" % hashlib.sha256(content).hexdigest().encode()
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -47,6 +72,8 @@ class Lane:
     for_cars: bool
     line: int
     """Line of the file."""
+    widths: Floats | None = None
+    """Shares of the shape's length and widths there (n, 2), if the width changes along the lane."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -203,6 +230,11 @@ class _Reader:
             )
         )
 
+    def on_param(self, attributes: Attributes) -> None:
+        """Takes the widths of a lane."""
+        if attributes.values.get("key") == WIDTHS and self.edge is not None and self.lanes:
+            self.lanes[-1] = replace(self.lanes[-1], widths=_widths(attributes))
+
     def on_connection(self, attributes: Attributes) -> None:
         begin = attributes.text("from")
         connection = Connection(
@@ -251,18 +283,31 @@ def _for_cars(attributes: Attributes) -> bool:
     return not banned or not {CAR, "all"} & set(banned.split())
 
 
+def _widths(attributes: Attributes) -> Floats:
+    """Returns shares and widths (n, 2). Raises InvalidInputError."""
+    try:
+        widths = np.array([pair.split(",") for pair in attributes.text("value").split()], np.float64).reshape(-1, 2)
+    except ValueError:
+        widths = np.zeros((0, 2))
+    shares = widths[:, 0]
+    in_order = len(widths) > 1 and bool(np.all(np.diff(shares) >= 0.0) and shares[0] == 0.0 and shares[-1] <= 1.0)
+    if not in_order or not np.all((widths[:, 1] >= 0.0) & (widths[:, 1] <= WIDEST)):
+        raise attributes.fault("its widths are no pairs of a share and a width", "convert the file again")
+    return widths
+
+
 def _shape(attributes: Attributes) -> Floats:
     """Returns the points of a lane, without heights. Raises InvalidInputError."""
     points = attributes.text("shape").split()
     if not 2 <= len(points) <= MOST_POINTS:
         raise attributes.fault(f"its shape has {len(points)} points", f"give it 2 to {MOST_POINTS:,}")
-    sizes = {point.count(",") for point in points}
+    parts = [point.split(",") for point in points]
     try:
-        if len(sizes) != 1 or not sizes <= {1, 2}:
+        if not {len(part) for part in parts} <= {2, 3}:
             raise ValueError
-        shape = np.array(",".join(points).split(","), np.float64).reshape(len(points), -1)[:, :2]
+        shape = np.array([part[:2] for part in parts], np.float64)
     except ValueError:
         raise attributes.fault("its shape holds what is no point x,y or x,y,z", "correct the shape") from None
     if not np.all(np.abs(shape) <= FARTHEST):  # NaN compares as false
         raise attributes.fault(f"its shape has coordinates beyond {FARTHEST:g} m", "correct the shape")
-    return np.ascontiguousarray(shape)
+    return shape

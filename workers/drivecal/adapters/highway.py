@@ -13,6 +13,7 @@ from drivecal.adapters.process import ProcessSession
 from drivecal.adapters.scratch import Scratch
 from drivecal.domain.errors import UnavailableError
 from drivecal.plugins.simulators import VERSIONS, Declared
+from drivecal.roads.network import network_file
 
 MOST_RUNS = 2000
 """Runs of a child before another replaces it, so that what SUMO or a controller leaks stays small."""
@@ -30,7 +31,7 @@ class HighwayAdapter:
     ) -> ProcessSession:
         """Starts the child, which reads the network, loads SUMO and starts the controller."""
         folder, controller = folder.resolve(), section["controller"]
-        for name in (data["network"], controller.get("file"), controller.get("wheels")):
+        for name in (network_file(data["network"]), controller.get("file"), controller.get("wheels")):
             if name is not None and not (folder / name).exists():
                 raise UnavailableError(f"{name} does not exist in the bundle")
         for package in ("libsumo", "numba", *(["fmpy"] if controller["kind"] == "fmu" else [])):

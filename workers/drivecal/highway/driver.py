@@ -22,14 +22,14 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
     from drivecal.highway.road import Road
     from drivecal.highway.traffic import Traffic
     from drivecal.roads.corridor import corridor
-    from drivecal.roads.network import read_network
+    from drivecal.roads.network import network_file, read_network
     from drivecal.vehicle.model import SingleTrackModel
     from drivecal.vehicle.parameters import TABLE_8, SingleTrackParameters
 
     simulator = HighwaySimulator.model_validate(settings["simulator"])
     scenario = HighwayScenario.model_validate(settings["data"])
     folder, scratch, name = Path(settings["folder"]), Path(settings["scratch"]), settings["scenario"]
-    network = folder / scenario.network
+    network = folder / network_file(scenario.network)
     road = Road(corridor(read_network(network.read_bytes(), scenario.network), scenario.route, scenario.network))
     changes = simulator.vehicle.changes if isinstance(simulator.vehicle, VehicleEntry) else {}
     parameters = SingleTrackParameters.of({entry.name: entry.nominal for entry in TABLE_8} | changes)
