@@ -4,12 +4,13 @@ libsumo keeps the simulation in global state: a process has one `Traffic`. Runs 
 between runs if nothing is random; else SUMO loads everything anew, with the same seed.
 """
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from drivecal.bundles.highway import Driver, HighwayScenario, TrafficEntry
+from drivecal.bundles.highway import Driver, HighwayScenario, Placed, TrafficEntry
 from drivecal.domain.errors import DrivecalError, InvalidInputError, UnavailableError
 from drivecal.domain.roads import Floats
 from drivecal.highway import geometry
@@ -17,6 +18,7 @@ from drivecal.highway.actions import Actions
 from drivecal.highway.lanes import SumoLanes
 from drivecal.highway.road import Road
 from drivecal.highway.routes import EGO, drivers, is_exact, options, route_id, routes_file
+from drivecal.roads.corridor import LanePiece
 
 try:
     import libsumo
@@ -193,31 +195,39 @@ class Traffic:
             cell += 3
 
 
-def _centre(road: Road, placed: Any, field: str) -> tuple[float, float]:
+def _centre(road: Road, placed: Placed, field: str) -> tuple[float, float]:
     """Returns s and d of a vehicle's centre. Raises InvalidInputError."""
-    if placed.edge is not None:
-        return road.corridor.position(placed.edge, placed.lane, placed.s)
-    piece = road.lane_of(placed.s, placed.lane, field)
-    return road.corridor.position(piece.edge, piece.index, _along(road, piece.edge, piece.index, placed.s))
+    try:
+        if placed.edge is not None:
+            return road.corridor.position(placed.edge, placed.lane, placed.s)
+        piece = road.corridor.piece(placed.s, placed.lane)
+        return road.corridor.position(piece.edge, piece.index, _along(road, piece, placed.s))
+    except InvalidInputError as error:
+        raise _prefixed(error, field) from error
 
 
-def _along(road: Road, edge: str, lane: int, s: float) -> float:
+def _front(road: Road, placed: Placed, length: float, field: str) -> tuple[str, float]:
+    """Returns lane and position along it of a vehicle's front. Raises InvalidInputError and SUMO's errors."""
+    edge, lane, position = placed.edge, placed.lane, placed.s + 0.5 * length
+    if edge is None:
+        try:
+            piece = road.corridor.piece(position, lane)
+            edge, position = piece.edge, _along(road, piece, position)
+        except InvalidInputError:  # the front is in a junction, or beyond the lane's end
+            try:
+                piece = road.corridor.piece(placed.s, lane)
+            except InvalidInputError as error:
+                raise _prefixed(error, field) from error
+            edge, position = piece.edge, _along(road, piece, placed.s) + 0.5 * length
+    name = f"{edge}_{lane}"
+    return name, min(position, libsumo.lane.getLength(name))
+
+
+def _along(road: Road, piece: LanePiece, s: float) -> float:
     """Returns the position along a lane (m, as SUMO counts) at s of the corridor."""
-    places = road.corridor.places[edge, lane]
+    places = road.corridor.places[piece.edge, piece.index]
     return float(np.interp(s, places[:, 1], places[:, 0]))
 
 
-def _front(road: Road, placed: Any, length: float, field: str) -> tuple[str, float]:
-    """Returns lane and position along it of a vehicle's front. Raises InvalidInputError and SUMO's errors."""
-    edge, lane, s = placed.edge, placed.lane, placed.s
-    if edge is None:
-        try:
-            piece = road.lane_of(s + 0.5 * length, lane, field)
-            edge, lane, position = piece.edge, piece.index, _along(road, piece.edge, piece.index, s + 0.5 * length)
-        except InvalidInputError:  # the front is in a junction, or beyond the lane's end
-            piece = road.lane_of(s, lane, field)
-            edge, lane, position = piece.edge, piece.index, _along(road, piece.edge, piece.index, s) + 0.5 * length
-    else:
-        position = s + 0.5 * length
-    name = f"{edge}_{lane}"
-    return name, min(position, libsumo.lane.getLength(name))
+def _prefixed(error: InvalidInputError, field: str) -> InvalidInputError:
+    return InvalidInputError(*(replace(problem, field=f"{field}.{problem.field}") for problem in error.problems))
