@@ -146,3 +146,21 @@ SERIES: Mapping[str, Quantity] = MappingProxyType(
     }
 )
 """Time series that a manifest may declare: a value at the start and after each step of the traffic."""
+
+_MODELS = "accel decel emergencyDecel apparentDecel tau minGap sigma sigmaStep delta stepping startupDelay actionStepLength impatience"
+_EIDM = "tpreview tPersDrive tPersEstimate treaction ccoolness sigmaleader sigmagap sigmaerror jerkmax epsilonacc taccmax Mflatness Mbegin"
+_ACC = (
+    "speedControlGain gapClosingControlGainSpeed gapClosingControlGainSpace gapControlGainSpeed gapControlGainSpace"
+    " collisionAvoidanceGainSpeed collisionAvoidanceGainSpace speedControlGainCACC gapClosingControlGainGap gapClosingControlGainGapDot"
+    " gapControlGainGap gapControlGainGapDot collisionAvoidanceGainGap collisionAvoidanceGainGapDot tauCACCToACC"
+)
+_LANE_CHANGES = (
+    "lcStrategic lcCooperative lcSpeedGain lcKeepRight lcContRight lcOvertakeRight lcOpposite lcLookaheadLeft lcSpeedGainRight"
+    " lcSpeedGainLookahead lcSpeedGainRemainTime lcSpeedGainUrgency lcOvertakeDeltaSpeedFactor lcKeepRightAcceptanceTime"
+    " lcCooperativeSpeed lcCooperativeHelpTime lcAssertive lcImpatience lcTimeToImpatience lcSigma lcSublane lcPushy lcPushyGap lcAccelLat"
+    " lcMaxSpeedLatStanding lcMaxSpeedLatFactor lcMaxDistLatStanding lcLaneDiscipline lcStrategicLookahead maxSpeedLat minGapLat"
+)
+TYPE_PARAMETERS = frozenset(
+    f"{_MODELS} {_EIDM} {_ACC} {_LANE_CHANGES}".split() + [f"cc{number}" for number in range(1, 10)]  # Wiedemann 99
+)
+"""Numeric attributes of SUMO's vehicle types that `parameters` of a vehicle may set; SUMO ignores misspelt ones in silence."""

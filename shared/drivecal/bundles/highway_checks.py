@@ -7,13 +7,14 @@ from typing import Any
 from drivecal.bundles.highway import (
     AnyController,
     CutIn,
+    Driver,
     FmuController,
     HighwayScenario,
     HighwaySimulator,
     ProcessController,
     Trigger,
 )
-from drivecal.bundles.highway_catalogue import COMMANDS, FAILURES, MEASURES, SERIES, SIGNALS, Quantity
+from drivecal.bundles.highway_catalogue import COMMANDS, FAILURES, MEASURES, SERIES, SIGNALS, TYPE_PARAMETERS, Quantity
 from drivecal.contracts.input_errors import nearest, validated
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
@@ -115,6 +116,9 @@ def _scenario(field: str, scenario: HighwayScenario, step: float) -> Iterator[Pr
             yield Problem(f"{field}.{entry}.id", f"the id {name} is taken", remedy)
         elif name is not None:
             seen.add(name)
+    drivers: list[tuple[str, Driver]] = [(f"traffic[{index}]", entry) for index, entry in enumerate(scenario.traffic)]
+    drivers += [(f"flows[{index}]", entry) for index, entry in enumerate(scenario.flows)]
+    yield from _drivers(field, drivers)
     for index, vehicle in enumerate(scenario.traffic):
         for number, action in enumerate(vehicle.actions):
             place = f"{field}.traffic[{index}].actions[{number}]"
@@ -125,6 +129,19 @@ def _scenario(field: str, scenario: HighwayScenario, step: float) -> Iterator[Pr
     for index, flow in enumerate(scenario.flows):
         if flow.end is not None and flow.end <= flow.begin:
             yield Problem(f"{field}.flows[{index}].end", "the flow ends before it begins", f"give more than {flow.begin:g}")
+
+
+def _drivers(field: str, drivers: Sequence[tuple[str, Driver]]) -> Iterator[Problem]:
+    for name, driver in drivers:
+        for key in driver.parameters:
+            if key not in TYPE_PARAMETERS:
+                message = "SUMO's vehicle types have no such numeric attribute"
+                yield Problem(f"{field}.{name}.parameters.{key}", message, nearest(key, sorted(TYPE_PARAMETERS)))
+    sublane = [name for name, driver in drivers if driver.lane_change == "SL2015"]
+    others = [name for name, driver in drivers if driver.lane_change == "LC2013"]
+    if sublane and others:
+        message = f"SUMO has one kind of lanes: {sublane[0]} has SL2015 and {others[0]} LC2013"
+        yield Problem(f"{field}.{others[0]}.lane_change", message, "give all vehicles one of them, or none")
 
 
 def _trigger(field: str, trigger: Trigger) -> Iterator[Problem]:

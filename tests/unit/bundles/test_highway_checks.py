@@ -131,6 +131,7 @@ def test_a_vehicle_may_have_other_values_than_those_of_table_8() -> None:
         ("scenarios/busy/traffic/0/actions/0/gap", 5, "scenarios.busy.traffic[0].actions[0]"),
         ("scenarios/busy/traffic/0/actions/0/time", None, "scenarios.busy.traffic[0].actions[0]"),
         ("scenarios/busy/traffic/0/actions/0/do", "explode", "scenarios.busy.traffic[0].actions[0].do"),
+        ("scenarios/busy/traffic/2/parameters", {"lcAssertiv": 2}, "scenarios.busy.traffic[2].parameters.lcAssertiv"),
         ("scenarios/busy/flows/0/per_hour", 0, "scenarios.busy.flows[0].per_hour"),
         ("scenarios/busy/flows/0/end", 0, "scenarios.busy.flows[0].end"),
         ("measures/min_ttc", "s", "measures.min_ttc"),

@@ -43,7 +43,7 @@ class HighwayAdapter:
             "folder": str(folder),
             "work": str(scratch.work),
             "scratch": str(scratch.folder),
-            "simulator": dict(section),
+            "simulator": {"kind": "highway", **section},
             "scenario": scenario,
             "data": dict(data),
             "kernels": os.environ.get("NUMBA_CACHE_DIR"),

@@ -76,14 +76,17 @@ class Loop:
         self._wanted = max(_way(road.line[:, 0], limits, traffic.start_s, scenario.duration), 1e-9)
 
     def prepare(self) -> None:
-        """Compiles or loads all kernels, which would take seconds of the first run."""
+        """Compiles or loads all kernels, which would take seconds of the first run. Raises StartError and TrafficError."""
         road, traffic, vehicle, motion = self._road, self._traffic, self._vehicle, self._motion
         dynamics = np.zeros((1, 5))
         traffic.reset()
         vehicle.start(*self._start)
-        geometry.place(road.line, road.lanes, vehicle.pose, traffic.start_s, self._size, motion, self._front)
+        if not geometry.place(road.line, road.lanes, vehicle.pose, traffic.start_s, self._size, motion, self._front):
+            raise StartError(f"scenarios.{self._name}.ego: it starts off the road; move it into its lane")
+        if (row := geometry.hit(traffic.outlines, vehicle.pose, self._size)) >= 0:
+            message = f"it starts inside of the vehicle {traffic.names[row]}; place them farther apart"
+            raise StartError(f"scenarios.{self._name}.ego: {message}")
         geometry.settle(road.line, traffic.raw, traffic.others, traffic.outlines, self._step, vehicle.pose, self._size)
-        geometry.hit(traffic.outlines, vehicle.pose, self._size)
         geometry.observe(
             road.line,
             road.lanes,
@@ -112,11 +115,7 @@ class Loop:
         by_acceleration, by_lateral, steer = self._acceleration, self._lateral, self._steer
         traffic.reset()
         vehicle.start(*self._start)
-        if not geometry.place(line, lanes, pose, traffic.start_s, size, motion, front):
-            raise StartError(f"scenarios.{self._name}.ego: it starts off the road; move it into its lane")
-        if (row := geometry.hit(traffic.outlines, pose, size)) >= 0:
-            message = f"it starts inside of the vehicle {traffic.names[row]}; place them farther apart"
-            raise StartError(f"scenarios.{self._name}.ego: {message}")
+        geometry.place(line, lanes, pose, traffic.start_s, size, motion, front)
         track = int(motion.item(geometry.TRACK))
         self._record(0, 0.0)
         controller.begin(parameters)
@@ -147,7 +146,8 @@ class Loop:
                 failure = "off_road" if stable else "unstable"
                 break
             if ticks % per_step == 0:
-                traffic.advance(index // per_step, motion, front)
+                if not traffic.advance(index // per_step, motion, front, pose.item(3)):
+                    break  # the end of the route
                 hit = geometry.settle(line, traffic.raw, traffic.others, traffic.outlines, step, pose, size)
                 self._record(rows, ticks * tick)
                 rows += 1

@@ -4,9 +4,8 @@ from math import atan, cos, sin
 
 import numpy as np
 
-from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.roads import Floats, pose_on
-from drivecal.roads.corridor import Corridor, LanePiece
+from drivecal.roads.corridor import Corridor
 
 SMOOTHING = 5.0
 """Distance (m) to both sides over which the slope of a lane's centre is taken."""
@@ -32,23 +31,6 @@ class Road:
         row = min(int(s / self.line[1, 0]), len(self.line) - 1)
         slope = 0.0 if track is None else float(np.nan_to_num(self.lanes[row, track, 3]))
         return x - d * sin(heading), y + d * cos(heading), heading + atan(slope / (1.0 - curvature * d))
-
-    def lane_of(self, s: float, lane: int, field: str) -> LanePiece:
-        """Returns the piece of a lane at s. Raises InvalidInputError naming `field` if the road has no such lane there."""
-        if not 0.0 <= s <= self.length:
-            message = f"s = {s:g} m is not on the route, which is {self.length:.1f} m long"
-            raise InvalidInputError(Problem(f"{field}.s", message, f"give 0 to {self.length:.1f}"))
-        here = [piece for track in self.corridor.tracks for piece in track.lanes if piece.begin <= s <= piece.end]
-        plain = [piece for piece in here if not piece.edge.startswith(":")]
-        if here and not plain:
-            message = f"s = {s:g} m is inside of a junction"
-            raise InvalidInputError(Problem(f"{field}.s", message, "move the vehicle by some metres"))
-        for piece in plain:
-            if piece.index == lane:
-                return piece
-        known = ", ".join(map(str, sorted({piece.index for piece in plain})))
-        message = f"there is no lane {lane} for passenger cars on the route at s = {s:g} m"
-        raise InvalidInputError(Problem(f"{field}.lane", message, f"give one of {known}" if known else "give another s"))
 
 
 def _slopes(line: Floats, centres: Floats) -> Floats:

@@ -53,7 +53,7 @@ def routes_file(scenario: HighwayScenario) -> bytes:
     vehicles, flows = drivers(scenario)
     root = Element("routes")
     ego = scenario.ego
-    SubElement(root, "vType", {"id": EGO, "length": repr(ego.length), "width": repr(ego.width)} | _EXACT | _model(_NOBODY))
+    SubElement(root, "vType", {"id": EGO, "length": repr(ego.length), "width": repr(ego.width), **_FREE} | _model(_NOBODY))
     SubElement(root, "route", id=route_id(EGO), edges=" ".join(scenario.route))
     for name, entry in (vehicles | flows).items():
         SubElement(root, "vType", {"id": name} | _type(entry))
@@ -63,7 +63,8 @@ def routes_file(scenario: HighwayScenario) -> bytes:
     return tostring(root)
 
 
-_EXACT = {"speedFactor": "1", "speedDev": "0"}
+_FREE = {"speedFactor": "100", "speedDev": "0", "maxSpeed": "200"}
+"""What lets SUMO's ego vehicle take any speed."""
 _NOBODY = Driver.model_validate({})
 
 

@@ -25,7 +25,9 @@ FolderArgument = Annotated[str, typer.Argument(metavar="DIR", help="The folder w
 
 @problems.command()
 def init(
-    kind: Annotated[str, typer.Argument(metavar="KIND", help="The kind of simulation: process, command, python, fmu.")],
+    kind: Annotated[
+        str, typer.Argument(metavar="KIND", help="The kind of simulation: process, command, python, fmu, highway.")
+    ],
     name: Annotated[str, typer.Argument(metavar="NAME", help="The problem's name.")],
     folder: Annotated[str | None, typer.Option(metavar="DIR", help="The new folder; else one called NAME.")] = None,
     fmu: Annotated[
