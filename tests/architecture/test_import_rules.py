@@ -31,7 +31,7 @@ PLANTED = {
     "What both sides speak knows neither side": ("shared/drivecal/plugins", "import drivecal.vehicle.single_track"),
     "Only the backends and drivecal.local reach the workers": ("services/drivecal/cli", "import drivecal.runtime"),
     "The workers do not know the coordinator": ("workers/drivecal/runtime", "from drivecal.reduction import keys"),
-    "Only drivecal.traffic speaks to SUMO": ("workers/drivecal/episode", "import libsumo"),
+    "Only the simulations of traffic speak to SUMO": ("workers/drivecal/episode", "import libsumo"),
     "The adapters import no simulator": (
         "workers/drivecal/adapters",
         "import numba",

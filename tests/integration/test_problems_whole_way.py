@@ -35,7 +35,7 @@ def started(folder: Path) -> AbstractContextManager[Server]:
     return serving(folder, workers=2, DRIVECAL_BUNDLE_CACHE=str(folder / "cache"))
 
 
-@pytest.mark.parametrize("name", ["acc-process", "command-shell", "python-function", "fmu"])
+@pytest.mark.parametrize("name", ["acc-process", "command-shell", "python-function", "fmu", "acc-highway"])
 def test_an_example_is_calibrated_and_rated_anew_without_a_simulation(name: str, server: Server, tmp_path: Path) -> None:
     folder = problem(name, tmp_path)
     with Client(server.url) as client:
@@ -67,9 +67,10 @@ def test_an_example_is_calibrated_and_rated_anew_without_a_simulation(name: str,
         assert other.cells.repeated == 0
 
 
-def test_a_killed_server_resumes_a_problem_to_the_same_results(server: Server, home: Path, tmp_path: Path) -> None:
-    folder = problem("python-function", tmp_path)
-    spec = {**SPEC, "problem": "python-function", "optimizer": {**SPEC["optimizer"], "seed": 4}, "reduction": {"mode": "off"}}
+@pytest.mark.parametrize("name", ["python-function", "acc-highway"])
+def test_a_killed_server_resumes_a_problem_to_the_same_results(name: str, server: Server, home: Path, tmp_path: Path) -> None:
+    folder = problem(name, tmp_path)
+    spec = {**SPEC, "problem": name, "optimizer": {**SPEC["optimizer"], "seed": 4}, "reduction": {"mode": "off"}}
     with Client(server.url) as client:
         client.push_problem(folder)
         expected = client.wait(client.submit(spec).id)

@@ -15,7 +15,7 @@ from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.parameters import text
 
-KINDS = ("process", "command", "python", "fmu")
+KINDS = ("process", "command", "python", "fmu", "highway")
 MOST_ENTRIES = 20
 """Parameters and outputs of an FMU that are written out; further ones become comments."""
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.-]{0,63}")
@@ -57,8 +57,6 @@ def write_problem(kind: str, name: str, folder: str | Path | None = None, fmu: s
 
 
 def _check(kind: str, name: str, path: Path, fmu: str | Path | None) -> None:
-    if kind == "highway":
-        raise InvalidInputError(Problem("kind", "highway problems cannot be made yet", f"give {', '.join(KINDS)}"))
     if kind not in KINDS:
         raise InvalidInputError(Problem("kind", f"{shown(kind)} is not one of the kinds", f"give {', '.join(KINDS)}"))
     if not _NAME.fullmatch(name):

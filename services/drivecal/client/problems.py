@@ -4,8 +4,9 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 
-from drivecal.bundles.archives import MANIFEST, executables, files_of, manifest_text, pack
+from drivecal.bundles.archives import MANIFEST, BundleFile, executables, files_of, manifest_text, pack, with_files
 from drivecal.bundles.checks import checked
+from drivecal.bundles.highway import HighwaySimulator
 from drivecal.bundles.manifest import Manifest
 from drivecal.client.documents import LARGEST_FILE, located_yaml
 from drivecal.contracts.strict_json import shown
@@ -13,34 +14,65 @@ from drivecal.domain.errors import InvalidInputError, Problem
 
 
 def read_bundle(folder: str | Path) -> tuple[Manifest, bytes]:
-    """Returns the checked manifest and the archive of a folder. Raises InvalidInputError with the lines of all faults."""
+    """Returns the checked manifest and the archive of a folder, which also holds the networks made of its OpenDRIVE files.
+
+    Raises InvalidInputError with the lines of all faults, and UnavailableError if a conversion needs netconvert, which is missing.
+    """
+    manifest, archive, _ = read_bundle_with_notes(folder)
+    return manifest, archive
+
+
+def read_bundle_with_notes(folder: str | Path) -> tuple[Manifest, bytes, tuple[str, ...]]:
+    """Returns manifest and archive as `read_bundle` does, and notes on its roads: what a conversion assumed or ignored."""
     path = Path(folder)
     if not (path / MANIFEST).is_file():
         remedy = "drivecal problem init KIND NAME writes one" if path.is_dir() else "give the folder of a problem"
         raise InvalidInputError(Problem(shown(str(path / MANIFEST), 200), "there is no such file", remedy))
     archive = pack(path)
-    return manifest_of(archive), archive
+    files = files_of(archive)
+    manifest = read_manifest(manifest_text(files), executables(files))
+    if not isinstance(manifest.simulator, HighwaySimulator):
+        return manifest, archive, ()
+    from drivecal.bundles.highway_roads import conversions, route_notes
+
+    networks, notes = conversions(manifest, files)
+    archive = with_files(archive, networks) if networks else archive
+    files = files_of(archive)
+    return read_archived(files), archive, (*notes, *route_notes(manifest, files))
 
 
 def manifest_of(archive: bytes) -> Manifest:
     """Returns the checked manifest in an archive. Raises InvalidInputError with the lines of all faults."""
-    files = files_of(archive)
-    return read_manifest(manifest_text(files), executables(files))
+    return read_archived(files_of(archive))
 
 
-def read_manifest(content: bytes, files: Mapping[str, bool] | None = None) -> Manifest:
-    """Returns the manifest in the text of a `problem.yaml`. `files`: whether each file of the bundle is executable, None if unknown.
+def read_archived(files: Mapping[str, BundleFile]) -> Manifest:
+    """Returns the manifest among the files of an archive, checked with their content. Raises InvalidInputError as `read_manifest`."""
+    return read_manifest(manifest_text(files), executables(files), files)
 
-    Raises InvalidInputError with the lines of all faults.
+
+def read_manifest(
+    content: bytes, files: Mapping[str, bool] | None = None, contents: Mapping[str, BundleFile] | None = None
+) -> Manifest:
+    """Returns the manifest in the text of a `problem.yaml`.
+
+    `files`: whether each file of the bundle is executable, None if unknown; `contents`: the files, if the roads of its scenarios are
+    to be checked. Raises InvalidInputError with the lines of all faults.
     """
     if len(content) > LARGEST_FILE:
         raise InvalidInputError(Problem(MANIFEST, f"it is larger than {LARGEST_FILE:,} bytes", "move data into other files"))
     lines: Mapping[str, int] = {}
     try:
         document, lines = located_yaml(content)
-        return checked(document, files)
+        manifest = checked(document, files)
+        if contents is not None and isinstance(manifest.simulator, HighwaySimulator):
+            from drivecal.bundles.highway_roads import check_roads  # with scipy, for this kind only
+
+            check_roads(manifest, contents)
     except InvalidInputError as error:
         problems = [Problem(_located(problem.field, lines), problem.message, problem.remedy) for problem in error.problems]
+    else:
+        return manifest
     raise InvalidInputError(*problems)
 
 

@@ -84,6 +84,16 @@ def _read(folder: Path, largest: int, most_files: int) -> dict[str, BundleFile]:
     return files
 
 
+def with_files(archive: bytes, additions: Mapping[str, bytes], largest: int = LARGEST, most_files: int = MOST_FILES) -> bytes:
+    """Returns an archive with further files. Raises InvalidInputError if it becomes too large."""
+    files = files_of(archive, largest, most_files) | {
+        name: BundleFile(content, executable=False) for name, content in additions.items()
+    }
+    if sum(len(file.content) for file in files.values()) > largest or len(files) > most_files:
+        raise _too_large("", largest, most_files)
+    return _written(files)
+
+
 def unpack(archive: bytes, folder: Path, digest: str | None = None, largest: int = LARGEST) -> None:
     """Writes an archive's files into a new, read-only folder, which appears complete or not at all.
 

@@ -8,6 +8,8 @@ from typing import Any
 
 from drivecal.bundles.archives import MANIFEST
 from drivecal.bundles.expressions import Constraint, Formula
+from drivecal.bundles.highway import FmuController, HighwaySimulator, ProcessController, PythonController
+from drivecal.bundles.highway_checks import measures_problems, networks, scenarios_problems, simulator_problems
 from drivecal.bundles.manifest import (
     CommandSimulator,
     FmuSimulator,
@@ -87,6 +89,8 @@ def _semantic_problems(manifest: Manifest, faulty: set[str], files: Executables 
         ({"parameters", "baseline", "constraints"}, _remainder(manifest)),
         ({"simulator"}, _simulator(manifest.simulator, files)),
         ({"simulator", "measures"}, _fmu_measures(manifest)),
+        ({"simulator", "scenarios"}, _highway_scenarios(manifest, files)),
+        ({"simulator", "measures", "series", "failures"}, _highway_answers(manifest)),
         ({"failures"}, _failures(manifest.failures)),
         ({"scores"}, _ranges(manifest.scores)),
         ({"scores", "measures"}, _formulas(manifest)),
@@ -246,15 +250,12 @@ def _simulator(simulator: Any, files: Executables | None) -> Iterator[Problem]:
         yield from _command("simulator.command", simulator.command, files)
     if isinstance(simulator, CommandSimulator):
         yield from _placeholders(simulator.command)
-    if isinstance(simulator, PythonSimulator | FmuSimulator):
-        ending = ".py" if isinstance(simulator, PythonSimulator) else ".fmu"
-        yield from _file("simulator.file", simulator.file, files)
-        if not simulator.file.endswith(ending):
-            yield Problem("simulator.file", f"{shown(simulator.file)} is no {ending} file", f"give the path of a {ending} file")
-    if isinstance(simulator, PythonSimulator) and simulator.wheels is not None:
-        folder = simulator.wheels.removesuffix("/") + "/"
-        named = None if files is None else {folder: False} if any(name.startswith(folder) for name in files) else {}
-        yield from _file("simulator.wheels", folder, named)
+    yield from _code("simulator", simulator, files)
+    if isinstance(simulator, HighwaySimulator):
+        yield from simulator_problems(simulator)
+        yield from _code("simulator.controller", simulator.controller, files)
+        if isinstance(simulator.controller, ProcessController):
+            yield from _command("simulator.controller.command", simulator.controller.command, files)
     if isinstance(simulator, FmuSimulator):
         for name, reduction in simulator.measures.items():
             if not _REDUCTION.fullmatch(reduction):
@@ -267,6 +268,32 @@ def _simulator(simulator: Any, files: Executables | None) -> Iterator[Problem]:
             yield Problem(f"simulator.environment[{index}]", f"{name} is a variable of the worker itself", "leave it out")
     if simulator.probe is not None:
         yield from _command("simulator.probe", simulator.probe, files)
+
+
+def _code(field: str, section: Any, files: Executables | None) -> Iterator[Problem]:
+    """Yields the faults of the Python file or FMU that a simulator or controller names."""
+    if not isinstance(section, PythonSimulator | FmuSimulator | PythonController | FmuController):
+        return
+    ending = ".py" if section.kind == "python" else ".fmu"
+    yield from _file(f"{field}.file", section.file, files)
+    if not section.file.endswith(ending):
+        yield Problem(f"{field}.file", f"{shown(section.file)} is no {ending} file", f"give the path of a {ending} file")
+    if isinstance(section, PythonSimulator | PythonController) and section.wheels is not None:
+        folder = section.wheels.removesuffix("/") + "/"
+        named = None if files is None else {folder: False} if any(name.startswith(folder) for name in files) else {}
+        yield from _file(f"{field}.wheels", folder, named)
+
+
+def _highway_scenarios(manifest: Manifest, files: Executables | None) -> Iterator[Problem]:
+    if isinstance(manifest.simulator, HighwaySimulator):
+        yield from scenarios_problems(manifest.simulator.step, manifest.scenarios)
+        for field, path in networks(manifest.scenarios):
+            yield from _file(field, path, files)
+
+
+def _highway_answers(manifest: Manifest) -> Iterator[Problem]:
+    if isinstance(manifest.simulator, HighwaySimulator):
+        yield from measures_problems(manifest.measures, manifest.series, manifest.failures)
 
 
 def _command(field: str, words: list[str], files: Executables | None) -> Iterator[Problem]:

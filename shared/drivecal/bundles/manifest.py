@@ -8,17 +8,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, StringConstraints
 
+from drivecal.bundles.highway import HighwaySimulator
+from drivecal.bundles.simulators import Command, File, SimulatorEntry, Text, Unit
 from drivecal.contracts.specification import Choice, Identifier, Model, Number
 from drivecal.domain.scales import Direction, Scale
-
-Text = Annotated[str, StringConstraints(max_length=1000)]
-Unit = Annotated[str, StringConstraints(max_length=32)]
-File = Annotated[str, StringConstraints(min_length=1, max_length=255)]
-"""Path inside the bundle, with forward slashes."""
-Command = Annotated[list[Annotated[str, StringConstraints(min_length=1, max_length=4096)]], Field(min_length=1, max_length=100)]
-
-Variable = Annotated[str, StringConstraints(min_length=1, max_length=255, pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
-"""Name of an environment variable."""
 
 
 class ParameterEntry(Model):
@@ -31,21 +24,6 @@ class ParameterEntry(Model):
     choices: Annotated[list[Choice], Field(min_length=2, max_length=1000)] | None = None
     unit: Unit = "1"
     description: Text = ""
-
-
-class SimulatorEntry(Model):
-    """Settings of every simulator that runs in child processes.
-
-    `timeout` (s, wall-clock) and `memory_mb` limit each run. `deterministic`: the simulator claims equal measures for equal inputs.
-    `probe`: a command whose output is the version of tools outside of the bundle.
-    `environment`: names of further variables that its processes get from the worker.
-    """
-
-    timeout: Annotated[float, Field(gt=0, le=86_400)] = 60.0
-    memory_mb: Annotated[int, Field(ge=16, le=1_000_000)] = 2000
-    deterministic: bool = False
-    probe: Command | None = None
-    environment: Annotated[list[Variable], Field(max_length=50)] | None = None
 
 
 class ProcessSimulator(SimulatorEntry):
@@ -87,7 +65,9 @@ class FmuSimulator(SimulatorEntry):
     measures: Annotated[dict[Identifier, str], Field(min_length=1, max_length=1000)]
 
 
-AnySimulator = Annotated[ProcessSimulator | CommandSimulator | PythonSimulator | FmuSimulator, Field(discriminator="kind")]
+AnySimulator = Annotated[
+    ProcessSimulator | CommandSimulator | PythonSimulator | FmuSimulator | HighwaySimulator, Field(discriminator="kind")
+]
 
 
 class ScoreEntry(Model):

@@ -136,7 +136,7 @@ def test_the_examples_pass_with_their_files(name: str) -> None:
         ("baseline/n", 2.5, "baseline.n"),
         ("baseline/mode", "fast", "baseline.mode"),
         ("baseline/mode", 1, "baseline.mode"),
-        ("simulator/kind", "highway", "simulator.kind"),
+        ("simulator/kind", "motorway", "simulator.kind"),
         ("simulator/kind", None, "simulator.kind"),
         ("simulator/command", [], "simulator.command"),
         ("simulator/command/0", "./sim", "simulator.command[0]"),

@@ -20,6 +20,7 @@ from drivecal.client.fmu_description import FmuDescription, FmuVariable, parse_d
 from drivecal.client.problem_templates import fmu_manifest, write_problem
 from drivecal.client.problems import read_bundle, read_manifest
 from drivecal.domain.errors import InvalidInputError
+from drivecal.local.problems import run_problem, trial_set
 
 EXAMPLES = Path(__file__).parents[3] / "deploy" / "examples" / "problems"
 FMI2 = """<?xml version="1.0" encoding="UTF-8"?>
@@ -103,6 +104,15 @@ def test_a_new_problem_is_valid_and_its_baseline_runs(kind: str, tmp_path: Path)
             assert 0 < Formula(score.formula, manifest.measures)(answer["measures"]) < 100
 
 
+def test_a_new_highway_problem_runs_on_a_motorway_of_its_own(tmp_path: Path) -> None:
+    written = write_problem("highway", "my-acc", tmp_path / "folder")
+    assert {file.name for file in written} == {"problem.yaml", "acc.py", "road.net.xml"}
+    manifest, archive = read_bundle(tmp_path / "folder")
+    results = list(run_problem(manifest, archive, trial_set(manifest)))
+    assert [result.error for result in results] == [None, None]
+    assert all(result.repeats and result.failure is None and 0 < result.scores["cost"] < 100 for result in results)
+
+
 def test_all_templates_simulate_the_same(tmp_path: Path) -> None:
     results = []
     for kind in ("process", "command", "python"):
@@ -184,7 +194,6 @@ def test_a_damaged_description_is_refused_or_read(position: int, text: str) -> N
 @pytest.mark.parametrize(
     ("kind", "name", "field"),
     [
-        ("highway", "a", "kind"),
         ("processes", "a", "kind"),
         ("python", "no name", "name"),
         ("python", "../a", "name"),

@@ -11,6 +11,10 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from drivecal.domain.errors import DrivecalError
+
+LONGEST_MESSAGE = 290
+"""Characters of drivecal's own messages; an adapter shows 300."""
 Evaluate = Callable[[Mapping[str, Any]], Mapping[str, Any]]
 """Answers a request, without its id."""
 
@@ -60,7 +64,9 @@ def serve(prepare: Callable[[], Evaluate]) -> None:
 
 
 def described(error: BaseException) -> str:
-    """Returns type, message and location of an exception."""
+    """Returns type, message and location of an exception; of one that drivecal raises on purpose, the message alone."""
+    if isinstance(error, DrivecalError):
+        return " | ".join(str(error).splitlines())[:LONGEST_MESSAGE]
     frames = [frame for frame in traceback.extract_tb(error.__traceback__) if frame.filename != __file__]
     location = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
     return "".join(traceback.format_exception_only(error)).strip()[-250:] + location

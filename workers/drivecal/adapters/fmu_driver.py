@@ -9,7 +9,7 @@ import os
 import re
 import sys
 import zipfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -64,8 +64,8 @@ class Fmu:
         self._slave = self._instantiated(unpacked)
         self._is_fresh = True
 
-    def begin(self, values: Mapping[str, Any], duration: float) -> None:
-        """Resets the FMU and initialises it with start values by name."""
+    def begin(self, values: Mapping[str, Any], duration: float | None) -> None:
+        """Resets the FMU and initialises it with start values by name. `duration`: None if the end is not known."""
         if not self._is_fresh:
             self._slave.reset()
         self._is_fresh = False
@@ -87,15 +87,21 @@ class Fmu:
 
     def reader(self, names: Iterable[str]) -> "Reader":
         """Returns a reader of these variables."""
-        groups: dict[str, list[str]] = {}
+        return Reader(self._slave, {f"get{access}": group for access, group in self._grouped(names, "measured").items()})
+
+    def writer(self, names: Iterable[str]) -> "Writer":
+        """Returns a writer of these variables."""
+        return Writer(self._slave, self._grouped(names, "set to a number"))
+
+    def _grouped(self, names: Iterable[str], use: str) -> dict[str, list[tuple[str, int]]]:
+        """Returns names and value references by the end of the name of their functions."""
+        groups: dict[str, list[tuple[str, int]]] = {}
         for name in names:
-            if self._access(name) == "String":
-                raise UnusableError(f"the variable {name} is a text and cannot be measured")
-            groups.setdefault(self._access(name), []).append(name)
-        return Reader(
-            self._slave,
-            {f"get{key}": [(name, self.variables[name].valueReference) for name in group] for key, group in groups.items()},
-        )
+            access = self._access(name)
+            if access == "String":
+                raise UnusableError(f"the variable {name} is a text and cannot be {use}")
+            groups.setdefault(access, []).append((name, self.variables[name].valueReference))
+        return groups
 
     def check(self, names: Iterable[str], role: str) -> None:
         """Raises UnusableError naming the first name that the FMU does not have."""
@@ -159,6 +165,26 @@ class Reader:
     def read(self) -> list[float]:
         """Returns the values."""
         return [float(value) for function, references in self._calls for value in function(references)]
+
+
+class Writer:
+    """Writes a fixed list of variables; `names` has their order. Numbers are rounded for variables that are no reals."""
+
+    def __init__(self, slave: Any, groups: Mapping[str, list[tuple[str, int]]]) -> None:
+        """`groups`: names and value references by the end of the name of the function that writes them."""
+        self.names = [name for group in groups.values() for name, _ in group]
+        self._calls = [
+            (getattr(slave, f"set{access}"), access in {"Real", "Float64", "Float32"}, [reference for _, reference in group])
+            for access, group in groups.items()
+        ]
+
+    def write(self, values: Sequence[float]) -> None:
+        """Writes the values, in the order of `names`."""
+        first = 0
+        for function, is_real, references in self._calls:
+            last = first + len(references)
+            function(references, values[first:last] if is_real else [round(value) for value in values[first:last]])
+            first = last
 
 
 class OutputStatistics:

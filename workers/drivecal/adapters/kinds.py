@@ -7,13 +7,20 @@ from types import MappingProxyType
 from drivecal.adapters.children import REPLY_SECONDS
 from drivecal.adapters.command import CommandAdapter
 from drivecal.adapters.fmu import FmuAdapter
+from drivecal.adapters.highway import HighwayAdapter
 from drivecal.adapters.process import START_SECONDS, ProcessAdapter
 from drivecal.adapters.python import PythonAdapter
 from drivecal.domain.errors import NotFoundError, UnavailableError
 from drivecal.plugins.simulators import Simulator
 
 _SIMULATORS: Mapping[str, Simulator] = MappingProxyType(
-    {"process": ProcessAdapter(), "command": CommandAdapter(), "python": PythonAdapter(), "fmu": FmuAdapter()}
+    {
+        "process": ProcessAdapter(),
+        "command": CommandAdapter(),
+        "python": PythonAdapter(),
+        "fmu": FmuAdapter(),
+        "highway": HighwayAdapter(),
+    }
 )
 
 

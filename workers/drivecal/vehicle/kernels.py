@@ -1,4 +1,4 @@
-"""Numba kernels of the vehicle: equations of motion, Runge-Kutta step, tracking controller, and the loop over 0.01 s steps.
+"""Numba kernels of the vehicle: equations of motion, Runge-Kutta step, the plant with its actuators, trackers, and loops over 0.01 s steps.
 
 They call each other and therefore share one module: numba's cache does not notice edits in imported modules. Arrays are packed:
 
@@ -23,6 +23,8 @@ STEP = 0.01
 
 FOLLOWED, UNSTABLE, TOO_SHORT = 0, 1, 2
 """Results of `follow`."""
+STEERING, CURVATURE, PATH = 0, 1, 2
+"""What `drive` steers by: an angle of the front wheels, a curvature, or a path that it keeps."""
 
 KINEMATIC_BELOW = 3.0
 DYNAMIC_ABOVE = 5.0
@@ -269,7 +271,7 @@ def _sample(trajectory: Floats, column: int, time: float, spacing: float) -> flo
 
 
 @njit(cache=True)
-def _steering_rate(
+def _steering(
     state: Floats,
     controller: Floats,
     lateral_error: float,
@@ -278,7 +280,7 @@ def _steering_rate(
     time: float,
     spacing: float,
 ) -> float:
-    """Returns the steering actuator's rate (rad/s) for the next step.
+    """Returns the steering angle (rad) that the actuator shall reach.
 
     Feed-forward is the nominal vehicle's steady steering angle for the curvature due when the vehicle will have reacted: after the
     actuator's lag plus the delay between steering angle and lateral acceleration at low frequency. The yaw rate is compared with the one
@@ -291,21 +293,41 @@ def _steering_rate(
     curvature = _sample(trajectory, 4, time + max(0.0, delay), spacing)
     curvature += YAW_RATE_GAIN * (_sample(trajectory, 4, time + max(0.0, lead), spacing) - state[5] / v)
     curvature -= (LATERAL_STIFFNESS * lateral_error + LATERAL_DAMPING * v * math.sin(course_error)) / (v * v)
-    target = _within(steering_per_curvature * curvature, -STEERING_LIMIT, STEERING_LIMIT)
-    return _within((target - state[8]) * _STEERING_SHARE / STEP, -STEERING_RATE_LIMIT, STEERING_RATE_LIMIT)
+    angle: float = steering_per_curvature * curvature
+    return angle
 
 
 @njit(cache=True)
 def _acceleration(
     state: Floats, position_error: float, course_error: float, trajectory: Floats, time: float, spacing: float
 ) -> float:
-    """Returns the acceleration (m/s^2) of drive and brakes for the next step."""
+    """Returns the acceleration (m/s^2) that drive and brakes shall reach."""
     speed_error = state[3] * math.cos(course_error) - _sample(trajectory, 5, time, spacing)
-    target = _sample(trajectory, 6, time + DRIVE_LAG, spacing) - SPEED_GAIN * speed_error - POSITION_GAIN * position_error
-    target = _within(target, LOWEST_ACCELERATION, HIGHEST_ACCELERATION)
-    acceleration: float = state[6] + (target - state[6]) * _DRIVE_SHARE
+    return _sample(trajectory, 6, time + DRIVE_LAG, spacing) - SPEED_GAIN * speed_error - POSITION_GAIN * position_error
+
+
+@njit(cache=True)
+def move(state: Floats, before: Floats, steering: float, acceleration: float, plant: Floats) -> bool:
+    """Moves the plant by `STEP` towards a steering angle (rad) and an acceleration (m/s^2), through its actuators.
+
+    Returns whether the vehicle is stable; if not, `state` keeps its last valid values. `before`: scratch memory like `state`.
+    """
+    target = _within(steering, -STEERING_LIMIT, STEERING_LIMIT)
+    rate = _within((target - state[8]) * _STEERING_SHARE / STEP, -STEERING_RATE_LIMIT, STEERING_RATE_LIMIT)
+    target = _within(acceleration, LOWEST_ACCELERATION, HIGHEST_ACCELERATION)
+    reached: float = state[6] + (target - state[6]) * _DRIVE_SHARE
     standstill: float = -state[3] / STEP
-    return acceleration if not acceleration < standstill else standstill  # brakes hold a standing vehicle without pushing it
+    if reached < standstill:
+        reached = standstill  # brakes hold a standing vehicle without pushing it
+    before[:] = state
+    within = advance(state, rate, reached, plant, STEP)
+    # Comparisons with NaN are false, so that a state that is not finite is unstable, too.
+    if not (abs(state[7]) <= ADHESION_LIMIT and abs(state[0]) + abs(state[1]) + abs(state[3]) < 1e9):
+        state[:] = before
+        return False
+    if not within and plant.shape[0] > COEFFICIENTS:
+        state[9] += 1.0
+    return True
 
 
 @njit(cache=True)
@@ -379,18 +401,47 @@ def follow(
             row = due
             directions = _directions(trajectory, row)
         position_error, lateral_error, course_error = _errors(state, trajectory, time, spacing, row, directions)
-        rate = _steering_rate(state, controller, lateral_error, course_error, trajectory, time, spacing)
+        steering = _steering(state, controller, lateral_error, course_error, trajectory, time, spacing)
         acceleration = _acceleration(state, position_error, course_error, trajectory, time, spacing)
-        before[:] = state
-        within = advance(state, rate, acceleration, plant, STEP)
-        # Comparisons with NaN are false, so that a state that is not finite is unstable, too.
-        stable = abs(state[7]) <= ADHESION_LIMIT and abs(state[0]) + abs(state[1]) + abs(state[3]) < 1e9
-        if not stable:
-            state[:] = before
+        if not move(state, before, steering, acceleration, plant):
             for remaining in range(k, steps):
                 _record(state, dynamics, remaining)
             return UNSTABLE
         _record(state, dynamics, k)
-        if not within and plant.shape[0] > COEFFICIENTS:
-            state[9] += 1.0
     return FOLLOWED
+
+
+@njit(cache=True)
+def drive(
+    state: Floats, plant: Floats, controller: Floats, by: int, lateral: float, acceleration: float, path: Floats, since: float,
+    steps: int, dynamics: Floats,
+) -> bool:  # fmt: skip
+    """Drives `steps` steps at a constant command of acceleration (m/s^2); returns whether the vehicle stayed stable.
+
+    `by`: STEERING or CURVATURE, i.e. what `lateral` (rad or 1/m) is, or PATH. A curvature is reached by the nominal vehicle's steady
+    steering angle and feedback of the yaw rate; `path`, like a trajectory of `follow`, is kept as by `follow`, from `since` seconds on, but
+    only sideways. `state` and `dynamics` as in `follow`.
+    """
+    before = state.copy()
+    spacing = path[1, 0] - path[0, 0]
+    row = -1
+    directions = (1.0, 0.0, 1.0, 0.0)
+    for k in range(steps):
+        steering = lateral
+        if by == PATH:
+            time = since + k * STEP
+            due = _row_due(path, time, spacing)
+            if due != row:
+                row = due
+                directions = _directions(path, row)
+            _, lateral_error, course_error = _errors(state, path, time, spacing, row, directions)
+            steering = _steering(state, controller, lateral_error, course_error, path, time, spacing)
+        elif by == CURVATURE:
+            v = max(state[3], DYNAMIC_ABOVE)
+            steering = (controller[0] + controller[1] * v * v) * (lateral + YAW_RATE_GAIN * (lateral - state[5] / v))
+        if not move(state, before, steering, acceleration, plant):
+            for remaining in range(k, steps):
+                _record(state, dynamics, remaining)
+            return False
+        _record(state, dynamics, k)
+    return True

@@ -9,14 +9,16 @@ from drivecal.vehicle import kernels
 from drivecal.vehicle.parameters import NOMINAL, SingleTrackParameters
 from drivecal.vehicle.residual import Residual
 
+_NO_PATH: Floats = np.zeros((2, 7))
+
 
 class SingleTrackModel:
-    """A vehicle that follows trajectories (port `VehicleModel`). Its controller is that of the nominal vehicle for all `parameters`."""
+    """A vehicle that follows trajectories (port `VehicleModel`) or commands. Its controller is that of the `nominal` vehicle."""
 
-    def __init__(self, parameters: SingleTrackParameters) -> None:
+    def __init__(self, parameters: SingleTrackParameters, nominal: SingleTrackParameters = NOMINAL) -> None:
         self.parameters = parameters
         self._plant = kernels.pack_plant(parameters)
-        self._controller = kernels.pack_controller(NOMINAL)
+        self._controller = kernels.pack_controller(nominal)
         self._state = np.zeros(9)
         self._pose = self._state[:8]
 
@@ -33,6 +35,11 @@ class SingleTrackModel:
         """
         return self._pose
 
+    @property
+    def steering(self) -> float:
+        """Steering angle of the front wheels (rad)."""
+        return self._state.item(8)
+
     def follow(self, trajectory: Floats, since: float, duration: float, dynamics: Floats) -> bool:
         """Tracks `trajectory` from `since` seconds after its start for `duration` seconds; see `ports.VehicleModel.follow`.
 
@@ -46,6 +53,26 @@ class SingleTrackModel:
         if status == kernels.TOO_SHORT:
             raise ValueError(f"the trajectory does not cover {since} s to {since + duration} s after its start")
         return bool(status == kernels.FOLLOWED)
+
+    def step(self, steering: float, acceleration: float, dynamics: Floats) -> bool:
+        """Moves the plant towards a steering angle (rad) and an acceleration (m/s^2) for 0.01 s per row of `dynamics`.
+
+        Here and below, `dynamics` has the columns of `follow`; returns False if the vehicle became unstable, as `follow` does.
+        """
+        return self._drive(kernels.STEERING, steering, acceleration, _NO_PATH, 0.0, dynamics)
+
+    def turn(self, curvature: float, acceleration: float, dynamics: Floats) -> bool:
+        """Steers to a curvature (1/m) instead."""
+        return self._drive(kernels.CURVATURE, curvature, acceleration, _NO_PATH, 0.0, dynamics)
+
+    def keep(self, path: Floats, since: float, acceleration: float, dynamics: Floats) -> bool:
+        """Steers along a path, given as a trajectory of shape (n, 7), from `since` seconds after its start."""
+        return self._drive(kernels.PATH, 0.0, acceleration, path, since, dynamics)
+
+    def _drive(self, by: int, lateral: float, acceleration: float, path: Floats, since: float, dynamics: Floats) -> bool:
+        return kernels.drive(
+            self._state, self._plant, self._controller, by, lateral, acceleration, path, since, len(dynamics), dynamics
+        )
 
 
 class HybridModel(SingleTrackModel):

@@ -15,8 +15,8 @@ from drivecal.api.http.bodies import body_of, check_encoding
 from drivecal.api.http.memory import give_back
 from drivecal.api.http.queries import ProblemsQuery
 from drivecal.api.responses import ROOT, matches
-from drivecal.bundles.archives import content_digest, executables, files_of, manifest_text
-from drivecal.client.problems import read_manifest
+from drivecal.bundles.archives import content_digest, files_of
+from drivecal.client.problems import read_archived
 from drivecal.configuration.pushing import HEADER
 from drivecal.contracts.problems import ProblemAnswer, ProblemHeading, ProblemPage
 from drivecal.storage import admission
@@ -98,7 +98,7 @@ def _store(database: Database, limits: Limits, content: bytes, signed: str | Non
     if signed is not None and sha256(content).hexdigest() != signed:
         raise HTTPException(403, f"the header {HEADER} signs another body")
     files = files_of(content, limits.problem_bytes)
-    manifest = read_manifest(manifest_text(files), executables(files))
+    manifest = read_archived(files)
     digest = content_digest(content)
     document = manifest.model_dump(mode="json")
     with database.transaction() as connection:

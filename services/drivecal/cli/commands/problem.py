@@ -11,7 +11,7 @@ from drivecal.bundles.archives import content_digest, files_of
 from drivecal.cli.application import ExitCode, JsonOption, UrlOption, app, connect, tell
 from drivecal.cli.views.output import print_answer, print_columns, print_json, print_page, when
 from drivecal.client.problem_templates import write_problem
-from drivecal.client.problems import read_bundle
+from drivecal.client.problems import read_bundle_with_notes
 from drivecal.contracts.problems import ProblemAnswer
 
 if TYPE_CHECKING:
@@ -25,7 +25,9 @@ FolderArgument = Annotated[str, typer.Argument(metavar="DIR", help="The folder w
 
 @problems.command()
 def init(
-    kind: Annotated[str, typer.Argument(metavar="KIND", help="The kind of simulation: process, command, python, fmu.")],
+    kind: Annotated[
+        str, typer.Argument(metavar="KIND", help="The kind of simulation: process, command, python, fmu, highway.")
+    ],
     name: Annotated[str, typer.Argument(metavar="NAME", help="The problem's name.")],
     folder: Annotated[str | None, typer.Option(metavar="DIR", help="The new folder; else one called NAME.")] = None,
     fmu: Annotated[
@@ -51,7 +53,9 @@ def check(
     as_json: JsonOption = False,
 ) -> None:
     """Check a problem without a server: its files, then one run per scenario, twice, at the baseline or in the middle of the space."""
-    manifest, archive = read_bundle(folder)
+    manifest, archive, notes = read_bundle_with_notes(folder)
+    for note in notes:
+        tell(note)
     report: dict[str, Any] = {
         "name": manifest.problem,
         "digest": content_digest(archive),
@@ -59,6 +63,7 @@ def check(
         "files": list(files_of(archive)),
         "deterministic": manifest.simulator.deterministic,
         "tools": None,
+        "notes": list(notes),
         "parameters": None,
         "scenarios": [],
         "warnings": [],
@@ -92,7 +97,9 @@ def check(
 @problems.command()
 def push(folder: FolderArgument, url: UrlOption = None, as_json: JsonOption = False) -> None:
     """Store a problem on the server, so that campaigns can name it. Takes a token of the role author, or the server's own user."""
-    _, archive = read_bundle(folder)
+    _, archive, notes = read_bundle_with_notes(folder)
+    for note in notes:
+        tell(note)
     with connect(url) as client:
         print_answer(client.push_problem(archive), as_json, _print_problem)
 

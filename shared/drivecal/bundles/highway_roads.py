@@ -1,0 +1,235 @@
+"""Roads of the simulator `highway`: converts OpenDRIVE files of a bundle, and checks that each scenario fits its network.
+
+A converted network is a file of the archive beside its OpenDRIVE file (`road.xodr.net.xml`). It counts in digests as every other
+file does: what is driven is the network. It names the digest of its source, so that one that is older than its source is refused.
+"""
+
+import hashlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+from drivecal.bundles.archives import BundleFile
+from drivecal.bundles.highway import Driver, FlowEntry, HighwayScenario, Placed, TrafficEntry
+from drivecal.bundles.highway_checks import scenario_of
+from drivecal.bundles.manifest import Manifest
+from drivecal.contracts.input_errors import nearest
+from drivecal.contracts.strict_json import shown
+from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.roads.conversion import converted
+from drivecal.roads.corridor import Corridor, corridor
+from drivecal.roads.network import Edge, Network, network_file, read_network, source_of
+
+SHORTEST_DRIVE = 0.5
+"""Share of the way at start speed that a route must have at least."""
+
+
+def conversions(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[dict[str, bytes], tuple[str, ...]]:
+    """Returns the networks to add to a bundle, by file, and notes on them. A network that was made of the same file is kept.
+
+    Raises InvalidInputError if a file cannot be converted, and UnavailableError if netconvert is missing.
+    """
+    networks: dict[str, bytes] = {}
+    notes: list[str] = []
+    problems: list[Problem] = []
+    for field, scenario in _scenarios(manifest):
+        name = scenario.network
+        if not name.endswith(".xodr") or name not in files or network_file(name) in networks:
+            continue
+        existing = files.get(network_file(name))
+        if existing is not None:
+            if source_of(existing.content) != _digest(files[name]):
+                problems.append(_stale(field, name))
+            continue
+        try:
+            conversion = converted(files[name].content, name)
+        except InvalidInputError as error:
+            problems += [Problem(f"{field}.network", _message(problem), problem.remedy) for problem in error.problems]
+            continue
+        networks[network_file(name)] = conversion.network
+        notes += [f"{name}: {note}" for note in conversion.notes]
+    if problems:
+        raise InvalidInputError(*dict.fromkeys(problems))
+    return networks, tuple(notes)
+
+
+def check_roads(manifest: Manifest, files: Mapping[str, BundleFile]) -> None:
+    """Raises InvalidInputError if a scenario's network, route or positions do not fit each other, with the fields of the manifest."""
+    roads = _Roads(files)
+    problems = [problem for field, scenario in _scenarios(manifest) for problem in _problems(roads, field, scenario)]
+    if problems:
+        raise InvalidInputError(*dict.fromkeys(problems))
+
+
+def route_notes(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[str, ...]:
+    """Returns a note on each checked scenario whose route ends before its duration, at the ego vehicle's start speed."""
+    roads, notes = _Roads(files), []
+    for field, scenario in _scenarios(manifest):
+        road = roads.corridor(scenario)
+        ahead = road.length - _start(road, scenario)
+        if ahead < scenario.ego.speed * scenario.duration:
+            seconds = ahead / scenario.ego.speed
+            notes.append(
+                f"{field}: at {scenario.ego.speed:g} m/s the route ends after {seconds:.1f} of {scenario.duration:g} s"
+            )
+    return tuple(notes)
+
+
+class _Roads:
+    """Networks and corridors of a bundle, each read once."""
+
+    def __init__(self, files: Mapping[str, BundleFile]) -> None:
+        self._files = files
+        self._networks: dict[str, Network | InvalidInputError] = {}
+        self._corridors: dict[tuple[str, tuple[str, ...]], Corridor | InvalidInputError] = {}
+
+    def network(self, name: str) -> Network:
+        """Returns the network of a scenario. Raises InvalidInputError with the field `network`."""
+        if name not in self._networks:
+            try:
+                self._networks[name] = self._read(name)
+            except InvalidInputError as error:
+                self._networks[name] = error
+        network = self._networks[name]
+        if isinstance(network, InvalidInputError):
+            raise network
+        return network
+
+    def corridor(self, scenario: HighwayScenario) -> Corridor:
+        """Returns the corridor of a scenario. Raises InvalidInputError."""
+        key = (scenario.network, tuple(scenario.route))
+        if key not in self._corridors:
+            try:
+                self._corridors[key] = corridor(self.network(scenario.network), scenario.route, scenario.network)
+            except InvalidInputError as error:
+                self._corridors[key] = error
+        road = self._corridors[key]
+        if isinstance(road, InvalidInputError):
+            raise road
+        return road
+
+    def _read(self, name: str) -> Network:
+        file = self._files.get(network_file(name))
+        if file is None:
+            message = f"the archive has no {shown(network_file(name), 300)}, the network that is made of {shown(name, 300)}"
+            raise InvalidInputError(Problem("network", message, "push the folder: drivecal problem push DIR"))
+        source = self._files.get(name)
+        if name != network_file(name) and (source is None or source_of(file.content) != _digest(source)):
+            raise InvalidInputError(replace(_stale("", name), field="network"))
+        try:
+            return read_network(file.content, name)
+        except InvalidInputError as error:
+            raise InvalidInputError(
+                *(replace(problem, field="network", message=_message(problem)) for problem in error.problems)
+            ) from error
+
+
+def _problems(roads: _Roads, field: str, scenario: HighwayScenario) -> Iterator[Problem]:
+    """Yields the faults of a scenario."""
+    try:
+        network, road = roads.network(scenario.network), roads.corridor(scenario)
+    except InvalidInputError as error:
+        yield from _prefixed(error, field)
+        return
+    try:
+        start = _start(road, scenario)
+        needed = SHORTEST_DRIVE * scenario.ego.speed * scenario.duration
+        if road.length - start < needed:
+            message = (
+                f"the route ends {road.length - start:.0f} m after the start, which is too short for {scenario.duration:g} s"
+            )
+            yield Problem(f"{field}.route", message, "give a longer route, or a shorter duration")
+    except InvalidInputError as error:
+        yield from _prefixed(error, f"{field}.ego")
+    for index, vehicle in enumerate(scenario.traffic):
+        yield from _vehicle(network, road, vehicle, f"{field}.traffic[{index}]")
+    for index, flow in enumerate(scenario.flows):
+        yield from _flow(network, scenario, flow, f"{field}.flows[{index}]")
+
+
+def _start(road: Corridor, scenario: HighwayScenario) -> float:
+    """Returns s of the ego vehicle's start. Raises InvalidInputError with the fields of a place."""
+    ego: Placed = scenario.ego
+    if ego.edge is not None:
+        return road.position(ego.edge, ego.lane, ego.s)[0]
+    road.piece(ego.s, ego.lane)
+    return ego.s
+
+
+def _vehicle(network: Network, road: Corridor, vehicle: TrafficEntry, field: str) -> Iterator[Problem]:
+    """Yields the faults of a vehicle's place and route."""
+    yield from _route(network, vehicle, field)
+    if vehicle.edge is None:
+        try:
+            road.piece(vehicle.s, vehicle.lane)
+        except InvalidInputError as error:
+            yield from _prefixed(error, field)
+        return
+    edge = network.edges.get(vehicle.edge)
+    yield from _place(network, edge, vehicle.edge, vehicle.lane, field)
+    if edge is not None and vehicle.lane < len(edge.lanes) and vehicle.s > edge.lanes[vehicle.lane].length:
+        length = edge.lanes[vehicle.lane].length
+        message = (
+            f"the lane {shown(f'{edge.id}_{vehicle.lane}', 90)} is {length:.2f} m long, and has no position {vehicle.s:g} m"
+        )
+        yield Problem(f"{field}.s", message, f"give 0 to {length:.2f}")
+    if edge is not None and vehicle.route is not None and vehicle.edge not in vehicle.route:
+        yield Problem(f"{field}.edge", f"{shown(vehicle.edge, 80)} is not on the vehicle's route", "give an edge of it")
+
+
+def _flow(network: Network, scenario: HighwayScenario, flow: FlowEntry, field: str) -> Iterator[Problem]:
+    yield from _route(network, flow, field)
+    name = flow.edge or (flow.route or scenario.route)[0]
+    yield from _place(network, network.edges.get(name), name, flow.lane, field)
+
+
+def _place(network: Network, edge: Edge | None, name: str, lane: int, field: str) -> Iterator[Problem]:
+    """Yields the faults of an edge and a lane on it."""
+    if edge is None or edge.function != "":
+        yield _unknown(network, name, f"{field}.edge")
+    elif lane >= len(edge.lanes):
+        message = f"the edge {shown(name, 80)} has no lane {lane}"
+        yield Problem(f"{field}.lane", message, f"give 0 to {len(edge.lanes) - 1}")
+
+
+def _route(network: Network, driver: Driver, field: str) -> Iterator[Problem]:
+    """Yields the faults of a vehicle's own route: edges that are not there, or do not follow each other."""
+    route: Sequence[str] = driver.route or ()
+    for index, name in enumerate(route):
+        if name not in network.edges or network.edges[name].function != "":
+            yield _unknown(network, name, f"{field}.route[{index}]")
+        elif index and all(link.end != name for link in network.connections.get(route[index - 1], ())):
+            message = f"no lane leads from {shown(route[index - 1], 80)} to {shown(name, 80)}"
+            reached = dict.fromkeys(link.end for link in network.connections.get(route[index - 1], ()))
+            remedy = f"it leads to {', '.join(shown(edge, 80) for edge in list(reached)[:5]) or 'no edge'}"
+            yield Problem(f"{field}.route[{index}]", message, remedy)
+
+
+def _unknown(network: Network, name: str, field: str) -> Problem:
+    roads = [edge.id for edge in network.edges.values() if edge.function == ""][:1000]
+    remedy = nearest(name, roads[:20])
+    return Problem(field, f"{network.name}: there is no edge {shown(name, 80)}", remedy)
+
+
+def _scenarios(manifest: Manifest) -> Iterator[tuple[str, HighwayScenario]]:
+    for name, data in manifest.scenarios.items():
+        scenario = scenario_of(name, data)
+        if isinstance(scenario, HighwayScenario):
+            yield f"scenarios.{name}", scenario
+
+
+def _prefixed(error: InvalidInputError, field: str) -> Iterator[Problem]:
+    for problem in error.problems:
+        yield replace(problem, field=f"{field}.{problem.field}")
+
+
+def _message(problem: Problem) -> str:
+    return f"{problem.field}: {problem.message}"
+
+
+def _digest(file: BundleFile) -> str:
+    return hashlib.sha256(file.content).hexdigest()
+
+
+def _stale(field: str, name: str) -> Problem:
+    message = f"{shown(network_file(name), 300)} was not made of this {shown(name, 300)}"
+    return Problem(f"{field}.network", message, f"delete {shown(network_file(name), 300)}; it is made again")

@@ -1,0 +1,31 @@
+"""What the sections of all simulators in a manifest share: types of fields, and the settings of child processes."""
+
+from typing import Annotated
+
+from pydantic import Field, StringConstraints
+
+from drivecal.contracts.specification import Model
+
+Text = Annotated[str, StringConstraints(max_length=1000)]
+Unit = Annotated[str, StringConstraints(max_length=32)]
+File = Annotated[str, StringConstraints(min_length=1, max_length=255)]
+"""Path inside the bundle, with forward slashes."""
+Command = Annotated[list[Annotated[str, StringConstraints(min_length=1, max_length=4096)]], Field(min_length=1, max_length=100)]
+
+Variable = Annotated[str, StringConstraints(min_length=1, max_length=255, pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
+"""Name of an environment variable."""
+
+
+class SimulatorEntry(Model):
+    """Settings of every simulator that runs in child processes.
+
+    `timeout` (s, wall-clock) and `memory_mb` limit each run. `deterministic`: the simulator claims equal measures for equal inputs.
+    `probe`: a command whose output is the version of tools outside of the bundle.
+    `environment`: names of further variables that its processes get from the worker.
+    """
+
+    timeout: Annotated[float, Field(gt=0, le=86_400)] = 60.0
+    memory_mb: Annotated[int, Field(ge=16, le=1_000_000)] = 2000
+    deterministic: bool = False
+    probe: Command | None = None
+    environment: Annotated[list[Variable], Field(max_length=50)] | None = None

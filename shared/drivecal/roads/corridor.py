@@ -1,0 +1,256 @@
+"""Corridors: the lanes of a route along one smooth reference line, in the coordinates of the network.
+
+The line follows the guide's lanes. Every lane of the route has its place as an offset from the line, measured from the points of the
+file, so that tracks lie where the network has them even if the line does not follow a corner of a polyline.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from drivecal.contracts.strict_json import shown
+from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.domain.roads import Floats
+from drivecal.roads.guide import Guide, guide_of
+from drivecal.roads.lines import lengths, nodes_of, project
+from drivecal.roads.network import Lane, Network
+from drivecal.roads.route import Chain, Lanes, lanes_of, refusal
+
+SAMPLES = 1.0
+"""Metres between the points at which lanes are measured, beside those of the file."""
+LARGEST_BACKWARDS = 1.0
+"""Metres that a lane may seem to run backwards along the line, at a corner."""
+NARROWEST = 0.9
+"""Largest product of a line's curvature and a lane's offset: beyond 1, s and d are ambiguous."""
+WHOLE_DEGREE = 1.0
+"""Shortest route (m) on small coordinates that are no degrees."""
+LARGEST_DIFFERENCE = 0.3
+"""Share by which a lane's length may differ from its shape's: SUMO averages over the lanes of an edge."""
+SHORT = 30.0
+"""Metres of a lane; shorter ones may differ by as much as lanes of this length."""
+
+
+@dataclass(frozen=True, slots=True)
+class LanePiece:
+    """A lane of the network, inside of a junction or not, from s = `begin` to `end` of the corridor (m)."""
+
+    edge: str
+    index: int
+    begin: float
+    end: float
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """A chain of connected lanes along the route. `ends`: it ends before the route does, as acceleration lanes and exits do."""
+
+    lanes: tuple[LanePiece, ...]
+    begin: float
+    end: float
+    ends: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Corridor:
+    """The lanes of a route in Frenet coordinates.
+
+    `line`: the reference line (n, 5) as in `domain.roads`; `tracks`: from right to left. At `stations` (k,), equally spaced in s:
+    offsets of the tracks' centres from the line `centres` (k, m), positive to the left, NaN if the track is not there; lane `widths`
+    and speed `limits` (k, m), in m and m/s, which hold from a station to the next.
+    """
+
+    line: Floats
+    tracks: tuple[Track, ...]
+    stations: Floats
+    centres: Floats
+    widths: Floats
+    limits: Floats
+    name: str = ""
+    places: Mapping[tuple[str, int], Floats] = field(default_factory=dict, repr=False)
+    """Positions along each lane (m, as SUMO counts) with their s and d: (n, 3)."""
+
+    @property
+    def length(self) -> float:
+        """Length (m) of the line."""
+        return float(self.line[-1, 0])
+
+    def position(self, edge: str, lane: int, s: float) -> tuple[float, float]:
+        """Returns s and d of a position along a lane's centre. Raises InvalidInputError if lane or position are not on the route."""
+        place = self.places.get((edge, lane))
+        if place is None:
+            lanes = [index for name, index in self.places if name == edge]
+            message = f"the edge {shown(edge, 80)} has no lane {lane} for passenger cars on the route"
+            remedy = f"give one of {', '.join(map(str, sorted(lanes)))}" if lanes else "give an edge of the route"
+            raise InvalidInputError(Problem("lane" if lanes else "edge", f"{self.name}: {message}", remedy))
+        length = float(place[-1, 0])
+        if not 0.0 <= s <= length:
+            message = f"the lane {shown(f'{edge}_{lane}', 90)} is {length:.2f} m long, and has no position {s:g} m"
+            raise InvalidInputError(Problem("s", f"{self.name}: {message}", f"give 0 to {length:.2f}"))
+        return float(np.interp(s, place[:, 0], place[:, 1])), float(np.interp(s, place[:, 0], place[:, 2]))
+
+    def piece(self, s: float, lane: int) -> LanePiece:
+        """Returns the lane of this index on the edge at s. Raises InvalidInputError if there is none, or a junction is there."""
+        if not 0.0 <= s <= self.length:
+            message = f"the route is {self.length:.1f} m long, and has no s = {s:g} m"
+            raise InvalidInputError(Problem("s", f"{self.name}: {message}", f"give 0 to {self.length:.1f}"))
+        here = [piece for track in self.tracks for piece in track.lanes if piece.begin <= s <= piece.end]
+        roads = {piece.index: piece for piece in here if not piece.edge.startswith(":")}
+        if lane in roads:
+            return roads[lane]
+        message = f"there is no lane {lane} for passenger cars on the route at s = {s:g} m"
+        remedy = f"give one of {', '.join(map(str, sorted(roads)))}" if roads else "there is a junction: give another s"
+        raise InvalidInputError(Problem("lane" if roads else "s", f"{self.name}: {message}", remedy))
+
+    def lane_at(self, s: float, d: float) -> int | None:
+        """Returns the track whose lane holds a point, None if there is none. Of two that overlap, the closer centre counts."""
+        if not 0.0 <= s <= self.length:
+            return None
+        row = s / self.stations[1]
+        low = min(int(row), len(self.stations) - 2)
+        share = row - low
+        centres = (1.0 - share) * self.centres[low] + share * self.centres[low + 1]
+        off = np.abs(d - centres)
+        off[~(off <= 0.5 * self.widths[low])] = np.inf  # NaN is no lane
+        best = int(np.argmin(off))
+        return best if off[best] < np.inf else None
+
+
+def corridor(network: Network, route: Sequence[str], name: str) -> Corridor:
+    """Returns the corridor of a route. `name`: the network's file in messages.
+
+    Raises InvalidInputError with fields `route` or `route[i]` if the route cannot be driven.
+    """
+    lanes = lanes_of(network, route)
+    _check_units(network, lanes)
+    guide = guide_of(network, lanes)
+    places = _Places(network, guide)
+    tracks, columns = zip(*(_track(chain, lanes, places, guide.line) for chain in lanes.chains), strict=True)
+    centres, widths, limits = (np.column_stack([column[part] for column in columns]) for part in range(3))
+    result = Corridor(guide.line, tracks, guide.line[:, 0].copy(), centres, widths, limits, name, places.table)
+    _check(result, network, lanes, places)
+    return result
+
+
+class _Places:
+    """Lanes measured from the line. `table` collects them by edge and index."""
+
+    def __init__(self, network: Network, guide: Guide) -> None:
+        self._network, self.guide = network, guide
+        self.table: dict[tuple[str, int], Floats] = {}
+
+    def of(self, lane: Lane, begin: float, end: float, index: int) -> Floats:
+        """Returns positions, s and d (n, 3) of a lane that lies about between two places of the line; `index`: its edge on the route."""
+        key = (lane.edge, lane.index)
+        if key not in self.table:
+            self.table[key] = self._measured(lane, begin, end, index)
+        return self.table[key]
+
+    def _measured(self, lane: Lane, begin: float, end: float, index: int) -> Floats:
+        points = _dense(lane.shape)
+        positions = lengths(points)
+        share = positions / max(positions[-1], 1e-9)
+        s, d = project(self.guide.line, points, begin + share * (end - begin))
+        where = f"line {lane.line}, the lane {shown(f'{lane.edge}_{lane.index}', 90)}"
+        if np.isnan(s).any() or np.max(np.maximum.accumulate(s) - s) > LARGEST_BACKWARDS:
+            raise refusal(
+                index, self._network, f"{where} does not run along the route: it turns too tightly", "give another route"
+            )
+        return np.column_stack([share * lane.length, np.maximum.accumulate(s), d])
+
+
+def _dense(shape: Floats) -> Floats:
+    """Returns the points of a lane, and more between them."""
+    s = lengths(shape)
+    return nodes_of(shape, SAMPLES) if s[-1] < SAMPLES else np.vstack(list(_parts(shape, s)))
+
+
+def _parts(shape: Floats, s: Floats) -> Iterator[Floats]:
+    for (first, second), step in zip(pairwise(shape), np.diff(s), strict=True):
+        share = np.arange(0.0, 1.0, 1.0 / max(1, int(np.ceil(step / SAMPLES))))[:, None]
+        yield first + share * (second - first)
+    yield shape[-1:]
+
+
+def _track(chain: Chain, lanes: Lanes, places: _Places, line: Floats) -> tuple[Track, tuple[Floats, Floats, Floats]]:
+    """Returns a track, and the columns of its centres, widths and limits."""
+    measured = list(_measured_pieces(chain, places))
+    pieces = [(lane, float(place[0, 1]), float(place[-1, 1])) for lane, place in measured]
+    s = np.maximum.accumulate(np.concatenate([place[:, 1] for _, place in measured]))
+    d = np.concatenate([place[:, 2] for _, place in measured])
+    stations = line[:, 0]
+    begin = 0.0 if chain.first == 0 else max(0.0, pieces[0][1])
+    end = stations[-1] if chain.last == len(lanes.edges) - 1 else min(stations[-1], pieces[-1][2])
+    there = (stations >= begin) & (stations <= end)
+    at = np.clip(np.searchsorted([piece[1] for piece in pieces], stations, side="right") - 1, 0, None)
+    columns = (
+        np.interp(stations, s, d),
+        _widths(measured, at, stations),
+        np.array([lane.limit for lane, _, _ in pieces])[at],
+    )
+    centre, width, limit = (np.where(there, column, np.nan) for column in columns)
+    stops = [max(stop, following[1]) for (_, _, stop), following in pairwise(pieces)] + [pieces[-1][2]]
+    named = tuple(LanePiece(lane.edge, lane.index, start, stop) for (lane, start, _), stop in zip(pieces, stops, strict=True))
+    return Track(named, float(begin), float(end), chain.last < len(lanes.edges) - 1), (centre, width, limit)
+
+
+def _widths(measured: Sequence[tuple[Lane, Floats]], at: npt.NDArray[np.int64], stations: Floats) -> Floats:
+    """Returns a track's width at each station; `at`: the piece there."""
+    widths = np.empty(len(stations))
+    for number, (lane, place) in enumerate(measured):
+        here = at == number
+        if lane.widths is None:
+            widths[here] = lane.width
+        else:
+            share = np.interp(stations[here], place[:, 1], place[:, 0] / max(lane.length, 1e-9))
+            widths[here] = np.interp(share, *lane.widths.T)
+    return widths
+
+
+def _measured_pieces(chain: Chain, places: _Places) -> Iterator[tuple[Lane, Floats]]:
+    ranges = places.guide.ranges
+    for number, lane in enumerate(chain.lanes):
+        index = chain.first + number
+        begin, end = ranges[index]
+        yield lane, places.of(lane, begin, end, index)
+        if number < len(chain.inside):
+            for inner in chain.inside[number]:
+                yield inner, places.of(inner, end, ranges[index + 1][0], index + 1)
+
+
+def _check_units(network: Network, lanes: Lanes) -> None:
+    """Raises InvalidInputError if coordinates are degrees, or lengths are not those of the shapes."""
+    sizes = [float(lengths(lane.shape)[-1]) for lane, _ in lanes.guide]
+    points = np.vstack([lane.shape for lane, _ in lanes.guide])
+    if sum(sizes) < WHOLE_DEGREE and np.all(np.abs(points) <= (180.0, 90.0)):
+        raise refusal(
+            0,
+            network,
+            "the coordinates look like degrees of longitude and latitude",
+            "build the network in metres: netconvert --proj.utm",
+        )
+    for index, ((lane, _), size) in enumerate(zip(lanes.guide, sizes, strict=True)):
+        if abs(lane.length - size) > LARGEST_DIFFERENCE * max(size, SHORT):
+            where = f"line {lane.line}, the lane {shown(f'{lane.edge}_{lane.index}', 90)}"
+            message = f"{where}: its length is {lane.length:.2f} m, but its shape is {size:.2f} m long"
+            raise refusal(index, network, message, "build the network again")
+
+
+def _check(result: Corridor, network: Network, lanes: Lanes, places: _Places) -> None:
+    """Raises InvalidInputError if lanes are not ordered from the right, or the line turns too tightly for them."""
+    for index, edge in enumerate(lanes.edges):
+        offsets = [float(np.median(places.table[edge.id, lane.index][:, 2])) for lane in edge.lanes if lane.for_cars]
+        if any(left <= right for right, left in pairwise(offsets)):
+            message = f"line {edge.line}, the edge {shown(edge.id, 80)}: its lanes are not ordered from right to left"
+            raise refusal(index, network, message, "give a network for right-hand traffic")
+    reach = np.nanmax(np.abs(result.centres) + 0.5 * result.widths, axis=1)
+    tight = np.abs(result.line[:, 4]) * reach
+    worst = int(np.argmax(tight))
+    if tight[worst] > NARROWEST:
+        s = result.line[worst, 0]
+        index = max(number for number, (begin, _) in enumerate(places.guide.ranges) if begin <= s or number == 0)
+        radius = 1.0 / abs(result.line[worst, 4])
+        message = f"the route turns with a radius of {radius:.1f} m at the edge {shown(lanes.edges[index].id, 80)}"
+        raise refusal(index, network, message, "give a route along a motorway or a road without crossings")

@@ -1,0 +1,313 @@
+"""SUMO networks: reads a `.net.xml` into edges, lanes, connections and junctions.
+
+Nothing is repaired: a number that is missing, absurd or not finite, two elements of one name and an element that names an unknown one
+are refused. Positions keep the file's coordinates.
+"""
+
+import hashlib
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from drivecal.contracts.strict_json import shown
+from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.domain.roads import Floats
+from drivecal.roads.documents import Attributes, read_elements
+
+OLDEST, NEWEST = (0, 20), (1, 99)
+"""Versions of the format."""
+CAR = "passenger"
+DEFAULT_WIDTH = 3.2
+"""Metres; SUMO's own."""
+FARTHEST = 1e8
+"""Largest coordinate (m)."""
+LONGEST = 1e6
+"""Metres of a lane."""
+FASTEST = 150.0
+"""Largest speed limit (m/s)."""
+WIDEST = 20.0
+"""Metres of a lane."""
+MOST_LANES = 32
+"""Lanes of an edge."""
+MOST_POINTS = 200_000
+"""Points of a lane."""
+WIDTHS = "drivecal.widths"
+"""Parameter of lanes whose width changes: pairs of a share of the shape's length and a width (m), which SUMO ignores."""
+
+
+CONVERTED = ".net.xml"
+"""Ending of a converted network's file, after that of its OpenDRIVE file."""
+_SOURCE = re.compile(rb"<!-- converted from an OpenDRIVE file of SHA-256 ([0-9a-f]{64}) -->")
+
+
+def network_file(name: str) -> str:
+    """Returns the file of a bundle that holds a network: that of an OpenDRIVE file stands beside it since the bundle was packed."""
+    return name + CONVERTED if name.endswith(".xodr") else name
+
+
+def source_of(network: bytes) -> str | None:
+    """Returns the digest of the OpenDRIVE file that a network was converted from, None if it was not converted by drivecal."""
+    match = _SOURCE.search(network, 0, 300)
+    return None if match is None else match[1].decode()
+
+
+def source_comment(content: bytes) -> bytes:
+    """Returns the line of a converted network by which `source_of` finds the digest of its OpenDRIVE file."""
+    return b"<!-- converted from an OpenDRIVE file of SHA-256 %s -->\n" % hashlib.sha256(content).hexdigest().encode()
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Lane:
+    """A lane: its centre line `shape` (n, 2) in driving direction, `length` by which SUMO counts positions (m), limit (m/s), width (m)."""
+
+    edge: str
+    index: int
+    shape: Floats
+    length: float
+    limit: float
+    width: float
+    for_cars: bool
+    line: int
+    """Line of the file."""
+    widths: Floats | None = None
+    """Shares of the shape's length and widths there (n, 2), if the width changes along the lane."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Edge:
+    """Lanes beside each other, from the right. `function` is empty for roads, else `internal`, `crossing`, ..."""
+
+    id: str
+    function: str
+    begin: str
+    end: str
+    lanes: tuple[Lane, ...]
+    line: int
+
+
+@dataclass(frozen=True, slots=True)
+class Connection:
+    """A way from a lane to the next, through the lane `via` inside of the junction if the network has such lanes."""
+
+    begin: str
+    end: str
+    from_lane: int
+    to_lane: int
+    via: str | None
+    light: bool
+    state: str
+    direction: str
+    for_cars: bool
+    line: int
+
+
+@dataclass(frozen=True, slots=True)
+class Junction:
+    """A junction. `lanes`: the incoming ones in order of its requests; `foes`: for each request a text of bits, the last for request 0."""
+
+    id: str
+    kind: str
+    lanes: tuple[str, ...]
+    foes: tuple[str, ...]
+    line: int
+
+
+@dataclass(frozen=True, eq=False)
+class Network:
+    """A SUMO network. `connections`: those from each edge, in the order of the file; `roundabouts`: the edges of any."""
+
+    name: str
+    edges: Mapping[str, Edge]
+    connections: Mapping[str, tuple[Connection, ...]]
+    junctions: Mapping[str, Junction]
+    roundabouts: frozenset[str]
+
+    def lane(self, name: str) -> Lane | None:
+        """Returns the lane of an id such as `e1_0`."""
+        edge, _, index = name.rpartition("_")
+        if edge not in self.edges or not index.isascii() or not index.isdigit() or len(index) > 3:
+            return None
+        lanes = self.edges[edge].lanes
+        return lanes[int(index)] if int(index) < len(lanes) else None
+
+
+def read_network(content: bytes, name: str) -> Network:
+    """Returns the network of a `.net.xml`. `name`: the file's name in messages.
+
+    Raises InvalidInputError naming file, line, element, cause and remedy.
+    """
+    reader = _Reader(name)
+    read_elements(content, name, "net", reader.start, reader.end)
+    return reader.finished()
+
+
+@dataclass(slots=True)
+class _Reader:
+    """Collects the elements of a network."""
+
+    name: str
+    edges: dict[str, Edge] = field(default_factory=dict)
+    connections: dict[str, list[Connection]] = field(default_factory=dict)
+    junctions: dict[str, Junction] = field(default_factory=dict)
+    roundabouts: set[str] = field(default_factory=set)
+    edge: Attributes | None = None
+    lanes: list[Lane] = field(default_factory=list)
+    junction: Attributes | None = None
+    foes: list[str] = field(default_factory=list)
+
+    def start(self, attributes: Attributes) -> None:
+        """Takes an element. Whatever has no meaning for a route is left out."""
+        method: Any = getattr(self, f"on_{attributes.element}", None)
+        if method is not None:
+            method(attributes)
+
+    def end(self, tag: str) -> None:
+        """Closes an edge or a junction."""
+        if tag == "edge" and self.edge is not None:
+            self._close_edge(self.edge)
+            self.edge, self.lanes = None, []
+        elif tag == "junction" and self.junction is not None:
+            self._close_junction(self.junction)
+            self.junction, self.foes = None, []
+
+    def finished(self) -> Network:
+        """Returns the network. Raises InvalidInputError if it has no roads."""
+        if not any(edge.function == "" for edge in self.edges.values()):
+            raise InvalidInputError(Problem(self.name, "the network has no roads", "give a network with edges"))
+        connections = {edge: tuple(ways) for edge, ways in self.connections.items()}
+        return Network(self.name, self.edges, connections, self.junctions, frozenset(self.roundabouts))
+
+    def on_net(self, attributes: Attributes) -> None:
+        text = attributes.text("version")
+        major, _, minor = text.partition(".")
+        numbers = [int(part) if part.isascii() and part.isdigit() and len(part) < 4 else -1 for part in (major, minor or "0")]
+        version = (numbers[0], numbers[1])
+        if min(version) < 0 or not OLDEST <= version <= NEWEST:
+            message = f"networks of version {shown(text, 20)} cannot be read, only those from {OLDEST[0]}.{OLDEST[1]} to 1.x"
+            raise attributes.fault(message, "convert it: netconvert -s OLD.net.xml -o NEW.net.xml")
+        if attributes.truth("lefthand"):
+            raise attributes.fault("the network is for left-hand traffic", "give a network for right-hand traffic")
+
+    def on_edge(self, attributes: Attributes) -> None:
+        if self.edge is not None:
+            raise attributes.fault("an edge stands inside of another", "close it first")
+        self.edge = attributes
+
+    def _close_edge(self, attributes: Attributes) -> None:
+        name = attributes.text("id")
+        if name in self.edges:
+            raise attributes.fault("another edge has the same id", "rename one")
+        function = attributes.text("function", "")
+        function = "" if function == "normal" else function
+        is_road = function == ""
+        begin, end = (attributes.text(key, None if is_road else "") for key in ("from", "to"))
+        lanes = sorted(self.lanes, key=lambda lane: lane.index)
+        if not lanes:
+            raise attributes.fault("the edge has no lanes", "give it lanes")
+        if [lane.index for lane in lanes] != list(range(len(lanes))):
+            raise attributes.fault("the lanes are not numbered 0, 1, ... from the right", "number them so")
+        self.edges[name] = Edge(name, function, begin, end, tuple(lanes), attributes.line)
+
+    def on_lane(self, attributes: Attributes) -> None:
+        if self.edge is None:
+            raise attributes.fault("the lane stands outside of an edge", "move it into its edge")
+        edge, index = self.edge.text("id"), attributes.integer("index", 0, MOST_LANES - 1)
+        if attributes.text("id") != f"{edge}_{index}":
+            raise attributes.fault(f"lane {index} of {shown(edge, 60)} must be {shown(f'{edge}_{index}', 70)}", "rename it")
+        self.lanes.append(
+            Lane(
+                edge=edge,
+                index=index,
+                shape=_shape(attributes),
+                length=attributes.number("length", 0.0, LONGEST),
+                limit=attributes.number("speed", 0.0, FASTEST),
+                width=attributes.number("width", 0.1, WIDEST, DEFAULT_WIDTH),
+                for_cars=_for_cars(attributes),
+                line=attributes.line,
+            )
+        )
+
+    def on_param(self, attributes: Attributes) -> None:
+        """Takes the widths of a lane."""
+        if attributes.values.get("key") == WIDTHS and self.edge is not None and self.lanes:
+            self.lanes[-1] = replace(self.lanes[-1], widths=_widths(attributes))
+
+    def on_connection(self, attributes: Attributes) -> None:
+        begin = attributes.text("from")
+        connection = Connection(
+            begin=begin,
+            end=attributes.text("to"),
+            from_lane=attributes.integer("fromLane", 0, MOST_LANES - 1),
+            to_lane=attributes.integer("toLane", 0, MOST_LANES - 1),
+            via=attributes.values.get("via"),
+            light="tl" in attributes.values,
+            state=attributes.text("state", ""),
+            direction=attributes.text("dir", ""),
+            for_cars=_for_cars(attributes),
+            line=attributes.line,
+        )
+        self.connections.setdefault(begin, []).append(connection)
+
+    def on_junction(self, attributes: Attributes) -> None:
+        self.junction, self.foes = attributes, []
+
+    def on_request(self, attributes: Attributes) -> None:
+        if self.junction is None:
+            raise attributes.fault("the request stands outside of a junction", "move it into its junction")
+        index, bits = attributes.integer("index", 0, 10_000), attributes.text("foes")
+        if index != len(self.foes) or len(bits) > 10_000 or not set(bits) <= {"0", "1"}:
+            raise attributes.fault(
+                "the requests are not numbered 0, 1, ..., or their foes are no bits", "build the network again"
+            )
+        self.foes.append(bits)
+
+    def _close_junction(self, attributes: Attributes) -> None:
+        name = attributes.text("id")
+        if name in self.junctions:
+            raise attributes.fault("another junction has the same id", "rename one")
+        lanes = tuple(attributes.text("incLanes", "").split())
+        self.junctions[name] = Junction(name, attributes.text("type", ""), lanes, tuple(self.foes), attributes.line)
+
+    def on_roundabout(self, attributes: Attributes) -> None:
+        self.roundabouts |= set(attributes.text("edges", "").split())
+
+
+def _for_cars(attributes: Attributes) -> bool:
+    """Returns whether passenger cars may drive: SUMO's `allow` and `disallow`."""
+    allowed, banned = attributes.values.get("allow"), attributes.values.get("disallow")
+    if allowed:
+        return bool({CAR, "all"} & set(allowed.split()))
+    return not banned or not {CAR, "all"} & set(banned.split())
+
+
+def _widths(attributes: Attributes) -> Floats:
+    """Returns shares and widths (n, 2). Raises InvalidInputError."""
+    try:
+        widths = np.array([pair.split(",") for pair in attributes.text("value").split()], np.float64).reshape(-1, 2)
+    except ValueError:
+        widths = np.zeros((0, 2))
+    shares = widths[:, 0]
+    in_order = len(widths) > 1 and bool(np.all(np.diff(shares) >= 0.0) and shares[0] == 0.0 and shares[-1] <= 1.0)
+    if not in_order or not np.all((widths[:, 1] >= 0.0) & (widths[:, 1] <= WIDEST)):
+        raise attributes.fault("its widths are no pairs of a share and a width", "convert the file again")
+    return widths
+
+
+def _shape(attributes: Attributes) -> Floats:
+    """Returns the points of a lane, without heights. Raises InvalidInputError."""
+    points = attributes.text("shape").split()
+    if not 2 <= len(points) <= MOST_POINTS:
+        raise attributes.fault(f"its shape has {len(points)} points", f"give it 2 to {MOST_POINTS:,}")
+    parts = [point.split(",") for point in points]
+    try:
+        if not {len(part) for part in parts} <= {2, 3}:
+            raise ValueError
+        shape = np.array([part[:2] for part in parts], np.float64)
+    except ValueError:
+        raise attributes.fault("its shape holds what is no point x,y or x,y,z", "correct the shape") from None
+    if not np.all(np.abs(shape) <= FARTHEST):  # NaN compares as false
+        raise attributes.fault(f"its shape has coordinates beyond {FARTHEST:g} m", "correct the shape")
+    return shape

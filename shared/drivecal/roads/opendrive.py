@@ -1,0 +1,302 @@
+"""OpenDRIVE files (ASAM OpenDRIVE 1.4 to 1.8): reads the roads of an `.xodr`, and where their lanes lie.
+
+Reference lines are integrated from the file's geometries; a lane's centre follows from the lane offset and the widths between. Heights
+and banking do not move a lane.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from drivecal.contracts.strict_json import shown
+from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.domain.roads import Floats
+from drivecal.roads.documents import Attributes, read_elements
+from drivecal.roads.geometries import Cubics, Geometry, geometry_of
+
+REVISION = 1
+LONGEST = 1e6
+"""Metres of a road."""
+UNITS = {"": 1.0, "m/s": 1.0, "km/h": 1.0 / 3.6, "mph": 0.44704}
+NO_LIMIT = {"no limit", "undefined"}
+DRIVEN = frozenset({"driving", "entry", "exit", "onRamp", "offRamp", "connectingRamp", "mwyEntry", "mwyExit", "slipLane"})
+"""Types of lanes on which cars drive."""
+
+
+@dataclass(slots=True)
+class FileLane:
+    """A lane of a section: its type, widths over the section, limits (begin in the section, m/s), and linked lanes."""
+
+    id: int
+    kind: str
+    line: int
+    widths: Cubics = field(default_factory=Cubics)
+    limits: list[tuple[float, float | None]] = field(default_factory=list)
+    successor: int | None = None
+    predecessor: int | None = None
+
+
+@dataclass(slots=True)
+class Section:
+    """A lane section, from s = `begin` of its road on."""
+
+    begin: float
+    lanes: dict[int, FileLane] = field(default_factory=dict)
+
+
+@dataclass(slots=True)
+class FileRoad:
+    """A road of the file. `junction`: the id of the junction that it lies in, or -1."""
+
+    id: str
+    length: float
+    junction: str
+    line: int
+    geometries: list[Geometry] = field(default_factory=list)
+    offset: Cubics = field(default_factory=Cubics)
+    sections: list[Section] = field(default_factory=list)
+    limits: list[tuple[float, float | None]] = field(default_factory=list)
+
+    def reference(self, s: Floats) -> tuple[Floats, Floats, Floats]:
+        """Returns x, y and heading of the reference line at each s."""
+        begins = np.array([geometry.begin for geometry in self.geometries])
+        at = np.clip(np.searchsorted(begins, s, side="right") - 1, 0, len(begins) - 1)
+        x, y, heading = np.empty(len(s)), np.empty(len(s)), np.empty(len(s))
+        for index in np.unique(at):
+            here = at == index
+            x[here], y[here], heading[here] = self.geometries[index].poses(s[here] - begins[index])
+        return x, y, heading
+
+    def section_at(self, s: float) -> int:
+        """Returns the index of the section at s."""
+        begins = [section.begin for section in self.sections]
+        return int(np.clip(np.searchsorted(begins, s, side="right") - 1, 0, len(begins) - 1))
+
+    def end_of(self, index: int) -> float:
+        """Returns the s at which a section ends."""
+        return self.sections[index + 1].begin if index + 1 < len(self.sections) else self.length
+
+    def centre(self, index: int, lane: int, s: Floats) -> tuple[Floats, Floats]:
+        """Returns the points (n, 2) of a lane's centre in a section, and its widths (n,)."""
+        section, side = self.sections[index], 1 if lane > 0 else -1
+        t = self.offset.at(s)
+        width = np.zeros(len(s))
+        for number in range(side, lane + side, side):
+            t = t + side * 0.5 * width
+            width = section.lanes[number].widths.at(s - section.begin)
+            t = t + side * 0.5 * width
+        x, y, heading = self.reference(s)
+        return np.column_stack([x - t * np.sin(heading), y + t * np.cos(heading)]), width
+
+    def limit(self, index: int, lane: int, s: float) -> float | None:
+        """Returns the speed limit (m/s) of a lane at s, None if the file has none."""
+        section = self.sections[index]
+        own = _last(section.lanes[lane].limits, s - section.begin)
+        return own if own is not None else _last(self.limits, s)
+
+
+@dataclass(slots=True)
+class RoadFile:
+    """The content of an `.xodr`. `ignored`: how often each element stands in it that the conversion ignores."""
+
+    name: str
+    roads: dict[str, FileRoad]
+    ignored: Mapping[str, int]
+
+
+def read_opendrive(content: bytes, name: str) -> RoadFile:
+    """Returns the roads of an OpenDRIVE file. `name`: the file's name in messages.
+
+    Raises InvalidInputError naming file, road, cause and remedy.
+    """
+    reader = _Reader(name)
+    read_elements(content, name, "OpenDRIVE", reader.start, reader.end)
+    return reader.finished()
+
+
+IGNORED = {
+    "elevation": "heights",
+    "superelevation": "banking",
+    "shape": "lateral profiles",
+    "object": "objects",
+    "signal": "signals but traffic lights",
+    "bridge": "bridges",
+    "tunnel": "tunnels",
+    "roadMark": "road marks",
+    "access": "restrictions of lanes",
+    "material": "surfaces",
+    "border": "lane borders",
+    "height": "heights of lanes",
+    "rule": "rules of lanes",
+    "railroad": "railways",
+    "station": "stations",
+}
+"""Elements without effect on the network, and what they are."""
+PATHS = {"elevation": "elevationProfile", "superelevation": "lateralProfile", "shape": "lateralProfile"}
+GEOMETRIES = {"line", "arc", "spiral", "poly3", "paramPoly3"}
+
+
+class _Reader:
+    """Collects the elements of an OpenDRIVE file."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.roads: dict[str, FileRoad] = {}
+        self.ignored: dict[str, int] = {}
+        self.path: list[str] = []
+        self.road: FileRoad | None = None
+        self.lane: FileLane | None = None
+        self.geometry: Attributes | None = None
+        self.kind_begin = 0.0
+
+    def start(self, attributes: Attributes) -> None:
+        """Takes an element of a known place."""
+        element = attributes.element
+        inside = self.path[-1] if self.path else ""
+        self.path.append(element)
+        if element in IGNORED and PATHS.get(element, inside) == inside:
+            self.ignored[element] = self.ignored.get(element, 0) + 1
+        if element in GEOMETRIES and inside == "geometry" and self.road is not None and self.geometry is not None:
+            self.road.geometries.append(geometry_of(self.geometry, attributes))
+            self.geometry = None
+        method: Any = getattr(self, f"on_{inside}_{element}".lower(), None)
+        if method is not None:
+            method(attributes)
+
+    def end(self, tag: str) -> None:
+        """Leaves an element."""
+        self.path.pop()
+        if tag == "road":
+            self._close_road()
+        elif tag == "lane":
+            self.lane = None
+        elif tag == "geometry" and self.geometry is not None:
+            raise self.geometry.fault(
+                "the geometry is empty, or of an unknown kind", f"give one of {', '.join(sorted(GEOMETRIES))}"
+            )
+
+    def finished(self) -> RoadFile:
+        """Returns the file's content."""
+        if not self.roads:
+            raise InvalidInputError(Problem(self.name, "the file has no roads", "give a file with roads"))
+        return RoadFile(self.name, self.roads, self.ignored)
+
+    def on_opendrive_header(self, attributes: Attributes) -> None:
+        """Checks the version."""
+        if attributes.text("revMajor") != str(REVISION):
+            message = f"OpenDRIVE of version {shown(attributes.text('revMajor'), 10)} cannot be read, only 1.x"
+            raise attributes.fault(message, "export the file as OpenDRIVE 1.4 to 1.8")
+
+    def on_opendrive_road(self, attributes: Attributes) -> None:
+        """Opens a road."""
+        name = attributes.text("id")
+        if attributes.values.get("rule", "RHT") != "RHT":
+            raise attributes.fault("the road is for left-hand traffic", "give a file for right-hand traffic")
+        if name in self.roads:
+            raise attributes.fault("another road has the same id", "rename one")
+        self.road = FileRoad(
+            name, attributes.number("length", 0.0, LONGEST), attributes.text("junction", "-1"), attributes.line
+        )
+        self.roads[name] = self.road
+
+    def on_opendrive_junction(self, attributes: Attributes) -> None:
+        """Checks a junction's kind."""
+        if attributes.values.get("type") == "direct":
+            message = "netconvert reads no direct junctions (OpenDRIVE 1.7)"
+            raise attributes.fault(message, "export it with connecting roads, or as OpenDRIVE 1.6")
+
+    def on_planview_geometry(self, attributes: Attributes) -> None:
+        """Opens a geometry."""
+        self.geometry = attributes
+
+    def on_lanes_laneoffset(self, attributes: Attributes) -> None:
+        """Takes a lane offset."""
+        self._open_road(attributes).offset.append(attributes, "s")
+
+    def on_lanes_lanesection(self, attributes: Attributes) -> None:
+        """Opens a lane section."""
+        road = self._open_road(attributes)
+        begin = attributes.number("s", 0.0, LONGEST)
+        if road.sections and begin < road.sections[-1].begin:
+            raise attributes.fault(f"road {shown(road.id, 60)}: the lane sections are not in order of s", "order them")
+        road.sections.append(Section(begin))
+
+    def _on_lane(self, attributes: Attributes) -> None:
+        road, index = self._open_road(attributes), attributes.integer("id", -64, 64)
+        if not road.sections or index in road.sections[-1].lanes:
+            raise attributes.fault(f"road {shown(road.id, 60)}: the lane is there twice, or outside of a section", "rename it")
+        self.lane = FileLane(index, attributes.text("type", "none"), attributes.line)
+        road.sections[-1].lanes[index] = self.lane
+
+    on_left_lane = on_right_lane = _on_lane
+
+    def on_lane_width(self, attributes: Attributes) -> None:
+        """Takes a lane's width."""
+        if self.lane is not None:
+            self.lane.widths.append(attributes, "sOffset")
+
+    def on_lane_speed(self, attributes: Attributes) -> None:
+        """Takes a lane's speed limit."""
+        if self.lane is not None:
+            self.lane.limits.append((attributes.number("sOffset", 0.0, LONGEST), _speed(attributes)))
+
+    def on_link_successor(self, attributes: Attributes) -> None:
+        """Takes the lane that follows."""
+        if self.lane is not None:
+            self.lane.successor = attributes.integer("id", -64, 64)
+
+    def on_link_predecessor(self, attributes: Attributes) -> None:
+        """Takes the lane before."""
+        if self.lane is not None:
+            self.lane.predecessor = attributes.integer("id", -64, 64)
+
+    def on_road_type(self, attributes: Attributes) -> None:
+        """Takes a road's type, which has no limit until one is found in it."""
+        self.kind_begin = attributes.number("s", 0.0, LONGEST)
+        self._open_road(attributes).limits.append((self.kind_begin, None))
+
+    def on_type_speed(self, attributes: Attributes) -> None:
+        """Takes a road's speed limit."""
+        self._open_road(attributes).limits[-1] = (self.kind_begin, _speed(attributes))
+
+    def _open_road(self, attributes: Attributes) -> FileRoad:
+        if self.road is None:
+            raise attributes.fault("the element stands outside of a road", "move it into its road")
+        return self.road
+
+    def _close_road(self) -> None:
+        road, self.road = self.road, None
+        if road is None:
+            return
+        where = f"line {road.line}, the road {shown(road.id, 60)}"
+        message = ""
+        if not road.geometries:
+            message = "has no reference line"
+        elif not road.sections:
+            message = "has no lane sections"
+        elif any(first.begin > second.begin for first, second in zip(road.geometries, road.geometries[1:], strict=False)):
+            message = "has geometries that are not in order of s"
+        for section in road.sections:
+            for side in (1, -1):
+                numbers = sorted(abs(index) for index in section.lanes if index * side > 0)
+                if numbers != list(range(1, len(numbers) + 1)):
+                    message = "has lanes that are not numbered 1, 2, ... from the middle"
+        if message:
+            raise InvalidInputError(Problem(self.name, f"{where} {message}", "export the file again"))
+
+
+def _speed(attributes: Attributes) -> float | None:
+    """Returns a speed limit in m/s, None if there is none."""
+    if attributes.text("max") in NO_LIMIT:
+        return None
+    unit = attributes.text("unit", "")
+    if unit not in UNITS:
+        raise attributes.fault(f"the unit {shown(unit, 20)} is unknown", "give m/s, km/h or mph")
+    return attributes.number("max", 0.0, 600.0) * UNITS[unit]
+
+
+def _last(limits: list[tuple[float, float | None]], s: float) -> float | None:
+    before = [limit for begin, limit in limits if begin <= s + 1e-6]
+    return before[-1] if before else None

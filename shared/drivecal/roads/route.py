@@ -1,0 +1,241 @@
+"""Routes over a network: checks that the edges follow each other, and chains their lanes.
+
+The guide is the lane that the reference line follows: the rightmost of those that reach the end with the fewest lane changes.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from graphlib import CycleError, TopologicalSorter
+from itertools import pairwise
+
+import numpy as np
+
+from drivecal.contracts.strict_json import shown
+from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.roads.conflicts import check_junction
+from drivecal.roads.network import Connection, Edge, Lane, Network
+
+MOST_EDGES = 2_000
+SHORTEST_CHANGE = 30.0
+"""Metres that the guide needs for each lane that it changes."""
+MOST_INSIDE = 10
+"""Lanes in a row inside of a junction."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Way:
+    """A way from a lane of an edge to one of the next, through lanes inside of the junction if the network has them."""
+
+    begin: Lane
+    inside: tuple[Lane, ...]
+    end: Lane
+
+    @property
+    def jump(self) -> float:
+        """Lateral distance (m) between the ends of the two lanes, and how far their directions differ, as metres of 10 m."""
+        last, first = self.begin.shape[-2:], self.end.shape[:2]
+        before, after = (float(np.arctan2(*(pair[1] - pair[0])[::-1])) for pair in (last, first))
+        direction = np.array([np.cos(before), np.sin(before)])
+        gap = first[0] - last[1]
+        return abs(float(direction[0] * gap[1] - direction[1] * gap[0])) + 10.0 * abs(float(np.sin((after - before) / 2)))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Chain:
+    """Connected lanes of a route. `first` and `last`: the indices of their edges on the route; `inside[i]` leads from lane i to i + 1."""
+
+    first: int
+    lanes: tuple[Lane, ...]
+    inside: tuple[tuple[Lane, ...], ...]
+
+    @property
+    def last(self) -> int:
+        """Index of the last edge."""
+        return self.first + len(self.lanes) - 1
+
+
+@dataclass(frozen=True, eq=False)
+class Lanes:
+    """The lanes of a route. `chains`: from the right; `guide`: the guide's lanes at the begin and the end of each edge."""
+
+    edges: tuple[Edge, ...]
+    chains: tuple[Chain, ...]
+    guide: tuple[tuple[Lane, Lane], ...]
+    passages: tuple[tuple[Lane, ...], ...]
+    """Lanes inside of the junctions that the guide takes."""
+
+
+def lanes_of(network: Network, route: Sequence[str]) -> Lanes:
+    """Returns the lanes of a route. Raises InvalidInputError with the fields `route[i]` if it cannot be driven."""
+    edges = tuple(_edge(network, name, index) for index, name in enumerate(_checked(route)))
+    ways = [_ways(network, before, after, index + 1) for index, (before, after) in enumerate(pairwise(edges))]
+    guide = _guide(network, edges, ways)
+    taken = [
+        next(way for way in between if way.begin is before[1] and way.end is after[0])
+        for between, (before, after) in zip(ways, pairwise(guide), strict=True)
+    ]
+    chosen = [_matched(between, way) for between, way in zip(ways, taken, strict=True)]
+    return Lanes(edges, _chains(edges, chosen), guide, tuple(way.inside for way in taken))
+
+
+def refusal(index: int, network: Network, message: str, remedy: str) -> InvalidInputError:
+    """Returns the refusal of an edge of the route."""
+    return InvalidInputError(Problem(f"route[{index}]", f"{network.name}: {message}", remedy))
+
+
+def _checked(route: Sequence[str]) -> Sequence[str]:
+    if not 1 <= len(route) <= MOST_EDGES:
+        raise InvalidInputError(Problem("route", f"it has {len(route)} edges", f"give 1 to {MOST_EDGES:,}"))
+    for index, name in enumerate(route):
+        if name in route[:index]:
+            message = f"the edge {shown(name, 80)} is there twice"
+            raise InvalidInputError(Problem(f"route[{index}]", message, "give a route without loops"))
+    return route
+
+
+def _edge(network: Network, name: str, index: int) -> Edge:
+    edge = network.edges.get(name)
+    if edge is None:
+        roads = [edge.id for edge in network.edges.values() if edge.function == ""]
+        close = get_close_matches(name, roads[:20_000], n=1)
+        remedy = (
+            f"did you mean {shown(close[0], 80)}?"
+            if close
+            else f"the first are {', '.join(shown(road, 40) for road in roads[:5])}"
+        )
+        raise refusal(index, network, f"there is no edge {shown(name, 80)}", remedy)
+    where = f"line {edge.line}, the edge {shown(name, 80)}"
+    if edge.function != "":
+        raise refusal(
+            index, network, f"{where} lies inside of a junction ({edge.function})", "give the edges before and after it"
+        )
+    if not any(lane.for_cars for lane in edge.lanes):
+        raise refusal(index, network, f"{where} has no lane for passenger cars", "give an edge with one")
+    if name in network.roundabouts:
+        raise refusal(
+            index, network, f"{where} is part of a roundabout", "give a route along a motorway or a road without crossings"
+        )
+    return edge
+
+
+def _ways(network: Network, before: Edge, after: Edge, index: int) -> tuple[Way, ...]:
+    """Returns the ways for cars between two edges. Raises InvalidInputError if there is none, or a crossing."""
+    links = [link for link in network.connections.get(before.id, ()) if link.end == after.id]
+    names = f"{shown(before.id, 80)} and {shown(after.id, 80)}"
+    for link in links:
+        if link.from_lane >= len(before.lanes) or link.to_lane >= len(after.lanes):
+            raise refusal(
+                index, network, f"line {link.line}: a connection of {names} names a lane that is not there", "correct it"
+            )
+    ways = tuple(
+        Way(before.lanes[link.from_lane], _inside(network, link, index), after.lanes[link.to_lane])
+        for link in links
+        if link.for_cars and before.lanes[link.from_lane].for_cars and after.lanes[link.to_lane].for_cars
+    )
+    if not ways:
+        message = f"no lane for passenger cars leads from {names.replace(' and ', ' to ')}"
+        reached = dict.fromkeys(link.end for link in network.connections.get(before.id, ()))
+        remedy = f"{shown(before.id, 80)} leads to {', '.join(shown(name, 80) for name in list(reached)[:5]) or 'no edge'}"
+        raise refusal(index, network, message, remedy)
+    if before.end != after.begin:
+        message = f"{names} are connected, but the first ends at {shown(before.end, 80)} and the second begins at {shown(after.begin, 80)}"
+        raise refusal(index, network, message, "build the network again")
+    check_junction(network, [link for link in links if link.for_cars], index)
+    return ways
+
+
+def _inside(network: Network, link: Connection, index: int) -> tuple[Lane, ...]:
+    """Returns the lanes inside of the junction that a connection takes."""
+    lanes: list[Lane] = []
+    via = link.via
+    while via is not None:
+        lane = network.lane(via)
+        if lane is None or network.edges[lane.edge].function != "internal" or len(lanes) >= MOST_INSIDE:
+            message = f"line {link.line}: a connection leads over {shown(via, 80)}, which is no lane inside of a junction"
+            raise refusal(index, network, message, "build the network again")
+        lanes.append(lane)
+        onward = (one for one in network.connections.get(lane.edge, ()) if one.from_lane == lane.index and one.end == link.end)
+        via = next((one.via for one in onward), None)
+    return tuple(lanes)
+
+
+def _guide(network: Network, edges: Sequence[Edge], ways: Sequence[Sequence[Way]]) -> tuple[tuple[Lane, Lane], ...]:
+    """Returns the guide's lanes at begin and end of each edge: fewest lane changes, then least jumps in whole metres, then rightmost."""
+    costs = {lane.index: 1e-6 * lane.index for lane in edges[0].lanes if lane.for_cars}
+    steps: list[dict[int, tuple[int, int]]] = []
+    """For each edge but the first: the lane at its begin -> the lanes at begin and end of the edge before."""
+    for edge, between in zip(edges, ways, strict=False):
+        best: dict[int, tuple[float, int, int]] = {}
+        for way in between:
+            for begin, cost in costs.items():
+                changes = _change_cost(edge, begin, way.begin.index)
+                if changes is None:
+                    continue
+                total = cost + changes + 1e-3 * int(min(way.jump, 50.0)) + 1e-6 * way.end.index
+                best[way.end.index] = min(best.get(way.end.index, (np.inf, 0, 0)), (total, begin, way.begin.index))
+        if not best:
+            message = (
+                f"the lanes that reach {shown(edge.id, 80)} do not lead on: changing lanes needs {SHORTEST_CHANGE:g} m for each"
+            )
+            raise refusal(len(steps), network, message, "give another route")
+        steps.append({end: (begin, leave) for end, (_, begin, leave) in best.items()})
+        costs = {end: total for end, (total, _, _) in best.items()}
+    begin = leave = min(costs, key=lambda lane: costs[lane])
+    guide = [(begin, leave)]
+    for step in reversed(steps):
+        begin, leave = step[begin]
+        guide.append((begin, leave))
+    return tuple((edge.lanes[begin], edge.lanes[leave]) for edge, (begin, leave) in zip(edges, reversed(guide), strict=True))
+
+
+def _change_cost(edge: Edge, begin: int, leave: int) -> float | None:
+    """Returns the cost of changing lanes on an edge, None if that is impossible."""
+    if begin == leave:
+        return 0.0
+    crossed = edge.lanes[min(begin, leave) : max(begin, leave) + 1]
+    changes, length = abs(begin - leave), edge.lanes[leave].length
+    if length < changes * SHORTEST_CHANGE or not all(lane.for_cars for lane in crossed):
+        return None
+    return changes * (1.0 + SHORTEST_CHANGE / length)
+
+
+def _matched(ways: Sequence[Way], first: Way) -> list[Way]:
+    """Returns ways of which no two share a lane or cross each other: the guide's, then the straightest."""
+    chosen = [first]
+    for way in sorted(ways, key=lambda way: (way.jump, way.begin.index, way.end.index)):
+        if all((way.begin.index - other.begin.index) * (way.end.index - other.end.index) > 0 for other in chosen):
+            chosen.append(way)
+    return chosen
+
+
+def _chains(edges: Sequence[Edge], chosen: Sequence[Sequence[Way]]) -> tuple[Chain, ...]:
+    """Returns the chains from right to left: of two that lie beside each other on any edge, the right one comes first."""
+    open_: dict[int, int] = {}
+    chains: list[tuple[int, list[Lane], list[tuple[Lane, ...]]]] = []
+    order: TopologicalSorter[int] = TopologicalSorter()
+    for index, edge in enumerate(edges):
+        arriving = {way.end.index: way for way in chosen[index - 1]} if index else {}
+        here: dict[int, int] = {}
+        for lane in (lane for lane in edge.lanes if lane.for_cars):
+            way = arriving.get(lane.index)
+            if way is None:
+                here[lane.index] = len(chains)
+                chains.append((index, [lane], []))
+            else:
+                here[lane.index] = open_[way.begin.index]
+                chains[here[lane.index]][1].append(lane)
+                chains[here[lane.index]][2].append(way.inside)
+        for right, left in _neighbours(here):
+            order.add(left, right)
+        order.add(next(iter(here.values())))
+        open_ = here
+    try:
+        ordered = list(order.static_order())
+    except CycleError:  # impossible for ways that do not cross
+        ordered = list(range(len(chains)))
+    return tuple(Chain(first, tuple(lanes), tuple(inside)) for first, lanes, inside in (chains[index] for index in ordered))
+
+
+def _neighbours(here: dict[int, int]) -> Iterator[tuple[int, int]]:
+    return pairwise(here[lane] for lane in sorted(here))

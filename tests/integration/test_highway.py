@@ -1,0 +1,302 @@
+"""The simulator `highway` as workers run it: real SUMO and real controllers in child processes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.support.motorways import (
+    CONTROLLERS,
+    NETWORK,
+    PARAMETERS,
+    compile_fmu,
+    compile_program,
+    drive,
+    driven,
+    motorway,
+)
+from tests.support.simulators import lost
+
+from drivecal.domain.errors import UnavailableError
+from drivecal.domain.evaluations import Breakdown
+from drivecal.plugins.simulators import RunOutcome
+
+LEADER = {"id": "leader", "s": 160, "speed": 30}
+BRAKING = LEADER | {"actions": [{"do": "brake", "time": 4, "speed": 12, "rate": 3}]}
+CUTTER = {
+    "lane": 1,
+    "s": 180,
+    "speed": 25,
+    "model": "constant",
+    "actions": [{"do": "cut_in", "gap": 30, "lane": 0, "seconds": 3}],
+}
+BUSY = [
+    LEADER | {"sigma": 0.5, "model": "Krauss", "speed_deviation": 0.1, "lane_change": "LC2013"},
+    {"s": 60, "lane": 1, "speed": 33, "model": "EIDM", "lane_change": "LC2013"},
+    {"s": 220, "lane": 1, "speed": 28, "model": "Krauss", "sigma": 0.3, "lane_change": "LC2013"},
+]
+FLOWS = [{"per_hour": 1200, "lane": 0, "model": "Krauss", "sigma": 0.5, "lane_change": "LC2013", "random": True}]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = motorway(tmp_path_factory.mktemp("motorways") / "bundle")
+    compile_program(path)
+    compile_fmu(path)
+    return path
+
+
+def result(
+    folder: Path,
+    data: Mapping[str, Any],
+    controller: Mapping[str, Any] | None = None,
+    parameters: Mapping[str, Any] = PARAMETERS,
+    **section: Any,
+) -> RunOutcome:
+    with driven(folder, data, controller, **section) as session:
+        return session.evaluate(parameters, series=True)
+
+
+def series(outcome: RunOutcome, name: str) -> np.ndarray:
+    return np.array(outcome.series[name])
+
+
+def python(folder: Path, code: str, **controller: Any) -> tuple[Path, dict[str, Any]]:
+    """A bundle with other code, and its controller."""
+    return motorway(folder / "other", code), CONTROLLERS["python"] | controller
+
+
+def test_an_acc_follows_a_braking_leader_in_its_lane(folder: Path) -> None:
+    outcome = result(folder, drive([BRAKING], 30.0))
+    measures = outcome.measures
+    assert outcome.failure is None
+    assert series(outcome, "leader_speed_mps")[-1] == pytest.approx(12, abs=0.01)
+    assert series(outcome, "speed_mps")[-1] == pytest.approx(12, abs=0.3)
+    assert series(outcome, "gap_m")[-1] == pytest.approx(4 + 1.5 * 12, abs=2)
+    assert measures["duration_s"] == pytest.approx(30)
+    assert measures["distance_m"] == pytest.approx(series(outcome, "position_m")[-1] - 100, rel=0.002)
+    assert 0.5 < measures["min_headway_s"] < 2
+    assert measures["min_gap_m"] == series(outcome, "gap_m").min()
+    assert measures["max_lane_offset_m"] < 0.05
+    assert measures["lane_departures"] == measures["lane_changes"] == 0
+
+
+def test_the_gap_is_that_between_the_bumpers(folder: Path) -> None:
+    outcome = result(folder, drive([LEADER | {"model": "constant", "length": 12}], 1.0, ego={"length": 5}))
+    assert series(outcome, "gap_m")[0] == pytest.approx(60 - 6 - 2.5, abs=0.01)
+
+
+def test_the_lane_keeper_holds_the_centre_on_a_curve_and_the_speed_keeper_the_limit(folder: Path, tmp_path: Path) -> None:
+    outcome = result(folder, drive(duration=40.0, ego={"s": 500}), parameters=PARAMETERS | {"v0": 33.0})
+    assert series(outcome, "position_m")[-1] > 1500
+    assert abs(series(outcome, "heading_rad")[-1]) > 0.5
+    assert outcome.measures["max_lane_offset_m"] < 0.15
+    assert outcome.measures["p95_lateral_acceleration_mps2"] == pytest.approx(33**2 / 1000, rel=0.3)
+    bundle, controller = python(
+        tmp_path,
+        "def control(observation, parameters):\n"
+        "    return observation['road_curvature'] - 0.002 * observation['lane_offset'] - 0.04 * observation['heading_error']\n",
+        output=["curvature"],
+    )
+    steered = result(bundle, drive(duration=40.0, ego={"s": 500}), controller)
+    assert steered.failure is None
+    assert steered.measures["max_lane_offset_m"] < 0.5
+    assert series(steered, "speed_mps")[-1] == pytest.approx(36.1, abs=1.0)
+
+
+def test_steering_leaves_the_road_and_a_blind_driver_hits_the_leader(tmp_path: Path) -> None:
+    bundle, controller = python(tmp_path, "def control(o, p):\n    return {'steering': -0.01, 'acceleration': 0}\n")
+    off = result(bundle, drive(), controller | {"output": ["acceleration", "steering"]})
+    assert off.failure == "off_road"
+    assert off.measures["duration_s"] < 10
+    blind = motorway(tmp_path / "blind", "def control(observation, parameters):\n    return 0.0\n")
+    hit = result(blind, drive([BRAKING], 30.0))
+    assert hit.failure == "collision"
+    assert hit.measures["min_ttc_s"] < 0.2
+    wild = motorway(tmp_path / "wild", "def control(o, p):\n    return [0, 0.3 if o['time'] > 1 else 0]\n")
+    spun = result(wild, drive(), controller | {"output": ["acceleration", "steering"]})
+    assert spun.failure == "unstable"
+
+
+def test_a_vehicle_cuts_in_when_the_gap_is_small_enough(folder: Path) -> None:
+    outcome = result(folder, drive([CUTTER], 20.0))
+    gaps = series(outcome, "gap_m")
+    seen = int(np.argmax(gaps < 1000))
+    assert 15 < gaps[seen] < 30
+    assert gaps[:seen].min() == 1000
+    assert gaps[seen:].max() < 200
+    late = result(folder, drive([CUTTER | {"actions": [{"do": "cut_in", "time": 6, "lane": 0}]}], 20.0))
+    begin = int(np.argmax(series(late, "gap_m") < 1000))
+    assert 60 < begin < 90
+
+
+def test_a_vehicle_drifts_into_the_lane_at_a_place(folder: Path) -> None:
+    drift = {"do": "drift", "s": 400, "offset": -1.6, "seconds": 2}
+    outcome = result(folder, drive([{"lane": 1, "s": 160, "speed": 30, "model": "constant", "actions": [drift]}], 12.0))
+    seen = int(np.argmax(series(outcome, "gap_m") < 1000))
+    assert 80 <= seen <= 100  # 240 m at 30 m/s
+
+
+def test_three_kinds_of_controllers_give_the_same_bits(folder: Path) -> None:
+    outcomes = [result(folder, drive([BRAKING], 20.0), CONTROLLERS[kind]) for kind in ("python", "process", "fmu")]
+    assert outcomes[0] == outcomes[1] == outcomes[2]
+    assert outcomes[0].failure is None
+
+
+@pytest.mark.parametrize("kind", ["python", "process", "fmu"])
+@pytest.mark.parametrize(
+    "data", [drive([BRAKING, CUTTER], 15.0), drive(BUSY, 15.0, flows=FLOWS, seed=5)], ids=["exact", "random"]
+)
+def test_runs_repeat_in_any_order_and_process(folder: Path, kind: str, data: dict[str, Any]) -> None:
+    sets = [PARAMETERS | {"v0": speed} for speed in (28.0, 31.0, 33.0)]
+    with driven(folder, data, CONTROLLERS[kind]) as session:
+        first = [session.evaluate(parameters, series=True) for parameters in sets]
+        again = [session.evaluate(parameters, series=True) for parameters in reversed(sets)]
+    with driven(folder, data, CONTROLLERS[kind]) as session:
+        other = [session.evaluate(sets[index], series=True) for index in (2, 0, 1)]
+    assert again == first[::-1]
+    assert other == [first[2], first[0], first[1]]
+    assert first[0] != first[1]
+
+
+def test_another_seed_gives_other_traffic(folder: Path) -> None:
+    outcomes = [result(folder, drive(BUSY, 20.0, flows=FLOWS, seed=seed)) for seed in (1, 2)]
+    assert outcomes[0].series != outcomes[1].series
+
+
+def test_a_controller_may_run_slower_or_faster_than_the_traffic(folder: Path) -> None:
+    for period, step in ((0.02, 0.1), (0.5, 0.1), (0.1, 0.02)):
+        outcome = result(folder, drive([BRAKING], 20.0), CONTROLLERS["python"] | {"period": period}, step=step)
+        assert outcome.failure is None
+        assert outcome.measures["duration_s"] == pytest.approx(20)
+        assert series(outcome, "time_s")[1] == pytest.approx(step)
+
+
+def test_a_class_keeps_its_state_for_one_run(tmp_path: Path) -> None:
+    code = """
+class Control:
+    def __init__(self, parameters, scenario):
+        self.left, self.want = parameters["n"], scenario["data"]["want"]
+    def step(self, observation):
+        self.left -= 1
+        return self.want if self.left >= 0 else 0.0
+"""
+    bundle, controller = python(tmp_path, code, function="Control")
+    with driven(bundle, drive(duration=10.0, data={"want": 1.0}), controller) as session:
+        speeds = [session.evaluate({"n": n}, series=True).series["speed_mps"][-1] for n in (10, 20, 10)]
+    assert speeds[0] == speeds[2]
+    assert speeds[0] == pytest.approx(31, abs=0.05)
+    assert speeds[1] == pytest.approx(32, abs=0.05)
+
+
+def test_a_faulty_controller_costs_its_cell(tmp_path: Path) -> None:
+    code = """
+import os, time
+def control(observation, parameters):
+    if observation["time"] < 1.0 or parameters["x"] == 0:
+        return 0.0
+    return {1: lambda: float("nan"), 2: lambda: 1 / 0, 3: lambda: "fast", 4: lambda: [1, 2], 5: lambda: {"brake": 1},
+            6: lambda: os._exit(3), 7: lambda: os.abort(), 8: lambda: time.sleep(100), 9: lambda: exit(2), 10: lambda: None}[
+        parameters["x"]]()
+"""
+    bundle, controller = python(tmp_path, code)
+    with driven(bundle, drive(duration=5.0), controller, timeout=5.0) as session:
+        expected = session.evaluate({"x": 0})
+        assert "nan for acceleration at 1 s" in lost(session, {"x": 1}, Breakdown.ERROR)
+        assert "ZeroDivisionError" in lost(session, {"x": 2}, Breakdown.ERROR)
+        assert "'fast' for acceleration" in lost(session, {"x": 3}, Breakdown.ERROR)
+        assert "2 values" in lost(session, {"x": 4}, Breakdown.ERROR)
+        assert "brake" in lost(session, {"x": 5}, Breakdown.ERROR)
+        assert "exit code 3" in lost(session, {"x": 6}, Breakdown.CRASH)
+        assert "SIGABRT" in lost(session, {"x": 7}, Breakdown.CRASH)
+        lost(session, {"x": 8}, Breakdown.HANG)
+        assert "SystemExit" in lost(session, {"x": 9}, Breakdown.ERROR)
+        assert "None for acceleration" in lost(session, {"x": 10}, Breakdown.ERROR)
+        assert session.evaluate({"x": 0}) == expected
+
+
+def test_a_faulty_program_costs_its_cell_and_is_started_again(tmp_path: Path) -> None:
+    bundle = motorway(tmp_path / "bundle")
+    (bundle / "program.py").write_text("""
+import json, sys
+x = 0
+for line in sys.stdin:
+    message = json.loads(line)
+    if "drivecal" in message:
+        answer = {"ready": True}
+    elif "run" in message:
+        x = message["parameters"]["x"]
+        answer = {"ready": x != 6}
+    elif message["time"] < 1:
+        answer = 0.0
+    elif x == 1:
+        sys.exit(4)
+    else:
+        answer = {0: {"acceleration": 0.5}, 2: {"brake": 1}, 3: None, 4: float("nan"), 5: {"acceleration": "x"}}[x]
+    print(json.dumps(answer), flush=True)
+    if x == 7:
+        print("more", flush=True)
+""")
+    controller = {"kind": "process", "command": ["python3", "./program.py"], "signals": ["time"], "output": ["acceleration"]}
+    with driven(bundle, drive(duration=5.0), controller) as session:
+        expected = session.evaluate({"x": 0})
+        assert "exit code 4" in lost(session, {"x": 1}, Breakdown.ERROR)
+        assert "brake" in lost(session, {"x": 2}, Breakdown.ERROR)
+        lost(session, {"x": 3}, Breakdown.ERROR)
+        assert "nan" in lost(session, {"x": 4}, Breakdown.ERROR)
+        assert "'x' for acceleration" in lost(session, {"x": 5}, Breakdown.ERROR)
+        assert "ready" in lost(session, {"x": 6}, Breakdown.ERROR)
+        lost(session, {"x": 7}, Breakdown.ERROR)
+        assert session.evaluate({"x": 0}) == expected
+
+
+def test_an_fmu_with_wrong_names_or_an_error_is_named(folder: Path) -> None:
+    with driven(folder, drive(), CONTROLLERS["fmu"]) as session:
+        assert "v00" in lost(session, {"v00": 1}, Breakdown.ERROR)
+        assert "failed at 0 s" in lost(session, PARAMETERS | {"v0": 13.0}, Breakdown.ERROR)
+        assert session.evaluate(PARAMETERS).failure is None
+    with (
+        pytest.raises(UnavailableError, match="u9"),
+        driven(folder, drive(), CONTROLLERS["fmu"] | {"signals": {"gap": "u9", "acceleration": "y"}}),
+    ):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("change", "cause"),
+    [
+        ({"route": ["e0", "e9"]}, "e9"),
+        ({"route": ["e0", "e2"]}, "e2"),
+        ({"ego": {"lane": 5, "s": 100, "speed": 30}}, "lane 5"),
+        ({"ego": {"lane": 0, "s": 4000, "speed": 30}}, "4000 m is not on the route"),
+        ({"traffic": [{"s": 150, "edge": "e9", "speed": 30}]}, "e9"),
+        ({"traffic": [{"s": 150, "speed": 30}, {"s": 151, "speed": 30}]}, "vehicle1"),
+    ],
+)
+def test_a_scenario_that_does_not_fit_its_network_names_the_cause(folder: Path, change: dict[str, Any], cause: str) -> None:
+    with pytest.raises(UnavailableError, match=cause), driven(folder, drive() | change):
+        pass
+
+
+def test_the_ego_vehicle_does_not_start_inside_of_another(folder: Path) -> None:
+    with pytest.raises(UnavailableError, match="inside of the vehicle leader"), driven(folder, drive([LEADER | {"s": 102}])):
+        pass
+
+
+def test_a_network_that_sumo_refuses_is_named(tmp_path: Path) -> None:
+    bundle = motorway(tmp_path / "bundle")
+    text = NETWORK.read_text()
+    for damaged in (text[: len(text) // 2], "", "<net/>", text.replace('"e1', '"e0')):
+        (bundle / "road.net.xml").write_text(damaged)
+        with pytest.raises(UnavailableError, match=r"road\.net\.xml"), driven(bundle, drive()):
+            pass
+
+
+def test_the_drive_ends_at_the_end_of_the_route(folder: Path) -> None:
+    outcome = result(folder, drive([LEADER | {"s": 2900}], 30.0, ego={"s": 2700}))
+    assert outcome.failure is None
+    assert 8 < outcome.measures["duration_s"] < 12
+    assert series(outcome, "position_m")[-1] > 2990

@@ -1,0 +1,153 @@
+"""Manifests of kind `highway`: the simulator section, scenarios, and what they may declare of answers."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import pytest
+
+from drivecal.bundles.checks import checked
+from drivecal.bundles.fingerprints import setup_document
+from drivecal.bundles.highway import HighwaySimulator
+from drivecal.domain.errors import InvalidInputError
+
+VALID: dict[str, Any] = {
+    "problem": "acc",
+    "parameters": {"T": {"lower": 0.8, "upper": 2.5, "unit": "s"}},
+    "simulator": {
+        "kind": "highway",
+        "controller": {"kind": "python", "file": "acc.py", "function": "accelerate", "output": ["acceleration"]},
+        "vehicle": "single_track",
+    },
+    "scenarios": {
+        "merge": {
+            "network": "road.net.xml",
+            "route": ["e1", "e2"],
+            "duration": 20,
+            "ego": {"lane": 0, "s": 100, "speed": 28},
+            "traffic": [],
+        },
+        "busy": {
+            "network": "road.net.xml",
+            "route": ["e1", "e2"],
+            "duration": 20,
+            "ego": {"s": 100, "speed": 28, "length": 5, "width": 2},
+            "traffic": [
+                {"id": "lead", "s": 150, "speed": 25, "actions": [{"do": "brake", "time": 5}]},
+                {"s": 150, "lane": 1, "speed": 25, "model": "Krauss", "actions": [{"do": "cut_in", "gap": 20, "lane": 0}]},
+                {"s": 50, "edge": "ramp", "route": ["ramp", "e2"], "speed": 20, "parameters": {"lcAssertive": 2}},
+            ],
+            "flows": [{"per_hour": 600, "lane": 1}],
+            "seed": 7,
+        },
+    },
+    "measures": {"min_ttc_s": "s", "p95_jerk_mps3": "m/s^3", "energy_kwh": "kWh"},
+    "series": {"gap_m": "m"},
+    "scores": {"cost": {"formula": "energy_kwh", "direction": "minimise", "range": [0, 1]}},
+}
+FILES = {"acc.py": False, "acc.fmu": False, "acc": True, "road.net.xml": False}
+FMU = {
+    "kind": "fmu",
+    "file": "acc.fmu",
+    "signals": {"gap": "u1", "speed": "u2", "acceleration": "y"},
+    "output": ["acceleration"],
+}
+PROCESS = {"kind": "process", "command": ["./acc"], "signals": ["gap", "speed"], "output": ["curvature"], "frames": "binary"}
+
+
+def changed(path: str, value: Any) -> dict[str, Any]:
+    """The valid manifest with one value changed, or removed if it is None."""
+    given = copy.deepcopy(VALID)
+    *parents, last = path.split("/")
+    inner: Any = given
+    for part in parents:
+        inner = inner[int(part) if isinstance(inner, list) else part]
+    if value is None:
+        del inner[last]
+    else:
+        inner[int(last) if isinstance(inner, list) else last] = value
+    return given
+
+
+def faults(given: object, files: dict[str, bool] | None = None) -> set[str]:
+    with pytest.raises(InvalidInputError) as refusal:
+        checked(given, files)
+    assert all(problem.message and problem.remedy for problem in refusal.value.problems)
+    return {problem.field for problem in refusal.value.problems}
+
+
+@pytest.mark.parametrize("controller", [VALID["simulator"]["controller"], FMU, PROCESS])
+def test_each_kind_of_controller_passes(controller: dict[str, Any]) -> None:
+    manifest = checked(changed("simulator/controller", controller), FILES)
+    assert isinstance(manifest.simulator, HighwaySimulator)
+    assert manifest.simulator.controller.kind == controller["kind"]
+
+
+def test_a_vehicle_may_have_other_values_than_those_of_table_8() -> None:
+    manifest = checked(changed("simulator/vehicle", {"model": "single_track", "mass": 1800}))
+    assert setup_document(manifest, "merge", "")["simulator"]["vehicle"] == {"model": "single_track", "mass": 1800}
+    assert setup_document(checked(VALID), "merge", "")["simulator"]["vehicle"] == "single_track"
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "field"),
+    [
+        ("simulator/controller", None, "simulator.controller"),
+        ("simulator/controller/kind", "matlab", "simulator.controller.kind"),
+        ("simulator/controller/output", [], "simulator.controller.output"),
+        ("simulator/controller/output", ["speed"], "simulator.controller.output[0]"),
+        ("simulator/controller/output", ["curvature", "steering"], "simulator.controller.output"),
+        ("simulator/controller/output", ["steering", "steering"], "simulator.controller.output"),
+        ("simulator/controller/file", "other.py", "simulator.controller.file"),
+        ("simulator/controller/file", "../acc.py", "simulator.controller.file"),
+        ("simulator/controller/file", "acc.fmu", "simulator.controller.file"),
+        ("simulator/controller/period", 0.015, "simulator.controller.period"),
+        ("simulator/controller/period", 0.25, "simulator.controller.period"),
+        ("simulator/controller", PROCESS | {"command": ["./missing"]}, "simulator.controller.command[0]"),
+        ("simulator/controller", PROCESS | {"signals": ["gapp"]}, "simulator.controller.signals[0]"),
+        ("simulator/controller", PROCESS | {"signals": ["gap", "gap"]}, "simulator.controller.signals[1]"),
+        ("simulator/controller", FMU | {"signals": {"gap": "u1"}}, "simulator.controller.signals"),
+        ("simulator/controller", FMU | {"signals": {"gapp": "u1", "acceleration": "y"}}, "simulator.controller.signals.gapp"),
+        ("simulator/step", 0.035, "simulator.step"),
+        ("simulator/vehicle", "tank", "simulator.vehicle"),
+        ("simulator/vehicle", {"model": "tank"}, "simulator.vehicle.model"),
+        ("simulator/vehicle", {"mass": -1}, "simulator.vehicle.mass"),
+        ("scenarios/merge/network", None, "scenarios.merge.network"),
+        ("scenarios/merge/network", "other.net.xml", "scenarios.merge.network"),
+        ("scenarios/merge/network", "acc.py", "scenarios.merge.network"),
+        ("scenarios/merge/route", [], "scenarios.merge.route"),
+        ("scenarios/merge/route", ["e1 e2"], "scenarios.merge.route[0]"),
+        ("scenarios/merge/duration", 20.05, "scenarios.merge.duration"),
+        ("scenarios/merge/duration", 0, "scenarios.merge.duration"),
+        ("scenarios/merge/ego", None, "scenarios.merge.ego"),
+        ("scenarios/merge/ego/s", -1, "scenarios.merge.ego.s"),
+        ("scenarios/merge/ego/lane", 0.5, "scenarios.merge.ego.lane"),
+        ("scenarios/merge/surplus", 1, "scenarios.merge.surplus"),
+        ("scenarios/busy/traffic/0/id", "ego", "scenarios.busy.traffic[0].id"),
+        ("scenarios/busy/traffic/1/id", "lead", "scenarios.busy.traffic[1].id"),
+        ("scenarios/busy/traffic/1/model", "Ghost", "scenarios.busy.traffic[1].model"),
+        ("scenarios/busy/traffic/1/lane_change", "LC2013", "scenarios.busy.traffic[1].actions[0]"),
+        ("scenarios/busy/traffic/0/actions/0/gap", 5, "scenarios.busy.traffic[0].actions[0]"),
+        ("scenarios/busy/traffic/0/actions/0/time", None, "scenarios.busy.traffic[0].actions[0]"),
+        ("scenarios/busy/traffic/0/actions/0/do", "explode", "scenarios.busy.traffic[0].actions[0].do"),
+        ("scenarios/busy/traffic/2/parameters", {"lcAssertiv": 2}, "scenarios.busy.traffic[2].parameters.lcAssertiv"),
+        ("scenarios/busy/flows/0/per_hour", 0, "scenarios.busy.flows[0].per_hour"),
+        ("scenarios/busy/flows/0/end", 0, "scenarios.busy.flows[0].end"),
+        ("measures/min_ttc", "s", "measures.min_ttc"),
+        ("measures/min_ttc_s", "min", "measures.min_ttc_s"),
+        ("series/gap_m", "km", "series.gap_m"),
+        ("series/gap", "m", "series.gap"),
+        ("failures", ["explosion", "collision", "off_road", "unstable"], "failures[0]"),
+        ("failures", ["collision"], "failures"),
+    ],
+)
+def test_a_fault_is_named_by_its_field(path: str, value: Any, field: str) -> None:
+    assert faults(changed(path, value), FILES) == {field}
+
+
+def test_all_faults_are_named_at_once() -> None:
+    given = changed("scenarios/merge/ego/s", -1)
+    given["scenarios"]["busy"]["duration"] = 20.05
+    given["measures"]["fuel"] = "l"
+    assert faults(given) == {"scenarios.merge.ego.s", "scenarios.busy.duration", "measures.fuel"}

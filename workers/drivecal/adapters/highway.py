@@ -1,0 +1,59 @@
+"""Simulator kind `highway`: a vehicle with a user's controller in SUMO, in a child that speaks the protocol of kind `process`."""
+
+import json
+import os
+import sys
+from collections.abc import Mapping
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from drivecal.adapters.children import Launch
+from drivecal.adapters.process import ProcessSession
+from drivecal.adapters.scratch import Scratch
+from drivecal.domain.errors import UnavailableError
+from drivecal.plugins.simulators import VERSIONS, Declared
+from drivecal.roads.network import network_file
+
+MOST_RUNS = 2000
+"""Runs of a child before another replaces it, so that what SUMO or a controller leaks stays small."""
+MOST_FMU_RUNS = 500
+"""The same for a controller that is an FMU, see `fmu`."""
+
+
+class HighwayAdapter:
+    """Simulator kind `highway`."""
+
+    version = VERSIONS["highway"]
+
+    def open(
+        self, section: Mapping[str, Any], scenario: str, data: Mapping[str, Any], folder: Path, declared: Declared
+    ) -> ProcessSession:
+        """Starts the child, which reads the network, loads SUMO and starts the controller."""
+        folder, controller = folder.resolve(), section["controller"]
+        for name in (network_file(data["network"]), controller.get("file"), controller.get("wheels")):
+            if name is not None and not (folder / name).exists():
+                raise UnavailableError(f"{name} does not exist in the bundle")
+        for package in ("libsumo", "numba", *(["fmpy"] if controller["kind"] == "fmu" else [])):
+            if find_spec(package) is None:
+                extra = "fmu" if package == "fmpy" else "worker"
+                raise UnavailableError(f"this worker has no {package}; type: pip install 'drivecal[{extra}]'")
+        scratch = Scratch(folder)
+        settings = {
+            "folder": str(folder),
+            "work": str(scratch.work),
+            "scratch": str(scratch.folder),
+            "simulator": {"kind": "highway", **section},
+            "scenario": scenario,
+            "data": dict(data),
+            "kernels": os.environ.get("NUMBA_CACHE_DIR"),
+            "measures": list(declared.measures),
+            "series": list(declared.series),
+        }
+        file = scratch.folder / "highway.json"  # scenarios may be larger than a command line
+        file.write_text(json.dumps(settings, allow_nan=False))
+        launch = Launch.of([sys.executable, "-I", "-B", "-m", "drivecal.highway.driver", str(file)], section)
+        most_runs = MOST_FMU_RUNS if controller["kind"] == "fmu" else MOST_RUNS
+        return ProcessSession(
+            launch, scratch, declared, timeout=section["timeout"], scenario=scenario, data={}, most_runs=most_runs
+        )

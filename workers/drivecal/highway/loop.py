@@ -1,0 +1,181 @@
+"""The closed loop: a user's controller, the vehicle, and SUMO's traffic on a corridor."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from drivecal.bundles.highway import HighwayScenario, HighwaySimulator
+from drivecal.domain.errors import DrivecalError
+from drivecal.domain.roads import Floats
+from drivecal.highway import geometry
+from drivecal.highway.controllers import Checked
+from drivecal.highway.measures import TICK, Record
+from drivecal.highway.observation import keeper_acceleration
+from drivecal.highway.road import Road
+from drivecal.highway.traffic import Traffic
+from drivecal.vehicle.model import SingleTrackModel
+
+PATH_SPACING = 0.05
+"""Seconds between points of the path that the lane keeper follows."""
+PATH_AHEAD = 0.6
+"""Seconds of the path beyond a tick: more than the vehicle's reaction."""
+
+
+class StartError(DrivecalError):
+    """The ego vehicle cannot start where the scenario places it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """A run's record and its failure, if any: see `highway_catalogue.FAILURES`."""
+
+    record: Record
+    failure: str | None
+
+
+class Loop:
+    """Runs one scenario repeatedly. Equal parameters give equal bits, if the controller does."""
+
+    def __init__(
+        self,
+        name: str,
+        simulator: HighwaySimulator,
+        scenario: HighwayScenario,
+        road: Road,
+        traffic: Traffic,
+        vehicle: SingleTrackModel,
+        controller: Checked,
+    ) -> None:
+        """`name`: the scenario's."""
+        self._name, self._scenario, self._road, self._traffic = name, scenario, road, traffic
+        self._vehicle, self._controller = vehicle, controller
+        step = simulator.step
+        period = step if simulator.controller.period is None else simulator.controller.period
+        tick = min(step, period)
+        self._step, self._tick = step, tick
+        self._ticks_per_step, self._ticks_per_period = round(step / tick), round(period / tick)
+        self._ticks = round(scenario.duration / step) * self._ticks_per_step
+        samples = round(tick / TICK)
+        output = simulator.controller.output
+        self._acceleration = output.index("acceleration") if "acceleration" in output else None
+        lateral = next((entry for entry in output if entry != "acceleration"), None)
+        self._lateral = None if lateral is None else output.index(lateral)
+        self._steer = lateral or "path"
+        self._size = np.array([0.5 * scenario.ego.length, 0.5 * scenario.ego.width])
+        self._rows = np.zeros((self._ticks // self._ticks_per_step + 1, geometry.RECORDED))
+        self._widths = np.zeros(len(self._rows))
+        self._dynamics = np.zeros((self._ticks * samples, 5))
+        self._samples = [self._dynamics[index * samples : (index + 1) * samples] for index in range(self._ticks)]
+        self._path = np.zeros((round((tick + PATH_AHEAD) / PATH_SPACING) + 2, 7))
+        self._path[:, 0] = np.arange(len(self._path)) * PATH_SPACING
+        self._motion, self._front, self._signals = np.zeros(8), np.zeros(3), np.zeros(geometry.SIGNALS)
+        self._start = (*road.start(traffic.start_s, traffic.start_d), scenario.ego.speed)
+        limits = np.nanmax(road.lanes[:, :, 2], axis=1)
+        self._wanted = max(_way(road.line[:, 0], limits, traffic.start_s, scenario.duration), 1e-9)
+
+    def prepare(self) -> None:
+        """Compiles or loads all kernels, which would take seconds of the first run. Raises StartError and TrafficError."""
+        road, traffic, vehicle, motion = self._road, self._traffic, self._vehicle, self._motion
+        dynamics = np.zeros((1, 5))
+        traffic.reset()
+        vehicle.start(*self._start)
+        if not geometry.place(road.line, road.lanes, vehicle.pose, traffic.start_s, self._size, motion, self._front):
+            raise StartError(f"scenarios.{self._name}.ego: it starts off the road; move it into its lane")
+        if (row := geometry.hit(traffic.outlines, vehicle.pose, self._size)) >= 0:
+            message = f"it starts inside of the vehicle {traffic.names[row]}; place them farther apart"
+            raise StartError(f"scenarios.{self._name}.ego: {message}")
+        geometry.settle(road.line, traffic.raw, traffic.others, traffic.outlines, self._step, vehicle.pose, self._size)
+        geometry.observe(
+            road.line,
+            road.lanes,
+            road.ends,
+            traffic.others,
+            motion,
+            vehicle.pose,
+            vehicle.steering,
+            1.0,
+            0.0,
+            0.0,
+            self._signals,
+        )
+        geometry.path_of(road.line, road.lanes, 0, motion.item(geometry.S), vehicle.pose.item(3), self._path)
+        self._record(0, 0.0)
+        vehicle.keep(self._path, 0.0, 0.0, dynamics)
+
+    def run(self, parameters: Mapping[str, Any]) -> Outcome:
+        """Runs one parameter set. Raises ControllerError, TrafficError and others without a result."""
+        road, traffic, vehicle, controller = self._road, self._traffic, self._vehicle, self._controller
+        line, lanes, ends, size, motion, front, signals = (
+            road.line, road.lanes, road.ends, self._size, self._motion, self._front, self._signals
+        )  # fmt: skip
+        pose, half = vehicle.pose, self._size.item(0)
+        per_step, per_period, tick, step = self._ticks_per_step, self._ticks_per_period, self._tick, self._step
+        by_acceleration, by_lateral, steer = self._acceleration, self._lateral, self._steer
+        traffic.reset()
+        vehicle.start(*self._start)
+        geometry.place(line, lanes, pose, traffic.start_s, size, motion, front)
+        track = int(motion.item(geometry.TRACK))
+        self._record(0, 0.0)
+        controller.begin(parameters)
+        failure, rows, ticks = None, 1, 0
+        acceleration = lateral = 0.0
+        for index, dynamics in enumerate(self._samples):
+            if index % per_period == 0:
+                lead = index % per_step * tick
+                geometry.observe(
+                    line, lanes, ends, traffic.others, motion, pose, vehicle.steering, half, index * tick, lead, signals
+                )
+                observed = signals.tolist()
+                commands = controller.step(observed)
+                acceleration = keeper_acceleration(observed) if by_acceleration is None else float(commands[by_acceleration])
+                lateral = 0.0 if by_lateral is None else float(commands[by_lateral])
+            if steer == "path":
+                geometry.path_of(line, lanes, track, motion.item(geometry.S), pose.item(3), self._path)
+                stable = vehicle.keep(self._path, 0.0, acceleration, dynamics)
+            elif steer == "curvature":
+                stable = vehicle.turn(lateral, acceleration, dynamics)
+            else:
+                stable = vehicle.step(lateral, acceleration, dynamics)
+            ticks = index + 1
+            on_road = geometry.place(line, lanes, pose, motion.item(geometry.S), size, motion, front)
+            if motion.item(geometry.S) + half >= road.length:
+                break  # the end of the route
+            if not stable or not on_road:
+                failure = "off_road" if stable else "unstable"
+                break
+            if ticks % per_step == 0:
+                if not traffic.advance(index // per_step, motion, front, pose.item(3)):
+                    break  # the end of the route
+                hit = geometry.settle(line, traffic.raw, traffic.others, traffic.outlines, step, pose, size)
+                self._record(rows, ticks * tick)
+                rows += 1
+                if hit >= 0:
+                    failure = "collision"
+                    break
+        samples = len(self._samples[0])
+        record = Record(
+            self._rows[:rows],
+            self._dynamics[: ticks * samples],
+            self._widths[:rows],
+            self._wanted,
+            vehicle.parameters.mass,
+            self._scenario.ego.width,
+        )
+        return Outcome(record, failure)
+
+    def _record(self, row: int, time: float) -> None:
+        road, vehicle = self._road, self._vehicle
+        geometry.record(
+            road.line, road.lanes, self._traffic.others, self._motion, vehicle.pose, vehicle.steering, self._size.item(0), time,
+            self._rows[row],
+        )  # fmt: skip
+        self._widths[row] = self._motion[geometry.WIDTH]
+
+
+def _way(s: Floats, limits: Floats, start: float, duration: float) -> float:
+    """Returns the way (m) from `start` of a drive at the limit, at most to the end of the road."""
+    first = min(int(start / s[1]), len(s) - 2)
+    times = np.concatenate([[0.0], np.cumsum(np.diff(s[first:]) / limits[first:-1])])
+    return float(np.interp(duration, times, s[first:])) - start

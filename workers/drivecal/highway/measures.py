@@ -1,0 +1,157 @@
+"""Measures and time series of a run, from its record. Pure. Formulas: `drivecal.bundles.highway_catalogue.MEASURES`."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivecal.bundles.highway_catalogue import FAR, LONGEST
+from drivecal.domain.roads import Floats
+
+COLUMNS = (
+    "time_s",
+    "x_m",
+    "y_m",
+    "heading_rad",
+    "position_m",
+    "offset_m",
+    "lane",
+    "speed_mps",
+    "acceleration_mps2",
+    "lateral_acceleration_mps2",
+    "steering_rad",
+    "limit_mps",
+    "gap_m",
+    "leader_speed_mps",
+    "rear_gap_m",
+    "follower_speed_mps",
+)
+"""Columns of a record, as `geometry.record` writes them."""
+TICK = 0.01
+"""Sample time of `dynamics` (s)."""
+JERK_SAMPLES = 50
+"""Samples over which a jerk is taken: 0.5 s."""
+CRITICAL = 3.0
+"""Time to collision (s) below which its duration counts."""
+STANDSTILL = 0.1
+"""Own speed (m/s) below which there is no time headway."""
+GRAVITY = 9.81
+ROLLING, DRAG, ROTATING, DRIVE, RECUPERATION = 0.01, 0.5 * 1.2 * 0.65, 1.05, 0.9, 0.6
+"""The vehicle of `energy_kwh`: battery electric, on a level road."""
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """What a run leaves behind.
+
+    `rows`: at the start and after each step of the traffic, shape (n + 1, 16), `COLUMNS`. `dynamics`: after each 0.01 s, shape (m, 5):
+    speed, longitudinal and lateral acceleration, yaw rate, steering angle. `widths`: of the
+    lane (m), at each row. `wanted`: way (m) of a drive at the limit for the scenario's duration.
+    """
+
+    rows: Floats
+    dynamics: Floats
+    widths: Floats
+    wanted: float
+    mass: float
+    width: float
+
+    def column(self, name: str) -> Floats:
+        """Returns a column of `rows`."""
+        column: Floats = self.rows[:, COLUMNS.index(name)]
+        return column
+
+
+def measures(record: Record) -> dict[str, float]:
+    """Returns all measures by name."""
+    duration = len(record.dynamics) * TICK
+    distance = float(record.dynamics[:, 0].sum() * TICK)
+    values = {
+        "duration_s": duration,
+        "distance_m": distance,
+        "mean_speed_mps": distance / duration,
+        "progress": float(record.column("position_m")[-1] - record.column("position_m")[0]) / record.wanted,
+        "max_speed_excess_mps": max(0.0, float(np.max(record.column("speed_mps") - record.column("limit_mps")))),
+        "energy_kwh": energy(record.dynamics, record.mass),
+    }
+    return values | _of_gaps(record) | _of_accelerations(record.dynamics) | _of_lanes(record)
+
+
+def _of_gaps(record: Record) -> dict[str, float]:
+    speed, gap = record.column("speed_mps"), record.column("gap_m")
+    step = float(record.rows[1, 0]) if len(record.rows) > 1 else 0.0
+    times = times_to_collision(gap, speed - record.column("leader_speed_mps"))
+    led = gap < FAR
+    moving = led & (speed > STANDSTILL)
+    headways = np.minimum(np.maximum(gap[moving], 0.0) / speed[moving], LONGEST)
+    closing = np.maximum(speed - record.column("leader_speed_mps"), 0.0)[led]
+    rear = times_to_collision(record.column("rear_gap_m"), record.column("follower_speed_mps") - speed)
+    return {
+        "min_ttc_s": float(times.min()),
+        "time_exposed_ttc_s": float(np.count_nonzero(times[1:] < CRITICAL) * step),
+        "min_headway_s": float(headways.min(initial=LONGEST)),
+        "mean_headway_s": float(headways.mean()) if headways.size else LONGEST,
+        "min_gap_m": float(gap.min()),
+        "mean_gap_m": float(gap[led].mean()) if led.any() else FAR,
+        "max_drac_mps2": float((closing**2 / (2.0 * np.maximum(gap[led], 0.1))).max(initial=0.0)),
+        "min_rear_ttc_s": float(rear.min()),
+    }
+
+
+def times_to_collision(gap: Floats, closing: Floats) -> Floats:
+    """Returns gap / closing speed, `LONGEST` at most and if the gap does not close, 0 if there is none left."""
+    times = np.full(len(gap), LONGEST)
+    closes = (closing > 0.0) & (gap < FAR)
+    times[closes] = np.maximum(gap[closes], 0.0) / closing[closes]
+    return np.minimum(times, LONGEST)
+
+
+def _of_accelerations(dynamics: Floats) -> dict[str, float]:
+    along, across = dynamics[:, 1], dynamics[:, 2]
+    jerk, lateral_jerk = jerks(along), jerks(across)
+    return {
+        "max_acceleration_mps2": float(along.max(initial=0.0)),
+        "max_deceleration_mps2": float((-along).max(initial=0.0)),
+        "rms_acceleration_mps2": _rms(along),
+        "p95_acceleration_mps2": float(np.percentile(np.abs(along), 95)),
+        "p95_lateral_acceleration_mps2": float(np.percentile(np.abs(across), 95)),
+        "max_lateral_acceleration_mps2": float(np.abs(across).max()),
+        "rms_jerk_mps3": _rms(jerk),
+        "p95_jerk_mps3": float(np.percentile(np.abs(jerk), 95)),
+        "p95_lateral_jerk_mps3": float(np.percentile(np.abs(lateral_jerk), 95)),
+    }
+
+
+def jerks(accelerations: Floats) -> Floats:
+    """Returns (a(t) - a(t - 0.5 s)) / 0.5 s; a vehicle starts without acceleration."""
+    before = np.concatenate([np.zeros(JERK_SAMPLES), accelerations])[: len(accelerations)]
+    jerk: Floats = (accelerations - before) / (JERK_SAMPLES * TICK)
+    return jerk
+
+
+def _of_lanes(record: Record) -> dict[str, float]:
+    offset, lane = record.column("offset_m"), record.column("lane")
+    out = np.abs(offset) + 0.5 * record.width > 0.5 * record.widths
+    return {
+        "max_lane_offset_m": float(np.abs(offset).max()),
+        "rms_lane_offset_m": _rms(offset),
+        "lane_departures": float(np.count_nonzero(out[1:] & ~out[:-1])),
+        "lane_changes": float(np.count_nonzero(np.diff(lane))),
+    }
+
+
+def energy(dynamics: Floats, mass: float) -> float:
+    """Returns the energy (kWh) that a battery gives: see `MEASURES`."""
+    speed, acceleration = dynamics[:, 0], dynamics[:, 1]
+    force = ROTATING * mass * acceleration + ROLLING * mass * GRAVITY + DRAG * speed**2
+    power = force * speed
+    return float(np.where(power > 0.0, power / DRIVE, RECUPERATION * power).sum() * TICK / 3.6e6)
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def series(record: Record, names: Sequence[str]) -> dict[str, list[float]]:
+    """Returns columns of the record by name."""
+    return {name: record.column(name).tolist() for name in names}

@@ -1,0 +1,42 @@
+"""The corridor of a scenario as the arrays of `geometry`, and places on it."""
+
+from math import atan, cos, sin
+
+import numpy as np
+
+from drivecal.domain.roads import Floats, pose_on
+from drivecal.roads.corridor import Corridor
+
+SMOOTHING = 5.0
+"""Distance (m) to both sides over which the slope of a lane's centre is taken."""
+
+
+class Road:
+    """A corridor with everything that is looked up in each step. Arrays as in `geometry`."""
+
+    def __init__(self, corridor: Corridor) -> None:
+        self.corridor = corridor
+        line = corridor.line
+        self.line: Floats = np.ascontiguousarray(np.column_stack([line, np.cos(line[:, 3]), np.sin(line[:, 3])]))
+        self.lanes: Floats = np.ascontiguousarray(
+            np.stack([corridor.centres, corridor.widths, corridor.limits, _slopes(line, corridor.centres)], axis=-1)
+        )
+        self.ends: Floats = np.array([track.end for track in corridor.tracks])
+        self.length = float(line[-1, 0])
+
+    def start(self, s: float, d: float) -> tuple[float, float, float]:
+        """Returns x, y and heading of a vehicle at (s, d) that drives along its lane."""
+        x, y, heading, curvature, _ = pose_on(self.corridor.line, s)
+        track = self.corridor.lane_at(s, d)
+        row = min(int(s / self.line[1, 0]), len(self.line) - 1)
+        slope = 0.0 if track is None else float(np.nan_to_num(self.lanes[row, track, 3]))
+        return x - d * sin(heading), y + d * cos(heading), heading + atan(slope / (1.0 - curvature * d))
+
+
+def _slopes(line: Floats, centres: Floats) -> Floats:
+    """Returns the change of each centre per metre, 0 at rows that have no neighbours."""
+    reach = max(1, round(SMOOTHING / line[1, 0]))
+    padded = np.pad(centres, ((reach, reach), (0, 0)), mode="edge")
+    rise = padded[2 * reach :] - padded[: -2 * reach]
+    slopes: Floats = np.where(np.isnan(centres), np.nan, np.nan_to_num(rise / (2 * reach * line[1, 0])))
+    return slopes

@@ -1,0 +1,140 @@
+"""SUMO's route file and command line options of a scenario. Pure."""
+
+from xml.etree.ElementTree import Element, SubElement, tostring
+
+from drivecal.bundles.highway import Driver, FlowEntry, HighwayScenario, TrafficEntry
+
+EGO = "ego"
+"""Id, type and route of the ego vehicle in SUMO."""
+RANDOM = frozenset({"EIDM", "W99"})
+"""Models that are random by default."""
+LANE_CHANGE_SECONDS = 3.0
+"""Duration of LC2013's lane changes, which SUMO makes in one step by default."""
+SUBLANE = 0.8
+"""Width (m) of the strips in which vehicles with SL2015 move."""
+ANY_LIMIT = 100.0
+"""Factor of the limit with which a desired speed holds whatever the limit is."""
+
+
+def drivers(scenario: HighwayScenario) -> tuple[dict[str, TrafficEntry], dict[str, FlowEntry]]:
+    """Returns vehicles and flows by id; those without one are called `vehicle0`, `flow0` and so on."""
+    taken = {entry.id for entry in scenario.traffic} | {entry.id for entry in scenario.flows}
+
+    def free(kind: str, given: str | None, index: int) -> str:
+        name = given or f"{kind}{index}"
+        while given is None and name in taken:
+            name += "_"
+        taken.add(name)
+        return name
+
+    vehicles = {free("vehicle", vehicle.id, index): vehicle for index, vehicle in enumerate(scenario.traffic)}
+    return vehicles, {free("flow", flow.id, index): flow for index, flow in enumerate(scenario.flows)}
+
+
+def is_exact(scenario: HighwayScenario) -> bool:
+    """Returns whether nothing in a scenario is random and no vehicle enters later, so that vehicles can be added again for each run."""
+    return not scenario.flows and all(
+        vehicle.sigma == 0.0
+        and vehicle.speed_deviation == 0.0
+        and vehicle.lane_change == "none"
+        and vehicle.model not in RANDOM
+        and not vehicle.parameters
+        for vehicle in scenario.traffic
+    )
+
+
+def route_id(name: str) -> str:
+    """Returns the id of a vehicle's or flow's route."""
+    return f"route-{name}"
+
+
+def routes_file(scenario: HighwayScenario) -> bytes:
+    """Returns the route file: a type and a route per vehicle, and the flows. Each run adds the vehicles itself."""
+    vehicles, flows = drivers(scenario)
+    root = Element("routes")
+    ego = scenario.ego
+    SubElement(root, "vType", {"id": EGO, "length": repr(ego.length), "width": repr(ego.width), **_FREE} | _model(_NOBODY))
+    SubElement(root, "route", id=route_id(EGO), edges=" ".join(scenario.route))
+    for name, entry in (vehicles | flows).items():
+        SubElement(root, "vType", {"id": name} | _type(entry))
+        SubElement(root, "route", id=route_id(name), edges=" ".join(_route(scenario, entry, entry.edge)))
+    for name, flow in sorted(flows.items(), key=lambda entry: entry[1].begin):
+        SubElement(root, "flow", _flow(name, flow, scenario.duration))
+    return tostring(root)
+
+
+_FREE = {"speedFactor": "100", "speedDev": "0", "maxSpeed": "200"}
+"""What lets SUMO's ego vehicle take any speed."""
+_NOBODY = Driver.model_validate({})
+
+
+def _route(scenario: HighwayScenario, driver: Driver, edge: str | None) -> list[str]:
+    route = scenario.route if driver.route is None else driver.route
+    if driver.route is None and edge is not None:
+        return route[route.index(edge) :] if edge in route else [edge]
+    return route
+
+
+def _model(driver: Driver) -> dict[str, str]:
+    model = "Krauss" if driver.model == "constant" else driver.model
+    lane_change = "LC2013" if driver.lane_change == "none" else driver.lane_change
+    return {"carFollowModel": model, "laneChangeModel": lane_change, "vClass": driver.vehicle_class}
+
+
+def _type(driver: Driver) -> dict[str, str]:
+    values: dict[str, float | None] = {
+        "length": driver.length,
+        "width": driver.width,
+        "speedFactor": driver.speed_factor,
+        "speedDev": driver.speed_deviation,
+        "maxSpeed": None,
+        "tau": driver.time_headway,
+        "minGap": driver.min_gap,
+        "accel": driver.acceleration,
+        "decel": driver.deceleration,
+        "sigma": driver.sigma if driver.model in {"Krauss", "constant"} else None,
+    }
+    if driver.desired_speed is not None:
+        values |= {"maxSpeed": driver.desired_speed, "speedFactor": ANY_LIMIT, "speedDev": 0.0}
+    values |= driver.parameters
+    return _model(driver) | {name: repr(float(value)) for name, value in values.items() if value is not None}
+
+
+def _flow(name: str, flow: FlowEntry, duration: float) -> dict[str, str]:
+    mean = 3600.0 / flow.per_hour
+    return {
+        "id": name,
+        "type": name,
+        "route": route_id(name),
+        "begin": repr(flow.begin),
+        "end": repr(min(duration, duration if flow.end is None else flow.end)),
+        "departLane": str(flow.lane),
+        "departPos": "base",
+        "departSpeed": "max" if flow.speed is None else repr(flow.speed),
+        "period": f"exp({1.0 / mean!r})" if flow.random else repr(mean),
+    }
+
+
+def options(scenario: HighwayScenario, network: str, route_file: str, step: float) -> list[str]:
+    """Returns SUMO's command line options.
+
+    SUMO only warns of collisions and teleports no vehicles: drivecal checks the ego vehicle's collisions itself.
+    """
+    models = {entry.lane_change for entry in (*scenario.traffic, *scenario.flows)}
+    sideways = {"lateral-resolution": repr(SUBLANE)} if "SL2015" in models else {}
+    sideways |= {"lanechange.duration": repr(LANE_CHANGE_SECONDS)} if "LC2013" in models else {}
+    values = {
+        "net-file": network,
+        "route-files": route_file,
+        "step-length": repr(step),
+        "seed": str(scenario.seed),
+        "collision.action": "warn",
+        "time-to-teleport": "-1",
+        "no-step-log": "true",
+        "no-warnings": "true",
+        "duration-log.disable": "true",
+        "xml-validation": "never",
+        "xml-validation.net": "never",
+        "xml-validation.routes": "never",
+    } | sideways
+    return [text for name, value in values.items() for text in (f"--{name}", value)]
