@@ -7,7 +7,7 @@ from drivecal.report.data import ReportData
 from drivecal.report.figures import cells
 from drivecal.report.markup import bullets, document, files, paragraph, verbatim
 from drivecal.report.rows import by_scenario
-from drivecal.report.sections import influence, optima, predictions, problem, results, reuse, robustness, search, validation
+from drivecal.report.sections import influence, optima, problem, results, reuse, robustness, search, validation
 
 
 def page(findings: ReportData, drawn: Mapping[str, str], names: Sequence[str], version: str) -> str:
@@ -102,7 +102,7 @@ def _reuse(findings: ReportData, drawn: Mapping[str, str]) -> list[str]:
 
 def _validation(findings: ReportData, drawn: Mapping[str, str]) -> list[str]:
     identifier = findings.campaign.id
-    content = [part for studied in findings.predictions[:1] for part in predictions.validated(studied)]
+    content = [part for studied in findings.predictions[:1] for part in validation.validated_predictions(studied)]
     if findings.validation:
         drawings = _figures(drawn, "figure-14-")
         return [

@@ -87,7 +87,7 @@ def test_a_choice_needs_two_different_texts(choices: list[str]) -> None:
 def test_a_choice_is_its_text_and_nothing_else() -> None:
     assert [MODES.named(index) for index in range(3)] == list(MODES.choices)
     assert [MODES.index(text) for text in MODES.choices] == [0, 1, 2]
-    for wrong in ("fast", Decimal(1)):
+    for wrong in ("fast", Decimal(1), Decimal("2.5e-16"), Decimal("Infinity")):
         with pytest.raises(InvalidInputError) as refused:
             MODES.index(wrong, "baseline.mode")
         (problem,) = refused.value.problems

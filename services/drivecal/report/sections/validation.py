@@ -13,7 +13,7 @@ from drivecal.domain.scales import COMFORT, Scale
 from drivecal.report.data import Studied
 from drivecal.report.figures.drawing import BLUE, INK, VERMILION, Drawn, style
 from drivecal.report.markup import paragraph, table
-from drivecal.report.rows import errors_text, interval_text, percent, totals
+from drivecal.report.rows import PREDICTIONS, errors_text, interval_text, percent, predictions, totals
 
 PANELS_PER_SHEET = 12
 MOST_COLUMNS = 15
@@ -183,3 +183,11 @@ def _rates(rows: Sequence[ValidationRow]) -> str:
     header = ["scenario", "compared", "different", "wrong", "R_err", "95 % from", "to"]
     caption = "Table 2. Share of wrong answers (Eq. 8) with its 95 % interval"
     return table(header, lines, f"{caption}. {interval_text(rows)}" if any(row.compared for row in rows) else caption)
+
+
+def validated_predictions(studied: Studied[ValidationRow]) -> list[str]:
+    """Returns a table of released predictions that a study simulated afterwards, and its sum."""
+    caption = "Released predictions, simulated afterwards; limit: of the expected number beyond the tolerance, for each prediction in a lot"
+    content = [table(PREDICTIONS, predictions(studied.rows), caption)]
+    compared, different, wrong = totals(studied.rows, "compared", "different", "wrong")
+    return [*content, paragraph(errors_text("predictions", compared, different, wrong))] if compared else content
