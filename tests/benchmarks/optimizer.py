@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 from scipy import stats
+from tests.support.values import numbers
 
 from drivecal.comfort.reference import REFERENCE
 from drivecal.domain.parameters import ParameterSet, ParameterSpace
@@ -68,7 +69,7 @@ class Memory:
         new = [one for one in dict.fromkeys(sets) if one not in self.known]
         chunks = [new[start : start + CHUNK] for start in range(0, len(new), CHUNK)]
         tasks = [
-            [self.pool.submit(run, scenario, [list(one.numbers.values()) for one in chunk]) for scenario in SCENARIOS]
+            [self.pool.submit(run, scenario, [list(numbers(one).values()) for one in chunk]) for scenario in SCENARIOS]
             for chunk in chunks
         ]
         for chunk, task in zip(chunks, tasks, strict=True):

@@ -27,6 +27,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from tests.support.values import numbers
 
 from drivecal.comfort.reference import REFERENCE
 from drivecal.contracts.work import Batch, Cell, DriveRequest
@@ -85,7 +86,7 @@ class Memory:
         """Of grid points, shape (n,); simulates those that are not known yet."""
         keys = [(scenario, row.tobytes()) for row in points]
         new = {key: row for key, row in zip(keys, points, strict=True) if key not in self.known}
-        sets = [one.numbers for one in SPACE.parameter_sets(np.array(list(new.values())).reshape(-1, points.shape[1]))]
+        sets = [numbers(one) for one in SPACE.parameter_sets(np.array(list(new.values())).reshape(-1, points.shape[1]))]
         chunks = [sets[start : start + CHUNK] for start in range(0, len(sets), CHUNK)]
         tasks = [self.pool.submit(simulate, scenario, chunk) for chunk in chunks]
         self.known.update(zip(new, (score for task in tasks for score in task.result()), strict=True))

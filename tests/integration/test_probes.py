@@ -179,3 +179,20 @@ def test_a_time_series_is_made_with_the_tools_of_its_result(database: Database) 
         number = next(results.stream(connection, first.sequence)).id
         traced = request_trace(connection, number)
     assert ended(database, traced, on("2.0")).state is CampaignState.FAILED
+
+
+def test_a_campaign_of_an_earlier_release_does_not_mix_answers(database: Database) -> None:
+    campaign = submit(database)
+    running = dispatcher(database, on("1.0"))
+    for _ in range(2_000):
+        running.step()
+        with database.read() as connection:
+            begun = campaigns.get(connection, campaign.id)
+        if begun.cells.simulated:
+            break
+    with database.transaction() as connection:  # which ran no probe
+        without = {name: part for name, part in (begun.resolution or {}).items() if name != "tools"}
+        campaigns.set_resolution(connection, campaign.sequence, without)
+    failed = ended(database, campaign, on("2.0"))
+    assert failed.state is CampaignState.FAILED
+    assert "submit it again" in (failed.error or "")

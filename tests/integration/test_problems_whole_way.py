@@ -86,3 +86,22 @@ def test_a_killed_server_resumes_a_problem_to_the_same_results(name: str, server
         ended = client.wait(begun.id)
         assert (ended.state, ended.best) == ("succeeded", expected.best)
         assert rows(client, begun.id) == results
+
+
+def test_an_upgrade_of_a_tool_outside_of_the_files_reuses_nothing(server: Server, tmp_path: Path) -> None:
+    folder, version = problem("python-function", tmp_path), tmp_path / "version"
+    manifest = yaml.safe_load((folder / "problem.yaml").read_text())
+    manifest["problem"], manifest["simulator"]["probe"] = "probed", ["cat", str(version)]
+    (folder / "problem.yaml").write_text(yaml.safe_dump(manifest, sort_keys=False))
+    spec = {**SPEC, "problem": "probed", "optimizer": {**SPEC["optimizer"], "iterations": 1}}
+    simulated = []
+    with Client(server.url) as client:
+        client.push_problem(folder)
+        for number in ("1.0", "1.0", "2.0", "1.0"):
+            version.write_text(f"mysim {number}\n")
+            ended = client.wait(client.submit(spec).id)
+            assert (ended.state, ended.error) == ("succeeded", None)
+            assert any(f"mysim {number}" in note for note in ended.notes)
+            simulated.append(ended.cells.simulated)
+    assert simulated[0] == simulated[2] > 0
+    assert simulated[1] == simulated[3] == 0

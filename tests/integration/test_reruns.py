@@ -15,6 +15,7 @@ import yaml
 from tests.support.computed import ComputedBackend
 from tests.support.effort import tries
 from tests.support.runs import WITH_ANALYSIS, dispatcher, get, influenced, run
+from tests.support.values import numbers
 
 from drivecal.api import submission
 from drivecal.api.dependencies import Limits
@@ -107,7 +108,7 @@ def test_a_narrowed_campaign_searches_where_some_scenario_is_influenced(database
     with database.read() as connection:
         rows = [row for row in results.stream(connection, narrow.sequence) if row.stage is StageName.CALIBRATION]
     for name, one in found.items():
-        assert all(one.lower <= row.parameters.numbers[name] <= one.upper for row in rows)
+        assert all(one.lower <= numbers(row.parameters)[name] <= one.upper for row in rows)
     assert any("narrowed" in note and "P4 held at 0.5" in note for note in narrow.notes)
     assert narrow.best is not None
     assert wide.best is not None
@@ -154,7 +155,7 @@ def test_expert_sets_are_in_the_start_population_after_the_baseline(database: Da
         ended = _run(database, baseline=baseline, optimizer=optimizer, reduction=reduction)
         with database.read() as connection:
             rows = [row for row in results.stream(connection, ended.sequence) if row.stage is StageName.CALIBRATION]
-        first = {row.individual: row.parameters.numbers for row in rows if row.iteration == 0}
+        first = {row.individual: numbers(row.parameters) for row in rows if row.iteration == 0}
         given = [{name: first[place][name] for name in baseline} for place in range(3)]
         assert given == [baseline, experts[0], experts[2]], "each once"
         assert ended.baseline is not None
@@ -211,7 +212,7 @@ def test_another_evaluator_rates_stored_runs_and_simulates_only_what_is_new(data
     assert map_from_document(made.scenarios).influence("S1", "P1").influential
     for row in rows:
         if row.outcome is not Outcome.REUSED:
-            expected = strict_answer(row.scenario, Cell(1, row.parameters.numbers))
+            expected = strict_answer(row.scenario, Cell(1, numbers(row.parameters)))
             assert (row.score, row.rating, row.failure) == (expected.score, expected.rating, expected.failure)
     assert any(row.failure == "collision" and row.score == 0 and row.outcome is Outcome.REPEATED for row in rows)
     assert len(backend.sent) == again.cells.simulated + again.counts(StageName.SENSITIVITY).simulated
@@ -282,7 +283,7 @@ def test_a_single_evaluation_by_another_evaluator_is_answered_from_the_stored_ru
     with database.read() as connection:
         row = next(row for row in results.stream(connection, first.sequence) if row.scenario == "S1" and not row.failure)
     wanted = EvaluationSpecification.model_validate(
-        {"parameters": row.parameters.numbers, "scenario": "S1", "evaluator": "strict"}
+        {"parameters": numbers(row.parameters), "scenario": "S1", "evaluator": "strict"}
     )
     backend = ComputedBackend(answer=strict_answer)
     ended = run(database, submission.evaluate(database, LIMITS, wanted, None), backend)

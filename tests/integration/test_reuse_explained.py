@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 from tests.support.computed import IGNORED, ComputedBackend, computed
 from tests.support.runs import EXPERT_SPACE, SMALL, nothing_matters, post_map, run, submit
+from tests.support.values import numbers
 
 from drivecal.campaigns.results.explanation import explain
 from drivecal.contracts.explanation import Explanation
@@ -75,10 +76,10 @@ def test_every_simulated_cell_names_the_nearest_set_that_the_campaign_saw(databa
         expected = min(  # every blocking parameter differs by one or two halves of its range, 1
             visible,
             key=lambda row: (
-                _blocks(cell.scenario, cell.parameters.numbers, row.parameters.numbers),
+                _blocks(cell.scenario, numbers(cell.parameters), numbers(row.parameters)),
                 sum(
-                    (cell.parameters.numbers[name] - value) ** 2
-                    for name, value in row.parameters.numbers.items()
+                    (numbers(cell.parameters)[name] - value) ** 2
+                    for name, value in numbers(row.parameters).items()
                     if IGNORED.get(cell.scenario) != name
                 ),
                 row.campaign_sequence,
@@ -90,7 +91,7 @@ def test_every_simulated_cell_names_the_nearest_set_that_the_campaign_saw(databa
         assert found.reference.evaluation == expected.id
         assert (
             sum(one.blocks for one in found.differences)
-            == _blocks(cell.scenario, cell.parameters.numbers, expected.parameters.numbers)
+            == _blocks(cell.scenario, numbers(cell.parameters), numbers(expected.parameters))
             > 0
         )
 

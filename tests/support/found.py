@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from sqlalchemy import Connection
+from tests.support.values import numbers
 
 from drivecal.campaigns.resolve.maps import analysis_to_document, smallest_s_rel
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve, resolve_evaluation
@@ -59,7 +60,7 @@ def carry_out(database: Database, campaign_id: str, individuals: int = 5, *, end
             optimizer_state={},
         )
         generations.finish(connection, campaign.sequence, 0, figures, [3.0] * individuals)
-        best = Best(objective=3.5, parameters=sets[-1].numbers, scores=dict.fromkeys(problem.scenarios, 3), alternatives=1)
+        best = Best(objective=3.5, parameters=numbers(sets[-1]), scores=dict.fromkeys(problem.scenarios, 3), alternatives=1)
         snapshot = Snapshot(
             stage=StageName.CALIBRATION,
             iteration=0,
@@ -168,7 +169,7 @@ def analyse(database: Database, campaign_id: str, score: Callable[[str, Mapping[
         assert analysis is not None
         while phase := analysis.ask():
             told = {
-                scenario: np.array([score(scenario, one.numbers) for one in problem.space.parameter_sets(points)], dtype=float)
+                scenario: np.array([score(scenario, numbers(one)) for one in problem.space.parameter_sets(points)], dtype=float)
                 for scenario, points in phase.points.items()
             }
             analysis.tell(told)

@@ -109,7 +109,8 @@ def _run_of(database: Database, number: int, tools: str | None) -> Job:
 def _pin(database: Database, campaign: StoredCampaign, resolution: Mapping[str, Any]) -> None:
     """Stores the versions that a campaign starts with, or checks that they are unchanged."""
     begun = campaign.resolution
-    if begun is None or ("tools" in resolution and "tools" not in begun):  # a bundle's resolution was stored without
+    unknown = begun is not None and "tools" in resolution and "tools" not in begun  # a bundle's is stored when it is submitted
+    if begun is None or (unknown and not campaign.stages):
         with database.transaction() as connection:
             campaigns.set_resolution(connection, campaign.sequence, resolution)
         return

@@ -1,22 +1,22 @@
 """From which sensitivity on a parameter counts as influential: on s_rel, on |mu| and sigma separately, or derived (`auto`).
 
-`auto` starts from what a discrete score does to s_rel. A change of one point between two runs is an effect of 1/(7 step), however little
-the rating behind it moved, and s_rel is about the root mean square of the effects. So s_rel mainly counts changed runs: k changes of one
-point in n effects of step d give s_rel = sqrt(k / (n - 1)) / (7 d) nearly. In an interval of a tenth of the range that is ten times as much
-as in the whole range; one number for both either lets every change count in the interval or next to none in the whole range. `auto`
-therefore fixes the number of changes that are tolerated, not s_rel:
+`auto` starts from what a score with steps does to s_rel. With a tolerance of one step and a range of r steps, a change by the tolerance
+between two runs is an effect of 1/(r d) for a step d of the parameter, however little the rating behind it moved, and s_rel is about the
+root mean square of the effects. So s_rel mainly counts changed runs: k such changes in n effects give s_rel = sqrt(k / (n - 1)) / (r d)
+nearly. In an interval of a tenth of the range that is ten times as much as in the whole range; one number for both either lets every
+change count in the interval or next to none in the whole range. `auto` therefore fixes the number of changes that are tolerated, not s_rel:
 
-* A change of one point is what the paper tolerates in a reused result (Equation 8), and it calls a rate of 1.08 % negligible (Table 2).
-  Tolerated are as many changes of one point as n effects show with a probability of at least 95 % when their rate is 1 %: none up to
-  n = 5, one up to n = 35, three at n = 100.
-* The threshold lies halfway between so many and one more, for the steps that were made. A change of two points weighs as four of one,
+* A change by the tolerance is what the paper accepts in a reused result (Equation 8), and it calls a rate of 1.08 % negligible (Table 2).
+  Tolerated are as many such changes as n effects show with a probability of at least 95 % when their rate is 1 %: none up to n = 5, one
+  up to n = 35, three at n = 100.
+* The threshold lies halfway between so many and one more, for the steps that were made. A change by twice the tolerance weighs as four,
   more than is tolerated up to n = 137.
 
 It depends on the design alone, not on the scores, so that it is known before the first run and does not bend to what is found.
 
-A score without steps has no smallest change. Its `tolerance` stands for the point, in any scale: a change by the tolerance is an effect of
-tolerance / (span step). Simulations are deterministic, so smaller changes are influence and no noise, but influence that no audit calls
-wrong. They add up by their squares: changes by half the tolerance count a quarter each (decision 027).
+A score without steps has no smallest change; in any scale, a change by the tolerance is an effect of tolerance / (span step). Simulations
+are deterministic, so smaller changes are influence and no noise, but influence that no audit calls wrong. They add up by their squares:
+changes by half the tolerance count a quarter each (decision 027).
 
 This bounds false alarms: a parameter with a true rate of 1 % counts as influential with a probability of at most 5 %. It does not bound
 misses: at a rate of 10 %, a parameter counts as non-influential with a probability of 0.51 at 16 samples, 0.39 at 20 and 0.01 at 100
@@ -34,7 +34,7 @@ from drivecal.domain.scales import COMFORT, ROUNDING_SHARE, Scale
 from drivecal.sensitivity.effects import EffectStatistics, Floats
 
 TOLERATED_RATE = 0.01
-"""Changes of one point per step that count as negligible; the largest error ratio in Table 2 is 0.0108."""
+"""Changes by the tolerance, per step, that count as negligible; the largest error ratio in Table 2 is 0.0108."""
 CONFIDENCE = 0.95
 SEEN_RATE = 0.1
 """The rate of changes for which the probability of a miss is reported: ten times what is tolerated."""

@@ -72,7 +72,7 @@ class ExpectedComparison(Answer):
     proposed: int
     at_most: int
     milliseconds: float
-    """CPU time of one simulation."""
+    """Time for which one simulation occupies a worker: CPU time, or wall-clock time if the simulator waits."""
     measured: bool
     """Whether that was measured in these setups; else none was made yet, and it is assumed."""
     workers: int | None

@@ -43,14 +43,6 @@ class ParameterSet:
         return {name: value if isinstance(value, str) else value / BILLION for name, value in pairs}
 
     @property
-    def numbers(self) -> dict[str, float]:
-        """Nearest floats by name. Raises TypeError if there is a choice."""
-        texts = [name for name, value in zip(self.names, self.billionths, strict=True) if isinstance(value, str)]
-        if texts:
-            raise TypeError(f"{', '.join(texts)} has a text, no number")
-        return {name: float(value) for name, value in self.floats.items()}
-
-    @property
     def codes(self) -> tuple[int, ...]:
         """Integers that identify the values, see `code`."""
         return tuple(map(code, self.billionths))

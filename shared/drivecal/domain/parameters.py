@@ -197,13 +197,6 @@ class Parameter:
         values: Indices = low + whole * indices + (2 * rest * indices + last) // (2 * last)
         return values
 
-    @property
-    def all_billionths(self) -> npt.NDArray[np.int64]:
-        """All values of a grid in billionths, shape (n_values,). Raises ValueError if they are too many for a table."""
-        if self.n_values > 2 * LARGEST_GRID + 1:
-            raise ValueError(f"{self.name} has {self.n_values} values, too many for a table")
-        return self.billionths_at(np.arange(self.n_values))
-
     def first_from(self, value: int) -> int:
         """Returns the first grid index whose value is at least `value`, in billionths; `n_values` if there is none."""
         return bisect_left(range(self.n_values), value, key=self.billionths)

@@ -53,16 +53,6 @@ class Scale:
         return self.upper - self.lower
 
     @property
-    def worst(self) -> float:
-        """Worst end of the usual range."""
-        return self.lower if self.direction is Direction.MAXIMISE else self.upper
-
-    @property
-    def best(self) -> float:
-        """Best end of the usual range."""
-        return self.upper if self.direction is Direction.MAXIMISE else self.lower
-
-    @property
     def is_whole(self) -> bool:
         """Whether every score is a whole number."""
         return self.step is not None and self.step.is_integer()

@@ -254,7 +254,7 @@ def test_the_scale_of_a_score_fails_at_the_worst_end_by_default() -> None:
     manifest = checked(VALID)
     cost, comfort = (manifest.scores[name].scale(name) for name in ("cost", "comfort"))
     assert (cost.direction, cost.lower, cost.upper, cost.tolerance, cost.failed) == (Direction.MINIMISE, 0, 100, 2, 100)
-    assert (comfort.failed, comfort.worst, comfort.best) == (0, 0, 10)
+    assert (comfort.failed, comfort.lower, comfort.upper) == (0, 0, 10)
     assert checked(changed("scores/cost/failed", None)).scores["cost"].scale("cost") == cost
 
 

@@ -65,11 +65,6 @@ def test_a_continuous_parameter_has_all_decimals_of_nine_places(parameter: Param
     assert parameter.n_values == (parameter.upper - parameter.lower) * BILLION + 1
 
 
-def test_a_continuous_parameter_is_never_tabulated() -> None:
-    with pytest.raises(ValueError, match="too many"):
-        Parameter.from_step("P", Decimal(0), Decimal(1), None).all_billionths  # noqa: B018  reading it is what fails
-
-
 @pytest.mark.parametrize(("lower", "upper", "field"), [("0.5", "2", "P.lower"), ("0", "2.5", "P.upper"), ("2", "2", "P.upper")])
 def test_an_integer_has_whole_bounds(lower: str, upper: str, field: str) -> None:
     with pytest.raises(InvalidInputError) as refused:

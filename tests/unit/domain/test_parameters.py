@@ -99,14 +99,14 @@ def test_a_grid_starts_at_its_lower_and_ends_at_its_upper_bound(parameter: Param
 
 @given(grids())
 def test_values_of_a_grid_are_exactly_one_step_apart(parameter: Parameter) -> None:
-    values = parameter.all_billionths
+    values = parameter.billionths_at(np.arange(parameter.n_values))
     assert len(values) == parameter.n_values
     assert len(set(np.diff(values).tolist())) == 1
 
 
 @given(lattices())
 def test_values_of_a_lattice_are_distinct_and_evenly_spaced_to_the_ninth_decimal(parameter: Parameter) -> None:
-    distances = np.diff(parameter.all_billionths)
+    distances = np.diff(parameter.billionths_at(np.arange(parameter.n_values)))
     assert distances.min() >= 1
     assert distances.max() - distances.min() <= 1
 

@@ -18,8 +18,8 @@ def test_a_scale_survives_its_document(scale: Scale) -> None:
 def test_better_scores_have_a_higher_signed_value() -> None:
     assert COMFORT.is_better(6, 5.5)
     assert COST.is_better(5.5, 6)
-    assert (COMFORT.best, COMFORT.worst, COMFORT.span) == (7, 0, 7)
-    assert (COST.best, COST.worst, COST.span) == (0, 100, 100)
+    assert (COMFORT.lower, COMFORT.upper, COMFORT.span) == (0, 7, 7)
+    assert (COST.lower, COST.upper, COST.span) == (0, 100, 100)
 
 
 def test_whole_scores_are_integers_and_others_stay_what_they_are() -> None:

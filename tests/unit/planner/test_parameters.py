@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.support.values import numbers
 
 from drivecal.domain import roads
 from drivecal.domain.parameters import ParameterSpace
@@ -75,7 +76,7 @@ def test_every_value_of_the_spaces_gives_a_weight() -> None:
     for parameters in FRENET.spaces.values():
         space = ParameterSpace(parameters)
         for indices in (np.zeros(11, dtype=np.int64), space.n_values - 1):
-            values = weights(list(space.parameter_set(indices).numbers.values()))
+            values = weights(list(numbers(space.parameter_set(indices)).values()))
             assert np.isfinite(values).all()
             assert (values >= 0.0).all()
 

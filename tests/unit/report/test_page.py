@@ -14,8 +14,10 @@ import pytest
 from tests.unit.report.rows import ACCOUNT, ROBUST, ROWS, SETUP, findings, row, study
 
 from drivecal.contracts.campaign import Campaign, Released
+from drivecal.contracts.evaluation import FailureCause
 from drivecal.domain.errors import InvalidInputError
 from drivecal.report.data import ReportData, Studied
+from drivecal.report.rows import LOTS_NOTE
 from drivecal.report.sections import problem, results, reuse, savings
 from drivecal.report.writing import write_report
 
@@ -188,6 +190,23 @@ def test_the_page_has_a_table_of_released_lots() -> None:
     assert "|S2|0|1|1|0|16|5|5.0%|–|" in text
     assert reuse.cells_by_stage(campaign).count(">1,333<") == reuse.cells_by_stage(campaign).count(">112<") == 1
     assert "1,333" in "".join(results.summary(findings(campaign=campaign)))
+    assert LOTS_NOTE not in "".join(reuse.self_check(campaign, None))
+    doubtful = {"S1": released["S1"].model_copy(update={"upper_95": 1.0})}
+    assert LOTS_NOTE in "".join(reuse.self_check(campaign.model_copy(update={"released": doubtful}), None))
+
+
+def test_failed_cells_are_listed_by_cause() -> None:
+    causes = [
+        FailureCause(
+            kind="no_result", cause="crash", detail="x" * 300 + "no licence", scenarios=["S1", "S2"], cells=7, example=12
+        ),
+        FailureCause(kind="undefined", cause="division by zero", scenarios=["S1"], cells=2, example=3),
+    ]
+    text = re.sub(r"(<[^>]+>\s*)+", "|", "".join(reuse.failures(causes)))
+    assert "|7|no result|crash|..." in text
+    assert "no licence|S1 S2|12|" in text
+    assert "|2|score without a value|division by zero|" in text
+    assert reuse.failures([]) == []
 
 
 def test_the_page_has_every_part_of_a_study(whole: Whole) -> None:

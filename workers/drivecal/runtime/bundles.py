@@ -79,11 +79,6 @@ class BundleSessions:
         """Unpacks a bundle unless it is there. Raises InvalidInputError if the archive is unsafe or has another digest."""
         self._cache.store(digest, archive)
 
-    def close(self) -> None:
-        """Closes all sessions."""
-        while self._sessions:
-            self._sessions.popitem()[1].close()
-
     def _session(self, setup: BundleRequest) -> SimulatorSession:
         self._tools.check(setup, lambda: self._cache.folder(setup.bundle))
         if setup.key not in self._sessions:

@@ -171,7 +171,10 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = no_bun
         specification, found.vehicle, found.vehicle_parameters, list(weights), constraints, diagnostics
     )
     if specification.robustness is not None and specification.problem != HIGHWAY:
-        diagnostics.add("robustness", f"the problem {specification.problem} has no vehicle parameters", "leave it out")
+        message = (
+            f"robustness studies vary the vehicle of {HIGHWAY}; the problem {specification.problem} has no vehicle parameters"
+        )
+        diagnostics.add("robustness", message, "leave it out, and give the conditions to be robust against as scenarios")
     resolvers.check_validation(specification, diagnostics)
     if specification.reduction.narrow and specification.sensitivity is None:
         remedy = "ask for a sensitivity analysis, name a map, or leave `narrow` out"

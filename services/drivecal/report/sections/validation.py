@@ -185,9 +185,9 @@ def _rates(rows: Sequence[ValidationRow]) -> str:
     return table(header, lines, f"{caption}. {interval_text(rows)}" if any(row.compared for row in rows) else caption)
 
 
-def validated_predictions(studied: Studied[ValidationRow]) -> list[str]:
+def validated_predictions(studied: Studied[ValidationRow], scale: Scale) -> list[str]:
     """Returns a table of released predictions that a study simulated afterwards, and its sum."""
     caption = "Released predictions, simulated afterwards; limit: of the expected number beyond the tolerance, for each prediction in a lot"
     content = [table(PREDICTIONS, predictions(studied.rows), caption)]
     compared, different, wrong = totals(studied.rows, "compared", "different", "wrong")
-    return [*content, paragraph(errors_text("predictions", compared, different, wrong))] if compared else content
+    return [*content, paragraph(errors_text("predictions", compared, different, wrong, scale))] if compared else content
