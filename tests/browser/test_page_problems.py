@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -176,7 +177,8 @@ def test_a_campaign_on_a_problem_is_submitted_without_json(heater: Heated, openi
     page.get_by_role("button", name="Start it").click()
     expect(page.get_by_role("heading", level=1)).to_have_text("campaign")
     stored = heater.api.http.get(f"/api/v1/campaigns/{page.url.rpartition('/')[2]}").json()["spec"]
-    assert (stored["problem"], stored["catalogue"], stored["weights"]) == ("heater", ["winter"], {"winter": 2})
+    digest = heater.api.http.get("/api/v1/problems/heater").json()["digest"]
+    assert (stored["problem"], stored["catalogue"], stored["weights"]) == (digest, ["winter"], {"winter": 2})
     assert (stored["fixed"], stored["baseline"]["stage"], stored["baseline"]["mode"]) == ({"rooms": 3}, 1.5, "normal")
     ranges = {entry["name"]: entry for entry in stored["parameters"]}
     assert (ranges["gain"]["lower"], ranges["gain"]["upper"], ranges["gain"]["step"]) == (0.25, 2, None)
@@ -184,3 +186,73 @@ def test_a_campaign_on_a_problem_is_submitted_without_json(heater: Heated, openi
     assert stored["optimizer"]["mutation"] == 0.2
     page.get_by_role("button", name="Cancel").click()
     page.get_by_role("button", name="Really cancel").click()
+
+
+def test_an_overview_shows_the_search_against_the_baseline_and_what_parameters_are(heater: Heated, opening: Opening) -> None:
+    page = opening(heater.at())
+    course = page.get_by_role("figure", name="").filter(has_text="Course of the search")
+    expect(
+        course.get_by_role("img", name="Course of the search: objective / EUR, less is better over iteration")
+    ).to_be_visible()
+    expect(course).to_contain_text("baseline")
+    gain = page.get_by_role("table", name="Parameters of the set").get_by_role("row", name="gain")
+    for text in ("W/K", "0 to 2", "Power for each degree below the set point"):
+        expect(gain).to_contain_text(text)
+    page.goto(heater.at("ranking"))
+    expect(page.get_by_role("columnheader", name="gain")).to_have_attribute(
+        "title", "gain / W/K: Power for each degree below the set point"
+    )
+
+
+def test_a_campaign_is_cloned_run_again_and_exported_from_its_overview(heater: Heated, opening: Opening) -> None:
+    page = opening(heater.at())
+    page.get_by_text("Export", exact=True).first.click()
+    with page.expect_download() as table:
+        page.get_by_role("link", name="solutions as CSV").click()
+    assert table.value.path().read_text().startswith("rank,objective,rating,score_winter,score_spring")
+    with page.expect_download() as best:
+        page.get_by_role("button", name="best set as CSV").click()
+    assert best.value.path().read_text().splitlines()[0] == "parameter,value,unit"
+    assert barriers(page) == []
+    page.get_by_role("button", name="Report").click()
+    expect(page.get_by_text(f"drivecal report {heater.campaign.id[:8]}")).to_be_visible()
+
+    page.get_by_role("link", name="Clone").click()
+    expect(page.get_by_label("name")).to_have_value("test again")
+    expect(page.get_by_label("population")).to_have_value("40")
+    expect(page.get_by_label("gain to")).to_have_value("2")
+    page.get_by_label("population").fill("10")
+    page.get_by_role("button", name="Start it").click()
+    expect(page.get_by_role("heading", level=1)).to_have_text("test again")
+    cloned = heater.api.http.get(f"/api/v1/campaigns/{page.url.rpartition('/')[2]}").json()["spec"]
+    ours = heater.campaign.spec
+    settled = {"problem", "catalogue", "evaluator"}  # names that submission makes exact
+    assert {name for name in ours if cloned[name] != ours[name]} - settled == {"name", "optimizer"}
+    assert (cloned["catalogue"], cloned["evaluator"]) == (["winter", "spring"], "cost")
+    page.get_by_role("button", name="Cancel").click()
+    page.get_by_role("button", name="Really cancel").click()
+
+    page.goto(heater.at())
+    page.get_by_role("button", name="Rerun").click()
+    expect(page.get_by_role("link", name=heater.campaign.id[:8]).first).to_be_visible()
+    again = heater.api.http.get(f"/api/v1/campaigns/{page.url.rpartition('/')[2]}").json()
+    assert again["rerun_of"] == heater.campaign.id
+    run(heater.api.database, heater.campaign, ComputedBackend(answer=heated))
+
+
+def test_what_is_selected_is_what_is_exported(heater: Heated, opening: Opening) -> None:
+    page = opening(f"{heater.at('evaluations')}?scenario=winter&b.mode=0:1&b.gain=0.5:1.5&outcome=simulated")
+    expect(page.get_by_text("Export what is selected")).to_be_visible()
+    shown = int(page.get_by_text(re.compile(r"^Showing [\d,]+ of [\d,]+ rows$")).inner_text().split()[1].replace(",", ""))
+    with page.expect_download() as table:
+        page.get_by_role("link", name="CSV").click()
+    rows = list(csv.DictReader(table.value.path().read_text().splitlines()))
+    assert len(rows) == shown > 0
+    assert {row["scenario"] for row in rows} == {"winter"}
+    assert {row["mode"] for row in rows} <= {"eco", "normal"}
+    assert all(0.5 <= float(row["gain"]) <= 1.5 for row in rows)
+    page.get_by_role("button", name="Python").click()
+    snippet = page.locator("pre").inner_text()
+    whole: dict[str, Any] = {}
+    exec(snippet, whole)  # what the page offers to be run
+    assert list(whole["table"]["id"]) == [int(row["id"]) for row in rows]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -179,3 +180,40 @@ def test_what_only_the_page_uses_is_described_as_well(api: RunningApi) -> None:
     [tag] = document["tags"]
     assert tag["name"] == "page"
     assert "`GET /api/v1/live` is a WebSocket" in tag["description"]
+
+
+def test_a_table_has_only_the_rows_that_are_asked_for(api: RunningApi) -> None:
+    campaign = run(api.database, submit(api.database, **SMALL), ComputedBackend())
+    path = f"/api/v1/campaigns/{campaign.id}"
+    whole = list(csv.DictReader(api.http.get(f"{path}/evaluations?format=csv").text.splitlines()))
+    wanted = [row["id"] for row in whole if row["scenario"] in {"S1", "S3"} and float(row["P1"]) >= 0.5]
+    where = {"where": ["scenario=S1", "scenario=S3", "P1>=0.5"]}
+    selected = csv.DictReader(api.http.get(f"{path}/evaluations", params=where | {"format": "csv"}).text.splitlines())
+    assert 0 < len(wanted) < len(whole)
+    assert [row["id"] for row in selected] == wanted
+    assert [
+        str(row["id"]) for row in api.http.get(f"{path}/evaluations", params=where | {"limit": 1000}).json()["items"]
+    ] == wanted
+    best = api.http.get(f"{path}/solutions", params={"where": "rank<=3"}).json()["items"]
+    assert [row["rank"] for row in best] == [1, 2, 3]
+    refused = api.http.get(f"{path}/solutions", params={"where": ["rank<=3", "luck=7"]})
+    assert (refused.status_code, [error["field"] for error in refused.json()["errors"]]) == (422, ["where[1]"])
+
+
+def test_what_numbers_mean_is_said_with_them(api: RunningApi) -> None:
+    campaign = run(api.database, submit(api.database, **SMALL), ComputedBackend())
+    setup = api.http.get(f"/api/v1/campaigns/{campaign.id}/setup").json()
+    assert all(parameter["description"] for parameter in setup["parameters"])
+    assert all(scenario["title"] for scenario in setup["scenarios"])
+    row = api.http.get(f"/api/v1/campaigns/{campaign.id}/evaluations?limit=1").json()["items"][0]
+    detail = api.http.get(f"/api/v1/evaluations/{row['id']}").json()
+    assert detail["parameters"] == {f"P{number}": row[f"P{number}"] for number in range(1, 12)}
+    assert (detail["campaign"]["id"], detail["campaign"]["problem"]) == (campaign.id, "highway")
+    assert detail["campaign"]["scale"]["direction"] == "maximise"
+
+
+def test_optimizers_are_listed_with_what_they_search_and_their_settings(api: RunningApi) -> None:
+    known = {entry["name"]: entry for entry in api.http.get("/api/v1/optimizers").json()["items"]}
+    assert {"genetic", "random", "swarm"} <= known.keys()
+    assert {"choice", "continuous", "constraints"} <= set(known["genetic"]["supports"])
+    assert known["swarm"]["settings"]["properties"]["inertia"]["maximum"] == 1

@@ -94,7 +94,7 @@ def test_a_cell_is_explained_within_its_campaign(run: Run, api: RunningApi, ende
     assert (found["evaluation"], found["campaign"], found["outcome"]) == (number, ended, "simulated")
     printed = run("explain", ended, str(number))
     assert printed.exit_code == 0, printed.output
-    assert printed.stdout.startswith(f"evaluation {number}: calibration, iteration 0, individual 0, S1\nsimulated, score 0")
+    assert printed.stdout.startswith(f"evaluation {number}: calibration, iteration 1, individual 0, S1\nsimulated, score 0")
     assert found["sentence"] in printed.stdout
     assert run("explain", ended, "999999999").exit_code == 5
     assert run("explain", ended, "nonsense").exit_code == 5

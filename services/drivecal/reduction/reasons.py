@@ -165,4 +165,4 @@ def _stopped(scenario: str, stop: tuple[int, AuditCount] | None) -> str:
         return f"the self-check had stopped reuse in {scenario}."
     iteration, count = stop
     audits = f"{count.wrong} of {count.audited} audited cells were wrong"
-    return f"the self-check stopped reuse in {scenario} after iteration {iteration}: {audits}."
+    return f"the self-check stopped reuse in {scenario} after iteration {iteration + 1}: {audits}."

@@ -105,7 +105,7 @@ def test_an_audit_is_told_with_both_scores(audit: Audit, words: str) -> None:
 
 def test_the_stop_of_reuse_is_told_with_its_audits() -> None:
     told = sentence(_explanation("stopped", reference=None), (2, AuditCount("S1", 40, 9, 7)))
-    assert told.endswith("stopped reuse in S1 after iteration 2: 7 of 40 audited cells were wrong.")
+    assert told.endswith("stopped reuse in S1 after iteration 3: 7 of 40 audited cells were wrong.")
 
 
 def test_references_of_other_campaigns_and_answers_still_awaited_are_told_as_such() -> None:

@@ -29,10 +29,8 @@ def explain(
 
 
 def print_explanation(explanation: Explanation) -> None:
-    """Prints the explanation, the stored set that it names, and the parameters that differ."""
-    where = (
-        f"{explanation.stage}, iteration {explanation.iteration}, individual {explanation.individual}, {explanation.scenario}"
-    )
+    """Prints the explanation, the stored set that it names, and the parameters that differ. Iterations count from 1, as in `watch`."""
+    where = f"{explanation.stage}, iteration {explanation.iteration + 1}, individual {explanation.individual}, {explanation.scenario}"
     result = explanation.outcome or "pending"
     if explanation.score is not None:
         result += f", score {explanation.score}"
@@ -44,7 +42,7 @@ def print_explanation(explanation: Explanation) -> None:
     if explanation.reference is not None:
         reference = explanation.reference
         score = "no score yet" if reference.score is None else f"score {reference.score}"
-        at = f"{reference.stage}, iteration {reference.iteration}, individual {reference.individual}"
+        at = f"{reference.stage}, iteration {reference.iteration + 1}, individual {reference.individual}"
         typer.echo(f"\nstored set: evaluation {reference.evaluation} of campaign {reference.campaign} ({at}), {score}")
     if explanation.prediction is not None:
         _print_prediction(explanation.prediction)
@@ -68,7 +66,7 @@ def _print_prediction(prediction: Prediction) -> None:
     print_columns(
         ["evaluation", "stage", "iteration", "individual", "score", "weight"],
         [
-            [known.evaluation, known.stage, known.iteration, known.individual, known.score, f"{known.weight:.1%}"]
+            [known.evaluation, known.stage, known.iteration + 1, known.individual, known.score, f"{known.weight:.1%}"]
             for known in prediction.neighbours
         ],
     )

@@ -12,6 +12,7 @@ export interface Ranged {
   upper: number;
   kind?: string;
   choices?: readonly string[];
+  description?: string;
 }
 
 /** A column whose lines are coloured, from its worst value to its best. */
@@ -38,12 +39,13 @@ export function parameterAxes(table: Table, columns: readonly string[], paramete
     if (column === undefined) return [];
     const known = parameterOf(name, parameters);
     const title = known ? titled(known.name, known.unit) : name;
+    const said = known?.description ? { meaning: known.description } : {};
     if (column.kind === "text") {
       const listed = known?.choices ?? [];
       const choices = [...listed, ...column.words.filter((word) => !listed.includes(word)).sort()];
-      return [{ name, title, lower: 0, upper: Math.max(1, choices.length - 1), choices }];
+      return [{ name, title, lower: 0, upper: Math.max(1, choices.length - 1), choices, ...said }];
     }
-    if (known && !known.choices?.length) return [{ name, title, lower: known.lower, upper: known.upper }];
+    if (known && !known.choices?.length) return [{ name, title, lower: known.lower, upper: known.upper, ...said }];
     const [lower, upper] = extent(table, name) ?? [0, 1];
     return [{ name, title, lower, upper }];
   });

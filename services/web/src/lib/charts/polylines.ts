@@ -10,6 +10,8 @@ export interface Axis {
   title: string;
   lower: number;
   upper: number;
+  /** What it is. */
+  meaning?: string;
   /** Texts at the places 0, 1, 2 and so on. */
   choices?: readonly string[];
 }
