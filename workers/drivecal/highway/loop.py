@@ -83,9 +83,7 @@ class Loop:
         vehicle.start(*self._start)
         if not geometry.place(road.line, road.lanes, vehicle.pose, traffic.start_s, self._size, motion, self._front):
             raise StartError(f"scenarios.{self._name}.ego: it starts off the road; move it into its lane")
-        if (row := geometry.hit(traffic.outlines, vehicle.pose, self._size)) >= 0:
-            message = f"it starts inside of the vehicle {traffic.names[row]}; place them farther apart"
-            raise StartError(f"scenarios.{self._name}.ego: {message}")
+        self._check_apart(vehicle.pose)
         geometry.settle(road.line, traffic.raw, traffic.others, traffic.outlines, self._step, vehicle.pose, self._size)
         geometry.observe(
             road.line,
@@ -103,6 +101,16 @@ class Loop:
         geometry.path_of(road.line, road.lanes, 0, motion.item(geometry.S), vehicle.pose.item(3), self._path)
         self._record(0, 0.0)
         vehicle.keep(self._path, 0.0, 0.0, dynamics)
+
+    def _check_apart(self, pose: Floats) -> None:
+        """Raises StartError if two vehicles overlap at the start."""
+        names, outlines = [*self._traffic.names, "ego"], self._traffic.outlines
+        starts = np.vstack([outlines, [*pose[:3], *self._size, 0.0]])
+        for row, (x, y, heading, *size) in enumerate(starts[1:].tolist(), 1):
+            other = geometry.hit(starts[:row], np.array([x, y, heading, 0.0, 0.0, 0.0, 0.0, 0.0]), np.array(size[:2]))
+            if other >= 0:
+                message = f"{names[row]} starts inside of the vehicle {names[other]}; place them farther apart"
+                raise StartError(f"scenarios.{self._name}: {message}")
 
     def run(self, parameters: Mapping[str, Any]) -> Outcome:
         """Runs one parameter set. Raises ControllerError, TrafficError and others without a result."""
