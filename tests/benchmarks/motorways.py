@@ -1,7 +1,7 @@
 """What does a run of the simulator `highway` cost? `tests/benchmarks/run.py motorways [--runs 60]`.
 
 A run of 20 s with 3 and 10 other vehicles, against SUMO that steps the same scene with the ego vehicle as one of its own; and a step of
-each kind of controller, beside SUMO in the same process. Every case has a process of its own. Least times: other programs disturb the median.
+each kind of controller, beside SUMO in the same process. Every case has a process of its own. Shown are least times.
 Writes `.drivecal/bench/motorways.json`.
 """
 

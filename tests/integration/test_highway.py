@@ -133,6 +133,23 @@ def test_a_vehicle_cuts_in_when_the_gap_is_small_enough(folder: Path) -> None:
     assert 60 < begin < 90
 
 
+def test_others_react_to_a_lane_change_of_the_ego_vehicle(tmp_path: Path) -> None:
+    code = """
+def control(o, p):
+    off = o["lane_offset"] - (o["lane_width"] if o["lane"] == 0 and o["time"] > 2 else 0.0)
+    return {"curvature": max(min(-0.0015 * off - 0.05 * o["heading_error"], 0.003), -0.003), "acceleration": 0.0}
+"""
+    bundle, controller = python(tmp_path, code, output=["acceleration", "curvature"])
+    follower = {"s": 15, "lane": 1, "speed": 32}
+    outcome = result(bundle, drive([follower], 15.0, ego={"speed": 25}), controller)
+    assert outcome.failure is None
+    assert outcome.measures["lane_changes"] == 1
+    assert series(outcome, "lane")[-1] == 1
+    assert series(outcome, "rear_gap_m")[0] == 1000
+    assert series(outcome, "follower_speed_mps")[-1] < 28
+    assert 5 < series(outcome, "rear_gap_m")[-1] < 60
+
+
 def test_a_vehicle_drifts_into_the_lane_at_a_place(folder: Path) -> None:
     drift = {"do": "drift", "s": 400, "offset": -1.6, "seconds": 2}
     outcome = result(folder, drive([{"lane": 1, "s": 160, "speed": 30, "model": "constant", "actions": [drift]}], 12.0))
