@@ -15,7 +15,6 @@ from drivecal.domain.errors import DrivecalError, InvalidInputError, Unavailable
 from drivecal.domain.roads import Floats
 from drivecal.highway import geometry
 from drivecal.highway.actions import Actions
-from drivecal.highway.lanes import SumoLanes
 from drivecal.highway.road import Road
 from drivecal.highway.routes import EGO, drivers, is_exact, options, route_id, routes_file
 from drivecal.roads.corridor import LanePiece
@@ -75,7 +74,6 @@ class Traffic:
         except SUMO_ERRORS as error:
             raise TrafficError(f"{field}: SUMO does not take the network {scenario.network}: {error}") from error
         self._actions = Actions(vehicles)
-        self._lanes = SumoLanes(road)
         self._track, self._placed = -1, 0.0
         """The track on which SUMO has the ego vehicle, -1 if it is not known, and how far along (m, as SUMO counts)."""
         self.names: list[str] = []
@@ -150,21 +148,22 @@ class Traffic:
         Along its lane by the speed that leads there, which takes SUMO a tenth of the time of a search by coordinates; into another lane
         by name; by coordinates if SUMO has it elsewhere, and inside of junctions into which it changed lanes.
         """
-        along = self._lanes.along(motion.item(0) + 0.5 * self._scenario.ego.length / motion.item(5), int(motion.item(2)))
-        if along.track == self._track and index % CHECKED_STEPS:
-            way = max(along.total - self._placed, 0.0)
+        track, along = int(motion.item(geometry.TRACK)), motion.item(geometry.ALONG)
+        if track == self._track and index % CHECKED_STEPS:
+            way = max(along - self._placed, 0.0)
             self._placed += way
             SET_SPEED(EGO, way / self._step)
             return
-        self._track = along.track
-        if along.edge.startswith((":", "-")) or not along.edge:
+        edge, lane, position = self._road.sumo.place(track, along)
+        self._track = track
+        if edge.startswith(":"):
             self._track = -1
-            MOVE_TO_XY(EGO, along.edge, along.lane, *front.tolist(), MAPPED_ANYWHERE, MAPPED_WITHIN)
+            MOVE_TO_XY(EGO, edge, lane, *front.tolist(), MAPPED_ANYWHERE, MAPPED_WITHIN)
             return
-        begin = max(along.position - speed * self._step, 0.0)
-        libsumo.vehicle.moveTo(EGO, f"{along.edge}_{along.lane}", begin)
-        SET_SPEED(EGO, (along.position - begin) / self._step)
-        self._placed = along.total
+        begin = max(position - speed * self._step, 0.0)
+        libsumo.vehicle.moveTo(EGO, f"{edge}_{lane}", begin)
+        SET_SPEED(EGO, (position - begin) / self._step)
+        self._placed = along
 
     def _enlist(self, names: list[str]) -> None:
         """Replaces the arrays by those of other vehicles; new ones are told what they may do."""
