@@ -141,7 +141,7 @@ def _problems(roads: _Roads, field: str, scenario: HighwayScenario) -> Iterator[
     except InvalidInputError as error:
         yield from _prefixed(error, f"{field}.ego")
     for index, vehicle in enumerate(scenario.traffic):
-        yield from _vehicle(network, road, scenario, vehicle, f"{field}.traffic[{index}]")
+        yield from _vehicle(network, road, vehicle, f"{field}.traffic[{index}]")
     for index, flow in enumerate(scenario.flows):
         yield from _flow(network, scenario, flow, f"{field}.flows[{index}]")
 
@@ -155,9 +155,7 @@ def _start(road: Corridor, scenario: HighwayScenario) -> float:
     return ego.s
 
 
-def _vehicle(
-    network: Network, road: Corridor, scenario: HighwayScenario, vehicle: TrafficEntry, field: str
-) -> Iterator[Problem]:
+def _vehicle(network: Network, road: Corridor, vehicle: TrafficEntry, field: str) -> Iterator[Problem]:
     """Yields the faults of a vehicle's place and route."""
     yield from _route(network, vehicle, field)
     if vehicle.edge is None:
@@ -174,8 +172,7 @@ def _vehicle(
             f"the lane {shown(f'{edge.id}_{vehicle.lane}', 90)} is {length:.2f} m long, and has no position {vehicle.s:g} m"
         )
         yield Problem(f"{field}.s", message, f"give 0 to {length:.2f}")
-    route = vehicle.route if vehicle.route is not None else scenario.route
-    if vehicle.route is not None and vehicle.edge not in route:
+    if edge is not None and vehicle.route is not None and vehicle.edge not in vehicle.route:
         yield Problem(f"{field}.edge", f"{shown(vehicle.edge, 80)} is not on the vehicle's route", "give an edge of it")
 
 

@@ -244,7 +244,7 @@ class Parameter:
         path = field_name or self.name
         if self.choices:
             if value not in self.choices:
-                message = f"{json.dumps(shown(value))} is not a choice"
+                message = f"{json.dumps(str(value))} is not a choice"
                 raise InvalidInputError(Problem(path, message, f"one of {', '.join(self.choices)}"))
             return self.choices.index(str(value))
         if isinstance(value, str):

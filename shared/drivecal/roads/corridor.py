@@ -25,6 +25,12 @@ LARGEST_BACKWARDS = 1.0
 """Metres that a lane may seem to run backwards along the line, at a corner."""
 NARROWEST = 0.9
 """Largest product of a line's curvature and a lane's offset: beyond 1, s and d are ambiguous."""
+WHOLE_DEGREE = 1.0
+"""Shortest route (m) on small coordinates that are no degrees."""
+LARGEST_DIFFERENCE = 0.3
+"""Share by which a lane's length may differ from its shape's: SUMO averages over the lanes of an edge."""
+SHORT = 30.0
+"""Metres of a lane; shorter ones may differ by as much as lanes of this length."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,6 +124,7 @@ def corridor(network: Network, route: Sequence[str], name: str) -> Corridor:
     Raises InvalidInputError with fields `route` or `route[i]` if the route cannot be driven.
     """
     lanes = lanes_of(network, route)
+    _check_units(network, lanes)
     guide = guide_of(network, lanes)
     places = _Places(network, guide)
     tracks, columns = zip(*(_track(chain, lanes, places, guide.line) for chain in lanes.chains), strict=True)
@@ -211,6 +218,24 @@ def _measured_pieces(chain: Chain, places: _Places) -> Iterator[tuple[Lane, Floa
         if number < len(chain.inside):
             for inner in chain.inside[number]:
                 yield inner, places.of(inner, end, ranges[index + 1][0], index + 1)
+
+
+def _check_units(network: Network, lanes: Lanes) -> None:
+    """Raises InvalidInputError if coordinates are degrees, or lengths are not those of the shapes."""
+    sizes = [float(lengths(lane.shape)[-1]) for lane, _ in lanes.guide]
+    points = np.vstack([lane.shape for lane, _ in lanes.guide])
+    if sum(sizes) < WHOLE_DEGREE and np.all(np.abs(points) <= (180.0, 90.0)):
+        raise refusal(
+            0,
+            network,
+            "the coordinates look like degrees of longitude and latitude",
+            "build the network in metres: netconvert --proj.utm",
+        )
+    for index, ((lane, _), size) in enumerate(zip(lanes.guide, sizes, strict=True)):
+        if abs(lane.length - size) > LARGEST_DIFFERENCE * max(size, SHORT):
+            where = f"line {lane.line}, the lane {shown(f'{lane.edge}_{lane.index}', 90)}"
+            message = f"{where}: its length is {lane.length:.2f} m, but its shape is {size:.2f} m long"
+            raise refusal(index, network, message, "build the network again")
 
 
 def _check(result: Corridor, network: Network, lanes: Lanes, places: _Places) -> None:

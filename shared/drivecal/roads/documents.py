@@ -1,6 +1,7 @@
 """XML of strangers, read element by element: no document types, no entities, bounded sizes, and a line number for every fault."""
 
 import math
+import re
 from collections.abc import Callable, Mapping
 from xml.parsers import expat
 
@@ -13,6 +14,8 @@ MOST_ELEMENTS = 2_000_000
 DEEPEST = 32
 LONGEST_VALUE = 4_000_000
 """Characters of an attribute: a lane of some hundred thousand points."""
+
+_INTEGER = re.compile(r"[+-]?[0-9]{1,9}")
 
 
 class Attributes:
@@ -51,12 +54,13 @@ class Attributes:
             raise self.fault(message, "correct the number")
         return value
 
-    def integer(self, key: str, lower: int, upper: int, default: int | None = None) -> int:
-        """Returns a whole number between two bounds. Raises InvalidInputError."""
-        value = self.number(key, lower, upper, default)
-        if not value.is_integer():
-            raise self.fault(f"{key} is {shown(self.text(key), 40)}, which is no whole number", "correct the number")
-        return int(value)
+    def integer(self, key: str, lower: int, upper: int) -> int:
+        """Returns a whole number between two bounds, written without a point. Raises InvalidInputError."""
+        text = self.text(key)
+        if not _INTEGER.fullmatch(text) or not lower <= int(text) <= upper:
+            message = f"{key} is {shown(text, 40)}, which is no whole number from {lower} to {upper}"
+            raise self.fault(message, "correct the number")
+        return int(text)
 
     def truth(self, key: str) -> bool:
         """Returns a truth value as SUMO reads it; a missing attribute is false."""

@@ -161,7 +161,7 @@ def _inside(network: Network, link: Connection, index: int) -> tuple[Lane, ...]:
 
 
 def _guide(network: Network, edges: Sequence[Edge], ways: Sequence[Sequence[Way]]) -> tuple[tuple[Lane, Lane], ...]:
-    """Returns the guide's lanes at begin and end of each edge: fewest lane changes, then least jumps, then rightmost."""
+    """Returns the guide's lanes at begin and end of each edge: fewest lane changes, then least jumps in whole metres, then rightmost."""
     costs = {lane.index: 1e-6 * lane.index for lane in edges[0].lanes if lane.for_cars}
     steps: list[dict[int, tuple[int, int]]] = []
     """For each edge but the first: the lane at its begin -> the lanes at begin and end of the edge before."""
@@ -172,7 +172,7 @@ def _guide(network: Network, edges: Sequence[Edge], ways: Sequence[Sequence[Way]
                 changes = _change_cost(edge, begin, way.begin.index)
                 if changes is None:
                     continue
-                total = cost + changes + 1e-3 * min(way.jump, 50.0) + 1e-6 * way.end.index
+                total = cost + changes + 1e-3 * int(min(way.jump, 50.0)) + 1e-6 * way.end.index
                 best[way.end.index] = min(best.get(way.end.index, (np.inf, 0, 0)), (total, begin, way.begin.index))
         if not best:
             message = (

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from fastapi.testclient import TestClient
 from httpx import Response
+from tests.support.networks import entrance
 
 from drivecal.api.app import create_app
 from drivecal.api.dependencies import OPEN_ARCHIVES, Limits
@@ -197,6 +198,35 @@ def test_a_faulty_problem_is_refused_with_the_place_and_a_remedy(serve: Serve, n
     assert field in {error["field"] for error in response.json()["errors"]}
     assert all(error["remedy"] for error in response.json()["errors"])
     assert client.get(PROBLEMS, headers=bearer("author")).json()["items"] == []
+
+
+HIGHWAY = """
+problem: highway-of-mine
+parameters: {T: {lower: 1, upper: 2}}
+simulator: {kind: highway, controller: {kind: python, file: model.py, output: [acceleration]}}
+scenarios:
+  merge: {network: road.net.xml, route: ROUTE, duration: 10, ego: {lane: LANE, s: 20, speed: 30}}
+measures: {min_ttc_s: s}
+scores: {safe: {formula: min_ttc_s, direction: maximise, range: [0, 10]}}
+"""
+
+
+def test_a_scenario_that_does_not_fit_its_network_is_refused(serve: Serve) -> None:
+    client = serve(tokens=True)
+    for route, lane, field in (
+        ("[before, beside]", 0, None),
+        ("[before, ramp]", 0, "route[1]"),
+        ("[before, beside]", 5, "ego.lane"),
+    ):
+        buffer = io.BytesIO()
+        with zipfile.ZipFile(buffer, "w") as archive:
+            archive.writestr("problem.yaml", HIGHWAY.replace("ROUTE", route).replace("LANE", str(lane)))
+            archive.writestr("model.py", "")
+            archive.writestr("road.net.xml", entrance())
+        response = push(client, buffer.getvalue(), bearer("author"))
+        assert response.status_code == (201 if field is None else 422), response.text
+        if field is not None:
+            assert [error["field"] for error in response.json()["errors"]] == [f"problem.yaml: line 6: scenarios.merge.{field}"]
 
 
 def test_a_bomb_is_refused(serve: Serve) -> None:

@@ -141,3 +141,9 @@ def test_a_fixed_choice_keeps_its_text() -> None:
     with pytest.raises(InvalidInputError) as refused:
         space.indices({"mode": "eco", "n": Decimal(4)}, "baseline")
     assert [problem.field for problem in refused.value.problems] == ["baseline.mode"]
+
+
+def test_a_number_of_any_size_is_no_choice() -> None:
+    with pytest.raises(InvalidInputError) as refused:
+        Parameter.choice("mode", ["eco", "sport"]).index(Decimal("6.7E-242"))
+    assert [problem.field for problem in refused.value.problems] == ["mode"]

@@ -1,0 +1,213 @@
+"""Scenarios of kind `highway` against their networks: every fault by its field, conversions in archives, and notes."""
+
+from __future__ import annotations
+
+import copy
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from tests.support.networks import crossing, entrance
+from tests.support.opendrive_files import exit_ramp, two_way
+
+from drivecal.bundles import highway_roads
+from drivecal.bundles.archives import BundleFile, content_digest, files_of, with_files
+from drivecal.bundles.checks import checked
+from drivecal.bundles.highway_roads import check_roads, conversions, route_notes
+from drivecal.client.problems import manifest_of, read_bundle, read_bundle_with_notes
+from drivecal.domain.errors import InvalidInputError, UnavailableError
+
+CODE = "def control(observation, parameters):\n    return {'acceleration': 0.0}\n"
+MANIFEST: dict[str, Any] = {
+    "problem": "acc",
+    "parameters": {"T": {"lower": 0.8, "upper": 2.5}},
+    "simulator": {"kind": "highway", "controller": {"kind": "python", "file": "acc.py", "output": ["acceleration"]}},
+    "scenarios": {
+        "merge": {
+            "network": "road.net.xml",
+            "route": ["before", "beside", "after"],
+            "duration": 20,
+            "ego": {"lane": 0, "s": 100, "speed": 28},
+            "traffic": [
+                {"s": 160, "lane": 1, "speed": 25},
+                {"edge": "ramp", "route": ["ramp", "beside", "after"], "s": 40, "speed": 20},
+            ],
+            "flows": [{"edge": "ramp", "route": ["ramp", "beside"], "per_hour": 300}],
+        }
+    },
+    "measures": {"min_ttc_s": "s"},
+    "scores": {"safe": {"formula": "min_ttc_s", "direction": "maximise", "range": [0, 10]}},
+}
+
+
+@cache
+def networks() -> dict[str, BundleFile]:
+    content = {
+        "road.net.xml": entrance(),
+        "town.net.xml": crossing(),
+        "damaged.net.xml": entrance()[:900],
+        "acc.py": CODE.encode(),
+    }
+    return {name: BundleFile(text, executable=False) for name, text in content.items()}
+
+
+def changed(path: str, value: Any) -> dict[str, Any]:
+    document = copy.deepcopy(MANIFEST)
+    *parents, last = path.split(".")
+    place: Any = document["scenarios"]["merge"]
+    for name in parents:
+        place = place[int(name)] if isinstance(place, list) else place[name]
+    place[int(last) if isinstance(place, list) else last] = value
+    return document
+
+
+def fields(document: dict[str, Any], files: dict[str, BundleFile] | None = None) -> list[str]:
+    with pytest.raises(InvalidInputError) as error:
+        check_roads(checked(document), networks() if files is None else files)
+    assert all(problem.message and problem.remedy for problem in error.value.problems)
+    return [problem.field for problem in error.value.problems]
+
+
+def test_a_scenario_that_fits_its_network_passes() -> None:
+    check_roads(checked(MANIFEST), networks())
+    assert route_notes(checked(MANIFEST), networks()) == ()
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "field"),
+    [
+        ("network", "damaged.net.xml", "network"),
+        ("route", ["before", "besides", "after"], "route[1]"),
+        ("route", ["before", "after"], "route[1]"),
+        ("route", ["ramp", "beside", "beside"], "route[2]"),
+        ("ego.lane", 2, "ego.lane"),
+        ("ego.s", 5000.0, "ego.s"),
+        ("ego.edge", "ramp", "ego.edge"),
+        ("ego", {"edge": "beside", "lane": 3, "s": 10, "speed": 20}, "ego.lane"),
+        ("ego", {"edge": "beside", "lane": 0, "s": 900, "speed": 20}, "ego.s"),
+        ("duration", 120.0, "route"),
+        ("traffic.0.lane", 2, "traffic[0].lane"),
+        ("traffic.0.s", 5000.0, "traffic[0].s"),
+        ("traffic.1.edge", "ramps", "traffic[1].edge"),
+        ("traffic.1.edge", "before", "traffic[1].edge"),
+        ("traffic.1.lane", 1, "traffic[1].lane"),
+        ("traffic.1.s", 5000.0, "traffic[1].s"),
+        ("traffic.1.route", ["ramp", "after"], "traffic[1].route[1]"),
+        ("traffic.1.route", ["ramp", "besides"], "traffic[1].route[1]"),
+        ("flows.0.edge", "ramps", "flows[0].edge"),
+        ("flows.0.lane", 1, "flows[0].lane"),
+        ("flows.0.route", ["ramp", "before"], "flows[0].route[1]"),
+    ],
+)
+def test_what_does_not_fit_is_named(path: str, value: Any, field: str) -> None:
+    assert fields(changed(path, value)) == [f"scenarios.merge.{field}"]
+
+
+def test_crossings_on_the_route_are_named() -> None:
+    document = changed("network", "town.net.xml")
+    document["scenarios"]["merge"] |= {"route": ["west", "east"], "traffic": [], "flows": []}
+    assert fields(document) == ["scenarios.merge.route[1]"]
+
+
+def test_all_faults_of_all_scenarios_are_told_at_once() -> None:
+    document = changed("ego.lane", 2)
+    document["scenarios"]["merge"]["traffic"][0]["lane"] = 3
+    document["scenarios"]["other"] = changed("route", ["nowhere"])["scenarios"]["merge"]
+    assert fields(document) == ["scenarios.merge.ego.lane", "scenarios.merge.traffic[0].lane", "scenarios.other.route[0]"]
+
+
+def test_a_route_that_ends_before_the_drive_is_noted() -> None:
+    (note,) = route_notes(checked(changed("duration", 50.0)), networks())
+    assert "scenarios.merge" in note
+
+
+OPEN_ROUTE = ["-1#0", "-1#1", "-1#2", "-3"]
+
+
+def folder(path: Path, road: bytes, **others: bytes) -> Path:
+    """A folder with an OpenDRIVE file."""
+    document = changed("network", "maps/road.xodr")
+    document["scenarios"]["merge"] |= {
+        "route": OPEN_ROUTE,
+        "ego": {"lane": 2, "s": 50, "speed": 30},
+        "traffic": [],
+        "flows": [],
+    }
+    (path / "maps").mkdir(parents=True, exist_ok=True)
+    (path / "problem.yaml").write_text(yaml.safe_dump(document))
+    (path / "acc.py").write_text(CODE)
+    (path / "maps" / "road.xodr").write_bytes(road)
+    for name, content in others.items():
+        (path / "maps" / name.replace("__", ".")).write_bytes(content)
+    return path
+
+
+def test_an_archive_holds_the_converted_network_and_the_folder_does_not(tmp_path: Path) -> None:
+    path = folder(tmp_path, exit_ramp())
+    manifest, archive = read_bundle(path)
+    assert set(files_of(archive)) == {"problem.yaml", "acc.py", "maps/road.xodr", "maps/road.xodr.net.xml"}
+    assert {file.name for file in (path / "maps").iterdir()} == {"road.xodr"}
+    assert manifest_of(archive) == manifest
+    assert content_digest(archive) == content_digest(read_bundle(path)[1])
+
+
+def test_notes_name_the_file(tmp_path: Path) -> None:
+    road = exit_ramp().replace(b"<speed ", b"<velocity ")
+    _, _, notes = read_bundle_with_notes(folder(tmp_path, road))
+    assert any(note.startswith("maps/road.xodr: ") and "no speed limit" in note for note in notes)
+
+
+def test_a_network_of_the_same_file_is_kept_without_netconvert(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = folder(tmp_path, exit_ramp())
+    _, archive = read_bundle(path)
+    (path / "maps" / "road.xodr.net.xml").write_bytes(files_of(archive)["maps/road.xodr.net.xml"].content)
+
+    def missing(*_: Any) -> None:
+        raise UnavailableError("netconvert is missing")
+
+    monkeypatch.setattr(highway_roads, "converted", missing)
+    assert content_digest(read_bundle(path)[1]) == content_digest(archive)
+    (path / "maps" / "road.xodr.net.xml").unlink()
+    with pytest.raises(UnavailableError):
+        read_bundle(path)
+
+
+def test_a_network_of_another_file_is_refused(tmp_path: Path) -> None:
+    path = folder(tmp_path, exit_ramp())
+    _, archive = read_bundle(path)
+    other = two_way()
+    with pytest.raises(InvalidInputError) as pushed:
+        manifest_of(with_files(archive, {"maps/road.xodr": other}))
+    (path / "maps" / "road.xodr.net.xml").write_bytes(entrance())
+    with pytest.raises(InvalidInputError) as packed:
+        read_bundle(path)
+    for error in (pushed, packed):
+        assert [problem.field.rpartition(": ")[2] for problem in error.value.problems] == ["scenarios.merge.network"]
+
+
+def test_an_archive_without_the_converted_network_is_refused(tmp_path: Path) -> None:
+    path = folder(tmp_path, exit_ramp())
+    files = {name: file for name, file in files_of(read_bundle(path)[1]).items() if not name.endswith(".net.xml")}
+    document = yaml.safe_load((path / "problem.yaml").read_text())
+    assert fields(document, files) == ["scenarios.merge.network"]
+
+
+def test_a_file_that_cannot_be_converted_is_named(tmp_path: Path) -> None:
+    path = folder(tmp_path, exit_ramp().replace(b'revMajor="1"', b'revMajor="2"'))
+    document = yaml.safe_load((path / "problem.yaml").read_text())
+    files = {"maps/road.xodr": BundleFile((path / "maps" / "road.xodr").read_bytes(), executable=False)}
+    with pytest.raises(InvalidInputError) as error:
+        conversions(checked(document), files)
+    (problem,) = error.value.problems
+    assert problem.field == "scenarios.merge.network"
+    assert "maps/road.xodr" in problem.message
+
+
+def test_archives_with_further_files_stay_within_their_limits(tmp_path: Path) -> None:
+    _, archive = read_bundle(folder(tmp_path, exit_ramp()))
+    with pytest.raises(InvalidInputError):
+        with_files(archive, {"more": b"0" * 2_000_000}, largest=1_000_000)
+    with pytest.raises(InvalidInputError):
+        with_files(archive, {str(number): b"" for number in range(9)}, most_files=10)

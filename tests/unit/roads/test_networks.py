@@ -1,0 +1,114 @@
+"""Reading networks: what is refused, with file and line."""
+
+from __future__ import annotations
+
+import gzip
+import re
+from contextlib import suppress
+
+import pytest
+from tests.support.networks import entrance
+
+from drivecal.domain.errors import InvalidInputError
+from drivecal.roads import documents
+from drivecal.roads.network import read_network
+
+NAME = "road.net.xml"
+
+
+def refused(content: bytes) -> str:
+    """The message of the refusal, which names the file and has a remedy."""
+    with pytest.raises(InvalidInputError) as error:
+        read_network(content, NAME)
+    (problem,) = error.value.problems
+    assert problem.field == NAME
+    assert problem.remedy
+    return problem.message
+
+
+def changed(pattern: str, replacement: str) -> bytes:
+    text, count = re.subn(pattern, replacement, entrance().decode(), count=1, flags=re.DOTALL)
+    assert count
+    return text.encode()
+
+
+BILLION = '<!DOCTYPE net [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;">]>'
+
+
+@pytest.mark.parametrize(
+    ("pattern", "replacement"),
+    [
+        (r'<net version="[^"]*"', '<net version="0.13"'),
+        (r'<net version="[^"]*"', '<net version="2.0"'),
+        (r'<net version="[^"]*"', '<net version="new"'),
+        (r' version="1[^"]*"', ""),
+        (r"<net ", '<net lefthand="true" '),
+        (r"<net ", f"{BILLION}<net "),
+        (r"<net ", '<!DOCTYPE net SYSTEM "http://127.0.0.1:1/net.dtd"><net '),
+        (r"<net (.*)</net>", r"<routes \1</routes>"),
+        (r'speed="33.33"', 'speed="nan"'),
+        (r'speed="33.33"', 'speed="-1"'),
+        (r'speed="33.33"', 'speed="1e400"'),
+        (r'speed="33.33"', 'speed="3_3"'),
+        (r' speed="33.33"', ""),
+        (r'width="3.75"', 'width="0"'),
+        (r'width="3.75"', 'width="1e6"'),
+        (r'(id="before_0" index=)"0"', r'\1"1"'),
+        (r'(id="before_0" index=)"0"', r'\1"0.5"'),
+        (r'(id="before_0" index=)"0"', r'\1"40"'),
+        (r'(id="before_0".*?shape=)"[^"]*"', r'\1"0,0"'),
+        (r'(id="before_0".*?shape=)"[^"]*"', r'\1"0,0 nan,1"'),
+        (r'(id="before_0".*?shape=)"[^"]*"', r'\1"0,0 1e300,1"'),
+        (r'(id="before_0".*?shape=)"[^"]*"', r'\1"0,0 1,2,3,4"'),
+        (r'(id="before_0".*?shape=)"[^"]*"', r'\1"0,0 a,b"'),
+        (r'(id="before_0".*?)length="[^"]*"', r"\1"),
+        (r'<edge id="after"', '<edge id="before"'),
+        (r'<junction id="c"', '<junction id="b"'),
+        (r'fromLane="0"', 'fromLane="-1"'),
+        (r'foes="[01]*"', 'foes="2"'),
+        (r'<request index="0"', '<request index="7"'),
+        (r"</net>", ""),
+        (r"</net>", "</net><net/>"),
+        (r"</net>", "&x;</net>"),
+    ],
+)
+def test_what_is_wrong_is_refused_by_its_line(pattern: str, replacement: str) -> None:
+    assert re.search(r"line \d+", refused(changed(pattern, replacement)))
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"", b" \n", b"no xml", b"<net version='1.20'/>", gzip.compress(b"<net/>"), b"\xff\xfe<\x00n\x00", b"PK\x03\x04"],
+)
+def test_what_is_no_network_is_refused(content: bytes) -> None:
+    assert refused(content)
+
+
+def test_files_elements_and_levels_without_end_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert "levels" in refused(b'<net version="1.20">' + b"<x>" * 1000)
+    assert refused(b'<net version="1.20"><x a="' + b"y" * (documents.LONGEST_VALUE + 1) + b'"/></net>')
+    monkeypatch.setattr(documents, "MOST_ELEMENTS", 1000)
+    assert "elements" in refused(b'<net version="1.20">' + b"<x/>" * 1001 + b"</net>")
+    monkeypatch.setattr(documents, "LARGEST", 1000)
+    assert refused(b" " * 1001)
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "latin-1", "ascii"])
+def test_other_encodings_are_read(encoding: str) -> None:
+    text = entrance().decode().replace('encoding="UTF-8"', f'encoding="{encoding}"')
+    assert "before" in read_network(text.encode(encoding), NAME).edges
+
+
+@pytest.mark.parametrize("encoding", ["base64", "utf-7", "no-such", "shift_jis"])
+def test_strange_encodings_are_refused_or_read(encoding: str) -> None:
+    text = entrance().decode().replace('encoding="UTF-8"', f'encoding="{encoding}"')
+    with suppress(InvalidInputError):
+        read_network(text.encode(), NAME)
+
+
+def test_lanes_keep_what_the_file_says() -> None:
+    network = read_network(entrance(), NAME)
+    ramp = network.edges["ramp"].lanes[0]
+    assert (ramp.width, ramp.limit, ramp.for_cars, ramp.index) == (3.5, 22.22, True, 0)
+    assert network.lane("ramp_0") is ramp
+    assert [network.lane(name) for name in ("ramp_1", "ramp", "x_0", "ramp_-1", "ramp_²", "ramp_9999")] == [None] * 6

@@ -1,0 +1,273 @@
+"""OpenDRIVE: geometry and conversion against a reader of its own, notes, and files that are refused."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.support.networks import program
+from tests.support.opendrive import Floats, lane_centres, lane_width, roads
+from tests.support.opendrive_files import FILES
+
+from drivecal.domain.errors import InvalidInputError, UnavailableError
+from drivecal.domain.roads import to_cartesian
+from drivecal.roads import conversion
+from drivecal.roads.conversion import Conversion, converted
+from drivecal.roads.corridor import Corridor, corridor
+from drivecal.roads.network import network_file, read_network, source_of
+from drivecal.roads.opendrive import DRIVEN, read_opendrive
+
+NAME = "road.xodr"
+NEAR = 0.1
+ROUTES: dict[tuple[str, str], tuple[str, ...]] = {
+    ("exit_ramp", "through"): ("-1#0", "-1#1", "-1#2", "-2"),
+    ("exit_ramp", "exit"): ("-1#0", "-1#1", "-1#2", "-3"),
+    ("entrance", "through"): ("-1", "-2#0", "-2#1", "-2#2", "-2#3"),
+    ("entrance", "ramp"): ("-3", "-2#0", "-2#1", "-2#2", "-2#3"),
+    ("direct", "through"): ("-1#0", "-1#1", "-1#2", "-2", "-4#0", "-4#1", "-4#2", "-4#3"),
+    ("direct", "exit"): ("-1#0", "-1#1", "-1#2", "-3"),
+    ("direct", "ramp"): ("-5", "-4#0", "-4#1", "-4#2", "-4#3"),
+    ("two_way", "along"): ("-5#0", "-5#1", "-5#2", "-5#3", "-5#4", "-5#5"),
+    ("two_way", "against"): ("5#5", "5#4", "5#3", "5#2", "5#1", "5#0"),
+}
+every_file = pytest.mark.parametrize("file", FILES)
+every_route = pytest.mark.parametrize("route", ROUTES, ids="-".join)
+
+
+@cache
+def conversion_of(file: str) -> Conversion:
+    return converted(FILES[file](), NAME)
+
+
+@cache
+def drive(route: tuple[str, str]) -> Corridor:
+    return corridor(read_network(conversion_of(route[0]).network, NAME), ROUTES[route], NAME)
+
+
+@cache
+def truth(file: str) -> dict[tuple[str, float, int], Floats]:
+    return lane_centres(FILES[file](), DRIVEN)
+
+
+def distance(x: float, y: float, points: Floats) -> float:
+    """Distance to a polyline."""
+    begins, steps = points[:-1], np.diff(points, axis=0)
+    share = np.clip(((np.array([x, y]) - begins) * steps).sum(1) / (steps**2).sum(1), 0.0, 1.0)
+    return float(np.hypot(*(begins + share[:, None] * steps - (x, y)).T).min())
+
+
+@every_file
+def test_lanes_of_the_file_are_where_another_reader_finds_them(file: str) -> None:
+    content = FILES[file]()
+    mine = read_opendrive(content, NAME)
+    for road in roads(content):
+        for number, (begin, end, section) in enumerate(road.sections()):
+            s = np.linspace(begin, end - 1e-6, 9)
+            for lane in mine.roads[road.id].sections[number].lanes:
+                if lane == 0:
+                    continue
+                points, widths = mine.roads[road.id].centre(number, lane, s)
+                element = next(entry for entry in section.iter("lane") if entry.get("id") == str(lane))
+                assert np.allclose(points, [road.centre(section, lane, at) for at in s], atol=1e-6)
+                assert np.allclose(widths, [lane_width(element, at - begin) for at in s], atol=1e-9)
+
+
+@every_route
+def test_tracks_lie_on_lanes_of_the_file(route: tuple[str, str]) -> None:
+    road, lanes = drive(route), truth(route[0])
+    for number in range(len(road.tracks)):
+        for row in np.flatnonzero(~np.isnan(road.centres[:, number]))[::10]:
+            x, y, _ = to_cartesian(road.line, road.stations[row], road.centres[row, number])
+            assert min(distance(x, y, points) for points in lanes.values()) < NEAR
+
+
+@every_route
+def test_every_lane_of_the_file_beside_the_drive_is_a_track(route: tuple[str, str]) -> None:
+    """From the file to the corridor: no lane is left out, where it is wide enough for a car."""
+    road, file = drive(route), roads(FILES[route[0]]())
+    driven = {name.strip("-").split("#")[0] for name in ROUTES[route]}
+    side = -1 if ROUTES[route][0].startswith("-") else 1
+    for entry in file:
+        for begin, end, section in entry.sections() if entry.id in driven else ():
+            for lane in section.iter("lane"):
+                index = int(lane.get("id", "0"))
+                if index * side <= 0 or lane.get("type") not in DRIVEN:
+                    continue
+                for s in np.linspace(begin + 10.0, end - 10.0, 7):
+                    if lane_width(lane, s - begin) > 2.0:
+                        point = np.array([entry.centre(section, index, s)])
+                        at = nearest(road, point)
+                        assert at is not None, (entry.id, index, s)
+                        track = road.lane_at(*at)
+                        assert track is not None
+                        row = round(at[0] / road.stations[1])
+                        assert road.widths[row, track] == pytest.approx(lane_width(lane, s - begin), abs=0.05)
+                        assert road.centres[row, track] == pytest.approx(at[1], abs=NEAR)
+
+
+def nearest(road: Corridor, point: Floats) -> tuple[float, float] | None:
+    from drivecal.roads.lines import project
+
+    row = int(np.argmin(np.hypot(*(road.line[:, 1:3] - point).T)))
+    s, d = project(road.line, point, road.line[row : row + 1, 0])
+    return None if np.isnan(s[0]) else (float(s[0]), float(d[0]))
+
+
+@every_route
+def test_the_line_of_a_converted_road_is_smooth_and_near_its_lanes(route: tuple[str, str]) -> None:
+    road, lanes = drive(route), truth(route[0])
+    assert np.max(np.abs(np.diff(road.line[:, 4]))) < 2e-3
+    if route[1] not in {"exit", "ramp"}:  # there it changes lanes
+        assert max(min(distance(x, y, points) for points in lanes.values()) for x, y in road.line[::20, 1:3]) < NEAR
+
+
+def test_limits_are_those_of_the_file() -> None:
+    through, leaving, beside = (
+        np.nanmax(drive(route).limits, axis=1)
+        for route in (("exit_ramp", "through"), ("exit_ramp", "exit"), ("entrance", "through"))
+    )
+    assert through[10] == pytest.approx(130 / 3.6, abs=1e-3)
+    assert through[-10] == pytest.approx(100 / 3.6, abs=1e-3)
+    assert leaving[-10] == pytest.approx(60 / 3.6, abs=1e-3)
+    assert beside[10] == pytest.approx(75 * 0.44704, abs=1e-3)
+    assert np.nanmax(drive(("two_way", "along")).limits) == pytest.approx(33.5)
+
+
+def test_what_netconvert_assumes_is_noted() -> None:
+    (note,) = [note for note in conversion_of("entrance").notes if "no speed limit" in note]
+    assert note.startswith("road 3:")
+    assert "80 km/h" in note
+    assert not [note for note in conversion_of("exit_ramp").notes if "no speed limit" in note]
+
+
+def edited(file: str, pattern: str, replacement: str, count: int = 1) -> bytes:
+    text, done = re.subn(pattern, replacement, FILES[file]().decode(), count=count, flags=re.DOTALL)
+    assert done
+    return text.encode()
+
+
+def test_missing_widths_ignored_elements_and_limits_that_change_are_noted() -> None:
+    width = edited("two_way", r'(<lane id="-2" type="driving"[^>]*>.*?)<width [^>]*/>', r"\1")
+    assert any("3.65 m" in note and "road 5" in note for note in converted(width, NAME).notes)
+    sign = '<signal s="1" t="1" id="1" name="" dynamic="no" orientation="+" zOffset="0" type="274" subtype="50" value="50"/>'
+    signal = edited("two_way", r"</lanes>", f"</lanes><signals>{sign}</signals>")
+    assert any("signal" in note for note in converted(signal, NAME).notes)
+    speeds = edited("two_way", r"</type>", '</type><type s="100" type="motorway"><speed max="20" unit="m/s"/></type>')
+    assert any("limit changes" in note for note in converted(speeds, NAME).notes)
+
+
+def test_a_conversion_repeats_itself_and_names_its_source() -> None:
+    content = FILES["two_way"]()
+    network = converted(content, NAME).network
+    assert network == converted(content, NAME).network
+    assert b"generated on" not in network
+    source = source_of(network)
+    assert source is not None
+    assert len(source) == 64
+    assert source != source_of(conversion_of("entrance").network)
+    assert network_file("a/b.xodr") == "a/b.xodr.net.xml"
+    assert network_file("b.net.xml") == "b.net.xml"
+    assert source_of(b"<net/>") is None
+
+
+def test_hard_shoulders_are_closed_to_cars() -> None:
+    lanes = [lane for edge in read_network(conversion_of("exit_ramp").network, NAME).edges.values() for lane in edge.lanes]
+    closed = [lane for lane in lanes if not lane.for_cars and not lane.edge.startswith(":")]
+    assert any(lane.width == pytest.approx(2.85) for lane in closed)
+
+
+def test_lanes_may_stand_in_any_order() -> None:
+    left = r'(<left>)(<lane id="2".*?</lane>)(<lane id="1".*?</lane>)(</left>)'
+    swapped = edited("two_way", left, r"\1\3\2\4", count=0)
+    assert read_network(converted(swapped, NAME).network, NAME).edges["5#0"].lanes[0].shape == pytest.approx(
+        read_network(conversion_of("two_way").network, NAME).edges["5#0"].lanes[0].shape, abs=1e-3
+    )
+
+
+@every_file
+def test_sumo_takes_the_network(file: str, tmp_path: Any) -> None:
+    path = tmp_path / "road.net.xml"
+    path.write_bytes(conversion_of(file).network)
+    script = f"import libsumo; libsumo.start(['sumo', '-n', {str(path)!r}]); libsumo.simulationStep()"
+    assert subprocess.run([sys.executable, "-c", script], capture_output=True, check=False).returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("pattern", "replacement"),
+    [
+        (r'revMajor="1"', 'revMajor="2"'),
+        (r'(<road id="5")', r'\1 rule="LHT"'),
+        (r"(<planView>).*(</planView>)", r"\1\2"),
+        (r"<line ?/>", ""),
+        (r"<line ?/>", "<curve/>"),
+        (r"<laneSection.*</laneSection>", ""),
+        (r'type="driving"', 'type="sidewalk"'),
+        (r'curvature="[^"]*"', 'curvature="inf"'),
+        (r'length="[^"]*"', 'length="1e300"'),
+        (r'<lane id="-2"', '<lane id="-7"'),
+        (r'<lane id="-2"', '<lane id="-1"'),
+        (r'unit="m/s"', 'unit="furlong"'),
+        (r"<OpenDRIVE>", '<!DOCTYPE OpenDRIVE [<!ENTITY a "b">]><OpenDRIVE>'),
+        (r"<OpenDRIVE>(.*)</OpenDRIVE>", r"<net>\1</net>"),
+        (r"<road .*</road>", ""),
+        (r"</OpenDRIVE>", ""),
+        (
+            r"</OpenDRIVE>",
+            '<junction id="4" type="direct"><connection id="0" incomingRoad="5" linkedRoad="6"/></junction></OpenDRIVE>',
+        ),
+        (r"<width ", "<border "),
+    ],
+)
+def test_what_cannot_be_driven_is_refused(pattern: str, replacement: str) -> None:
+    content = edited("two_way", pattern, replacement, count=0)
+    with pytest.raises(InvalidInputError) as error:
+        corridor(read_network(converted(content, NAME).network, NAME), ROUTES["two_way", "along"], NAME)
+    (problem,) = error.value.problems
+    assert problem.remedy
+    assert NAME in problem.field + problem.message
+
+
+def test_a_crossing_of_roads_is_refused() -> None:
+    from tests.support.opendrive_files import PAVED, Road, document, line
+
+    lane = {-1: ("driving", PAVED)}
+    links = (
+        {"predecessor": ("road", "1"), "successor": ("road", "2")},
+        {"predecessor": ("road", "3"), "successor": ("road", "4")},
+    )
+    road_1 = Road("1", [line(200.0)], [(0.0, lane)], (-220.0, 0.0, 0.0), links={"successor": ("junction", "9")})
+    road_2 = Road("2", [line(200.0)], [(0.0, lane)], (20.0, 0.0, 0.0), links={"predecessor": ("junction", "9")})
+    road_3 = Road("3", [line(200.0)], [(0.0, lane)], (0.0, -220.0, np.pi / 2), links={"successor": ("junction", "9")})
+    road_4 = Road("4", [line(200.0)], [(0.0, lane)], (0.0, 20.0, np.pi / 2), links={"predecessor": ("junction", "9")})
+    linked = {0: {-1: (-1, -1)}}
+    east = Road("10", [line(40.0)], [(0.0, lane)], (-20.0, 0.0, 0.0), "9", links[0], lane_links=linked)  # type: ignore[arg-type]
+    north = Road("11", [line(40.0)], [(0.0, lane)], (0.0, -20.0, np.pi / 2), "9", links[1], lane_links=linked)  # type: ignore[arg-type]
+    pairs = {"9": [("1", "10", [(-1, -1)]), ("3", "11", [(-1, -1)])]}
+    network = read_network(converted(document([road_1, road_2, road_3, road_4, east, north], pairs), NAME).network, NAME)
+    with pytest.raises(InvalidInputError) as error:
+        corridor(network, ["-1", "-2"], NAME)
+    assert [problem.field for problem in error.value.problems] == ["route[1]"]
+    assert "crossing" in error.value.problems[0].message
+
+
+def test_without_netconvert_the_answer_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shutil, "which", lambda *_args, **_options: None)
+    with pytest.raises(UnavailableError, match=r"drivecal\[opendrive\]"):
+        converted(FILES["two_way"](), NAME)
+
+
+def test_netconvert_that_fails_or_hangs_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert conversion.netconvert() == program("netconvert")
+    monkeypatch.setattr(conversion, "TIMEOUT", 0.0001)
+    with pytest.raises(InvalidInputError, match="did not finish"):
+        converted(FILES["two_way"](), NAME)
+    monkeypatch.undo()
+    monkeypatch.setattr(conversion, "netconvert", lambda: sys.executable)  # an interpreter knows none of the options
+    with pytest.raises(InvalidInputError):
+        converted(FILES["two_way"](), NAME)
